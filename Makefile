@@ -1,0 +1,52 @@
+# Two commands do everything; the virtual environment they need is made by themselves, once.
+#   make reproduce   the paper, end to end, to build/report/report.html
+#   make test        lint, layers, types, doctests and tests
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+OUT    ?= build/report
+WORKERS ?= 2
+
+.PHONY: reproduce test lint format bench docs clean help
+.DEFAULT_GOAL := help
+
+help:
+	@sed -n 's/^#   //p' Makefile
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "mckibben needs Python 3.11 or newer; try: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $(VENV)/.installed $@
+
+reproduce: $(VENV)/.installed
+	$(BIN)/mckibben reproduce --out $(OUT)
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-cache
+	$(BIN)/pyright
+
+test: lint
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal
+
+#   make format      put the code in its house style
+format: $(VENV)/.installed-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+#   make bench       ratios against plain C, measured in one run
+bench: $(VENV)/.installed-dev
+	$(BIN)/python benchmarks/episode.py
+
+#   make clean       remove what these commands made
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache
