@@ -1,0 +1,100 @@
+"""What is wanted over time: constant, step, sine, several sines, or samples."""
+
+from __future__ import annotations
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.errors import RangeError
+
+
+class Signal(eqx.Module):
+    """A quantity over time [s], in SI."""
+
+    @abc.abstractmethod
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
+        """The value at each time."""
+
+
+class Constant(Signal):
+    """The same value always."""
+
+    value: float
+
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+        return jnp.full_like(jnp.asarray(time, float), self.value)
+
+
+class Step(Signal):
+    """One value before a time [s], another from then on."""
+
+    before: float
+    after: float
+    at: float
+
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+        return jnp.where(jnp.asarray(time, float) < self.at, self.before, self.after) * 1.0
+
+
+class Sine(Signal):
+    """offset + amplitude sin(2 pi frequency t + phase); frequency in Hz, phase in rad."""
+
+    amplitude: float
+    frequency: float
+    offset: float = 0.0
+    phase: float = 0.0
+
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+        return self.offset + self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * jnp.asarray(time) + self.phase)
+
+
+class Multisine(Signal):
+    """offset + a sum of sines; one amplitude, frequency [Hz] and phase [rad] each."""
+
+    amplitudes: tuple[float, ...]
+    frequencies: tuple[float, ...]
+    phases: tuple[float, ...] = ()
+    offset: float = 0.0
+
+    def __check_init__(self) -> None:
+        counts = {len(self.amplitudes), len(self.frequencies), len(self.phases or self.amplitudes)}
+        if len(counts) != 1:
+            raise RangeError(
+                f"a multisine has {len(self.amplitudes)} amplitudes, {len(self.frequencies)} frequencies and "
+                f"{len(self.phases)} phases",
+                remedy="give one of each for every sine",
+            )
+
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+        total = jnp.full_like(jnp.asarray(time, float), self.offset)
+        phases = self.phases or (0.0,) * len(self.amplitudes)
+        for amplitude, frequency, phase in zip(self.amplitudes, self.frequencies, phases, strict=True):
+            total = total + Sine(amplitude, frequency, 0.0, phase)(time)
+        return total
+
+
+class Samples(Signal):
+    """Straight lines between samples; the first and last value beyond them.
+
+    Parameters
+    ----------
+    times
+        Rising times [s].
+    values
+        One value for each.
+    """
+
+    times: Float[Array, " n"] = eqx.field(converter=lambda x: jnp.asarray(x, float))
+    values: Float[Array, " n"] = eqx.field(converter=lambda x: jnp.asarray(x, float))
+
+    def __check_init__(self) -> None:
+        if self.times.shape != self.values.shape or self.times.ndim != 1 or self.times.size == 0:
+            raise RangeError(f"{self.times.size} times do not go with {self.values.size} values; give one value a time")
+        if not bool(jnp.all(jnp.diff(self.times) > 0)):
+            raise RangeError("the times of a sampled signal must rise", remedy="sort them and remove repeats")
+
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+        return jnp.interp(jnp.asarray(time, float), self.times, self.values)

@@ -1,0 +1,329 @@
+"""The measured points of isobaric tests, one row per plateau mean, in SI units."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from mckibben.dataset.plateaus import mean_and_spread
+from mckibben.dataset.schema import assemble, conform
+from mckibben.dataset.selection import among, listed, near
+from mckibben.dataset.writing import write_csv, write_netcdf
+from mckibben.errors import DatasetError, Problem, RangeError
+from mckibben.units import bar, percent
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class IsobaricDataset:
+    """Points of isobaric tests: at each a pressure, a contraction and a force.
+
+    Make one with `of` or `read_dataset`; two are the same where ``a.table.identical(b.table)``.
+
+    Attributes
+    ----------
+    table
+        Along ``point``: ``pressure`` [Pa, gauge], ``contraction`` [-, positive = shorter], ``force`` [N];
+        where known ``direction`` ("loading": being stretched; "unloading": shortening), ``repeat``, ``time``
+        [s], ``set_pressure`` [Pa, NaN where not known] and ``force_spread`` [N]. Along ``point`` and
+        ``sample`` the raw ``force_samples`` [N] and ``pressure_samples`` [Pa], where kept. Attributes:
+        ``specimen``, ``source``, ``slack_force`` [N] and, where known, ``initial_length`` [m].
+
+    Raises
+    ------
+    DatasetError
+        If a variable is missing, of the wrong shape or unit, or holds a value that cannot have been measured.
+
+    Examples
+    --------
+    >>> data = IsobaricDataset.of(
+    ...     pressure=[1e5, 1e5, 2e5, 2e5], contraction=[0, 0.25, 0, 0.25], force=[81.7, 0, 174.0, 0]
+    ... )
+    >>> data
+    <IsobaricDataset: 4 points (2 slack), 2 pressures 1..2 bar, contraction 0..25 %>
+    >>> train, held_out = data.taut.split(pressures=2e5)
+    >>> held_out.force
+    array([174.])
+    """
+
+    table: xr.Dataset
+
+    def __post_init__(self) -> None:
+        table, problems = conform(self.table)
+        if problems:
+            raise DatasetError("dataset", problems)
+        object.__setattr__(self, "table", table)
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        pressure: ArrayLike,
+        contraction: ArrayLike,
+        force: ArrayLike,
+        direction: ArrayLike | None = None,
+        repeat: ArrayLike | None = None,
+        time: ArrayLike | None = None,
+        set_pressure: ArrayLike | None = None,
+        force_samples: ArrayLike | None = None,
+        pressure_samples: ArrayLike | None = None,
+        specimen: str = "",
+        initial_length: float | None = None,
+        source: str = "",
+        slack_force: float = 0.0,
+    ) -> Self:
+        """Make a dataset from arrays in SI units.
+
+        Parameters
+        ----------
+        pressure, contraction, force
+            Shape (points,): gauge pressure [Pa], contraction [-], axial pull [N].
+        direction
+            Shape (points,): "loading" or "unloading".
+        repeat
+            Shape (points,): integers from 0 up.
+        time
+            Shape (points,) [s].
+        set_pressure
+            Shape (points,): nominal pressure [Pa], NaN where it is not known.
+        force_samples, pressure_samples
+            Shape (points, samples): raw samples [N], [Pa]. They are not copied: do not write to them after.
+        specimen
+            The make of the muscle.
+        initial_length
+            Length of the deflated muscle [m].
+        source
+            Where the numbers come from.
+        slack_force
+            A force up to this [N] means that the muscle was slack. Set it above the noise of the rig.
+
+        Raises
+        ------
+        DatasetError
+            With all that is wrong: shapes that do not match, values that are not finite, or out of range.
+        """
+        variables = {
+            "pressure": pressure,
+            "contraction": contraction,
+            "force": force,
+            "direction": direction,
+            "repeat": repeat,
+            "time": time,
+            "set_pressure": set_pressure,
+            "force_samples": force_samples,
+            "pressure_samples": pressure_samples,
+        }
+        table, problems = assemble({name: values for name, values in variables.items() if values is not None})
+        if problems:
+            raise DatasetError("dataset", problems)
+        return cls(
+            table.assign_attrs(
+                specimen=specimen, source=source, slack_force=slack_force, initial_length=initial_length
+            )
+        )
+
+    @property
+    def pressure(self) -> NDArray[np.float64]:
+        """Gauge pressure of each point [Pa], read-only."""
+        return self.table["pressure"].to_numpy()
+
+    @property
+    def contraction(self) -> NDArray[np.float64]:
+        """Contraction of each point [-], positive = shorter, read-only."""
+        return self.table["contraction"].to_numpy()
+
+    @property
+    def force(self) -> NDArray[np.float64]:
+        """Axial pull of each point [N], read-only."""
+        return self.table["force"].to_numpy()
+
+    @property
+    def slack(self) -> NDArray[np.bool_]:
+        """Where the muscle was slack: the force is no measurement there, it only says "not above"."""
+        return self.force <= self.table.attrs["slack_force"]
+
+    @property
+    def taut(self) -> Self:
+        """The points at which the muscle was taut."""
+        return self.select(~self.slack)
+
+    @property
+    def levels(self) -> NDArray[np.float64]:
+        """Nominal pressure of each point [Pa]: the set pressure, or the measured one where none is known."""
+        if "set_pressure" not in self.table:
+            return self.pressure
+        nominal = self.table["set_pressure"].to_numpy()
+        return np.where(np.isnan(nominal), self.pressure, nominal)
+
+    @property
+    def pressures(self) -> NDArray[np.float64]:
+        """The distinct levels [Pa], ascending."""
+        return np.unique(self.levels)
+
+    @property
+    def repeats(self) -> NDArray[np.int64]:
+        """The distinct repeats, ascending; empty where they are not recorded."""
+        return np.unique(self._column("repeat"))
+
+    @property
+    def directions(self) -> NDArray[np.str_]:
+        """The distinct directions; empty where they are not recorded."""
+        return (
+            np.unique(self.table["direction"].to_numpy()) if "direction" in self.table else np.empty(0, "<U9")
+        )
+
+    def __len__(self) -> int:
+        return self.table.sizes["point"]
+
+    def __repr__(self) -> str:
+        name = self.table.attrs["specimen"]
+        slack = int(self.slack.sum())
+        parts = [f"{len(self)} points" + (f" ({slack} slack)" if slack else "")]
+        if len(self):
+            levels, contraction = self.pressures / bar, self.contraction / percent
+            count = f"{len(levels)} pressure{'s' if len(levels) > 1 else ''}"
+            parts.append(f"{count} {_span(levels.min(), levels.max())} bar")
+            parts.append(f"contraction {_span(contraction.min(), contraction.max())} %")
+        if len(self.directions):
+            parts.append(" and ".join(self.directions))
+        if len(self.repeats):
+            parts.append(f"repeats {listed(self.repeats)}")
+        if samples := self.table.sizes.get("sample"):
+            parts.append(f"{samples} samples a point")
+        return f"<IsobaricDataset{f' {name!r}' if name else ''}: {', '.join(parts)}>"
+
+    def select(self, mask: ArrayLike) -> Self:
+        """The points where `mask` (booleans, one per point) is true, in their order."""
+        where = np.asarray(mask)
+        if where.dtype != np.bool_ or where.shape != (len(self),):
+            raise RangeError(
+                f"a mask of shape {where.shape} and type {where.dtype} cannot select from {len(self)} points",
+                remedy="give one boolean per point",
+            )
+        return type(self)(self.table.isel(point=where))
+
+    def at(self, pressures: ArrayLike, tolerance: float = 1e3) -> Self:
+        """The points whose level [Pa] is within `tolerance` [Pa] of any of the given pressures [Pa].
+
+        Raises
+        ------
+        RangeError
+            If there is no point at one of them; the error names the pressures that there are.
+        """
+        return self.select(near(self.levels, pressures, tolerance))
+
+    def split(
+        self,
+        *,
+        pressures: ArrayLike | None = None,
+        repeats: ArrayLike | None = None,
+        directions: str | Sequence[str] | None = None,
+    ) -> tuple[Self, Self]:
+        """Hold points out by whole pressures, repeats or directions.
+
+        Parameters
+        ----------
+        pressures
+            Levels [Pa], met within 0.01 bar.
+        repeats, directions
+            As in the dataset.
+
+        Returns
+        -------
+        train, held_out
+            `held_out` has the points at any of the given things, `train` all others.
+
+        Raises
+        ------
+        RangeError
+            If nothing is given, something given is not in the dataset, or no point would be left on one side.
+        """
+        held_out = np.zeros(len(self), bool)
+        if pressures is not None:
+            held_out |= near(self.levels, pressures)
+        if repeats is not None:
+            held_out |= among(self._column("repeat"), repeats, "repeat")
+        if directions is not None:
+            held_out |= among(self._column("direction"), directions, "direction")
+        if held_out.all() or not held_out.any():
+            side = "train on" if held_out.any() else "hold out"
+            raise RangeError(
+                f"the split leaves no point to {side}",
+                remedy="name some, not all, pressures, repeats or directions",
+            )
+        return self.select(~held_out), self.select(held_out)
+
+    def plateau_means(self) -> Self:
+        """The dataset with pressure and force as means over the raw samples, and without the samples.
+
+        ``force_spread`` is then the standard deviation of the force over the samples of each point [N]
+        (`numpy.std`, that of the samples and not of their mean). A dataset without samples is returned as it
+        is.
+        """
+        columns: dict[str, NDArray[np.float64]] = {}
+        if "force_samples" in self.table:
+            columns["force"], columns["force_spread"] = mean_and_spread(
+                self.table["force_samples"].to_numpy()
+            )
+        if "pressure_samples" in self.table:
+            columns["pressure"] = self.table["pressure_samples"].to_numpy().mean(axis=1, dtype=np.float64)
+        if not columns:
+            return self
+        table = self.table.drop_vars(["force_samples", "pressure_samples"], errors="ignore")
+        return type(self)(table.assign({name: ("point", values) for name, values in columns.items()}))
+
+    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
+        """Write everything, samples included, to a NetCDF-4 file; `from_netcdf` gives the same dataset back.
+
+        The file appears complete or not at all.
+        """
+        write_netcdf(self.table, Path(path))
+
+    @classmethod
+    def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file that `to_netcdf` wrote.
+
+        Raises
+        ------
+        DatasetError
+            If the file is not there, is no NetCDF file, or does not hold an isobaric dataset.
+        """
+        try:
+            with Path(path).open("rb"):
+                pass  # so that what the system objects to is told from what is wrong with the content
+            table = xr.load_dataset(Path(path), engine="h5netcdf", decode_times=False).drop_encoding()
+        except ImportError:
+            raise
+        except Exception as error:  # h5py and h5netcdf raise nearly every kind on a damaged file
+            raise DatasetError(str(path), [Problem(f"cannot be read as NetCDF: {_reason(error)}")]) from error
+        try:
+            return cls(table)
+        except DatasetError as error:
+            raise DatasetError(str(path), error.problems) from None
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Write the plateau means as CSV text in SI units; `read_dataset` gives the same numbers back.
+
+        The specimen, initial length, source and slack force stand in comment lines at the top. Samples, their
+        spread and variables that are not ours are left out: `to_netcdf` keeps them. The file appears complete
+        or not at all.
+        """
+        write_csv(self.plateau_means().table, Path(path))
+
+    def _column(self, name: str) -> np.ndarray:
+        return self.table[name].to_numpy() if name in self.table else np.empty(0, np.int64)
+
+
+def _span(low: float, high: float) -> str:
+    return f"{low:.4g}..{high:.4g}" if f"{low:.4g}" != f"{high:.4g}" else f"{low:.4g}"
+
+
+def _reason(error: Exception) -> str:
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return text.splitlines()[0]

@@ -1,0 +1,81 @@
+"""Datasets to files, each of which appears complete or not at all."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+CSV_COLUMNS = {
+    "pressure": "pressure_Pa",
+    "contraction": "contraction_ratio",
+    "force": "force_N",
+    "direction": "direction",
+    "repeat": "repeat",
+    "time": "time_s",
+    "set_pressure": "set_pressure_Pa",
+}
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A sibling to write to, which takes the place of `path` when the block ends, and goes if it fails."""
+    sibling = path.with_name(f".{uuid.uuid4().hex}.part")
+    try:
+        yield sibling
+        sibling.replace(path)
+    finally:
+        sibling.unlink(missing_ok=True)
+
+
+def write_netcdf(table: xr.Dataset, path: Path) -> None:
+    """Write a table, its samples lightly compressed."""
+    encoding: dict[str, dict[str, object]] = {}
+    for name, variable in table.variables.items():
+        encoding[str(name)] = {"_FillValue": None} if variable.dtype.kind == "f" else {}
+        if "sample" in variable.dims:
+            encoding[str(name)] |= {"zlib": True, "complevel": 1, "shuffle": True}
+    with whole(path) as sibling:
+        table.to_netcdf(sibling, engine="h5netcdf", encoding=encoding)
+
+
+def write_csv(table: xr.Dataset, path: Path) -> None:
+    """Write a table of plateau means: comments, header, and a row per point, floats in full."""
+    attrs = table.attrs
+    comments = [f"# specimen: {plain(attrs['specimen'])}", f"# source: {plain(attrs['source'])}"]
+    if "initial_length" in attrs:
+        comments.append(f"# initial_length: {attrs['initial_length']!r} m")
+    comments.append(f"# slack_force: {attrs['slack_force']!r} N")
+    present = [name for name in CSV_COLUMNS if name in table]
+    rows = zip(*(_cells(table[name].to_numpy()) for name in present), strict=True)
+    header = ",".join(CSV_COLUMNS[name] for name in present)
+    text = "\n".join([*comments, header, *map(",".join, rows)])
+    with whole(path) as sibling:
+        sibling.write_text(f"{text}\n", encoding="utf-8", newline="\n")
+
+
+def plain(text: str) -> str:
+    """A text for the rest of a line: as it is, or in JSON's quotes where it would not come back the same."""
+    return (
+        text if text.isprintable() and text == text.strip() and not text.startswith('"') else json.dumps(text)
+    )
+
+
+def unplain(text: str) -> str:
+    """The inverse of `plain`; a text that only looks quoted is left as it is."""
+    try:
+        value = json.loads(text) if text.startswith('"') else text
+    except ValueError:
+        return text
+    return value if isinstance(value, str) else text
+
+
+def _cells(values: np.ndarray) -> list[str]:
+    if values.dtype.kind == "f":
+        return ["" if value != value else repr(value) for value in values.tolist()]
+    return [str(value) for value in values.tolist()]

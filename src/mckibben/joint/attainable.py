@@ -1,0 +1,147 @@
+"""What a joint can hold: the torques and stiffnesses that pressures within limits can give.
+
+Each muscle's tension can be anything between its tension at the lowest and at the highest pressure. A torque leaves one
+freedom, co-contraction: along T2 d2 - T1 d1 = torque both tensions rise together. Two taut muscles with affine laws and
+rigid tendons have a stiffness that is affine along that line, so its extremes are the two ends.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike
+
+from mckibben.joint.geometry import Pair
+from mckibben.joint.tendon import RigidTendon
+from mckibben.muscle import PressureAffineLaw
+
+if TYPE_CHECKING:
+    from mckibben.joint.antagonistic import AntagonisticJoint
+
+_SCANNED = 401
+_INSIDE = 1e-9  # how far inside its ends a segment is looked at, as a part of it: at the very end a muscle is slack
+
+
+def torque_range(
+    joint: AntagonisticJoint,
+    angle: ArrayLike,
+    pressure_limits: tuple[float, float] | None,
+    minimum_tension: float,
+) -> Pair:
+    """See `AntagonisticJoint.attainable_torque`."""
+    low, high = _tension_ranges(joint, angle, pressure_limits, minimum_tension)
+    arm1, arm2 = joint.geometry.moment_arms(angle)
+    lowest, highest = low[1] * arm2 - high[0] * arm1, high[1] * arm2 - low[0] * arm1
+    holdable = (low[0] <= high[0]) & (low[1] <= high[1])
+    return jnp.where(holdable, lowest, jnp.nan), jnp.where(holdable, highest, jnp.nan)
+
+
+def stiffness_range(
+    joint: AntagonisticJoint,
+    angle: ArrayLike,
+    torque: ArrayLike,
+    pressure_limits: tuple[float, float] | None,
+    minimum_tension: float,
+) -> Pair:
+    """See `AntagonisticJoint.attainable_stiffness`."""
+    segment = _segment(joint, angle, torque, pressure_limits, minimum_tension)
+    places = jnp.linspace(_INSIDE, 1 - _INSIDE, 2 if is_affine(joint) else _SCANNED)
+    stiffness = segment.stiffness(places.reshape(-1, *[1] * segment.angle.ndim))
+    return (
+        jnp.where(segment.holdable, jnp.min(stiffness, axis=0), jnp.nan),
+        jnp.where(segment.holdable, jnp.max(stiffness, axis=0), jnp.nan),
+    )
+
+
+def pressures_for(joint: AntagonisticJoint, angle: float, torque: float, stiffness: float) -> Pair | None:
+    """See `AntagonisticJoint.pressures_for`; None where there are none within the limits of the domains."""
+    segment = _segment(joint, angle, torque, None, 0.0)
+    if not bool(segment.holdable):
+        return None
+    places = jnp.linspace(_INSIDE, 1 - _INSIDE, 2 if is_affine(joint) else _SCANNED)
+    above = segment.stiffness(places) >= stiffness
+    crossings = jnp.flatnonzero(above[1:] != above[:-1])
+    if crossings.size == 0:
+        return None
+    low, high = places[crossings[0]], places[crossings[0] + 1]
+    rising = bool(above[crossings[0] + 1])
+    for _ in range(60):
+        middle = (low + high) / 2
+        if bool(segment.stiffness(middle) >= stiffness) == rising:
+            high = middle
+        else:
+            low = middle
+    return segment.pressures((low + high) / 2)
+
+
+class _Segment(NamedTuple):
+    """The states that give one torque at one angle, from the slackest (place 0) to the tightest (place 1)."""
+
+    joint: AntagonisticJoint
+    angle: Array
+    torque: Array
+    first: Array  # tension of muscle 1 [N] at place 0
+    last: Array  # and at place 1
+    holdable: Array
+
+    def pressures(self, place: ArrayLike) -> Pair:
+        joint = self.joint
+        arm1, arm2 = joint.geometry.moment_arms(self.angle)
+        path1, path2 = joint.geometry.path_lengths(self.angle)
+        tension1 = self.first + (self.last - self.first) * place
+        tension2 = (self.torque + tension1 * arm1) / arm2
+        return (
+            joint.tendon.pressure_for(joint.muscle1, path1, tension1),
+            joint.tendon.pressure_for(joint.muscle2, path2, tension2),
+        )
+
+    def stiffness(self, place: ArrayLike) -> Array:
+        pressures = self.pressures(place)
+        return self.joint.stiffness(jnp.broadcast_to(self.angle, pressures[0].shape), pressures)
+
+
+def _segment(
+    joint: AntagonisticJoint,
+    angle: ArrayLike,
+    torque: ArrayLike,
+    pressure_limits: tuple[float, float] | None,
+    minimum_tension: float,
+) -> _Segment:
+    angle, torque = jnp.broadcast_arrays(jnp.asarray(angle, float), jnp.asarray(torque, float))
+    low, high = _tension_ranges(joint, angle, pressure_limits, minimum_tension)
+    arm1, arm2 = joint.geometry.moment_arms(angle)
+    first = jnp.maximum(low[0], (low[1] * arm2 - torque) / arm1)
+    last = jnp.minimum(high[0], (high[1] * arm2 - torque) / arm1)
+    holdable = (first <= last) & (low[0] <= high[0]) & (low[1] <= high[1])
+    return _Segment(joint, angle, torque, first, last, holdable)
+
+
+def pressure_limits_of(joint: AntagonisticJoint) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """The lowest and the highest gauge pressure [Pa] of each muscle's domain: ((low1, low2), (high1, high2))."""
+    domains = joint.muscle1.domain, joint.muscle2.domain
+    low1, low2 = (jnp.asarray(domain.pressure_min, float) for domain in domains)
+    high1, high2 = (jnp.asarray(domain.pressure_max, float) for domain in domains)
+    return (low1, low2), (high1, high2)
+
+
+def _tension_ranges(
+    joint: AntagonisticJoint,
+    angle: ArrayLike,
+    pressure_limits: tuple[float, float] | None,
+    minimum_tension: float,
+) -> tuple[Pair, Pair]:
+    """The lowest and the highest tension of each muscle."""
+    if pressure_limits is None:
+        lowest, highest = pressure_limits_of(joint)
+    else:
+        lowest, highest = ((limit, limit) for limit in pressure_limits)
+    low1, low2 = joint.tensions(angle, lowest)
+    low = (jnp.maximum(low1, minimum_tension), jnp.maximum(low2, minimum_tension))
+    return low, joint.tensions(angle, highest)
+
+
+def is_affine(joint: AntagonisticJoint) -> bool:
+    """Whether torque and stiffness are affine in the two pressures."""
+    laws_affine = all(isinstance(m.law, PressureAffineLaw) for m in (joint.muscle1, joint.muscle2))
+    return laws_affine and isinstance(joint.tendon, RigidTendon)

@@ -1,0 +1,62 @@
+"""Where the muscles run: path lengths over the joint angle, Eq. 4 of the paper."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.numerics.derivative import value_and_derivative
+from mckibben.numerics.elementary import sincos
+
+Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
+"""One value for muscle 1 (antagonist: it lengthens as the angle grows) and one for muscle 2 (agonist)."""
+
+
+class KneeGeometry(eqx.Module):
+    r"""Two muscles on either side of a round joint.
+
+    .. math::
+
+        L_{1,2} = \sqrt{(H \pm r\sin\theta)^2 + (r - r\cos\theta)^2} - (L_u + L_d)
+
+    Parameters
+    ----------
+    joint_length
+        H [m], from the muscles' upper anchors to the joint's axis.
+    joint_radius
+        r [m], at which the muscles' lower ends are fixed.
+    connector_length
+        L_u + L_d [m], what lies between muscle and anchors.
+
+    References
+    ----------
+    Eqs. 4 and 5 of the paper. Eq. 5, the moment arms, follows from Eq. 4 by differentiation.
+
+    Examples
+    --------
+    >>> knee = KneeGeometry(joint_length=0.37, joint_radius=0.03, connector_length=0.19)
+    >>> [round(float(length), 6) for length in knee.path_lengths(0.0)]
+    [0.18, 0.18]
+    >>> [round(float(arm), 6) for arm in knee.moment_arms(0.0)]
+    [0.03, 0.03]
+    """
+
+    joint_length: float
+    joint_radius: float
+    connector_length: float
+
+    def path_lengths(self, angle: ArrayLike) -> Pair:
+        """What is left for each muscle (and its series spring) [m] at an angle [rad]."""
+        sine, cosine = sincos(angle)
+        across = self.joint_radius * (1 - cosine)
+        along = self.joint_radius * sine
+        return (
+            jnp.sqrt((self.joint_length + along) ** 2 + across**2) - self.connector_length,
+            jnp.sqrt((self.joint_length - along) ** 2 + across**2) - self.connector_length,
+        )
+
+    def moment_arms(self, angle: ArrayLike) -> Pair:
+        """The arm [m] at which each muscle turns the joint; positive, muscle 2 drives and muscle 1 brakes."""
+        _, (slope1, slope2) = value_and_derivative(self.path_lengths, angle)
+        return slope1, -slope2

@@ -1,0 +1,19 @@
+"""Muscles: one force law a file, on one small base; a muscle is a specimen, a law and a domain."""
+
+from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
+from mckibben.muscle.chou import ChouLaw
+from mckibben.muscle.domain import Domain
+from mckibben.muscle.exponential import ExponentialLaw
+from mckibben.muscle.muscle import Muscle
+from mckibben.muscle.specimen import Specimen
+
+__all__ = [
+    "ChouLaw",
+    "Domain",
+    "ExponentialLaw",
+    "ForceLaw",
+    "Muscle",
+    "Parameter",
+    "PressureAffineLaw",
+    "Specimen",
+]

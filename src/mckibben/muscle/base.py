@@ -1,0 +1,96 @@
+"""What every force law has: a force, its slope, its inverse in pressure, and the domain in which it holds."""
+
+# No `from __future__ import annotations` here: equinox does not see an AbstractVar written as text.
+
+import abc
+from dataclasses import dataclass
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.muscle.domain import Domain
+from mckibben.numerics.derivative import derivative
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a law that data can determine.
+
+    Attributes
+    ----------
+    name
+        The field of the law that holds it, in SI.
+    unit
+        Its SI unit, as text.
+    shown
+        The unit in which publications and reports give it.
+    lower, upper
+        The range in which it has a meaning, in SI; where an identification looks for it.
+    meaning
+        A few words.
+    """
+
+    name: str
+    unit: str
+    shown: str
+    meaning: str
+    lower: float = -jnp.inf
+    upper: float = jnp.inf
+
+
+class ForceLaw(eqx.Module):
+    """The static axial force of a muscle as a function of contraction and pressure.
+
+    A law is the fitted formula as it stands: it may turn negative where the muscle goes slack. `Muscle` clips it.
+
+    Subclasses give the fields (parameters in SI and `domain`), `force`, and the class attributes below.
+    """
+
+    domain: eqx.AbstractVar[Domain]
+
+    equation: ClassVar[str]
+    """The formula, in the letters of the source."""
+    source: ClassVar[str]
+    """Paper and equation."""
+    linear_parameters: ClassVar[tuple[Parameter, ...]] = ()
+    """Parameters in which the force is linear once the shape is known."""
+    shape_parameters: ClassVar[tuple[Parameter, ...]] = ()
+    """All others; each with a finite range."""
+
+    @classmethod
+    def parameters(cls) -> tuple[Parameter, ...]:
+        """All parameters, linear ones first."""
+        return cls.linear_parameters + cls.shape_parameters
+
+    @abc.abstractmethod
+    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        """The force [N] at a contraction [-] and a gauge pressure [Pa]; the arguments broadcast."""
+
+    @abc.abstractmethod
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        """The gauge pressure [Pa] that gives a force [N] at a contraction [-]; the arguments broadcast."""
+
+    def slope(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        """The derivative of the force with respect to the contraction [N], at constant pressure."""
+        return derivative(lambda c: self.force(c, pressure), contraction)
+
+
+class PressureAffineLaw(ForceLaw):
+    """A law whose force is affine in pressure: F = offset(contraction) + gain(contraction) p.
+
+    Inverse, and the attainable set of a joint, are then closed forms.
+    """
+
+    @abc.abstractmethod
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """Offset [N] and gain [N/Pa] of the force at a contraction [-]."""
+
+    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+        offset, gain = self.pressure_terms(contraction)
+        return offset + gain * pressure
+
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:  # noqa: D102
+        offset, gain = self.pressure_terms(contraction)
+        return (jnp.asarray(force) - offset) / gain

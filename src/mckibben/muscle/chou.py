@@ -1,0 +1,74 @@
+"""The geometric law of Chou and Hannaford, Eq. 1 of the paper."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.muscle.base import Parameter, PressureAffineLaw
+from mckibben.muscle.domain import Domain
+from mckibben.units import deg, mm
+
+if TYPE_CHECKING:
+    from mckibben.muscle.specimen import Specimen
+
+
+class ChouLaw(PressureAffineLaw):
+    r"""The ideal McKibben muscle: a cylinder of inextensible braid, no rubber, no friction, no ends.
+
+    .. math:: F = p \frac{\pi d_0^2}{4} \left(\frac{3}{\tan^2\alpha_0} (1-\varepsilon)^2 - \frac{1}{\sin^2\alpha_0}\right)
+
+    Parameters
+    ----------
+    braid_angle
+        Angle alpha0 [rad] between thread and axis of the deflated muscle.
+    initial_diameter
+        Diameter d0 [m] of the deflated muscle.
+    domain
+        Where to trust it.
+
+    References
+    ----------
+    Eq. 1 of the paper; C.-P. Chou and B. Hannaford, "Measurement and modeling of McKibben pneumatic artificial muscles",
+    IEEE Trans. Robotics and Automation 12 (1996) 90-102.
+
+    Examples
+    --------
+    >>> from mckibben.units import bar, deg, mm, percent
+    >>> law = ChouLaw(braid_angle=25 * deg, initial_diameter=10 * mm)
+    >>> round(float(law.force(0.0, 6 * bar)), 1)
+    386.3
+    >>> round(law.zero_force_contraction / percent, 1)
+    36.3
+    """
+
+    braid_angle: float
+    initial_diameter: float
+    domain: Domain = Domain()
+
+    equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - eps)^2 - 1/sin^2(alpha0))"
+    source = "Chou and Hannaford 1996; Eq. 1"
+    shape_parameters = (
+        Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),
+        Parameter("initial_diameter", "m", "mm", "diameter of the deflated muscle", 1 * mm, 100 * mm),
+    )
+
+    @classmethod
+    def of(cls, specimen: Specimen) -> ChouLaw:
+        """The law that a specimen's geometry gives, with no test at all."""
+        return cls(specimen.braid_angle, specimen.initial_diameter, specimen.domain)
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:  # noqa: D102
+        length_ratio = 1 - jnp.asarray(contraction)
+        b1 = 3 / jnp.tan(self.braid_angle) ** 2
+        b2 = 1 / jnp.sin(self.braid_angle) ** 2
+        gain = jnp.pi * self.initial_diameter**2 / 4 * (b1 * length_ratio**2 - b2)
+        return jnp.zeros_like(gain), gain
+
+    @property
+    def zero_force_contraction(self) -> float:
+        """The contraction [-] at which the force vanishes, at any pressure."""
+        return 1 - 1 / (math.sqrt(3) * math.cos(self.braid_angle))

@@ -1,0 +1,65 @@
+"""The ranges of contraction and pressure in which a law or a specimen may be trusted."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Bool
+
+from mckibben.errors import RangeError
+from mckibben.units import bar, percent
+
+
+class Domain(eqx.Module):
+    """A box of contraction [-] and gauge pressure [Pa]."""
+
+    contraction_min: float | Array = -jnp.inf
+    contraction_max: float | Array = jnp.inf
+    pressure_min: float | Array = -jnp.inf
+    pressure_max: float | Array = jnp.inf
+
+    def contains(self, contraction: ArrayLike, pressure: ArrayLike) -> Bool[Array, "..."]:
+        """Whether each point lies inside, the edges included (to rounding)."""
+        return self.contains_contraction(contraction) & (
+            (jnp.asarray(pressure) >= self.pressure_min - 1e-3)
+            & (jnp.asarray(pressure) <= self.pressure_max + 1e-3)
+        )
+
+    def contains_contraction(self, contraction: ArrayLike) -> Bool[Array, "..."]:
+        """Whether each contraction lies inside, the edges included (to rounding)."""
+        contraction = jnp.asarray(contraction)
+        return (contraction >= self.contraction_min - 1e-9) & (contraction <= self.contraction_max + 1e-9)
+
+    def intersection(self, other: Domain) -> Domain:
+        """The part that both share."""
+        return Domain(
+            jnp.maximum(self.contraction_min, other.contraction_min),
+            jnp.minimum(self.contraction_max, other.contraction_max),
+            jnp.maximum(self.pressure_min, other.pressure_min),
+            jnp.minimum(self.pressure_max, other.pressure_max),
+        )
+
+    def check_contraction(self, contraction: float, of: str, remedy: str = "") -> None:
+        """Raise if a contraction lies outside.
+
+        Raises
+        ------
+        RangeError
+            It names the value, the range, whose range it is, and the remedy.
+        """
+        if not bool(self.contains_contraction(contraction)):
+            raise RangeError(
+                f"contraction {contraction / percent:.1f} % is outside "
+                f"{self.contraction_min / percent:g}..{self.contraction_max / percent:g} % of {of}",
+                value=contraction,
+                lower=self.contraction_min,
+                upper=self.contraction_max,
+                unit="1",
+                remedy=remedy,
+            )
+
+    def __str__(self) -> str:
+        return (
+            f"contraction {self.contraction_min / percent:g}..{self.contraction_max / percent:g} %, "
+            f"pressure {self.pressure_min / bar:g}..{self.pressure_max / bar:g} bar"
+        )

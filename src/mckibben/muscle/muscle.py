@@ -1,0 +1,48 @@
+"""A muscle: a specimen that follows a law, inside a domain."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.muscle.base import ForceLaw
+from mckibben.muscle.domain import Domain
+from mckibben.muscle.specimen import Specimen
+from mckibben.numerics.derivative import derivative
+
+
+class Muscle(eqx.Module):
+    """A specimen and the law of its force.
+
+    The difference to the law alone: a muscle cannot push. Where the law turns negative the muscle is slack and its
+    force is zero.
+
+    Parameters
+    ----------
+    specimen
+        Dimensions and ratings.
+    law
+        Force over contraction and pressure.
+    """
+
+    specimen: Specimen
+    law: ForceLaw
+
+    @property
+    def domain(self) -> Domain:
+        """Where both the specimen may be used and the law holds."""
+        return self.specimen.domain.intersection(self.law.domain)
+
+    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        """The force [N], never below 0; arguments as for the law."""
+        force = self.law.force(contraction, pressure)
+        return jnp.where(force > 0, force, 0.0)
+
+    def slope(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        """The derivative of `force` with respect to the contraction [N]; 0 where slack."""
+        return derivative(lambda c: self.force(c, pressure), contraction)
+
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        """The gauge pressure [Pa] that gives a force [N] at a contraction [-]; it may lie outside the domain."""
+        return self.law.pressure_for(force, contraction)

@@ -1,0 +1,45 @@
+"""Fixed-step integration of a state held in a pytree of scalars."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+from jax import lax
+from jaxtyping import ArrayLike
+
+State = TypeVar("State")
+
+
+def rk4(rate: Callable[[State], State], state: State, step: ArrayLike) -> State:
+    """One step of the classical fourth-order Runge-Kutta method for an autonomous system.
+
+    Parameters
+    ----------
+    rate
+        The state's derivative with respect to time; same structure as the state.
+    state
+        Any pytree. Leave it a tuple of scalars: stacking it into a vector is slower on every device.
+    step
+        The length of the step [s].
+
+    Examples
+    --------
+    >>> import jax.numpy as jnp
+    >>> float(rk4(lambda x: -x, jnp.asarray(1.0), 0.1))  # exp(-0.1) = 0.904837418...
+    0.9048375
+    """
+
+    def moved(slope: State, length: ArrayLike) -> State:
+        return jax.tree.map(lambda x, dx: x + length * dx, state, slope)
+
+    # The barrier keeps XLA from computing parts of one stage's derivative again inside the next stage's fusion.
+    def stage(at: State) -> State:
+        return lax.optimization_barrier(rate(at))
+
+    k1 = stage(state)
+    k2 = stage(moved(k1, step / 2))
+    k3 = stage(moved(k2, step / 2))
+    k4 = stage(moved(k3, step))
+    return jax.tree.map(lambda x, a, b, c, d: x + step / 6 * (a + 2 * (b + c) + d), state, k1, k2, k3, k4)

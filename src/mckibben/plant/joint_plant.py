@@ -1,0 +1,99 @@
+"""The plant of a simulation: a joint with its load and its valves."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.joint import AntagonisticJoint
+from mckibben.joint.attainable import pressure_limits_of
+from mckibben.plant.load import Load
+from mckibben.plant.valve import Valve
+from mckibben.units import bar
+
+Scalar = Float[Array, ""]
+
+
+class PlantState(NamedTuple):
+    """Angle [rad], angular velocity [rad/s] and the gauge pressures [Pa] of muscles 1 and 2."""
+
+    angle: Scalar
+    velocity: Scalar
+    pressure1: Scalar
+    pressure2: Scalar
+
+    @property
+    def pressures(self) -> tuple[Scalar, Scalar]:
+        """Both pressures, (p1, p2)."""
+        return self.pressure1, self.pressure2
+
+
+class JointPlant(eqx.Module):
+    """What is simulated, and what a controller never sees.
+
+    Parameters
+    ----------
+    joint
+        Muscles and geometry.
+    load
+        Inertia, damping and gravity.
+    valve
+        One kind for both muscles.
+    """
+
+    joint: AntagonisticJoint
+    load: Load
+    valve: Valve
+
+    def limited(self, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Scalar, Scalar]:
+        """The commands [Pa] that the valves accept: within the pressures of the muscles' domains."""
+        lowest, highest = pressure_limits_of(self.joint)
+        return (
+            jnp.clip(jnp.asarray(commands[0]), lowest[0], highest[0]),
+            jnp.clip(jnp.asarray(commands[1]), lowest[1], highest[1]),
+        )
+
+    def switched(self, state: PlantState, commands: tuple[ArrayLike, ArrayLike]) -> PlantState:
+        """The state right after new commands [Pa] reached the valves."""
+        return state._replace(
+            pressure1=self.valve.switched(state.pressure1, commands[0]),
+            pressure2=self.valve.switched(state.pressure2, commands[1]),
+        )
+
+    def rate(self, state: PlantState, commands: tuple[ArrayLike, ArrayLike]) -> PlantState:
+        """The derivative of the state with respect to time, Eq. 6, while the commands are held."""
+        torque = self.joint.torque(state.angle, state.pressures) + self.load.gravity_torque(state.angle)
+        return PlantState(
+            angle=state.velocity,
+            velocity=(torque - self.load.damping * state.velocity) / self.load.total_inertia,
+            pressure1=self.valve.rate(state.pressure1, commands[0]),
+            pressure2=self.valve.rate(state.pressure2, commands[1]),
+        )
+
+    def at_rest(self, angle: float = 0.0, *, stiffness: float | None = None) -> PlantState:
+        """The state that rests at an angle with both muscles taut.
+
+        Parameters
+        ----------
+        angle
+            Where [rad].
+        stiffness
+            The stiffness of the joint there [N*m/rad]; the middle of the attainable range unless given.
+
+        Raises
+        ------
+        UnreachableError
+            If no pressures within limits hold the angle, or the stiffness at it; it names the attainable range.
+        """
+        holding = -self.load.gravity_torque(angle)
+        low, high = self.joint.attainable_stiffness(angle, holding)
+        wanted = float((low + high) / 2) if stiffness is None else stiffness
+        pressure1, pressure2 = self.joint.pressures_for(angle, float(holding), wanted)
+        return PlantState(jnp.asarray(angle, float), jnp.asarray(0.0), pressure1, pressure2)
+
+    def __str__(self) -> str:
+        (low, _), (high, _) = pressure_limits_of(self.joint)
+        return f"JointPlant({type(self.valve).__name__}, {float(low) / bar:g}..{float(high) / bar:g} bar)"

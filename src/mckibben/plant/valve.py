@@ -1,0 +1,49 @@
+"""Valves: how the pressure in a muscle follows its command."""
+
+from __future__ import annotations
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+
+class Valve(eqx.Module):
+    """The pressure's answer to a command that is held over a control period."""
+
+    @abc.abstractmethod
+    def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
+        """The pressure [Pa] right after a new command [Pa]."""
+
+    @abc.abstractmethod
+    def rate(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
+        """The rate of the pressure [Pa/s] while the command is held."""
+
+
+class IdealValve(Valve):
+    """The pressure is the command, at once: what the paper's simulation assumes."""
+
+    def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+        return jnp.asarray(command)
+
+    def rate(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:  # noqa: D102
+        return jnp.zeros_like(jnp.asarray(pressure))
+
+
+class FirstOrderValve(Valve):
+    """The pressure follows with a lag.
+
+    Parameters
+    ----------
+    time_constant
+        After which 63 % of a step are done [s]. Fast proportional valves on a small muscle have 20 to 100 ms.
+    """
+
+    time_constant: float
+
+    def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+        return jnp.asarray(pressure)
+
+    def rate(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:  # noqa: D102
+        return (jnp.asarray(command) - pressure) / self.time_constant

@@ -1,0 +1,104 @@
+"""The sampled-data loop: hold the commands, integrate the plant over one control period, repeat."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.control.base import Controller, Measurement, Reference, Setpoint
+from mckibben.numerics.integrate import rk4
+from mckibben.plant import JointPlant, PlantState
+
+Scalar = Float[Array, ""]
+
+
+class Record(NamedTuple):
+    """What is kept of every control period; each leaf has the shape of the time axis."""
+
+    state: PlantState
+    command1: Array
+    command2: Array
+    telemetry: dict[str, Array]
+
+
+def episode(
+    plant: JointPlant,
+    controller: Controller,
+    setpoints: Setpoint,
+    initial: PlantState,
+    period: ArrayLike,
+    substeps: int,
+) -> tuple[PlantState, Record]:
+    """Run a controller on a plant: one pure function, to be compiled, vmapped and differentiated at will.
+
+    Parameters
+    ----------
+    plant, controller
+        Their numeric leaves may be traced.
+    setpoints
+        The wishes at the start of each control period, arrays of shape (periods,).
+    initial
+        The plant's state at the start.
+    period
+        The control period [s].
+    substeps
+        Runge-Kutta steps a control period.
+
+    Returns
+    -------
+    final, record
+        The state after the last period, and the record of shape (periods,): the state at the start of each period and
+        the commands held over it.
+    """
+    step = period / substeps
+
+    def control_period(
+        carry: tuple[PlantState, Any], setpoint: Setpoint
+    ) -> tuple[tuple[PlantState, Any], Record]:
+        state, memory = carry
+        memory, commands = controller.step(memory, setpoint, Measurement(state.angle, state.pressures), period)
+        commands = plant.limited(commands)
+        switched = plant.switched(state, commands)
+        following = lax.fori_loop(0, substeps, lambda _, x: rk4(lambda s: plant.rate(s, commands), x, step), switched)
+        return (following, memory), Record(state, *commands, controller.telemetry(memory))
+
+    memory = controller.init(Measurement(initial.angle, initial.pressures))
+    (final, _), record = lax.scan(control_period, (initial, memory), setpoints)
+    return final, record
+
+
+@eqx.filter_jit
+def compiled_episode(
+    plant: JointPlant,
+    controller: Controller,
+    setpoints: Setpoint,
+    initial: PlantState,
+    period: ArrayLike,
+    substeps: int,
+) -> tuple[PlantState, Record]:
+    """`episode`, compiled once for each structure of its arguments (not for each value)."""
+    return episode(plant, controller, setpoints, initial, period, substeps)
+
+
+def numeric(tree: Any) -> Any:
+    """Python numbers among the leaves as arrays, so that a new value does not compile anew."""
+
+    def convert(leaf: Any) -> Any:
+        if isinstance(leaf, float):
+            return jnp.asarray(leaf, float)
+        if isinstance(leaf, int) and not isinstance(leaf, bool):
+            return jnp.asarray(leaf)
+        return leaf
+
+    return jax.tree.map(convert, tree)
+
+
+def sampled(reference: Reference, periods: int, period: float) -> tuple[Float[Array, " periods"], Setpoint]:
+    """The start times [s] of the control periods, and the wishes at them."""
+    times = jnp.arange(periods) * period
+    return times, reference(times)

@@ -1,0 +1,153 @@
+import warnings
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from mckibben.dataset import IsobaricDataset, read_dataset
+from mckibben.errors import DatasetError, McKibbenWarning
+
+TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=30)
+SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@st.composite
+def datasets(draw, samples: bool = True) -> IsobaricDataset:
+    n = draw(st.integers(1, 6))
+
+    def floats(low=-1e300, high=1e300, allow_nan=False):
+        return hnp.arrays(np.float64, n, elements=st.floats(low, high, allow_nan=allow_nan, width=64))
+
+    def maybe(strategy):
+        return draw(st.none() | strategy)
+
+    values = {
+        "pressure": draw(floats(low=-101325.0)),
+        "contraction": draw(floats(-0.999, 0.999)),
+        "force": draw(floats()),
+        "direction": maybe(st.lists(st.sampled_from(["loading", "unloading"]), min_size=n, max_size=n)),
+        "repeat": maybe(st.lists(st.integers(0, 2**53), min_size=n, max_size=n)),
+        "time": maybe(floats()),
+        "set_pressure": maybe(
+            hnp.arrays(np.float64, n, elements=st.floats(-101325.0, 1e300) | st.just(np.nan))
+        ),
+        "specimen": draw(TEXT),
+        "source": draw(TEXT),
+        "slack_force": draw(st.floats(-1e300, 1e300)),
+        "initial_length": maybe(st.floats(1e-300, 1e300)),
+    }
+    if samples:
+        dtype = draw(st.sampled_from([np.float32, np.float64]))
+        elements = st.floats(0, 2.0**20, width=32)
+        values["force_samples"] = maybe(hnp.arrays(dtype, (n, 3), elements=elements))
+        values["pressure_samples"] = maybe(hnp.arrays(dtype, (n, 3), elements=elements))
+    return IsobaricDataset.of(**values)
+
+
+def assert_same(a: IsobaricDataset, b: IsobaricDataset) -> None:
+    xr.testing.assert_identical(a.table, b.table)
+    assert {name: a.table[name].dtype for name in a.table} == {name: b.table[name].dtype for name in b.table}
+
+
+@SETTINGS
+@given(data=datasets())
+def test_netcdf_gives_the_same_dataset_back(data, tmp_path):
+    path = tmp_path / "data.nc"
+    data.to_netcdf(path)
+    assert_same(IsobaricDataset.from_netcdf(path), data)
+    assert_same(read_dataset(path), data)
+    assert [file.name for file in tmp_path.iterdir()] == ["data.nc"]
+
+
+@SETTINGS
+@given(data=datasets(samples=False))
+def test_csv_gives_the_same_dataset_back(data, tmp_path):
+    path = tmp_path / "data.csv"
+    data.to_csv(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", McKibbenWarning)  # a pressure below 100 Pa is legal
+        assert_same(read_dataset(path), data)
+
+
+def test_csv_has_the_plateau_means(tmp_path):
+    data = IsobaricDataset.of(
+        pressure=[2e5], contraction=[0.1], force=[0], force_samples=[[1.0, 2.0]], pressure_samples=[[1e5, 3e5]]
+    )
+    data.to_csv(tmp_path / "data.csv")
+    again = read_dataset(tmp_path / "data.csv")
+    assert (again.force.tolist(), again.pressure.tolist()) == ([1.5], [2e5])
+
+
+def test_what_is_not_ours_and_the_means_of_samples_survive_netcdf(tmp_path):
+    data = IsobaricDataset.of(pressure=[2e5], contraction=[0.1], force=[0], force_samples=[[1.0, 2.0]])
+    means = data.plateau_means()
+    warm = IsobaricDataset(means.table.assign(temperature=("point", [295.0])))
+    warm.to_netcdf(tmp_path / "data.nc")
+    again = IsobaricDataset.from_netcdf(tmp_path / "data.nc")
+    assert_same(again, warm)
+    assert again.table["force_spread"].item() == 0.5
+    again.to_netcdf(tmp_path / "again.nc")
+    assert_same(IsobaricDataset.from_netcdf(tmp_path / "again.nc"), warm)
+
+
+def test_arguments_go_before_what_a_netcdf_file_says(tmp_path):
+    IsobaricDataset.of(pressure=[1e5], contraction=[0], force=[3], specimen="A").to_netcdf(tmp_path / "a.nc")
+    data = read_dataset(tmp_path / "a.nc", specimen="B", initial_length=0.18, slack_force=5.0)
+    assert data.table.attrs == {"specimen": "B", "source": "", "initial_length": 0.18, "slack_force": 5.0}
+    assert data.slack.all()
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
+    path = tmp_path / "data.nc"
+    data = IsobaricDataset.of(pressure=[1e5], contraction=[0], force=[3])
+    data.to_netcdf(path)
+    before = path.read_bytes()
+    unwritable = IsobaricDataset(data.table.assign_attrs(extra={"a": "mapping"}))
+    with pytest.raises(TypeError):
+        unwritable.to_netcdf(path)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["data.nc"]
+
+
+@pytest.mark.parametrize("content", [b"", b"pressure_bar,force_N\n1,2\n", b"\x89HDF\r\n\x1a\n" + bytes(200)])
+def test_a_file_that_is_no_netcdf_is_refused(content, tmp_path):
+    path = tmp_path / "data.nc"
+    path.write_bytes(content)
+    with pytest.raises(DatasetError, match=r"data\.nc: 1 problem\n  cannot be read as NetCDF"):
+        read_dataset(path)
+
+
+def test_netcdf_without_our_variables_is_refused(tmp_path):
+    path = tmp_path / "data.nc"
+    xr.Dataset({"pressure": ("point", [1.0], {"units": "bar"})}).to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path)
+    assert caught.value.source == str(path)
+    assert [(p.field, p.message) for p in caught.value.problems] == [
+        ("pressure", "is in 'bar'"),
+        ("contraction", "is missing"),
+        ("force", "is missing"),
+    ]
+
+
+def test_a_missing_netcdf_file_and_renamed_columns_are_refused(tmp_path):
+    with pytest.raises(DatasetError, match="No such file"):
+        read_dataset(tmp_path / "none.nc")
+    with pytest.raises(DatasetError, match="columns cannot be renamed"):
+        read_dataset(tmp_path / "none.nc", columns={"a": "force_N"})
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(cut=st.integers(0, 20_000))
+def test_a_truncated_netcdf_file_is_refused(cut, tmp_path):
+    path = tmp_path / "data.nc"
+    if not path.exists() or cut == 0:
+        IsobaricDataset.of(pressure=[1e5], contraction=[0], force=[3], specimen="A").to_netcdf(path)
+    whole = path.read_bytes()
+    part = tmp_path / "part.nc"
+    part.write_bytes(whole[: min(cut, len(whole) - 1)])
+    with pytest.raises(DatasetError):
+        read_dataset(part)
