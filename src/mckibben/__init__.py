@@ -1,13 +1,108 @@
 """mckibben: pneumatic artificial muscles, from the test rig to a controlled joint.
 
 Importing has one documented effect: JAX computes with 64-bit numbers (and its loops run fast on the CPU, see
-`mckibben.numerics.runtime`). The public names are listed here one by one; each is loaded when it is first used.
+`mckibben.numerics.runtime`). The public names are listed here one by one; each is loaded when it is first used, so that
+the import itself is quick.
 """
 
 from __future__ import annotations
 
-__version__ = "0.1.0"
+import importlib
+from typing import TYPE_CHECKING, Any
 
 from mckibben.numerics import runtime as _runtime
 
+__version__ = "0.1.0"
+
 _runtime.configure()
+
+if TYPE_CHECKING:
+    from mckibben import catalog, units
+    from mckibben.control import (
+        PID,
+        BackpropPID,
+        Constant,
+        Jacobian,
+        Multisine,
+        PositionStiffnessControl,
+        Reference,
+        Samples,
+        Sine,
+        Step,
+    )
+    from mckibben.dataset import IsobaricDataset, read_dataset
+    from mckibben.errors import McKibbenError
+    from mckibben.identification import Fit, identify, validate
+    from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
+    from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Muscle, Specimen
+    from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load
+    from mckibben.rig import IsobaricProtocol, VirtualRig
+    from mckibben.simulation import Result, check_reference, simulate
+
+_MODULES = ("catalog", "report", "units")
+_HOMES = {
+    "control": (
+        "PID BackpropPID Constant Jacobian Multisine PositionStiffnessControl Reference Samples Sine Step"
+    ),
+    "dataset": "IsobaricDataset read_dataset",
+    "errors": "McKibbenError",
+    "identification": "Fit identify validate",
+    "joint": "AntagonisticJoint KneeGeometry RigidTendon SeriesSpring",
+    "muscle": "ChouLaw Domain ExponentialLaw Muscle Specimen",
+    "plant": "FirstOrderValve IdealValve JointPlant Load",
+    "rig": "IsobaricProtocol VirtualRig",
+    "simulation": "Result check_reference simulate",
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
+
+__all__ = [
+    "PID",
+    "AntagonisticJoint",
+    "BackpropPID",
+    "ChouLaw",
+    "Constant",
+    "Domain",
+    "ExponentialLaw",
+    "FirstOrderValve",
+    "Fit",
+    "IdealValve",
+    "IsobaricDataset",
+    "IsobaricProtocol",
+    "Jacobian",
+    "JointPlant",
+    "KneeGeometry",
+    "Load",
+    "McKibbenError",
+    "Multisine",
+    "Muscle",
+    "PositionStiffnessControl",
+    "Reference",
+    "Result",
+    "RigidTendon",
+    "Samples",
+    "SeriesSpring",
+    "Sine",
+    "Specimen",
+    "Step",
+    "VirtualRig",
+    "catalog",
+    "check_reference",
+    "identify",
+    "read_dataset",
+    "report",
+    "simulate",
+    "units",
+    "validate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return importlib.import_module(f"mckibben.{name}")
+    if name in _HOME_OF:
+        return getattr(importlib.import_module(f"mckibben.{_HOME_OF[name]}"), name)
+    raise AttributeError(f"module 'mckibben' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

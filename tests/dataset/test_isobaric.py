@@ -10,7 +10,9 @@ from mckibben.units import bar
 
 def grid(**more) -> IsobaricDataset:
     """Three pressures by two contractions by two repeats; forces 0..11 N."""
-    pressure, contraction, repeat = np.meshgrid([1 * bar, 2 * bar, 4.5 * bar], [0.0, 0.2], [1, 2], indexing="ij")
+    pressure, contraction, repeat = np.meshgrid(
+        [1 * bar, 2 * bar, 4.5 * bar], [0.0, 0.2], [1, 2], indexing="ij"
+    )
     values = {
         "pressure": pressure.ravel(),
         "contraction": contraction.ravel(),
@@ -44,7 +46,14 @@ def test_a_dataset_keeps_what_it_was_given_with_units_and_attributes():
 
 def test_repr_says_what_is_in_it():
     text = repr(grid(specimen="X"))
-    for part in ("'X'", "12 points (1 slack)", "1..4.5 bar", "0..20 %", "loading and unloading", "repeats 1, 2"):
+    for part in (
+        "'X'",
+        "12 points (1 slack)",
+        "1..4.5 bar",
+        "0..20 %",
+        "loading and unloading",
+        "repeats 1, 2",
+    ):
         assert part in text
     assert "0 points" in repr(grid().select(np.zeros(12, bool)))
 
@@ -135,6 +144,7 @@ def test_a_mask_is_one_boolean_per_point(mask):
         ({"contraction": [*range(12)]}, r"contraction: 1 at point 1 .* \(and 10 more\); .* percent"),
         ({"pressure": [-2e5] + 11 * [0]}, "pressure: -200000 at point 0 is below"),
         ({"direction": [*(11 * ["loading"]), "sideways"]}, "direction: 'sideways' at point 11"),
+        ({"direction": 12 * [1]}, "direction: holds something else than loading and unloading"),
         ({"repeat": [*range(11), 0.5]}, "repeat: 0.5 at point 11"),
         ({"repeat": [*range(11), -1]}, "repeat: -1 at point 11"),
         ({"force_samples": np.zeros((12, 0))}, "force_samples: has no samples"),

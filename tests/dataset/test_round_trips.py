@@ -11,7 +11,9 @@ from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import DatasetError, McKibbenWarning
 
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=30)
-SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+SETTINGS = settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 
 
 @st.composite
@@ -74,7 +76,11 @@ def test_csv_gives_the_same_dataset_back(data, tmp_path):
 
 def test_csv_has_the_plateau_means(tmp_path):
     data = IsobaricDataset.of(
-        pressure=[2e5], contraction=[0.1], force=[0], force_samples=[[1.0, 2.0]], pressure_samples=[[1e5, 3e5]]
+        pressure=[2e5],
+        contraction=[0.1],
+        force=[0],
+        force_samples=[[1.0, 2.0]],
+        pressure_samples=[[1e5, 3e5]],
     )
     data.to_csv(tmp_path / "data.csv")
     again = read_dataset(tmp_path / "data.csv")
@@ -151,3 +157,12 @@ def test_a_truncated_netcdf_file_is_refused(cut, tmp_path):
     part.write_bytes(whole[: min(cut, len(whole) - 1)])
     with pytest.raises(DatasetError):
         read_dataset(part)
+
+
+def test_a_write_that_cannot_end_leaves_nothing_behind(tmp_path):
+    data = IsobaricDataset.of(pressure=[1e5], contraction=[0], force=[3])
+    (tmp_path / "taken").mkdir()
+    for write in (data.to_netcdf, data.to_csv):
+        with pytest.raises(OSError, match="taken"):
+            write(tmp_path / "taken")
+    assert [file.name for file in tmp_path.iterdir()] == ["taken"]

@@ -54,7 +54,7 @@ class PID(Loop):
     def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> PIDState:  # noqa: D102 (inherited)
         return PIDState(
             integral=jnp.asarray(output, float),
-            differentiated=self._differentiated(desired, measured),
+            differentiated=self.differentiated(desired, measured),
             derivative=jnp.zeros_like(jnp.asarray(output, float)),
         )
 
@@ -62,12 +62,10 @@ class PID(Loop):
         self, state: PIDState, desired: ArrayLike, measured: ArrayLike, sensitivity: ArrayLike, period: ArrayLike
     ) -> tuple[PIDState, Scalar]:
         error = jnp.asarray(desired) - measured
-        differentiated = self._differentiated(desired, measured)
-        change = differentiated - state.differentiated
-        derivative = (self.filter_time * state.derivative + change) / (self.filter_time + period)
+        derivative = self.derivative(state, desired, measured, period)
         integral = state.integral + self.ki * period * error
         output = self.kp * error + integral + self.kd * derivative
-        return PIDState(integral, differentiated, derivative), output
+        return PIDState(integral, self.differentiated(desired, measured), derivative), output
 
     def realised(self, state: PIDState, output: ArrayLike, realised: ArrayLike, period: ArrayLike) -> PIDState:  # noqa: D102
         share = jnp.minimum(period / jnp.maximum(self.tracking_time, 1e-12), 1.0)
@@ -76,6 +74,12 @@ class PID(Loop):
     def telemetry(self, state: PIDState) -> dict[str, Scalar]:  # noqa: D102
         return {}
 
-    def _differentiated(self, desired: ArrayLike, measured: ArrayLike) -> Scalar:
+    def differentiated(self, desired: ArrayLike, measured: ArrayLike) -> Scalar:
+        """What the derivative is taken of."""
         measured = jnp.asarray(measured, float)
         return desired - measured if self.derivative_on_error else -measured
+
+    def derivative(self, state: PIDState, desired: ArrayLike, measured: ArrayLike, period: ArrayLike) -> Scalar:
+        """The filtered derivative one control period [s] later."""
+        change = self.differentiated(desired, measured) - state.differentiated
+        return (self.filter_time * state.derivative + change) / (self.filter_time + period)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from mckibben import units
+from mckibben.errors import Problem
 
 _PRESSURE = ("bar", "kPa", "MPa", "Pa", "mbar", "psi")
 
@@ -73,3 +75,79 @@ def foreign_unit(header: str) -> str:
     if not match or not match[2] or match[2].lower() not in known or recognise(header):
         return ""
     return f"{match[2]!r} is not a unit of {match[1].lower()} here"
+
+
+@dataclass
+class Layout:
+    """Where the columns of a file are.
+
+    Attributes
+    ----------
+    places
+        Index and meaning of each column of ours, by quantity.
+    ignored
+        The other headers.
+    problems
+        What is wrong with the header.
+    """
+
+    places: dict[str, tuple[int, Column]] = field(default_factory=dict)
+    ignored: list[str] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+
+
+def lay_out(header: Sequence[str], line: int, mapping: Mapping[str, str]) -> Layout:
+    """Find the columns of ours in a header.
+
+    Parameters
+    ----------
+    header, line
+        The names in the file, and the number of their line.
+    mapping
+        From names in the file to names of ours.
+
+    Examples
+    --------
+    >>> layout = lay_out(["p [bar]", "contraction_percent", "note"], 1, {"p [bar]": "pressure_bar"})
+    >>> layout.places["pressure"], layout.ignored
+    ((0, Column(quantity='pressure', unit='bar')), ['note'])
+    >>> print(*layout.problems)
+    line 1: no column for force; the file has 'p [bar]', 'contraction_percent', 'note'; name it force_N ...
+    """
+    layout = Layout()
+    shown = ", ".join(map(repr, header))
+
+    def problem(message: str, field: str = "", remedy: str = "") -> None:
+        layout.problems.append(Problem(message, line=line, field=field, remedy=remedy))
+
+    for given, name in mapping.items():
+        if given not in header:
+            problem(f"columns has {given!r}, the file {shown}")
+        if recognise(name) is None:
+            problem(
+                f"columns gives {given!r} the unknown name {name!r}", remedy=f"accepted are {_accepted()}"
+            )
+    for index, text in enumerate(header):
+        column = recognise(mapping.get(text, text))
+        if text and text in header[:index]:
+            problem("stands twice in the header", text)
+        elif column is None:
+            if reason := foreign_unit(text):
+                problem(reason, text, f"accepted are {_accepted(text)}")
+            layout.ignored += [text] if text else []
+        elif column.quantity in layout.places:
+            first = header[layout.places[column.quantity][0]]
+            problem(f"gives {column.quantity} again, after {first!r}", text, "keep one of them")
+        else:
+            layout.places[column.quantity] = index, column
+    for name in ("pressure", "contraction", "force"):
+        if name not in layout.places and not (name == "contraction" and "length" in layout.places):
+            wanted = names(name) + (f" (or {names('length')})" if name == "contraction" else "")
+            remedy = f"name it {wanted}, or tell by columns={{...}} which it is"
+            problem(f"no column for {name}; the file has {shown}", remedy=remedy)
+    return layout
+
+
+def _accepted(header: str = "") -> str:
+    quantities = [name for name in ACCEPTED if header.lower().startswith(name)] or list(ACCEPTED)
+    return ", ".join(names(name) for name in quantities)

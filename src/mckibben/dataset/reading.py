@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset.cells import decimal_sign, read_numbers
-from mckibben.dataset.columns import ACCEPTED, Column, foreign_unit, names, recognise
+from mckibben.dataset.columns import lay_out, recognise
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.schema import VACUUM
 from mckibben.dataset.sheet import Sheet, read_sheet
@@ -128,12 +128,12 @@ class _Reading:
 
     def __init__(self, sheet: Sheet, mapping: Mapping[str, str], initial_length: float | None) -> None:
         self.sheet = sheet
-        self.mapping = mapping
         self.initial_length = initial_length
-        self.problems = list(sheet.problems)
+        layout = lay_out(sheet.header, sheet.header_line, mapping)
+        self.places = layout.places
+        self.ignored = layout.ignored
+        self.problems = layout.problems + sheet.problems
         self.suspicions: list[str] = []
-        self.ignored: list[str] = []
-        self.places = self._places()
         self.cells = list(zip(*sheet.rows, strict=True)) or [()] * len(sheet.header)
         numeric = [index for index, column in self.places.values() if column.quantity != "direction"]
         self.decimal = decimal_sign([self.cells[index] for index in numeric], sheet.lines, sheet.delimiter)
@@ -166,46 +166,23 @@ class _Reading:
                 data["contraction"] = self._contraction(length)
         return data
 
-    def _problem(self, message: str, line: int | None, name: str = "", remedy: str = "") -> None:
-        """Record a problem in the column of a quantity, or with another thing of that name."""
-        field = self.sheet.header[self.places[name][0]] if name in getattr(self, "places", {}) else name
-        self.problems.append(Problem(message, line=line, field=field, remedy=remedy))
+    def directions(self) -> NDArray[np.str_] | None:
+        """The directions in our words, if the file has them."""
+        if "direction" not in self.places:
+            return None
+        cells = self.cells[self.places["direction"][0]]
+        meaning = {text: _DIRECTION_OF.get(text.strip().lower(), "") for text in set(cells)}
+        for line, text in zip(self.sheet.lines, cells, strict=True):
+            if not meaning[text]:
+                shown = repr(text.strip()[:40]) if text.strip() else "an empty cell"
+                remedy = "write loading (being stretched) or unloading (shortening)"
+                self._problem(f"{shown} is not a direction", line, "direction", remedy)
+        return np.array([meaning[text] for text in cells], dtype="<U9")
 
-    def _places(self) -> dict[str, tuple[int, Column]]:
-        """The index and meaning of each column of ours, by quantity."""
-        header, line = self.sheet.header, self.sheet.header_line
-        shown = ", ".join(map(repr, header))
-        for given, name in self.mapping.items():
-            if given not in header:
-                self._problem(f"columns has {given!r}, the file {shown}", line)
-            if recognise(name) is None:
-                self._problem(
-                    f"columns gives {given!r} the unknown name {name!r}",
-                    line,
-                    remedy=f"accepted are {_accepted()}",
-                )
-        places: dict[str, tuple[int, Column]] = {}
-        for index, text in enumerate(header):
-            column = recognise(self.mapping.get(text, text))
-            if text and text in header[:index]:
-                self._problem("stands twice in the header", line, text)
-            elif column is None:
-                if text and (reason := foreign_unit(text)):
-                    self._problem(reason, line, text, f"accepted are {_accepted(text)}")
-                self.ignored += [text] if text else []
-            elif column.quantity in places:
-                first = header[places[column.quantity][0]]
-                self._problem(
-                    f"gives {column.quantity} again, after {first!r}", line, text, "keep one of them"
-                )
-            else:
-                places[column.quantity] = index, column
-        for name in ("pressure", "contraction", "force"):
-            if name not in places and not (name == "contraction" and "length" in places):
-                wanted = names(name) + (f" (or {names('length')})" if name == "contraction" else "")
-                remedy = f"name it {wanted}, or tell by columns={{...}} which it is"
-                self._problem(f"no column for {name}; the file has {shown}", line, remedy=remedy)
-        return places
+    def _problem(self, message: str, line: int | None, name: str, remedy: str = "") -> None:
+        """Record a problem in the column of a quantity, or with an attribute."""
+        field = self.sheet.header[self.places[name][0]] if name in self.places else name
+        self.problems.append(Problem(message, line=line, field=field, remedy=remedy))
 
     def _numbers(self, name: str) -> NDArray[np.float64]:
         index, column = self.places[name]
@@ -223,28 +200,24 @@ class _Reading:
         unit = f" {column.unit}" if column.unit else ""
         self._refuse(name, values, np.isinf(si), f"{{:g}}{unit} is too large")
         if column.quantity.endswith("pressure"):
-            lowest = VACUUM / factor(column.unit)
-            self._refuse(
-                name, values, si < VACUUM, f"{{:g}}{unit} is below a vacuum ({lowest:.5g}{unit}, gauge)"
-            )
+            vacuum = f"a vacuum ({VACUUM / factor(column.unit):.5g}{unit}, gauge)"
+            self._refuse(name, values, si < VACUUM, f"{{:g}}{unit} is below {vacuum}")
             if column.unit == "Pa" and 0 < np.nanmax(np.abs(si), initial=0.0) <= 100:
                 self.suspicions.append(f"{header} never exceeds 100 Pa; if these are bar, name it {name}_bar")
+        elif name == "contraction" and column.unit == "ratio":
+            remedy = "this looks like percent: name the column contraction_percent"
+            self._refuse(name, values, np.abs(si) >= 1, "{:g} is not between -1 and 1", remedy)
         elif name == "contraction":
-            percents = column.unit == "ratio"
-            remedy = "this looks like percent: name the column contraction_percent" if percents else ""
-            shown = "{:g} is not between -1 and 1" if percents else "{:g} % is not between -100 and 100 %"
-            self._refuse(name, values, np.abs(si) >= 1, shown, remedy)
-            few = len(np.unique(values)) <= 3
-            if column.unit == "percent" and np.nanmax(np.abs(values), initial=0.0) <= 0.5 and not few:
-                self.suspicions.append(
-                    f"{header} never exceeds 0.5 %; if these are ratios, name it contraction_ratio"
-                )
+            self._refuse(name, values, np.abs(si) >= 1, "{:g} % is not between -100 and 100 %")
+            if np.nanmax(np.abs(values), initial=0.0) <= 0.5 and len(np.unique(values)) > 3:
+                meant = "if these are ratios, name it contraction_ratio"
+                self.suspicions.append(f"{header} never exceeds 0.5 %; {meant}")
         elif name == "length":
             self._refuse(name, values, si <= 0, f"{{:g}}{unit} is not above 0")
         elif name == "repeat":
             # beyond 2**53 a float no longer tells one integer from the next
-            fractional = (si < 0) | (si != np.round(si)) | (si > 2**53)
-            self._refuse(name, values, fractional & np.isfinite(si), "{:g} is not an integer from 0 up")
+            wrong = (si < 0) | (si != np.round(si)) | (si > 2**53)
+            self._refuse(name, values, wrong & ~np.isnan(si), "{:g} is not an integer from 0 up")
         return si
 
     def _refuse(
@@ -252,19 +225,6 @@ class _Reading:
     ) -> None:
         for row in np.flatnonzero(bad):
             self._problem(message.format(values[row]), self.sheet.lines[row], name, remedy)
-
-    def directions(self) -> NDArray[np.str_] | None:
-        """The directions in our words, if the file has them."""
-        if "direction" not in self.places:
-            return None
-        cells = self.cells[self.places["direction"][0]]
-        meaning = {text: _DIRECTION_OF.get(text.strip().lower(), "") for text in set(cells)}
-        for line, text in zip(self.sheet.lines, cells, strict=True):
-            if not meaning[text]:
-                shown = repr(text.strip()[:40]) if text.strip() else "an empty cell"
-                remedy = "write loading (being stretched) or unloading (shortening)"
-                self._problem(f"{shown} is not a direction", line, "direction", remedy)
-        return np.array([meaning[text] for text in cells], dtype="<U9")
 
     def _contraction(self, length: NDArray[np.float64]) -> NDArray[np.float64]:
         initial = self.initial_length
@@ -297,8 +257,3 @@ class _Reading:
             self._problem(
                 f"{given} of {agreed:g} m: {expected[row]:.4g} m would", self.sheet.lines[row], "length"
             )
-
-
-def _accepted(header: str = "") -> str:
-    quantities = [name for name in ACCEPTED if header.lower().startswith(name)] or list(ACCEPTED)
-    return ", ".join(names(name) for name in quantities)

@@ -137,8 +137,9 @@ def _structure(table: xr.Dataset) -> Iterator[Problem]:
             problem = Problem(f"has dimensions {array.dims} instead of {variable.dims}", field=name)
         if problem is not None:
             yield problem
-        elif name != "direction" and array.size and array.dtype.kind not in "fiu":
-            yield Problem("holds something else than numbers", field=name)
+        elif array.size and array.dtype.kind not in ("UOT" if name == "direction" else "fiu"):
+            what = "loading and unloading" if name == "direction" else "numbers"
+            yield Problem(f"holds something else than {what}", field=name)
         if (unit := array.attrs.get("units", variable.unit)) != variable.unit:
             yield Problem(f"is in {unit!r}", field=name, remedy=f"give it in {variable.unit!r}")
 

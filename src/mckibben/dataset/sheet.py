@@ -82,7 +82,8 @@ def read_sheet(path: Path, known: Callable[[str], bool]) -> Sheet:
     rows = _numbered(reader, first=number)
     sheet = Sheet(delimiter, [], number, comments)
     try:
-        sheet.header = [cell.strip() for cell in next(rows)[1]]
+        sheet.header_line, header = next(rows, (number, []))
+        sheet.header = [cell.strip() for cell in header]
         for at, row in rows:
             if len(row) == len(sheet.header):
                 sheet.rows.append(row)
@@ -92,7 +93,7 @@ def read_sheet(path: Path, known: Callable[[str], bool]) -> Sheet:
     except csv.Error as error:
         sheet.problems.append(Problem(f"cannot be read further: {error}", line=number + reader.line_num - 1))
     if not sheet.rows and not sheet.problems:
-        raise DatasetError(str(path), [Problem("has a header and no rows", line=number)])
+        raise DatasetError(str(path), [Problem("has a header and no rows", line=sheet.header_line)])
     return sheet
 
 

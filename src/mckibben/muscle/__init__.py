@@ -7,7 +7,11 @@ from mckibben.muscle.exponential import ExponentialLaw
 from mckibben.muscle.muscle import Muscle
 from mckibben.muscle.specimen import Specimen
 
+LAWS: dict[str, type[ForceLaw]] = {law.__name__: law for law in (ChouLaw, ExponentialLaw)}
+"""Every law by its name, as files and the command line call it."""
+
 __all__ = [
+    "LAWS",
     "ChouLaw",
     "Domain",
     "ExponentialLaw",

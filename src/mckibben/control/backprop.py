@@ -1,0 +1,158 @@
+"""BP: a PID whose gains are the outputs of a small neural network that learns while it controls."""
+
+from __future__ import annotations
+
+import enum
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, Int
+
+from mckibben.control.base import Loop
+from mckibben.control.pid import PID, PIDState
+
+Scalar = Float[Array, ""]
+
+
+class Jacobian(enum.Enum):
+    """What a learning loop takes for the change of its controlled quantity per change of its output."""
+
+    SIGN = "the sign of the base gains alone, as most of the literature does"
+    MODEL = "the static sensitivity of the controller's model"
+
+
+class Network(NamedTuple):
+    """Weights of the two layers: (hidden, inputs) and (gains, hidden + 1)."""
+
+    hidden: Float[Array, "hidden inputs"]
+    output: Float[Array, "gains hidden_and_bias"]
+
+
+class BackpropState(NamedTuple):
+    """The PID's own state, the weights, their last change (for the momentum), and what the last step did."""
+
+    pid: PIDState
+    network: Network
+    change: Network
+    error: Scalar
+    factors: Float[Array, "3"]
+
+
+class BackpropPID(Loop):
+    r"""A PID whose three gains a network with one hidden layer chooses anew each control period.
+
+    The network sees wish, measurement, error and a constant, each scaled; its outputs :math:`o` multiply the base gains,
+
+    .. math:: K_j = K_{j,base}\, R^{\tanh o_j}, \quad j = p, i, d,
+
+    so that they stay within a factor R of them, keep their sign, and are the base gains at the start (the output layer
+    starts at zero, the hidden layer at random). The gains enter in velocity form,
+    :math:`\Delta u = K_p \Delta e + K_i e h + K_d \Delta \dot e`, so that a change of gain makes no jump; without
+    learning the loop is `PID` with the same gains. Each period the weights :math:`w` take one step of gradient descent
+    on the squared error, with momentum :math:`\alpha`,
+
+    .. math:: \Delta w = \eta h \frac{e}{e_s}\, \mathcal{J}\, \frac{1}{u_s} \frac{\partial (\Delta u / h)}{\partial w}
+              + \alpha \Delta w_{previous},
+
+    where the Jacobian of the plant :math:`\partial y/\partial u` is replaced by its sign or by the model's, and e_s, u_s
+    make it dimensionless. The paper says no more than "BP"; this is the usual reading.
+
+    Parameters
+    ----------
+    base
+        The PID whose gains are modulated: "the same PID controller parameters are used in two methods".
+    signal_scale, error_scale
+        The usual size of the controlled quantity, and of an error that matters; in its unit.
+    output_scale
+        The usual rate of the output, in its unit per second.
+    learning_rate
+        eta [1/s].
+    momentum
+        alpha, 0 to below 1.
+    gain_ratio
+        R, above 1.
+    hidden
+        The number of hidden neurons.
+    jacobian
+        See `Jacobian`.
+    seed
+        Of the hidden layer's weights.
+
+    References
+    ----------
+    Fig. 5 and 7 of the paper; the scheme is that of J. Liu, Intelligent Control Design and MATLAB Simulation,
+    Springer 2018, ch. 7 (gains from a BP network, sign of the Jacobian).
+    """
+
+    base: PID
+    signal_scale: float = eqx.field(kw_only=True)
+    error_scale: float = eqx.field(kw_only=True)
+    output_scale: float = eqx.field(kw_only=True)
+    learning_rate: float = eqx.field(kw_only=True, default=10.0)
+    momentum: float = eqx.field(kw_only=True, default=0.5)
+    gain_ratio: float = eqx.field(kw_only=True, default=5.0)
+    hidden: int = eqx.field(kw_only=True, static=True, default=6)
+    jacobian: Jacobian = eqx.field(kw_only=True, static=True, default=Jacobian.SIGN)
+    seed: int | Int[Array, ""] = eqx.field(kw_only=True, default=0)
+
+    def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> BackpropState:  # noqa: D102 (inherited)
+        weights = jax.random.uniform(jax.random.key(self.seed), (self.hidden, 4), minval=-1.0, maxval=1.0)
+        network = Network(weights, jnp.zeros((3, self.hidden + 1)))
+        return BackpropState(
+            pid=self.base.init(desired, measured, output),
+            network=network,
+            change=jax.tree.map(jnp.zeros_like, network),
+            error=jnp.zeros_like(jnp.asarray(output, float)),
+            factors=jnp.ones(3),
+        )
+
+    def step(  # noqa: D102 (inherited)
+        self, state: BackpropState, desired: ArrayLike, measured: ArrayLike, sensitivity: ArrayLike, period: ArrayLike
+    ) -> tuple[BackpropState, Scalar]:
+        error = jnp.asarray(desired) - measured
+        derivative = self.base.derivative(state.pid, desired, measured, period)
+        inputs = (jnp.asarray(desired) / self.signal_scale, measured / self.signal_scale, error / self.error_scale)
+
+        # The three parts of the change of output that the gain factors multiply; in velocity form.
+        parts = (
+            self.base.kp * (error - state.error),
+            self.base.ki * period * error,
+            self.base.kd * (derivative - state.pid.derivative),
+        )
+
+        def increment(network: Network) -> tuple[Scalar, Array]:
+            factors = self.gain_ratio ** jnp.tanh(_outputs(network, inputs))
+            return sum(factor * part for factor, part in zip(factors, parts, strict=True)), factors  # type: ignore
+
+        (change, factors), gradient = jax.value_and_grad(increment, has_aux=True)(state.network)
+        push = self.learning_rate * error / self.error_scale * self._jacobian(sensitivity) / self.output_scale
+        moved = jax.tree.map(lambda g, before: push * g + self.momentum * before, gradient, state.change)
+        network = jax.tree.map(jnp.add, state.network, moved)
+
+        output = state.pid.integral + change
+        pid = PIDState(output, self.base.differentiated(desired, measured), derivative)
+        return BackpropState(pid, network, moved, error, factors), output
+
+    def realised(self, state: BackpropState, output: ArrayLike, realised: ArrayLike, period: ArrayLike) -> BackpropState:  # noqa: D102
+        return state._replace(pid=self.base.realised(state.pid, output, realised, period))
+
+    def telemetry(self, state: BackpropState) -> dict[str, Scalar]:  # noqa: D102
+        return {
+            "kp": state.factors[0] * self.base.kp,
+            "ki": state.factors[1] * self.base.ki,
+            "kd": state.factors[2] * self.base.kd,
+        }
+
+    def _jacobian(self, sensitivity: ArrayLike) -> Array:
+        if self.jacobian is Jacobian.SIGN:
+            return jnp.sign(self.base.ki)
+        return jnp.asarray(sensitivity) * self.output_scale / self.error_scale
+
+
+def _outputs(network: Network, inputs: tuple[Scalar, ...]) -> Array:
+    """The network's three outputs. Products and sums, no matrix calls: at this size XLA fuses them into the loop."""
+    inner = network.hidden[:, 3] + sum(network.hidden[:, i] * x for i, x in enumerate(inputs))
+    activation = jnp.tanh(inner)
+    return network.output[:, -1] + jnp.sum(network.output[:, :-1] * activation, axis=1)

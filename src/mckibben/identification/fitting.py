@@ -1,0 +1,208 @@
+"""Identification: a type of law and measured points to a `Fit`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
+from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
+from mckibben.identification.nonlinear import solve_by_optimistix
+from mckibben.identification.problem import Problem, Solution
+from mckibben.identification.projection import search, solve_by_projection
+from mckibben.identification.uncertainty import CONDITION_LIMIT, condition, uncertainty, undetermined
+from mckibben.muscle import Domain, ForceLaw
+from mckibben.units import show
+
+_STRONG_CORRELATION = 0.999
+_MOST_LEVELS = 200
+
+Solver = Callable[[Problem, NDArray[np.float64]], Solution]
+
+
+def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Domain | None = None) -> Fit:
+    """Fit a force law to measured points by least squares.
+
+    The fit rests on the plateau means of the taut points: at a slack point the force says only "not above". The shape
+    parameters are looked for over their whole range, on a grid first; then they are refined, by variable projection
+    for a law that is linear in other parameters and by Levenberg-Marquardt for one that is not.
+
+    Parameters
+    ----------
+    law_type
+        Such as `ExponentialLaw`.
+    dataset
+        Measured points.
+    domain
+        Where to trust the law; by default the contractions and pressure levels of the points used.
+
+    Returns
+    -------
+    Fit
+        The law with standard errors, correlations, residuals, errors at unseen pressures and warnings.
+
+    Raises
+    ------
+    IdentificationError
+        If the points cannot determine the parameters; it says by how much and which.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> from mckibben.muscle import ExponentialLaw
+    >>> fit = identify(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017"))
+    >>> round(fit.law.decay, 1), round(fit.rmse, 2), round(fit.leave_one_pressure_out.rmse, 2)
+    (40.0, 1.07, 1.34)
+    """
+    means = dataset.plateau_means()
+    points = means.taut
+    parameters = law_type.parameters()
+    _check_count(law_type, points, slack=len(means) - len(points))
+    problem = Problem(law_type, points.contraction, points.pressure, points.force, np.ones(len(points), bool))
+    solver = solve_by_projection if law_type.linear_parameters else solve_by_optimistix
+
+    start = search(problem)
+    solution = solver(problem, start)
+    held = _held(problem, solution)
+    _check_determined(problem, solution, held, points)
+    spread = uncertainty(solution.jacobian, solution.residuals, held)
+
+    warnings = _bound_warnings(law_type, solution, held)
+    warnings += _correlation_warnings(problem.names, spread.correlations)
+    unseen, reason = _leave_one_pressure_out(problem, solution, points.levels, solver)
+    warnings += [reason] if reason else []
+    return Fit(
+        law=dataclasses.replace(problem.law(solution.values), domain=domain or _domain_of(points)),
+        standard_errors={
+            p.name: float(error) for p, error in zip(parameters, spread.standard_errors, strict=True)
+        },
+        correlations=spread.correlations,
+        rmse=float(np.sqrt(np.mean(solution.residuals**2))),
+        max_error=float(np.abs(solution.residuals).max()),
+        points_used=len(points),
+        points_slack=len(means) - len(points),
+        leave_one_pressure_out=unseen,
+        warnings=tuple(warnings),
+        dataset=DatasetSummary(
+            str(means.table.attrs["specimen"]),
+            str(means.table.attrs["source"]),
+            tuple(points.pressures.tolist()),
+        ),
+        residuals=solution.residuals,
+    )
+
+
+def _leave_one_pressure_out(
+    problem: Problem, full: Solution, levels: NDArray[np.float64], solver: Solver
+) -> tuple[LeaveOnePressureOut | None, str]:
+    """The errors at unseen pressures, or why there are none.
+
+    Each refit starts at the shape of the fit to all points and refines it like that one.
+    """
+    distinct = np.unique(levels)
+    if len(distinct) < 2:
+        return None, "there is one pressure only: no error at unseen pressures can be given"
+    if len(distinct) > _MOST_LEVELS:
+        return None, (
+            f"there are {len(distinct)} distinct pressures, each taken for a level of its own: no error at unseen "
+            "pressures is given; record the set pressure of each point"
+        )
+    residuals = np.empty(len(levels))
+    by_pressure: dict[float, float] = {}
+    for level in distinct.tolist():
+        out = levels == level
+        rest = problem.keeping(~out)
+        if np.count_nonzero(~out) <= len(problem.names):
+            return None, f"without the points at {show(level, 'bar')} too few are left to fit: {_NO_UNSEEN}"
+        solution = solver(rest, full.position)
+        jacobian = solution.jacobian[:, ~_held(rest, solution)]
+        if not (solution.converged and condition(jacobian) < CONDITION_LIMIT):
+            return (
+                None,
+                f"without the points at {show(level, 'bar')} the law is not determined: {_NO_UNSEEN}",
+            )
+        unseen = problem.keeping(out)
+        force, _ = unseen.response(solution.values)
+        residuals[out] = unseen.measured - force
+        by_pressure[level] = float(np.sqrt(np.mean(residuals[out] ** 2)))
+    rmse = float(np.sqrt(np.mean(residuals**2)))
+    return LeaveOnePressureOut(rmse, float(np.abs(residuals).max()), by_pressure), ""
+
+
+_NO_UNSEEN = "no error at unseen pressures can be given"
+
+
+def _held(problem: Problem, solution: Solution) -> NDArray[np.bool_]:
+    """Which parameters lie at a bound of their range, shape (parameters,)."""
+    return np.concatenate([np.zeros(problem.linear, bool), problem.cube.at_bound(solution.position)])
+
+
+def _domain_of(points: IsobaricDataset) -> Domain:
+    contraction, levels = points.contraction, points.levels
+    return Domain(
+        float(contraction.min()), float(contraction.max()), float(levels.min()), float(levels.max())
+    )
+
+
+def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) -> None:
+    needed = len(law_type.parameters()) + 1
+    if len(points) < needed:
+        raise IdentificationError(
+            f"{len(points)} taut points ({slack} slack ones left out) cannot determine the "
+            f"{needed - 1} parameters of {law_type.__name__}",
+            value=len(points),
+            lower=needed,
+            remedy=f"measure at least {needed}, or take a law with fewer parameters",
+        )
+
+
+def _check_determined(
+    problem: Problem, solution: Solution, held: NDArray[np.bool_], points: IsobaricDataset
+) -> None:
+    free = solution.jacobian[:, ~held]
+    number = condition(free)
+    if not number < CONDITION_LIMIT:
+        names = [name for name, out in zip(problem.names, held, strict=True) if not out]
+        contractions = len(np.unique(points.contraction.round(6)))
+        raise IdentificationError(
+            f"{len(points)} taut points at {len(points.pressures)} pressure(s) and {contractions} contraction(s) do "
+            f"not determine {', '.join(undetermined(free, names))} of {problem.law_type.__name__} "
+            f"(condition number {number:.1e})",
+            value=number,
+            upper=CONDITION_LIMIT,
+            remedy="measure at more pressures and contractions, or take a law with fewer parameters",
+        )
+    if not solution.converged:
+        raise IdentificationError(
+            f"the fit of {problem.law_type.__name__} did not converge "
+            f"(RMSE {np.sqrt(np.mean(solution.residuals**2)):.3g} N where it stopped)",
+            remedy="look for outliers and wrong units in the data",
+        )
+
+
+def _bound_warnings(law_type: type[ForceLaw], solution: Solution, held: NDArray[np.bool_]) -> list[str]:
+    sentences = []
+    for p, value, at_bound in zip(law_type.parameters(), solution.values, held, strict=True):
+        low, high = show(p.lower, p.shown), show(p.upper, p.shown)
+        if at_bound:
+            sentences.append(
+                f"{p.name} is at the bound of its range {low} .. {high}: the data ask for a value beyond it, and its "
+                "standard error is not known"
+            )
+        elif not p.lower <= value <= p.upper:
+            sentences.append(f"{p.name} = {show(value, p.shown)} is outside its range {low} .. {high}")
+    return sentences
+
+
+def _correlation_warnings(names: tuple[str, ...], correlations: NDArray[np.float64]) -> list[str]:
+    return [
+        f"{names[i]} and {names[j]} are correlated by {correlations[i, j]:+.5f}: the data determine a combination "
+        "of them well and each alone badly"
+        for i in range(len(names))
+        for j in range(i + 1, len(names))
+        if abs(correlations[i, j]) > _STRONG_CORRELATION
+    ]

@@ -1,0 +1,92 @@
+"""A least-squares problem: a type of law, points, and which of them count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.identification.design import force_and_design
+from mckibben.identification.ranges import UnitCube
+from mckibben.muscle import ForceLaw
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Find the parameters of a law for which the sum of squared force errors over the kept points is least.
+
+    Parameters
+    ----------
+    law_type
+        Its parameters are sought.
+    contraction, pressure, force
+        Shape (n,): [-], [Pa], [N].
+    kept
+        Shape (n,): the points that count. The law is evaluated at all of them: one shape, compiled once.
+    """
+
+    law_type: type[ForceLaw]
+    contraction: NDArray[np.float64] = field(repr=False)
+    pressure: NDArray[np.float64] = field(repr=False)
+    force: NDArray[np.float64] = field(repr=False)
+    kept: NDArray[np.bool_] = field(repr=False)
+
+    def keeping(self, kept: NDArray[np.bool_]) -> Problem:
+        """The same with other points kept."""
+        return replace(self, kept=kept)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The parameters, linear ones first."""
+        return tuple(p.name for p in self.law_type.parameters())
+
+    @property
+    def linear(self) -> int:
+        """How many of the parameters are linear."""
+        return len(self.law_type.linear_parameters)
+
+    @cached_property
+    def cube(self) -> UnitCube:
+        """Where the shape is sought."""
+        return UnitCube(self.law_type.shape_parameters)
+
+    @cached_property
+    def measured(self) -> NDArray[np.float64]:
+        """The forces [N] at the kept points."""
+        return self.force[self.kept]
+
+    def law(self, values: NDArray[np.float64]) -> ForceLaw:
+        """The law with these parameters [SI], shape (parameters,)."""
+        return self.law_type(**dict(zip(self.names, values.tolist(), strict=True)))
+
+    def response(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Force [N] and design matrix, all parameters, at the kept points: shapes (kept,), (kept, parameters)."""
+        force, design = force_and_design(self.law(values), self.names, self.contraction, self.pressure)
+        return force[self.kept], design[self.kept]
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The answer to a problem.
+
+    Attributes
+    ----------
+    values
+        Shape (parameters,), in SI, linear ones first.
+    position
+        Of the shape, in the unit cube.
+    residuals
+        Shape (kept,): measured minus fitted force [N].
+    jacobian
+        Shape (kept, parameters): derivative of the force with respect to all parameters.
+    converged
+        Whether the solver says so.
+    """
+
+    values: NDArray[np.float64]
+    position: NDArray[np.float64]
+    residuals: NDArray[np.float64] = field(repr=False)
+    jacobian: NDArray[np.float64] = field(repr=False)
+    converged: bool

@@ -1,0 +1,6 @@
+"""The test rig: protocols, and a virtual rig that runs them on a force law."""
+
+from mckibben.rig.protocol import Boundaries, IsobaricProtocol, Plateaus, boundaries
+from mckibben.rig.virtual import VirtualRig
+
+__all__ = ["Boundaries", "IsobaricProtocol", "Plateaus", "VirtualRig", "boundaries"]

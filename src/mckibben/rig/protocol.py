@@ -1,0 +1,326 @@
+"""The isobaric test as a plan: which plateaus, in which order, how long; checked before anything moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import Problem, RangeError
+from mckibben.muscle import Muscle, Specimen
+from mckibben.units import bar, mm, percent, s
+
+PAPER_PRESSURES = tuple(0.5 * level * bar for level in range(13))
+
+
+class Boundaries(NamedTuple):
+    """The stroke at each pressure of a protocol.
+
+    Attributes
+    ----------
+    pressure
+        Shape (pressures,): the set pressures [Pa], in the protocol's order.
+    contraction_min, contraction_max
+        Shape (pressures,): contraction [-] of the most stretched and of the shortest plateau.
+    """
+
+    pressure: NDArray[np.float64]
+    contraction_min: NDArray[np.float64]
+    contraction_max: NDArray[np.float64]
+
+
+class Plateaus(NamedTuple):
+    """The plateaus of a test in their order, one row each.
+
+    Attributes
+    ----------
+    level
+        Which of the protocol's pressures, from 0.
+    repeat
+        From 0.
+    stretching
+        Whether the plateau belongs to the loading pass.
+    contraction
+        Contraction [-].
+    travel
+        Signed way [m] driven to get there from the plateau before, positive = stretching; 0 on the first of a pass.
+    time
+        Start of the acquisition [s] after the start of the test.
+    """
+
+    level: NDArray[np.int64]
+    repeat: NDArray[np.int64]
+    stretching: NDArray[np.bool_]
+    contraction: NDArray[np.float64]
+    travel: NDArray[np.float64]
+    time: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsobaricProtocol:
+    """Strokes at constant pressures; the defaults are the paper's ("Parameters identification"), or said to be ours.
+
+    At each pressure, `repeats` times: the unloading pass (the muscle shortens from plateau to plateau, its tension
+    falls), then the loading pass (it is stretched back, its tension rises). At a plateau the rig waits, then samples.
+    The last position of one pass is the first of the next, so it is sampled twice, with no move in between.
+
+    Parameters
+    ----------
+    pressures
+        Set pressures [Pa, gauge], all different, in the order of the test: 0, 0.5, ... 6 bar.
+    contraction_min, contraction_max
+        Ends of the stroke [-]; by default those of the muscle's range (-3 and 25 % for the paper's).
+    step
+        Way [m] between two plateaus: 1 mm.
+    speed
+        Speed of a move [m/s]: 0.2 mm/s, so that a step takes 5 s.
+    dwell
+        Wait [s] between a move and the acquisition: 5 s. The paper's "after each 5 s delay" can also be read as
+        the 5 s of the move itself: then 0.
+    acquisition, samples
+        At a plateau so many samples are taken, evenly, within so many seconds: 1000 within 1 s.
+    repeats
+        5.
+    force_reserve
+        Share [-] of the rated force that stays unused, see `boundaries`: 5 % (ours). It makes room for what the
+        law does not tell: hysteresis, offsets, noise.
+    slack_steps
+        Plateaus beyond the last taut one, see `boundaries`: 3 (ours).
+
+    Raises
+    ------
+    RangeError
+        If a number has no meaning; it lists all of them.
+
+    Examples
+    --------
+    >>> IsobaricProtocol(step=-1 * mm, repeats=0)
+    Traceback (most recent call last):
+        ...
+    mckibben.errors.RangeError: isobaric protocol: 2 problems
+      step: -0.001 m is not a positive length; give it in metres, such as 1 * mm
+      repeats: 0 is not a whole number from 1 up
+    """
+
+    pressures: Sequence[float] = PAPER_PRESSURES
+    contraction_min: float | None = None
+    contraction_max: float | None = None
+    step: float = 1 * mm
+    speed: float = 0.2 * mm / s
+    dwell: float = 5 * s
+    acquisition: float = 1 * s
+    samples: int = 1000
+    repeats: int = 5
+    force_reserve: float = 5 * percent
+    slack_steps: int = 3
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pressures", tuple(float(pressure) for pressure in self.pressures))
+        problems: list[Problem] = []
+        if not self.pressures or not all(map(math.isfinite, self.pressures)):
+            problems.append(Problem("give at least one, all finite", field="pressures"))
+        if len(set(self.pressures)) < len(self.pressures):
+            problems.append(
+                Problem("one is given twice", field="pressures", remedy="raise repeats to test it more often")
+            )
+        for name, unit, kind, example in (
+            ("step", "m", "length", "metres, such as 1 * mm"),
+            ("speed", "m/s", "speed", "metres per second, such as 0.2 * mm"),
+            ("acquisition", "s", "duration", "seconds"),
+        ):
+            value = getattr(self, name)
+            if not 0 < value < math.inf:
+                problems.append(
+                    Problem(f"{value:g} {unit} is not a positive {kind}", field=name, remedy=f"give it in {example}")
+                )
+        if not 0 <= self.dwell < math.inf:
+            problems.append(Problem(f"{self.dwell:g} s is not a duration", field="dwell", remedy="give seconds, or 0"))
+        for name in ("samples", "repeats", "slack_steps"):
+            value = getattr(self, name)
+            if not isinstance(value, (int, np.integer)) or value < 1:
+                problems.append(Problem(f"{value!r} is not a whole number from 1 up", field=name))
+        if not 0 <= self.force_reserve < 1:
+            problems.append(
+                Problem(
+                    f"{self.force_reserve:g} is not a share from 0 to below 1",
+                    field="force_reserve",
+                    remedy="it is a ratio: 0.05 leaves 5 % of the rated force unused",
+                )
+            )
+        _refuse("isobaric protocol", problems)
+
+    def stroke(self, of: Muscle | Specimen) -> tuple[float, float]:
+        """First and last contraction [-] before any cut: as given, or the range of the muscle or specimen."""
+        low, high = self.contraction_min, self.contraction_max
+        return (
+            float(of.domain.contraction_min) if low is None else low,
+            float(of.domain.contraction_max) if high is None else high,
+        )
+
+    def check(self, of: Muscle | Specimen) -> None:
+        """Raise unless the muscle or specimen may be put through this test.
+
+        Raises
+        ------
+        RangeError
+            It lists the pressures outside the rating and the ends of the stroke outside the range, and what to do.
+        """
+        name, domain = _specimen(of).name, of.domain
+        low, high = float(domain.pressure_min), float(domain.pressure_max)
+        problems: list[Problem] = []
+        if outside := [p for p in self.pressures if not low - 1e-3 <= p <= high + 1e-3]:
+            problems.append(
+                Problem(
+                    f"{', '.join(f'{p / bar:g}' for p in outside)} bar outside {low / bar:g}..{high / bar:g} bar of {name}",
+                    field="pressures",
+                    remedy="leave out what is outside",
+                )
+            )
+        first, last = self.stroke(of)
+        for field, end in (("contraction_min", first), ("contraction_max", last)):
+            if not math.isfinite(end):
+                problems.append(
+                    Problem(f"{name} has no range of its own", field=field, remedy="give the end of the stroke")
+                )
+            elif not bool(domain.contains_contraction(end)):
+                problems.append(
+                    Problem(
+                        f"{end / percent:.1f} % is outside {float(domain.contraction_min) / percent:g}.."
+                        f"{float(domain.contraction_max) / percent:g} % of {name}",
+                        field=field,
+                        remedy="give the end of the stroke inside, as a ratio, or leave it to the muscle",
+                    )
+                )
+        if not problems and len(_positions(self, of)) < 2:
+            problems.append(
+                Problem(
+                    f"a step of {self.step / mm:g} mm does not fit into the stroke "
+                    f"{first / percent:.1f}..{last / percent:.1f} % of {name}",
+                    field="step",
+                    remedy="shorten the step or widen the stroke",
+                )
+            )
+        _refuse(f"the isobaric protocol does not suit {name}", problems)
+
+    def plateaus(self, of: Muscle | Specimen) -> Plateaus:
+        """All plateaus in their order, within the `boundaries`.
+
+        Raises
+        ------
+        RangeError
+            As `check` and `boundaries` do.
+        """
+        limits, positions = boundaries(of, self), _positions(self, of)
+        passes: list[tuple[NDArray[np.float64], int, int, bool]] = []
+        for level, (_, low, high) in enumerate(zip(*limits, strict=True)):
+            there = positions[(positions >= low) & (positions <= high)]
+            for repeat in range(self.repeats):
+                passes += [(there, level, repeat, False), (there[::-1], level, repeat, True)]
+        counts = [len(one[0]) for one in passes]
+        stretching = np.repeat([one[3] for one in passes], counts)
+        travel = np.where(stretching, self.step, -self.step)
+        travel[np.cumsum([0, *counts[:-1]])] = 0.0
+        taken = np.abs(travel) / self.speed + self.dwell + self.acquisition
+        return Plateaus(
+            level=np.repeat([one[1] for one in passes], counts),
+            repeat=np.repeat([one[2] for one in passes], counts),
+            stretching=stretching,
+            contraction=np.concatenate([one[0] for one in passes]),
+            travel=travel,
+            time=np.cumsum(taken) - self.acquisition,
+        )
+
+    def describe(self, of: Muscle | Specimen) -> str:
+        """The test in words: plateaus, samples, duration.
+
+        Of a muscle, whose law tells the boundaries; of a specimen alone, with the whole stroke at every pressure.
+        The time to adjust the device and to set the pressures comes on top.
+
+        Raises
+        ------
+        RangeError
+            As `check` and `boundaries` do.
+        """
+        rows, limits = self.plateaus(of), boundaries(of, self)
+        duration = round(float(rows.time[-1]) + self.acquisition)
+        passes = np.bincount(rows.level) // (2 * self.repeats)
+        lines = [
+            f"isobaric test of {_specimen(of).name}: {len(self.pressures)} pressures, "
+            f"{self.repeats} x (unloading, loading)",
+            f"steps of {self.step / mm:g} mm at {self.speed / mm:g} mm/s, {self.dwell:g} s wait, "
+            f"{self.samples} samples in {self.acquisition:g} s",
+        ]
+        lines += [
+            f"  {pressure / bar:5.2f} bar: {low / percent:5.1f} .. {high / percent:4.1f} %, {count} plateaus a pass"
+            for pressure, low, high, count in zip(*limits, passes, strict=True)
+        ]
+        lines.append(
+            f"{len(rows.time)} plateaus, {len(rows.time) * self.samples} samples, "
+            f"{duration // 3600} h {duration // 60 % 60:02d} min {duration % 60:02d} s"
+        )
+        return "\n".join(lines)
+
+
+def boundaries(of: Muscle | Specimen, protocol: IsobaricProtocol) -> Boundaries:
+    """The stroke at each pressure: the step "determining the boundary values" of the paper's procedure.
+
+    The whole stroke, cut at both ends of the plateaus:
+
+    - Stretched end: no plateau at which the law's force at the set pressure exceeds the rated force less the
+      protocol's reserve (Eq. 3 gives 895 N at -3 % and 6 bar; the rating is 630 N).
+    - Slack end: `slack_steps` plateaus beyond the last taut one. They show where the muscle goes slack, and that the
+      force sensor reads zero there; more of them would take time, bend the slack muscle, and tell nothing.
+
+    A specimen without a law is not cut: what is not known cannot be used.
+
+    Raises
+    ------
+    RangeError
+        As the protocol's `check`; or if at a pressure the force is too high over the whole stroke.
+    """
+    protocol.check(of)
+    pressures = np.array(protocol.pressures)
+    positions = _positions(protocol, of)
+    if isinstance(of, Specimen):
+        force = np.full((len(pressures), len(positions)), 1e-300)  # taut, and below any rating
+        slack_steps = 0
+    else:
+        force = np.asarray(of.force(positions, pressures[:, None]))
+        slack_steps = protocol.slack_steps
+    limit = _specimen(of).rated_force * (1 - protocol.force_reserve)
+    first = _after_last(force > limit)
+    last = np.minimum(np.maximum(_after_last(force > 0), first) + slack_steps, len(positions)) - 1
+    if len(over := pressures[first == len(positions)]):
+        raise RangeError(
+            f"at {', '.join(f'{p / bar:g}' for p in over)} bar the force exceeds {limit:g} N over the whole stroke",
+            value=float(over[0]),
+            unit="Pa",
+            remedy="leave the pressure out, or let the stroke reach a higher contraction",
+        )
+    return Boundaries(pressures, positions[first], positions[last])
+
+
+def _positions(protocol: IsobaricProtocol, of: Muscle | Specimen) -> NDArray[np.float64]:
+    """Contraction of the plateaus of the whole stroke, ascending."""
+    first, last = protocol.stroke(of)
+    step = protocol.step / float(_specimen(of).initial_length)
+    return first + step * np.arange(math.floor((last - first) / step + 1e-9) + 1)
+
+
+def _after_last(where: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Per row, the column after the last one that is true; 0 where none is."""
+    return np.where(where.any(axis=1), where.shape[1] - np.argmax(where[:, ::-1], axis=1), 0)
+
+
+def _specimen(of: Muscle | Specimen) -> Specimen:
+    return of.specimen if isinstance(of, Muscle) else of
+
+
+def _refuse(what: str, problems: list[Problem]) -> None:
+    if problems:
+        heading = f"{what}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
+        raise RangeError("\n  ".join([heading, *map(str, problems)]))

@@ -1,0 +1,387 @@
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from mckibben.dataset import read_dataset
+from mckibben.errors import DatasetError, McKibbenWarning
+from mckibben.units import bar
+
+# Rows of Martens and Boblan 2017, a DMSP-10-250 (zeros mean slack), and of the maker's chart for 10 mm.
+MARTENS = """\
+pressure_Pa,length_m,contraction_ratio,force_N
+50000,0.25,0.0,0.0
+50000,0.234,0.064,0.0
+360000,0.25,0.0,283.8333
+402187,0.234,0.064,101.5
+441375,0.219,0.124,46.1667
+650000,0.219,0.124,158.6667
+"""
+FESTO = """\
+pressure_kPa,contraction_ratio,force_N
+0,-0.03,232.4
+0,-0.025,175.3
+0,0,0
+100,-0.03,321.3
+100,0,81.7
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    def write(content: str | bytes) -> Path:
+        path = tmp_path / "rig.csv"
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+    return write
+
+
+def problems(path, **more) -> list[str]:
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path, **more)
+    assert caught.value.source == str(path)
+    return [str(problem) for problem in caught.value.problems]
+
+
+def test_a_measured_map_with_lengths_and_contractions(file):
+    data = read_dataset(file(MARTENS), specimen="DMSP-10-250")
+    assert data.pressure.tolist() == [50000, 50000, 360000, 402187, 441375, 650000]
+    assert data.contraction.tolist() == [0, 0.064, 0, 0.064, 0.124, 0.124]
+    assert data.force.tolist() == [0, 0, 283.8333, 101.5, 46.1667, 158.6667]
+    assert data.slack.tolist() == [True, True, False, False, False, False]
+    assert data.table.attrs == {
+        "specimen": "DMSP-10-250",
+        "source": "rig.csv",
+        "slack_force": 0.0,
+        "initial_length": 0.25,
+    }
+
+
+def test_the_makers_chart(file):
+    data = read_dataset(file(FESTO))
+    assert data.pressures.tolist() == [0, 1 * bar]
+    assert data.contraction.min() == -0.03
+    assert len(data.taut) == 4
+    assert "initial_length" not in data.table.attrs
+
+
+def test_semicolons_decimal_commas_bom_crlf_comments_and_blank_lines(file):
+    text = (
+        "# specimen: MAS-10\r\n# initial_length: 180 mm\r\n# slack_force: 2 N\r\n# free words\r\n\r\n"
+        "Pressure_KPA;Contraction_PERCENT;force_kN;Direction;REPEAT;time_ms;set_pressure_bar;note\r\n"
+        "150,5;2,5;0,1;Stretching;1;500;1,5;first\r\n\r\n;;;;;;;\r\n"
+        "200;-3;1e-3;unload;2;1000;;a,b.c\r\n"
+    )
+    data = read_dataset(file(b"\xef\xbb\xbf" + text.encode()))
+    np.testing.assert_allclose(data.pressure, [150500, 200000])
+    np.testing.assert_allclose(data.contraction, [0.025, -0.03])
+    np.testing.assert_allclose(data.force, [100, 1])
+    np.testing.assert_allclose(data.levels, [150000, 200000])
+    assert data.table["direction"].values.tolist() == ["loading", "unloading"]
+    assert data.table["repeat"].values.tolist() == [1, 2]
+    np.testing.assert_allclose(data.table["time"], [0.5, 1.0])
+    assert data.table.attrs["initial_length"] == pytest.approx(0.18)
+    assert data.table.attrs["specimen"] == "MAS-10"
+    assert data.slack.tolist() == [False, True]
+    assert data.table.attrs["ignored_columns"] == "note"
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_delimiters(file, delimiter):
+    data = read_dataset(file(FESTO.replace(",", delimiter)))
+    assert data.force.tolist() == [232.4, 175.3, 0, 321.3, 81.7]
+
+
+@pytest.mark.parametrize(
+    ("header", "pascals"),
+    [("bar", 1e5), ("kPa", 1e3), ("MPa", 1e6), ("Pa", 1.0), ("mbar", 100.0), ("psi", 6894.757293168361)],
+)
+def test_pressure_units(file, header, pascals):
+    data = read_dataset(file(f"pressure_{header},contraction_ratio,force_N\n{2e5 / pascals!r},0.1,3\n"))
+    assert data.pressure[0] == pytest.approx(2e5)
+
+
+def test_columns_name_the_headers_of_the_file(file):
+    path = file("Druck [bar];Kürzung;Kraft, N\n1,5;10;200\n")
+    columns = {"Druck [bar]": "pressure_bar", "Kürzung": "contraction_percent", "Kraft, N": "force_N"}
+    data = read_dataset(path, columns=columns)
+    assert (data.pressure[0], data.contraction[0], data.force[0]) == pytest.approx((1.5e5, 0.1, 200))
+    found = problems(path, columns=columns | {"Weg": "length_mm"})
+    assert found == ["line 1: columns has 'Weg', the file 'Druck [bar]', 'Kürzung', 'Kraft, N'"]
+    assert "the unknown name 'pressure'; accepted are" in problems(path, columns={"Kürzung": "pressure"})[0]
+
+
+def test_lengths_alone_need_the_initial_length(file):
+    path = file("pressure_bar,length_mm,force_N\n1,180,50\n2,171,40\n")
+    assert problems(path) == [
+        "initial_length: is needed for lengths; give initial_length (command line: --initial-length '180 mm')"
+    ]
+    data = read_dataset(path, initial_length=0.18)
+    np.testing.assert_allclose(data.contraction, [0, 0.05], atol=1e-15)
+    assert data.table.attrs["initial_length"] == 0.18
+    assert "line 2, length_mm: 0.18 m is 1000 times the initial length; check" in problems(
+        path, initial_length=0.18e-3
+    )[0].replace("1e+03", "1000")
+    for bad in (0.0, -1.0, np.nan, np.inf):
+        assert "is not a positive length" in problems(path, initial_length=bad)[0]
+
+
+def test_lengths_and_contractions_must_agree(file):
+    bent = MARTENS.replace("441375,0.219", "441375,0.223")
+    assert problems(file(bent)) == [
+        "line 6, length_m: 0.223 m does not go with contraction 0.124 of 0.25 m: 0.219 m would"
+    ]
+    rounded = MARTENS.replace("441375,0.219", "441375,0.2194")
+    assert read_dataset(file(rounded)).table.attrs["initial_length"] == pytest.approx(0.25)
+    assert problems(file(MARTENS), initial_length=0.18) == [
+        "initial_length: 0.18 m is given, but lengths and contractions agree on 0.25 m"
+    ]
+
+
+def test_every_problem_is_listed_with_its_line_and_column(file):
+    text = """\
+# rig 2
+pressure_bar,contraction_ratio,force_N,direction,repeat
+
+1,0.1,abc,loading,1
+nan,0.1,5,loading,1
+inf,0.1,,up,1
+-1.02,6.4,5,1,1.5
+1,0.1,5,loading
+
+1,0.1,"1,234.5",unloading,-1
+"2,5",0.1,"line
+break",unloading,1
+1_000,0.1,1e999,unloading,99999999999999999999
+"""
+    words = "write loading (being stretched) or unloading (shortening)"
+    assert problems(file(text)) == [
+        "line 4, force_N: 'abc' is not a number",
+        "line 5, pressure_bar: 'nan' is not a finite number",
+        "line 6, pressure_bar: 'inf' is not a finite number",
+        "line 6, force_N: the cell is empty",
+        f"line 6, direction: 'up' is not a direction; {words}",
+        "line 7, pressure_bar: -1.02 bar is below a vacuum (-1.0132 bar, gauge)",
+        "line 7, contraction_ratio: 6.4 is not between -1 and 1; "
+        "this looks like percent: name the column contraction_percent",
+        "line 7, repeat: 1.5 is not an integer from 0 up",
+        f"line 7, direction: '1' is not a direction; {words}",
+        "line 8: has 4 cells, the header 5",
+        "line 10, force_N: '1,234.5' has a thousands separator; write the number without it",
+        "line 10, repeat: -1 is not an integer from 0 up",
+        "line 11, pressure_bar: '2,5' has a decimal comma; use a decimal point",
+        "line 11, force_N: 'line\\nbreak' is not a number",
+        "line 13, pressure_bar: '1_000' is not a number",
+        "line 13, force_N: '1e999' is not a finite number",
+        "line 13, repeat: 1e+20 is not an integer from 0 up",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("row", "expected"),
+    [
+        ("1,0.1,1e999", "line 2, force_kN: '1e999' is not a finite number"),
+        ("1,0.1,1e308", "line 2, force_kN: 1e+308 kN is too large"),
+        ("1,0.1,1 000", "line 2, force_kN: '1 000' has a thousands separator; write the number without it"),
+        ("1,0.1,٣", "line 2, force_kN: '٣' is not a number"),
+        ("1,0.1,3 N", "line 2, force_kN: '3 N' is not a number"),
+        ("1,-100,3", "line 2, contraction_percent: -100 % is not between -100 and 100 %"),
+    ],
+)
+def test_numbers_that_cannot_be_meant(file, row, expected):
+    assert problems(file(f"pressure_bar,contraction_percent,force_kN\n{row}\n")) == [expected]
+
+
+def test_one_decimal_sign_through_the_whole_file(file):
+    text = "pressure_bar;contraction_percent;force_N\n1;2;3\n1,5;2;3\n2.5;2;3\n1;1.000,5;3\n1;2;1.000.000\n"
+    assert problems(file(text)) == [
+        "line 4, pressure_bar: '2.5' has a decimal point, but line 3 a decimal comma; "
+        "use one of them in the whole file",
+        "line 5, contraction_percent: '1.000,5' has a thousands separator; write the number without it",
+        "line 6, force_N: '1.000.000' has a thousands separator; write the number without it",
+    ]
+
+
+def test_decimal_commas_between_commas_are_recognised(file):
+    found = problems(file("pressure_bar,contraction_ratio,force_N\n1,5,0,1,20,5\n"))
+    assert found == ["line 2: has 6 cells, the header 3; decimal commas need semicolons between the columns"]
+
+
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        (
+            "pressure_mPa,contraction_ratio,force_N",
+            "line 1, pressure_mPa: 'mPa' is not a unit of pressure here",
+        ),
+        (
+            "pressure_Mbar,contraction_ratio,force_N",
+            "line 1, pressure_Mbar: 'Mbar' is not a unit of pressure",
+        ),
+        ("pressure_bar,contraction_ratio,force_kg", "line 1, force_kg: 'kg' is not a unit of force here"),
+        ("pressure,contraction_ratio,force_N", "line 1: no column for pressure; the file has 'pressure', "),
+        (
+            "pressure_bar,angle_deg,force_N",
+            "line 1: no column for contraction; the file has 'pressure_bar', ",
+        ),
+        (
+            "pressure_bar,pressure_kPa,contraction_ratio,force_N",
+            "line 1, pressure_kPa: gives pressure again, after 'pressure_bar'; keep one of them",
+        ),
+        ("pressure_bar,contraction_ratio,force_N,force_N", "line 1, force_N: stands twice in the header"),
+        ("pressure_bar,contraction_ratio,force_N,x,x", "line 1, x: stands twice in the header"),
+    ],
+)
+def test_headers_that_cannot_be_used(file, header, expected):
+    row = ",".join("0" for _ in header.split(","))
+    found = problems(file(f"{header}\n{row}\n"))
+    assert found[0].startswith(expected)
+
+
+def test_missing_columns_say_what_is_accepted(file):
+    found = problems(file("a,b\n1,2\n"))
+    assert len(found) == 3
+    assert "pressure_bar, pressure_kPa, pressure_MPa, pressure_Pa, pressure_mbar or pressure_psi" in found[0]
+    assert "contraction_percent or contraction_ratio (or length_mm, length_m or length_cm)" in found[1]
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("", "is empty"),
+        ("\n# words\n", "has no header and no rows"),
+        ("# x\n\npressure_bar,contraction_ratio,force_N\n\n", "line 3: has a header and no rows"),
+        (b"pressure_bar\n\n\x00\x01", "line 3: is a binary file; give CSV text or NetCDF (.nc)"),
+        ("pressure_bar,force_N\n".encode("utf-16"), "is UTF-16 text; save it as UTF-8"),
+        (
+            "pressure_bar\nDrücke\n".encode("latin-1"),
+            "line 2: byte 0xfc is not UTF-8 text; save the file as UTF-8",
+        ),
+        (b"PK\x03\x04abc", "is a workbook or an archive; save the sheet as CSV"),
+        (b"\x89HDF\r\n\x1a\n", "is a NetCDF or HDF5 file; give it the suffix .nc"),
+        (
+            FESTO + "1," + 200_000 * "9" + ",1\n",
+            "line 7: cannot be read further: field larger than field limit",
+        ),
+    ],
+)
+def test_files_that_are_no_tables(file, content, expected):
+    found = problems(file(content))
+    assert len(found) == 1
+    assert found[0].startswith(expected)
+
+
+def test_no_file_and_a_directory(tmp_path):
+    assert problems(tmp_path / "none.csv") == ["there is no such file"]
+    assert problems(tmp_path) == ["is a directory; name a file in it"]
+    assert "cannot be read" in problems(tmp_path / "a\0b.csv")[0]
+
+
+def test_bad_comments_and_arguments_are_problems_of_the_file(file):
+    assert problems(file("# slack_force: small\n# initial_length: 180\n" + FESTO)) == [
+        "line 1, slack_force: 'small' is not a number and a unit; write it like '12.5 N'",
+        "line 2, initial_length: '180' is not a number and a unit; write it like '12.5 m'",
+    ]
+    assert problems(file(FESTO), initial_length=-0.1) == ["initial_length: -0.1 m is not above 0"]
+    assert problems(file(FESTO), slack_force=np.nan) == ["slack_force: nan is not a finite number"]
+
+
+def test_arguments_go_before_comments(file):
+    path = file("# specimen: A\n# slack_force: 100 N\n" + FESTO)
+    assert read_dataset(path).slack.sum() == 2
+    data = read_dataset(path, specimen="B", slack_force=0.0)
+    assert data.table.attrs["specimen"] == "B"
+    assert data.slack.sum() == 1
+
+
+def test_units_that_are_probably_meant_otherwise_are_warned_of(file):
+    with pytest.warns(McKibbenWarning, match=r"pressure_Pa never exceeds 100 Pa; .*name it pressure_bar"):
+        read_dataset(file("pressure_Pa,contraction_ratio,force_N\n6,0.1,3\n"))
+    ratios = "pressure_bar,contraction_percent,force_N\n6,0,9\n6,0.1,8\n6,0.2,7\n6,0.25,6\n"
+    with pytest.warns(McKibbenWarning, match=r"contraction_percent never exceeds 0\.5 %"):
+        read_dataset(file(ratios))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_dataset(file("pressure_Pa,contraction_ratio,force_N\n0,0.1,3\n"))
+        read_dataset(file(ratios.replace("6,0.25,6\n", "")))
+
+
+def test_a_hundred_thousand_rows_take_no_time_to_speak_of(file):
+    row = "1.50000,2.50000,123.456,loading,1\n"
+    path = file("pressure_bar,contraction_percent,force_N,direction,repeat\n" + 100_000 * row)
+    start = time.perf_counter()
+    assert len(read_dataset(path)) == 100_000
+    assert time.perf_counter() - start < 3  # 0.3 s on two slow cores
+
+
+FUZZ = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+VALID = (
+    b"# specimen: A\n# initial_length: 0.18 m\n"
+    b"pressure_bar;contraction_percent;length_mm;force_N;direction;repeat;time_s;set_pressure_bar;x\n"
+    b"1,5;2,5;175,5;100;loading;1;0,5;1,5;a\n2;5;171;90,5;unloading;2;1;;b\n3;10;162;1e2;loading;3;2;3;\n"
+)
+SPLICES = [
+    b"",
+    b",",
+    b";",
+    b".",
+    b"-",
+    b'"',
+    b"\n",
+    b"\r",
+    b"#",
+    b"nan",
+    b"1e999",
+    b"1e308",
+    b"\xff",
+    b"\0",
+    b"\t",
+]
+SPLICES += [b"99999999", b"_Pa", "\u0663\u2028\x85".encode(), b" ", b"1_0", b"+"]
+
+
+def only_dataset_errors(path, **more) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            data = read_dataset(path, **more)
+        except DatasetError as error:
+            assert error.problems and str(error)
+        else:
+            assert np.isfinite([data.pressure, data.contraction, data.force]).all()
+
+
+@FUZZ
+@given(
+    content=st.binary(max_size=300) | st.text(max_size=300).map(lambda text: text.encode("utf-8", "replace"))
+)
+def test_random_bytes_raise_nothing_but_dataset_errors(content, file):
+    only_dataset_errors(file(content))
+    only_dataset_errors(file(b"pressure_bar,contraction_ratio,force_N\n" + content))
+
+
+@FUZZ
+@given(
+    edits=st.lists(
+        st.tuples(st.integers(0, len(VALID)), st.integers(0, 8), st.sampled_from(SPLICES)),
+        min_size=1,
+        max_size=4,
+    ),
+    initial_length=st.none() | st.floats(),
+    slack_force=st.none() | st.floats(),
+)
+@example(edits=[(0, 0, b"")], initial_length=1e308, slack_force=None)
+def test_mutated_files_raise_nothing_but_dataset_errors(edits, initial_length, slack_force, file):
+    content = VALID
+    for at, removed, put in edits:
+        content = content[:at] + put + content[at + removed :]
+    only_dataset_errors(file(content), initial_length=initial_length, slack_force=slack_force)
+
+
+def test_the_file_that_the_fuzz_begins_with_is_valid(file):
+    assert len(read_dataset(file(VALID))) == 3
