@@ -17,7 +17,7 @@ __version__ = "0.1.0"
 _runtime.configure()
 
 if TYPE_CHECKING:
-    from mckibben import catalog, units
+    from mckibben import catalog, report, units
     from mckibben.control import (
         PID,
         BackpropPID,

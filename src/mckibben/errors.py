@@ -10,6 +10,10 @@ class McKibbenWarning(UserWarning):
     """Something is legal and probably not meant; the text says why."""
 
 
+class ReachabilityWarning(McKibbenWarning):
+    """A reference asks for what the joint cannot hold; the text says when and by how much."""
+
+
 class McKibbenError(Exception):
     """The root of the family.
 

@@ -21,7 +21,9 @@ _FOLDER = resources.files("mckibben.catalog")
 def names(kind: str) -> list[str]:
     """The entries of a kind: one of "specimens", "laws", "datasets", "geometries", "loads", "joints"."""
     if kind not in KINDS:
-        raise NotInCatalogError(f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}")
+        raise NotInCatalogError(
+            f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}"
+        )
     return [name for publication in _publications() for name in publication.get(kind, {})]
 
 

@@ -109,11 +109,20 @@ class BackpropPID(Loop):
         )
 
     def step(  # noqa: D102 (inherited)
-        self, state: BackpropState, desired: ArrayLike, measured: ArrayLike, sensitivity: ArrayLike, period: ArrayLike
+        self,
+        state: BackpropState,
+        desired: ArrayLike,
+        measured: ArrayLike,
+        sensitivity: ArrayLike,
+        period: ArrayLike,
     ) -> tuple[BackpropState, Scalar]:
         error = jnp.asarray(desired) - measured
         derivative = self.base.derivative(state.pid, desired, measured, period)
-        inputs = (jnp.asarray(desired) / self.signal_scale, measured / self.signal_scale, error / self.error_scale)
+        inputs = (
+            jnp.asarray(desired) / self.signal_scale,
+            measured / self.signal_scale,
+            error / self.error_scale,
+        )
 
         # The three parts of the change of output that the gain factors multiply; in velocity form.
         parts = (
@@ -135,7 +144,9 @@ class BackpropPID(Loop):
         pid = PIDState(output, self.base.differentiated(desired, measured), derivative)
         return BackpropState(pid, network, moved, error, factors), output
 
-    def realised(self, state: BackpropState, output: ArrayLike, realised: ArrayLike, period: ArrayLike) -> BackpropState:  # noqa: D102
+    def realised(
+        self, state: BackpropState, output: ArrayLike, realised: ArrayLike, period: ArrayLike
+    ) -> BackpropState:  # noqa: D102
         return state._replace(pid=self.base.realised(state.pid, output, realised, period))
 
     def telemetry(self, state: BackpropState) -> dict[str, Scalar]:  # noqa: D102

@@ -59,7 +59,12 @@ class PID(Loop):
         )
 
     def step(  # noqa: D102 (inherited)
-        self, state: PIDState, desired: ArrayLike, measured: ArrayLike, sensitivity: ArrayLike, period: ArrayLike
+        self,
+        state: PIDState,
+        desired: ArrayLike,
+        measured: ArrayLike,
+        sensitivity: ArrayLike,
+        period: ArrayLike,
     ) -> tuple[PIDState, Scalar]:
         error = jnp.asarray(desired) - measured
         derivative = self.derivative(state, desired, measured, period)
@@ -67,7 +72,9 @@ class PID(Loop):
         output = self.kp * error + integral + self.kd * derivative
         return PIDState(integral, self.differentiated(desired, measured), derivative), output
 
-    def realised(self, state: PIDState, output: ArrayLike, realised: ArrayLike, period: ArrayLike) -> PIDState:  # noqa: D102
+    def realised(
+        self, state: PIDState, output: ArrayLike, realised: ArrayLike, period: ArrayLike
+    ) -> PIDState:  # noqa: D102
         share = jnp.minimum(period / jnp.maximum(self.tracking_time, 1e-12), 1.0)
         return state._replace(integral=state.integral + share * (realised - jnp.asarray(output)))
 
@@ -79,7 +86,9 @@ class PID(Loop):
         measured = jnp.asarray(measured, float)
         return desired - measured if self.derivative_on_error else -measured
 
-    def derivative(self, state: PIDState, desired: ArrayLike, measured: ArrayLike, period: ArrayLike) -> Scalar:
+    def derivative(
+        self, state: PIDState, desired: ArrayLike, measured: ArrayLike, period: ArrayLike
+    ) -> Scalar:
         """The filtered derivative one control period [s] later."""
         change = self.differentiated(desired, measured) - state.differentiated
         return (self.filter_time * state.derivative + change) / (self.filter_time + period)

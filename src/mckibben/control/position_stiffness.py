@@ -64,7 +64,9 @@ class PositionStiffnessControl(Controller):
         angle, pressures = measurement
         estimate = self.model.stiffness(angle, pressures)
         by_differential, by_cocontraction = self._sensitivities(measurement, estimate)
-        position, differential = self.position.step(state.position, setpoint.angle, angle, by_differential, period)
+        position, differential = self.position.step(
+            state.position, setpoint.angle, angle, by_differential, period
+        )
         stiffness, cocontraction = self.stiffness.step(
             state.stiffness, setpoint.stiffness, estimate, by_cocontraction, period
         )
@@ -93,5 +95,7 @@ class PositionStiffnessControl(Controller):
         angle, (pressure1, pressure2) = measurement
         zero = jnp.zeros_like(pressure1)
         torque_slope = derivative(lambda pd: self.model.torque(angle, (pressure1 - pd, pressure2 + pd)), zero)
-        stiffness_slope = derivative(lambda pc: self.model.stiffness(angle, (pressure1 + pc, pressure2 + pc)), zero)
+        stiffness_slope = derivative(
+            lambda pc: self.model.stiffness(angle, (pressure1 + pc, pressure2 + pc)), zero
+        )
         return torque_slope / stiffness, stiffness_slope

@@ -48,7 +48,9 @@ class Sine(Signal):
     phase: float = 0.0
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
-        return self.offset + self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * jnp.asarray(time) + self.phase)
+        return self.offset + self.amplitude * jnp.sin(
+            2 * jnp.pi * self.frequency * jnp.asarray(time) + self.phase
+        )
 
 
 class Multisine(Signal):
@@ -92,7 +94,9 @@ class Samples(Signal):
 
     def __check_init__(self) -> None:
         if self.times.shape != self.values.shape or self.times.ndim != 1 or self.times.size == 0:
-            raise RangeError(f"{self.times.size} times do not go with {self.values.size} values; give one value a time")
+            raise RangeError(
+                f"{self.times.size} times do not go with {self.values.size} values; give one value a time"
+            )
         if not bool(jnp.all(jnp.diff(self.times) > 0)):
             raise RangeError("the times of a sampled signal must rise", remedy="sort them and remove repeats")
 

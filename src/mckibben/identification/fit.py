@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.muscle import ForceLaw
-from mckibben.units import bar
+from mckibben.units import bar, factor
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,6 @@ class Fit:
 
     def report(self) -> str:
         """The fit as text: a table of parameters in the units of publications, errors, correlations, warnings."""
-        from mckibben.units import factor
-
         law = type(self.law)
         rows = [("parameter", "estimate", "standard error", "unit", "meaning")]
         for p in law.parameters():

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.identification.factors import tall_qr
 from mckibben.identification.problem import Problem, Solution
 
 _MAX_STEPS = 100
@@ -47,7 +48,7 @@ def project(problem: Problem, position: NDArray[np.float64]) -> Projected:
     columns = design[:, : problem.linear]
     lengths = np.linalg.norm(columns, axis=0)
     lengths[lengths == 0] = 1.0
-    basis, triangle = np.linalg.qr(columns / lengths)
+    basis, triangle = tall_qr(columns / lengths)
     rest = problem.measured - offset
     coefficients = np.linalg.lstsq(triangle, basis.T @ rest, rcond=None)[0]
     values[: problem.linear] = coefficients / lengths
@@ -56,7 +57,9 @@ def project(problem: Problem, position: NDArray[np.float64]) -> Projected:
 
 def search(problem: Problem) -> NDArray[np.float64]:
     """The best position of a grid over the range of the shape."""
-    return min((project(problem, position) for position in problem.cube.grid()), key=lambda p: p.cost).position
+    return min(
+        (project(problem, position) for position in problem.cube.grid()), key=lambda p: p.cost
+    ).position
 
 
 def solve_by_projection(problem: Problem, start: NDArray[np.float64]) -> Solution:

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.identification.factors import tall_qr
+
 CONDITION_LIMIT = 1e10
 """Of the Jacobian with columns of length one: above it, about six digits of the sixteen are left."""
 
@@ -97,5 +99,5 @@ def _decompose(jacobian: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]
     """Lengths of the columns, singular values of the columns at length one, and right singular vectors as rows."""
     lengths = np.linalg.norm(jacobian, axis=0)
     lengths[lengths == 0] = 1.0
-    _, singular, directions = np.linalg.svd(np.linalg.qr(jacobian / lengths, mode="r"))
+    _, singular, directions = np.linalg.svd(tall_qr(jacobian / lengths)[1])
     return lengths, singular, directions

@@ -4,4 +4,12 @@ from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, JointMap
 from mckibben.joint.geometry import KneeGeometry
 from mckibben.joint.tendon import RigidTendon, SeriesSpring, Tendon
 
-__all__ = ["AffineMap", "AntagonisticJoint", "JointMap", "KneeGeometry", "RigidTendon", "SeriesSpring", "Tendon"]
+__all__ = [
+    "AffineMap",
+    "AntagonisticJoint",
+    "JointMap",
+    "KneeGeometry",
+    "RigidTendon",
+    "SeriesSpring",
+    "Tendon",
+]

@@ -73,7 +73,7 @@ class AntagonisticJoint(eqx.Module):
     >>> from mckibben.units import bar
     >>> knee = catalog.joint("knee-table-2")
     >>> round(float(knee.stiffness(0.0, (3 * bar, 3 * bar))), 2)
-    71.99
+    71.93
     """
 
     geometry: KneeGeometry
@@ -140,10 +140,14 @@ class AntagonisticJoint(eqx.Module):
         def tension_slope(muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike) -> Array:
             """The derivative of one muscle's tension with respect to the angle, its air locked in."""
             pressure = jnp.asarray(pressure, float)
-            contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)
+            contraction, by_path = value_and_derivative(
+                lambda x: self.tendon.contraction(muscle, x, pressure), path
+            )
             by_pressure = derivative(lambda p: self.tendon.contraction(muscle, path, p), pressure)
             volume, volume_slope = value_and_derivative(muscle.specimen.volume, contraction)
-            compression = -polytropic_index * (pressure + atmosphere) * volume_slope / volume  # dp / d contraction
+            compression = (
+                -polytropic_index * (pressure + atmosphere) * volume_slope / volume
+            )  # dp / d contraction
             pressure_slope = compression * by_path / (1 - compression * by_pressure)  # dp / d path
             isobaric = derivative(lambda x: self.tendon.tension(muscle, x, pressure), path)
             by_air = derivative(lambda p: self.tendon.tension(muscle, path, p), pressure)
@@ -165,7 +169,9 @@ class AntagonisticJoint(eqx.Module):
         """
         for muscle in (self.muscle1, self.muscle2):
             if not isinstance(muscle.law, PressureAffineLaw):
-                raise TypeError(f"{type(muscle.law).__name__} is not affine in pressure: the joint has no affine map")
+                raise TypeError(
+                    f"{type(muscle.law).__name__} is not affine in pressure: the joint has no affine map"
+                )
         if not isinstance(self.tendon, RigidTendon):
             raise TypeError(f"with a {type(self.tendon).__name__} the torque is not affine in the pressures")
 
@@ -180,7 +186,11 @@ class AntagonisticJoint(eqx.Module):
         return JointMap(AffineMap(*torque), AffineMap(*(-slope for slope in slopes)))
 
     def attainable_torque(
-        self, angle: ArrayLike, *, pressure_limits: tuple[float, float] | None = None, minimum_tension: float = 0.0
+        self,
+        angle: ArrayLike,
+        *,
+        pressure_limits: tuple[float, float] | None = None,
+        minimum_tension: float = 0.0,
     ) -> Pair:
         """The lowest and highest torque [N*m] that can be held at an angle; see `attainable_stiffness`."""
         return attainable.torque_range(self, angle, pressure_limits, minimum_tension)
@@ -214,19 +224,26 @@ class AntagonisticJoint(eqx.Module):
         """
         return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension)
 
-    def pressures_for(self, angle: float, torque: float, stiffness: float) -> Pair:
+    def pressures_for(self, angle: float, torque: float, stiffness: float | None = None) -> Pair:
         """The gauge pressures [Pa] within the muscles' domains that give a torque and a stiffness at an angle.
+
+        Parameters
+        ----------
+        angle, torque
+            Where [rad] and how hard [N*m].
+        stiffness
+            How stiff [N*m/rad]; the middle of what is attainable there unless given.
 
         Raises
         ------
         UnreachableError
             If there are none; it names the attainable range.
         """
-        found = attainable.pressures_for(self, angle, torque, stiffness)
-        if found is not None:
-            return found
-        low, high = (float(k) for k in self.attainable_stiffness(angle, torque))
-        where = f"at {angle / deg:.4g} deg with {float(torque):.4g} N*m"
+        found = attainable.hold(self, angle, torque, jnp.nan if stiffness is None else stiffness)
+        if found.exists:
+            return found.pressures
+        where = f"at {float(angle) / deg:.4g} deg with a torque of {float(torque):.4g} N*m"
+        low, high = float(found.lowest), float(found.highest)
         if not low <= high:
             raise UnreachableError(
                 f"no pressures within limits hold the joint {where}",

@@ -10,17 +10,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, ArrayLike
 
 from mckibben.joint.geometry import Pair
 from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import PressureAffineLaw
+from mckibben.numerics.compiled import compiled
 
 if TYPE_CHECKING:
     from mckibben.joint.antagonistic import AntagonisticJoint
 
 _SCANNED = 401
-_INSIDE = 1e-9  # how far inside its ends a segment is looked at, as a part of it: at the very end a muscle is slack
+_INSIDE = (
+    1e-9  # how far inside its ends a segment is looked at, as a part of it: at the very end a muscle is slack
+)
 
 
 def torque_range(
@@ -54,25 +58,42 @@ def stiffness_range(
     )
 
 
-def pressures_for(joint: AntagonisticJoint, angle: float, torque: float, stiffness: float) -> Pair | None:
-    """See `AntagonisticJoint.pressures_for`; None where there are none within the limits of the domains."""
+class Hold(NamedTuple):
+    """An answer to `hold`: the pressures [Pa], whether they exist, and the attainable stiffness [N*m/rad]."""
+
+    pressures: Pair
+    exists: Array
+    lowest: Array
+    highest: Array
+
+
+@compiled
+def hold(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> Hold:
+    """The pressures that give a torque and a stiffness at an angle; the middle of the range for a stiffness of NaN."""
     segment = _segment(joint, angle, torque, None, 0.0)
-    if not bool(segment.holdable):
-        return None
     places = jnp.linspace(_INSIDE, 1 - _INSIDE, 2 if is_affine(joint) else _SCANNED)
-    above = segment.stiffness(places) >= stiffness
-    crossings = jnp.flatnonzero(above[1:] != above[:-1])
-    if crossings.size == 0:
-        return None
-    low, high = places[crossings[0]], places[crossings[0] + 1]
-    rising = bool(above[crossings[0] + 1])
-    for _ in range(60):
+    scanned = segment.stiffness(places)
+    lowest, highest = jnp.min(scanned), jnp.max(scanned)
+    wanted = jnp.where(jnp.isnan(stiffness), (lowest + highest) / 2, stiffness)
+
+    above = scanned >= wanted
+    crossing = above[1:] != above[:-1]
+    first = jnp.argmax(crossing)
+    rising = above[first + 1]
+
+    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bracket
         middle = (low + high) / 2
-        if bool(segment.stiffness(middle) >= stiffness) == rising:
-            high = middle
-        else:
-            low = middle
-    return segment.pressures((low + high) / 2)
+        beyond = (segment.stiffness(middle) >= wanted) == rising
+        return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
+
+    low, high = lax.fori_loop(0, 60, halve, (places[first], places[first + 1]))
+    return Hold(
+        segment.pressures((low + high) / 2),
+        segment.holdable & jnp.any(crossing),
+        jnp.where(segment.holdable, lowest, jnp.nan),
+        jnp.where(segment.holdable, highest, jnp.nan),
+    )
 
 
 class _Segment(NamedTuple):

@@ -26,7 +26,9 @@ class _Constants(NamedTuple):
     integer: Any
     mantissa_bits: int
     exponent_bias: int
-    integer_magic: float  # added to a float that is a whole number, it leaves it in the low bits of the mantissa
+    integer_magic: (
+        float  # added to a float that is a whole number, it leaves it in the low bits of the mantissa
+    )
     lowest_exp: float  # below it exp is 0 (subnormal results are flushed)
     highest_exp: float  # above it exp overflows
     ln2: tuple[float, float]  # leading bits, rest
@@ -147,7 +149,9 @@ def _sincos(x: Array) -> tuple[Array, Array]:
 
 
 @_sincos.defjvp
-def _sincos_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def _sincos_jvp(
+    primals: tuple[Array], tangents: tuple[Array]
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     sine, cosine = _sincos(primals[0])
     return (sine, cosine), (cosine * tangents[0], -sine * tangents[0])
 

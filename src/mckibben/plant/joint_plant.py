@@ -89,10 +89,8 @@ class JointPlant(eqx.Module):
             If no pressures within limits hold the angle, or the stiffness at it; it names the attainable range.
         """
         holding = -self.load.gravity_torque(angle)
-        low, high = self.joint.attainable_stiffness(angle, holding)
-        wanted = float((low + high) / 2) if stiffness is None else stiffness
-        pressure1, pressure2 = self.joint.pressures_for(angle, float(holding), wanted)
-        return PlantState(jnp.asarray(angle, float), jnp.asarray(0.0), pressure1, pressure2)
+        pressure1, pressure2 = self.joint.pressures_for(angle, float(holding), stiffness)
+        return PlantState(jnp.asarray(angle, float), jnp.asarray(0.0, float), pressure1, pressure2)
 
     def __str__(self) -> str:
         (low, _), (high, _) = pressure_limits_of(self.joint)

@@ -1,6 +1,7 @@
 """The test rig: protocols, and a virtual rig that runs them on a force law."""
 
-from mckibben.rig.protocol import Boundaries, IsobaricProtocol, Plateaus, boundaries
+from mckibben.rig.boundaries import Boundaries, boundaries
+from mckibben.rig.protocol import IsobaricProtocol, Plateaus
 from mckibben.rig.virtual import VirtualRig
 
 __all__ = ["Boundaries", "IsobaricProtocol", "Plateaus", "VirtualRig", "boundaries"]

@@ -11,7 +11,8 @@ def presliding(travel: ArrayLike, reach: float, start: float = 1.0) -> NDArray[n
 
     .. math:: \frac{dz}{ds} = \frac{1 - z \, \mathrm{sgn}(\dot s)}{s_0}
 
-    Rate-independent: it knows the way, not the time. It is integrated exactly, so a move may be cut into parts.
+    Rate-independent: it knows the way, not the time. It is integrated exactly, so a move may be cut into
+    parts.
 
     Parameters
     ----------

@@ -12,25 +12,10 @@ from numpy.typing import NDArray
 
 from mckibben.errors import Problem, RangeError
 from mckibben.muscle import Muscle, Specimen
+from mckibben.rig.boundaries import boundaries, positions, specimen_of
 from mckibben.units import bar, mm, percent, s
 
 PAPER_PRESSURES = tuple(0.5 * level * bar for level in range(13))
-
-
-class Boundaries(NamedTuple):
-    """The stroke at each pressure of a protocol.
-
-    Attributes
-    ----------
-    pressure
-        Shape (pressures,): the set pressures [Pa], in the protocol's order.
-    contraction_min, contraction_max
-        Shape (pressures,): contraction [-] of the most stretched and of the shortest plateau.
-    """
-
-    pressure: NDArray[np.float64]
-    contraction_min: NDArray[np.float64]
-    contraction_max: NDArray[np.float64]
 
 
 class Plateaus(NamedTuple):
@@ -47,7 +32,8 @@ class Plateaus(NamedTuple):
     contraction
         Contraction [-].
     travel
-        Signed way [m] driven to get there from the plateau before, positive = stretching; 0 on the first of a pass.
+        Signed way [m] driven to get there from the plateau before, positive = stretching; 0 on the first of a
+        pass.
     time
         Start of the acquisition [s] after the start of the test.
     """
@@ -62,11 +48,14 @@ class Plateaus(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class IsobaricProtocol:
-    """Strokes at constant pressures; the defaults are the paper's ("Parameters identification"), or said to be ours.
+    """Strokes at constant pressures.
 
-    At each pressure, `repeats` times: the unloading pass (the muscle shortens from plateau to plateau, its tension
-    falls), then the loading pass (it is stretched back, its tension rises). At a plateau the rig waits, then samples.
-    The last position of one pass is the first of the next, so it is sampled twice, with no move in between.
+    The defaults are the paper's ("Parameters identification"), or said to be ours.
+
+    At each pressure, `repeats` times: the unloading pass (the muscle shortens from plateau to plateau, its
+    tension falls), then the loading pass (it is stretched back, its tension rises). At a plateau the rig
+    waits, then samples. The last position of one pass is the first of the next, so it is sampled twice, with
+    no move in between.
 
     Parameters
     ----------
@@ -79,15 +68,15 @@ class IsobaricProtocol:
     speed
         Speed of a move [m/s]: 0.2 mm/s, so that a step takes 5 s.
     dwell
-        Wait [s] between a move and the acquisition: 5 s. The paper's "after each 5 s delay" can also be read as
-        the 5 s of the move itself: then 0.
+        Wait [s] between a move and the acquisition: 5 s. The paper's "after each 5 s delay" can also be read
+        as the 5 s of the move itself: then 0.
     acquisition, samples
         At a plateau so many samples are taken, evenly, within so many seconds: 1000 within 1 s.
     repeats
         5.
     force_reserve
-        Share [-] of the rated force that stays unused, see `boundaries`: 5 % (ours). It makes room for what the
-        law does not tell: hysteresis, offsets, noise.
+        Share [-] of the rated force that stays unused, see `boundaries`: 5 % (ours). It makes room for what
+        the law does not tell: hysteresis, offsets, noise.
     slack_steps
         Plateaus beyond the last taut one, see `boundaries`: 3 (ours).
 
@@ -135,10 +124,16 @@ class IsobaricProtocol:
             value = getattr(self, name)
             if not 0 < value < math.inf:
                 problems.append(
-                    Problem(f"{value:g} {unit} is not a positive {kind}", field=name, remedy=f"give it in {example}")
+                    Problem(
+                        f"{value:g} {unit} is not a positive {kind}",
+                        field=name,
+                        remedy=f"give it in {example}",
+                    )
                 )
         if not 0 <= self.dwell < math.inf:
-            problems.append(Problem(f"{self.dwell:g} s is not a duration", field="dwell", remedy="give seconds, or 0"))
+            problems.append(
+                Problem(f"{self.dwell:g} s is not a duration", field="dwell", remedy="give seconds, or 0")
+            )
         for name in ("samples", "repeats", "slack_steps"):
             value = getattr(self, name)
             if not isinstance(value, (int, np.integer)) or value < 1:
@@ -167,15 +162,17 @@ class IsobaricProtocol:
         Raises
         ------
         RangeError
-            It lists the pressures outside the rating and the ends of the stroke outside the range, and what to do.
+            It lists the pressures outside the rating and the ends of the stroke outside the range, and what
+            to do.
         """
-        name, domain = _specimen(of).name, of.domain
+        name, domain = specimen_of(of).name, of.domain
         low, high = float(domain.pressure_min), float(domain.pressure_max)
         problems: list[Problem] = []
         if outside := [p for p in self.pressures if not low - 1e-3 <= p <= high + 1e-3]:
             problems.append(
                 Problem(
-                    f"{', '.join(f'{p / bar:g}' for p in outside)} bar outside {low / bar:g}..{high / bar:g} bar of {name}",
+                    f"{', '.join(f'{p / bar:g}' for p in outside)} bar outside "
+                    f"{low / bar:g}..{high / bar:g} bar of {name}",
                     field="pressures",
                     remedy="leave out what is outside",
                 )
@@ -184,7 +181,9 @@ class IsobaricProtocol:
         for field, end in (("contraction_min", first), ("contraction_max", last)):
             if not math.isfinite(end):
                 problems.append(
-                    Problem(f"{name} has no range of its own", field=field, remedy="give the end of the stroke")
+                    Problem(
+                        f"{name} has no range of its own", field=field, remedy="give the end of the stroke"
+                    )
                 )
             elif not bool(domain.contains_contraction(end)):
                 problems.append(
@@ -195,7 +194,7 @@ class IsobaricProtocol:
                         remedy="give the end of the stroke inside, as a ratio, or leave it to the muscle",
                     )
                 )
-        if not problems and len(_positions(self, of)) < 2:
+        if not problems and len(positions(of, self)) < 2:
             problems.append(
                 Problem(
                     f"a step of {self.step / mm:g} mm does not fit into the stroke "
@@ -214,10 +213,10 @@ class IsobaricProtocol:
         RangeError
             As `check` and `boundaries` do.
         """
-        limits, positions = boundaries(of, self), _positions(self, of)
+        limits, stroke = boundaries(of, self), positions(of, self)
         passes: list[tuple[NDArray[np.float64], int, int, bool]] = []
         for level, (_, low, high) in enumerate(zip(*limits, strict=True)):
-            there = positions[(positions >= low) & (positions <= high)]
+            there = stroke[(stroke >= low) & (stroke <= high)]
             for repeat in range(self.repeats):
                 passes += [(there, level, repeat, False), (there[::-1], level, repeat, True)]
         counts = [len(one[0]) for one in passes]
@@ -237,8 +236,8 @@ class IsobaricProtocol:
     def describe(self, of: Muscle | Specimen) -> str:
         """The test in words: plateaus, samples, duration.
 
-        Of a muscle, whose law tells the boundaries; of a specimen alone, with the whole stroke at every pressure.
-        The time to adjust the device and to set the pressures comes on top.
+        Of a muscle, whose law tells the boundaries; of a specimen alone, with the whole stroke at every
+        pressure. The time to adjust the device and to set the pressures comes on top.
 
         Raises
         ------
@@ -249,13 +248,14 @@ class IsobaricProtocol:
         duration = round(float(rows.time[-1]) + self.acquisition)
         passes = np.bincount(rows.level) // (2 * self.repeats)
         lines = [
-            f"isobaric test of {_specimen(of).name}: {len(self.pressures)} pressures, "
+            f"isobaric test of {specimen_of(of).name}: {len(self.pressures)} pressures, "
             f"{self.repeats} x (unloading, loading)",
             f"steps of {self.step / mm:g} mm at {self.speed / mm:g} mm/s, {self.dwell:g} s wait, "
             f"{self.samples} samples in {self.acquisition:g} s",
         ]
         lines += [
-            f"  {pressure / bar:5.2f} bar: {low / percent:5.1f} .. {high / percent:4.1f} %, {count} plateaus a pass"
+            f"  {pressure / bar:5.2f} bar: {low / percent:5.1f} .. {high / percent:4.1f} %, "
+            f"{count} plateaus a pass"
             for pressure, low, high, count in zip(*limits, passes, strict=True)
         ]
         lines.append(
@@ -263,61 +263,6 @@ class IsobaricProtocol:
             f"{duration // 3600} h {duration // 60 % 60:02d} min {duration % 60:02d} s"
         )
         return "\n".join(lines)
-
-
-def boundaries(of: Muscle | Specimen, protocol: IsobaricProtocol) -> Boundaries:
-    """The stroke at each pressure: the step "determining the boundary values" of the paper's procedure.
-
-    The whole stroke, cut at both ends of the plateaus:
-
-    - Stretched end: no plateau at which the law's force at the set pressure exceeds the rated force less the
-      protocol's reserve (Eq. 3 gives 895 N at -3 % and 6 bar; the rating is 630 N).
-    - Slack end: `slack_steps` plateaus beyond the last taut one. They show where the muscle goes slack, and that the
-      force sensor reads zero there; more of them would take time, bend the slack muscle, and tell nothing.
-
-    A specimen without a law is not cut: what is not known cannot be used.
-
-    Raises
-    ------
-    RangeError
-        As the protocol's `check`; or if at a pressure the force is too high over the whole stroke.
-    """
-    protocol.check(of)
-    pressures = np.array(protocol.pressures)
-    positions = _positions(protocol, of)
-    if isinstance(of, Specimen):
-        force = np.full((len(pressures), len(positions)), 1e-300)  # taut, and below any rating
-        slack_steps = 0
-    else:
-        force = np.asarray(of.force(positions, pressures[:, None]))
-        slack_steps = protocol.slack_steps
-    limit = _specimen(of).rated_force * (1 - protocol.force_reserve)
-    first = _after_last(force > limit)
-    last = np.minimum(np.maximum(_after_last(force > 0), first) + slack_steps, len(positions)) - 1
-    if len(over := pressures[first == len(positions)]):
-        raise RangeError(
-            f"at {', '.join(f'{p / bar:g}' for p in over)} bar the force exceeds {limit:g} N over the whole stroke",
-            value=float(over[0]),
-            unit="Pa",
-            remedy="leave the pressure out, or let the stroke reach a higher contraction",
-        )
-    return Boundaries(pressures, positions[first], positions[last])
-
-
-def _positions(protocol: IsobaricProtocol, of: Muscle | Specimen) -> NDArray[np.float64]:
-    """Contraction of the plateaus of the whole stroke, ascending."""
-    first, last = protocol.stroke(of)
-    step = protocol.step / float(_specimen(of).initial_length)
-    return first + step * np.arange(math.floor((last - first) / step + 1e-9) + 1)
-
-
-def _after_last(where: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Per row, the column after the last one that is true; 0 where none is."""
-    return np.where(where.any(axis=1), where.shape[1] - np.argmax(where[:, ::-1], axis=1), 0)
-
-
-def _specimen(of: Muscle | Specimen) -> Specimen:
-    return of.specimen if isinstance(of, Muscle) else of
 
 
 def _refuse(what: str, problems: list[Problem]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
@@ -61,10 +60,14 @@ def episode(
         carry: tuple[PlantState, Any], setpoint: Setpoint
     ) -> tuple[tuple[PlantState, Any], Record]:
         state, memory = carry
-        memory, commands = controller.step(memory, setpoint, Measurement(state.angle, state.pressures), period)
+        memory, commands = controller.step(
+            memory, setpoint, Measurement(state.angle, state.pressures), period
+        )
         commands = plant.limited(commands)
         switched = plant.switched(state, commands)
-        following = lax.fori_loop(0, substeps, lambda _, x: rk4(lambda s: plant.rate(s, commands), x, step), switched)
+        following = lax.fori_loop(
+            0, substeps, lambda _, x: rk4(lambda s: plant.rate(s, commands), x, step), switched
+        )
         return (following, memory), Record(state, *commands, controller.telemetry(memory))
 
     memory = controller.init(Measurement(initial.angle, initial.pressures))
@@ -81,21 +84,8 @@ def compiled_episode(
     period: ArrayLike,
     substeps: int,
 ) -> tuple[PlantState, Record]:
-    """`episode`, compiled once for each structure of its arguments (not for each value)."""
+    """`episode`, compiled once for each structure of its arguments; give it `numeric` ones."""
     return episode(plant, controller, setpoints, initial, period, substeps)
-
-
-def numeric(tree: Any) -> Any:
-    """Python numbers among the leaves as arrays, so that a new value does not compile anew."""
-
-    def convert(leaf: Any) -> Any:
-        if isinstance(leaf, float):
-            return jnp.asarray(leaf, float)
-        if isinstance(leaf, int) and not isinstance(leaf, bool):
-            return jnp.asarray(leaf)
-        return leaf
-
-    return jax.tree.map(convert, tree)
 
 
 def sampled(reference: Reference, periods: int, period: float) -> tuple[Float[Array, " periods"], Setpoint]:

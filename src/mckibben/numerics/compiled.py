@@ -1,0 +1,42 @@
+"""Compile once for a structure, not for each number in it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def numeric(tree: Any) -> Any:
+    """Python numbers among a tree's leaves as arrays; everything else as it is."""
+
+    def convert(leaf: Any) -> Any:
+        if isinstance(leaf, float):
+            return jnp.asarray(leaf, float)
+        if isinstance(leaf, int) and not isinstance(leaf, bool):
+            return jnp.asarray(leaf)
+        return leaf
+
+    return jax.tree.map(convert, tree)
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Like `equinox.filter_jit`, but Python numbers among the arguments are traced: a new value compiles nothing.
+
+    Numbers that shape the program (counts, flags) have to be static fields, or bound beforehand.
+    """
+    traced = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        args, kwargs = numeric((args, kwargs))
+        return traced(*args, **kwargs)
+
+    return call

@@ -1,0 +1,105 @@
+"""Is the wish within reach? Known before the run, from the joint alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import NDArray
+
+from mckibben.control.base import Reference
+from mckibben.numerics.compiled import compiled
+from mckibben.plant import JointPlant
+from mckibben.simulation.loop import sampled
+from mckibben.units import deg
+
+_ROUNDING = 1e-6  # N*m/rad
+
+
+@dataclass(frozen=True)
+class Reach:
+    """A reference held against what the joint can hold statically at each moment.
+
+    Attributes
+    ----------
+    times
+        Shape (periods,) [s].
+    desired_angle, desired_stiffness
+        The wish [rad], [N*m/rad].
+    lowest, highest
+        The attainable stiffness at the desired angle while the muscles balance gravity [N*m/rad]; NaN where no
+        pressures within limits hold the angle.
+    """
+
+    times: NDArray[np.float64]
+    desired_angle: NDArray[np.float64]
+    desired_stiffness: NDArray[np.float64]
+    lowest: NDArray[np.float64]
+    highest: NDArray[np.float64]
+
+    @property
+    def shortfall(self) -> NDArray[np.float64]:
+        """By how much the desired stiffness is out of reach [N*m/rad]; NaN where the angle itself is."""
+        missing = np.maximum(self.lowest - self.desired_stiffness, self.desired_stiffness - self.highest)
+        return np.where(missing > _ROUNDING, missing, np.where(np.isnan(missing), np.nan, 0.0))
+
+    @property
+    def reachable(self) -> bool:
+        """Whether all of the wish can be held."""
+        return bool(np.all(self.shortfall == 0))
+
+    def describe(self) -> str:
+        """When and by how much the wish is out of reach, in plain words."""
+        if self.reachable:
+            return "the reference is within reach throughout"
+        missing = self.shortfall
+        sentences = []
+        lost = np.isnan(missing)
+        if lost.any():
+            worst = np.flatnonzero(lost)[0]
+            sentences.append(
+                f"no pressures within limits hold the desired angle {_when(self.times, lost)}, "
+                f"first at {self.times[worst]:.3g} s ({self.desired_angle[worst] / deg:.3g} deg)"
+            )
+        short = np.nan_to_num(missing) > 0
+        if short.any():
+            worst = int(np.nanargmax(missing))
+            sentences.append(
+                f"the desired stiffness is out of reach {_when(self.times, short)}, by up to {missing[worst]:.3g} N*m/rad "
+                f"at {self.times[worst]:.3g} s (wanted {self.desired_stiffness[worst]:.4g}, attainable "
+                f"{self.lowest[worst]:.4g}..{self.highest[worst]:.4g} N*m/rad at "
+                f"{self.desired_angle[worst] / deg:.3g} deg)"
+            )
+        return "; ".join(sentences)
+
+
+def check_reference(
+    plant: JointPlant, reference: Reference, *, duration: float = 10.0, control_period: float = 1e-3
+) -> Reach:
+    """Hold a reference against the attainable set of a plant's joint, statically, at every control period.
+
+    Parameters
+    ----------
+    plant
+        Joint and load.
+    reference
+        The wish.
+    duration, control_period
+        The times to look at [s].
+    """
+    times, setpoints = sampled(reference, round(duration / control_period), control_period)
+    lowest, highest = _band(plant, setpoints.angle)
+    return Reach(
+        *(np.asarray(x, float) for x in (times, setpoints.angle, setpoints.stiffness, lowest, highest))
+    )
+
+
+@compiled
+def _band(plant: JointPlant, angle: Array) -> tuple[Array, Array]:
+    return plant.joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle))
+
+
+def _when(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
+    where = np.flatnonzero(mask)
+    return f"for {mask.mean():.0%} of the run, between {times[where[0]]:.3g} s and {times[where[-1]]:.3g} s"

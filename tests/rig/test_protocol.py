@@ -1,0 +1,152 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mckibben import catalog
+from mckibben.errors import RangeError
+from mckibben.muscle import ChouLaw, Domain, Muscle
+from mckibben.rig import IsobaricProtocol, boundaries
+from mckibben.units import bar, mm, percent
+
+SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")
+MUSCLE = Muscle(SPECIMEN, catalog.law("lei-mas-10-180n"))
+
+
+def _law(contraction, pressure):
+    """Eq. 3 in NumPy: JAX would compile anew for every number of plateaus."""
+    p, eps = pressure / bar, contraction / percent
+    return np.maximum(
+        -245.8 + 109 * p + (3.216 - 3.442 * p) * eps + (255.6 - 13.18 * p) * np.exp(-0.3 * eps), 0
+    )
+
+
+def test_the_papers_protocol_counted_by_hand():
+    # -3..25 % of 180 mm are 50.4 mm: plateaus at 0..50 mm. Per pressure and repeat 2 x 51 of them, 6 s each
+    # (wait and acquisition), and 2 x 50 moves of 5 s: 1112 s.
+    protocol = IsobaricProtocol()
+    rows = protocol.plateaus(SPECIMEN)
+    assert len(rows.time) == 13 * 5 * 2 * 51 == 6630
+    assert rows.time[0] == 5
+    assert rows.time[-1] + 1 == pytest.approx(13 * 5 * 1112)
+    assert rows.contraction[0] == -3 * percent
+    assert rows.contraction[50] == pytest.approx(-3 * percent + 50 / 180)
+    text = protocol.describe(SPECIMEN)
+    assert text.endswith("6630 plateaus, 6630000 samples, 20 h 04 min 40 s")
+    assert "  6.00 bar:  -3.0 .. 24.8 %, 51 plateaus a pass" in text
+
+
+def test_the_five_seconds_read_as_the_move_itself():
+    text = IsobaricProtocol(dwell=0).describe(SPECIMEN)  # 2 x 51 x 1 s + 2 x 50 x 5 s = 602 s
+    assert text.endswith("10 h 52 min 10 s")
+    assert 13 * 5 * 602 == 10 * 3600 + 52 * 60 + 10
+
+
+def test_first_unloading_then_loading_over_the_same_positions():
+    rows = IsobaricProtocol().plateaus(MUSCLE)
+    for level in range(13):
+        for repeat in range(5):
+            here = (rows.level == level) & (rows.repeat == repeat)
+            unloading, loading = here & ~rows.stretching, here & rows.stretching
+            assert np.flatnonzero(unloading)[-1] + 1 == np.flatnonzero(loading)[0]
+            assert np.all(np.diff(rows.contraction[unloading]) > 0)
+            np.testing.assert_array_equal(rows.contraction[unloading], rows.contraction[loading][::-1])
+            assert rows.travel[unloading][0] == rows.travel[loading][0] == 0
+            np.testing.assert_allclose(
+                np.diff(rows.contraction[here]), -rows.travel[here][1:] / SPECIMEN.initial_length, atol=1e-12
+            )
+
+
+def test_boundaries_keep_the_rated_force_and_end_three_plateaus_into_slack():
+    limits = boundaries(MUSCLE, IsobaricProtocol())
+    step = 1 * mm / SPECIMEN.initial_length
+    limit = 0.95 * 630
+    assert np.all(MUSCLE.force(limits.contraction_min, limits.pressure) <= limit)
+    cut = limits.contraction_min > -3 * percent + 1e-9
+    assert cut[-1] and not cut[0]
+    assert np.all(MUSCLE.force(limits.contraction_min - step, limits.pressure)[cut] > limit)
+    assert np.all(MUSCLE.force(limits.contraction_max - 2 * step, limits.pressure) == 0)
+    taut = MUSCLE.force(limits.contraction_max - 3 * step, limits.pressure) > 0
+    assert np.all(taut | (limits.contraction_max + step > 25 * percent))
+    # By hand: at 6 bar zero force is at 23.4 %, between the plateaus of 47 and 48 mm (23.1 and 23.7 %).
+    assert limits.contraction_max[-1] == pytest.approx(-3 * percent + 50 * step)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    reserve=st.floats(0, 0.5),
+    slack_steps=st.integers(1, 60),
+    step=st.sampled_from([1.0, 4.0]),
+    pressures=st.lists(st.integers(0, 60), min_size=3, max_size=3, unique=True),
+)
+def test_boundaries_hold_for_any_protocol(reserve, slack_steps, step, pressures):
+    protocol = IsobaricProtocol(
+        pressures=[p * 0.1 * bar for p in pressures],
+        step=step * mm,
+        force_reserve=reserve,
+        slack_steps=slack_steps,
+    )
+    limits = boundaries(MUSCLE, protocol)
+    rows = protocol.plateaus(MUSCLE)
+    force = _law(rows.contraction, limits.pressure[rows.level])
+    assert force.max() <= 630 * (1 - reserve) + 1e-9
+    assert rows.contraction.min() >= -3 * percent and rows.contraction.max() <= 25 * percent + 1e-9
+    for level in range(len(pressures)):
+        once = (rows.level == level) & (rows.repeat == 0) & rows.stretching
+        assert 1 <= once.sum()
+        assert (force[once] == 0).sum() <= slack_steps
+
+
+def test_a_pressure_without_any_force_keeps_its_slack_plateaus():
+    muscle = Muscle(SPECIMEN, ChouLaw.of(SPECIMEN))
+    rows = IsobaricProtocol(pressures=[0.0], repeats=1).plateaus(muscle)
+    assert len(rows.time) == 6
+
+
+def test_numbers_without_meaning_are_refused_together():
+    with pytest.raises(RangeError) as error:
+        IsobaricProtocol(
+            pressures=[1e5, 1e5],
+            step=0,
+            speed=float("nan"),
+            dwell=-1,
+            samples=10.5,
+            repeats=0,
+            force_reserve=5,
+        )  # type: ignore[arg-type]
+    text = str(error.value)
+    assert text.startswith("isobaric protocol: 7 problems\n  pressures: one is given twice; raise repeats")
+    assert "step: 0 m is not a positive length; give it in metres, such as 1 * mm" in text
+    assert "samples: 10.5 is not a whole number from 1 up" in text
+    assert "force_reserve: 5 is not a share from 0 to below 1; it is a ratio" in text
+    with pytest.raises(RangeError, match="give at least one"):
+        IsobaricProtocol(pressures=[])
+
+
+def test_a_protocol_that_does_not_suit_the_specimen_says_all_that_is_wrong():
+    protocol = IsobaricProtocol(pressures=[6 * bar, 9 * bar, -1 * bar], contraction_min=-6.5 * percent)
+    with pytest.raises(RangeError) as error:
+        protocol.check(SPECIMEN)
+    assert str(error.value).splitlines() == [
+        "the isobaric protocol does not suit MAS-10-180N-AA-MC-O: 2 problems",
+        "  pressures: 9, -1 bar outside 0..8 bar of MAS-10-180N-AA-MC-O; leave out what is outside",
+        "  contraction_min: -6.5 % is outside -3..25 % of MAS-10-180N-AA-MC-O; "
+        "give the end of the stroke inside, as a ratio, or leave it to the muscle",
+    ]
+    for use in (protocol.plateaus, protocol.describe, lambda of: boundaries(of, protocol)):
+        with pytest.raises(RangeError, match="2 problems"):
+            use(MUSCLE)
+
+
+def test_strokes_that_are_none_are_refused():
+    with pytest.raises(RangeError, match="a step of 100 mm does not fit into the stroke"):
+        IsobaricProtocol(step=100 * mm).check(SPECIMEN)
+    with pytest.raises(RangeError, match="does not fit"):
+        IsobaricProtocol(contraction_min=0.2, contraction_max=0.1).check(SPECIMEN)
+    with pytest.raises(
+        RangeError, match=r"at 5, 5.5, 6 bar the force exceeds 598.5 N over the whole stroke; leave"
+    ):
+        boundaries(MUSCLE, IsobaricProtocol(contraction_max=-1 * percent))
+    endless = type(SPECIMEN)("free", 0.18, 0.01, 0.4, 630.0, Domain())
+    with pytest.raises(RangeError, match="free has no range of its own; give the end of the stroke"):
+        IsobaricProtocol().check(endless)
