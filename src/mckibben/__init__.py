@@ -41,9 +41,7 @@ if TYPE_CHECKING:
 
 _MODULES = ("catalog", "report", "units")
 _HOMES = {
-    "control": (
-        "PID BackpropPID Constant Jacobian Multisine PositionStiffnessControl Reference Samples Sine Step"
-    ),
+    "control": ("PID BackpropPID Constant Jacobian Multisine PositionStiffnessControl Reference Samples Sine Step"),
     "dataset": "IsobaricDataset read_dataset",
     "errors": "McKibbenError",
     "identification": "Fit identify validate",

@@ -24,7 +24,7 @@ from typing import Any
 from mckibben.errors import UnitError
 
 Pa = 1.0
-kPa = 1e3
+kPa = 1e3  # noqa: N816
 MPa = 1e6
 bar = 1e5
 m = 1.0
@@ -79,7 +79,7 @@ _REST = re.compile(r"(?:(?:1?/|[A-Za-z%°(]).*)?", re.DOTALL)
 def _registry() -> Any:
     import pint  # 0.2 s: only where text is read
 
-    registry = pint.UnitRegistry(None)
+    registry: Any = pint.UnitRegistry(None)  # type: ignore[arg-type]  # none of pint's own units
     for definition in _DEFINITIONS:
         registry.define(definition)
     return registry

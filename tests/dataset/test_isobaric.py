@@ -10,9 +10,7 @@ from mckibben.units import bar
 
 def grid(**more) -> IsobaricDataset:
     """Three pressures by two contractions by two repeats; forces 0..11 N."""
-    pressure, contraction, repeat = np.meshgrid(
-        [1 * bar, 2 * bar, 4.5 * bar], [0.0, 0.2], [1, 2], indexing="ij"
-    )
+    pressure, contraction, repeat = np.meshgrid([1 * bar, 2 * bar, 4.5 * bar], [0.0, 0.2], [1, 2], indexing="ij")
     values = {
         "pressure": pressure.ravel(),
         "contraction": contraction.ravel(),

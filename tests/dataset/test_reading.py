@@ -357,9 +357,7 @@ def only_dataset_errors(path, **more) -> None:
 
 
 @FUZZ
-@given(
-    content=st.binary(max_size=300) | st.text(max_size=300).map(lambda text: text.encode("utf-8", "replace"))
-)
+@given(content=st.binary(max_size=300) | st.text(max_size=300).map(lambda text: text.encode("utf-8", "replace")))
 def test_random_bytes_raise_nothing_but_dataset_errors(content, file):
     only_dataset_errors(file(content))
     only_dataset_errors(file(b"pressure_bar,contraction_ratio,force_N\n" + content))

@@ -11,9 +11,7 @@ from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import DatasetError, McKibbenWarning
 
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=30)
-SETTINGS = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @st.composite
@@ -33,9 +31,7 @@ def datasets(draw, samples: bool = True) -> IsobaricDataset:
         "direction": maybe(st.lists(st.sampled_from(["loading", "unloading"]), min_size=n, max_size=n)),
         "repeat": maybe(st.lists(st.integers(0, 2**53), min_size=n, max_size=n)),
         "time": maybe(floats()),
-        "set_pressure": maybe(
-            hnp.arrays(np.float64, n, elements=st.floats(-101325.0, 1e300) | st.just(np.nan))
-        ),
+        "set_pressure": maybe(hnp.arrays(np.float64, n, elements=st.floats(-101325.0, 1e300) | st.just(np.nan))),
         "specimen": draw(TEXT),
         "source": draw(TEXT),
         "slack_force": draw(st.floats(-1e300, 1e300)),

@@ -16,9 +16,7 @@ MUSCLE = Muscle(SPECIMEN, catalog.law("lei-mas-10-180n"))
 def _law(contraction, pressure):
     """Eq. 3 in NumPy: JAX would compile anew for every number of plateaus."""
     p, eps = pressure / bar, contraction / percent
-    return np.maximum(
-        -245.8 + 109 * p + (3.216 - 3.442 * p) * eps + (255.6 - 13.18 * p) * np.exp(-0.3 * eps), 0
-    )
+    return np.maximum(-245.8 + 109 * p + (3.216 - 3.442 * p) * eps + (255.6 - 13.18 * p) * np.exp(-0.3 * eps), 0)
 
 
 def test_the_papers_protocol_counted_by_hand():
@@ -143,9 +141,7 @@ def test_strokes_that_are_none_are_refused():
         IsobaricProtocol(step=100 * mm).check(SPECIMEN)
     with pytest.raises(RangeError, match="does not fit"):
         IsobaricProtocol(contraction_min=0.2, contraction_max=0.1).check(SPECIMEN)
-    with pytest.raises(
-        RangeError, match=r"at 5, 5.5, 6 bar the force exceeds 598.5 N over the whole stroke; leave"
-    ):
+    with pytest.raises(RangeError, match=r"at 5, 5.5, 6 bar the force exceeds 598.5 N over the whole stroke; leave"):
         boundaries(MUSCLE, IsobaricProtocol(contraction_max=-1 * percent))
     endless = type(SPECIMEN)("free", 0.18, 0.01, 0.4, 630.0, Domain())
     with pytest.raises(RangeError, match="free has no range of its own; give the end of the stroke"):

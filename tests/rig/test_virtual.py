@@ -50,9 +50,7 @@ def test_with_nothing_in_the_way_it_is_the_law():
 def test_an_offset_is_seen_by_muscle_and_sensor_alike():
     rig = VirtualRig(MUSCLE, hysteresis=0, force_noise=0, pressure_noise=0)
     data = rig.run(IsobaricProtocol(), seed=1)
-    np.testing.assert_allclose(
-        data.force, MUSCLE.force(data.contraction, data.pressure), rtol=1e-9, atol=1e-9
-    )
+    np.testing.assert_allclose(data.force, MUSCLE.force(data.contraction, data.pressure), rtol=1e-9, atol=1e-9)
     offset = data.pressure - data.levels
     assert np.abs(offset).max() <= 4.5 * kPa and offset.max() > 3 * kPa and offset.min() < -3 * kPa
     assert data.pressure.min() >= 0
@@ -115,9 +113,7 @@ def test_a_loop_closes_at_the_turns():
     share = data.force - np.asarray(MUSCLE.force(data.contraction, data.pressure))
     first, second = (share[(directions == "unloading") & (repeats == repeat)] for repeat in (0, 1))
     np.testing.assert_allclose(first, second, atol=1e-9)
-    np.testing.assert_allclose(
-        first[:3], 12 * np.array([1, 2 * np.exp(-2) - 1, 2 * np.exp(-4) - 1]), atol=1e-3
-    )
+    np.testing.assert_allclose(first[:3], 12 * np.array([1, 2 * np.exp(-2) - 1, 2 * np.exp(-4) - 1]), atol=1e-3)
     loading = share[(directions == "loading") & (repeats == 0)]
     assert loading[0] == first[-1]  # the turn, without a move
     assert loading[-1] == pytest.approx(12, abs=1e-3)
@@ -135,9 +131,7 @@ def test_the_rated_force_is_never_exceeded(measured):
 
 def test_slack_is_known(measured):
     slack = np.asarray(MUSCLE.force(measured.contraction, measured.levels)) == 0
-    clear = (
-        np.abs(np.asarray(MUSCLE.law.force(measured.contraction, measured.levels))) > 3
-    )  # beyond the offsets
+    clear = np.abs(np.asarray(MUSCLE.law.force(measured.contraction, measured.levels))) > 3  # beyond the offsets
     assert slack[clear].sum() > 200
     np.testing.assert_array_equal(measured.slack[clear], slack[clear])
     assert measured.table.attrs["slack_force"] == pytest.approx(5 * 0.5 / np.sqrt(1000))
@@ -146,9 +140,7 @@ def test_slack_is_known(measured):
 @settings(max_examples=25, deadline=None)
 @given(hysteresis=st.floats(0, 25), reach=st.floats(0.05, 5), seed=st.integers(0, 2**32))
 def test_a_muscle_never_pushes_and_stays_in_its_band(hysteresis, reach, seed):
-    rig = VirtualRig(
-        MUSCLE, hysteresis=hysteresis, presliding_length=reach * mm, force_noise=0, pressure_noise=0
-    )
+    rig = VirtualRig(MUSCLE, hysteresis=hysteresis, presliding_length=reach * mm, force_noise=0, pressure_noise=0)
     data = rig.run(SMALL, seed=seed)
     tension = np.asarray(MUSCLE.force(data.contraction, data.pressure))
     assert np.all(data.force >= tension / 2 * (1 - 1e-9))
@@ -183,9 +175,7 @@ def test_a_fit_finds_the_law_but_for_the_two_plateaus_at_the_stretched_turn(meas
     def deviation(data):
         """Of Eq. 2 fitted with the decay known, from Eq. 3; its largest on the points [N]."""
         eps, p = data.contraction * 100, data.pressure / bar
-        design = np.stack(
-            [np.ones_like(p), p, eps, eps * p, np.exp(-0.3 * eps), p * np.exp(-0.3 * eps)], axis=1
-        )
+        design = np.stack([np.ones_like(p), p, eps, eps * p, np.exp(-0.3 * eps), p * np.exp(-0.3 * eps)], axis=1)
         fitted = np.linalg.lstsq(design, data.force, rcond=None)[0]
         return np.abs(design @ (fitted - [-245.8, 109, 3.216, -3.442, 255.6, -13.18])).max()
 

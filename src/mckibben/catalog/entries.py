@@ -21,9 +21,7 @@ _FOLDER = resources.files("mckibben.catalog")
 def names(kind: str) -> list[str]:
     """The entries of a kind: one of "specimens", "laws", "datasets", "geometries", "loads", "joints"."""
     if kind not in KINDS:
-        raise NotInCatalogError(
-            f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}"
-        )
+        raise NotInCatalogError(f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}")
     return [name for publication in _publications() for name in publication.get(kind, {})]
 
 
@@ -57,9 +55,7 @@ def dataset(name: str) -> IsobaricDataset:
     entry, source = _find("datasets", name)
     length = entry.get("initial_length")
     with resources.as_file(_FOLDER / "tables" / entry["table"]) as path:
-        read = read_dataset(
-            path, initial_length=quantity(length, "m") if length else None, specimen=entry["specimen"]
-        )
+        read = read_dataset(path, initial_length=quantity(length, "m") if length else None, specimen=entry["specimen"])
     return IsobaricDataset(read.table.assign_attrs(source=source))
 
 
@@ -84,7 +80,8 @@ def load(name: str) -> Load:
         "hanging_angle": "rad",
         "gravity": "m/s^2",
     }
-    return Load(**{key: quantity(entry[key], unit) for key, unit in units.items()})
+    values: dict[str, Any] = {key: quantity(entry[key], unit) for key, unit in units.items()}
+    return Load(**values)
 
 
 def joint(name: str) -> AntagonisticJoint:

@@ -43,7 +43,8 @@ class BackpropState(NamedTuple):
 class BackpropPID(Loop):
     r"""A PID whose three gains a network with one hidden layer chooses anew each control period.
 
-    The network sees wish, measurement, error and a constant, each scaled; its outputs :math:`o` multiply the base gains,
+    The network sees wish, measurement, error and a constant, each scaled; its outputs :math:`o` multiply the base
+    gains,
 
     .. math:: K_j = K_{j,base}\, R^{\tanh o_j}, \quad j = p, i, d,
 
@@ -56,8 +57,8 @@ class BackpropPID(Loop):
     .. math:: \Delta w = \eta h \frac{e}{e_s}\, \mathcal{J}\, \frac{1}{u_s} \frac{\partial (\Delta u / h)}{\partial w}
               + \alpha \Delta w_{previous},
 
-    where the Jacobian of the plant :math:`\partial y/\partial u` is replaced by its sign or by the model's, and e_s, u_s
-    make it dimensionless. The paper says no more than "BP"; this is the usual reading.
+    where the Jacobian of the plant :math:`\partial y/\partial u` is replaced by its sign or by the model's, and e_s,
+    u_s make it dimensionless. The paper says no more than "BP"; this is the usual reading.
 
     Parameters
     ----------
@@ -97,7 +98,7 @@ class BackpropPID(Loop):
     jacobian: Jacobian = eqx.field(kw_only=True, static=True, default=Jacobian.SIGN)
     seed: int | Int[Array, ""] = eqx.field(kw_only=True, default=0)
 
-    def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> BackpropState:  # noqa: D102 (inherited)
+    def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> BackpropState:
         weights = jax.random.uniform(jax.random.key(self.seed), (self.hidden, 4), minval=-1.0, maxval=1.0)
         network = Network(weights, jnp.zeros((3, self.hidden + 1)))
         return BackpropState(
@@ -108,7 +109,7 @@ class BackpropPID(Loop):
             factors=jnp.ones(3),
         )
 
-    def step(  # noqa: D102 (inherited)
+    def step(
         self,
         state: BackpropState,
         desired: ArrayLike,
@@ -120,7 +121,7 @@ class BackpropPID(Loop):
         derivative = self.base.derivative(state.pid, desired, measured, period)
         inputs = (
             jnp.asarray(desired) / self.signal_scale,
-            measured / self.signal_scale,
+            jnp.asarray(measured) / self.signal_scale,
             error / self.error_scale,
         )
 
@@ -146,10 +147,10 @@ class BackpropPID(Loop):
 
     def realised(
         self, state: BackpropState, output: ArrayLike, realised: ArrayLike, period: ArrayLike
-    ) -> BackpropState:  # noqa: D102
+    ) -> BackpropState:
         return state._replace(pid=self.base.realised(state.pid, output, realised, period))
 
-    def telemetry(self, state: BackpropState) -> dict[str, Scalar]:  # noqa: D102
+    def telemetry(self, state: BackpropState) -> dict[str, Scalar]:
         return {
             "kp": state.factors[0] * self.base.kp,
             "ki": state.factors[1] * self.base.ki,

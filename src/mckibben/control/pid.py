@@ -51,14 +51,14 @@ class PID(Loop):
     tracking_time: float = 0.05
     derivative_on_error: bool = eqx.field(static=True, default=False)
 
-    def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> PIDState:  # noqa: D102 (inherited)
+    def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> PIDState:
         return PIDState(
             integral=jnp.asarray(output, float),
             differentiated=self.differentiated(desired, measured),
             derivative=jnp.zeros_like(jnp.asarray(output, float)),
         )
 
-    def step(  # noqa: D102 (inherited)
+    def step(
         self,
         state: PIDState,
         desired: ArrayLike,
@@ -72,23 +72,19 @@ class PID(Loop):
         output = self.kp * error + integral + self.kd * derivative
         return PIDState(integral, self.differentiated(desired, measured), derivative), output
 
-    def realised(
-        self, state: PIDState, output: ArrayLike, realised: ArrayLike, period: ArrayLike
-    ) -> PIDState:  # noqa: D102
+    def realised(self, state: PIDState, output: ArrayLike, realised: ArrayLike, period: ArrayLike) -> PIDState:
         share = jnp.minimum(period / jnp.maximum(self.tracking_time, 1e-12), 1.0)
         return state._replace(integral=state.integral + share * (realised - jnp.asarray(output)))
 
-    def telemetry(self, state: PIDState) -> dict[str, Scalar]:  # noqa: D102
+    def telemetry(self, state: PIDState) -> dict[str, Scalar]:
         return {}
 
     def differentiated(self, desired: ArrayLike, measured: ArrayLike) -> Scalar:
         """What the derivative is taken of."""
         measured = jnp.asarray(measured, float)
-        return desired - measured if self.derivative_on_error else -measured
+        return jnp.asarray(desired) - measured if self.derivative_on_error else -measured
 
-    def derivative(
-        self, state: PIDState, desired: ArrayLike, measured: ArrayLike, period: ArrayLike
-    ) -> Scalar:
+    def derivative(self, state: PIDState, desired: ArrayLike, measured: ArrayLike, period: ArrayLike) -> Scalar:
         """The filtered derivative one control period [s] later."""
         change = self.differentiated(desired, measured) - state.differentiated
         return (self.filter_time * state.derivative + change) / (self.filter_time + period)

@@ -49,7 +49,7 @@ class PositionStiffnessControl(Controller):
     stiffness: Loop
     model: AntagonisticJoint = eqx.field(kw_only=True)
 
-    def init(self, measurement: Measurement) -> PositionStiffnessState:  # noqa: D102 (inherited)
+    def init(self, measurement: Measurement) -> PositionStiffnessState:
         pressure1, pressure2 = measurement.pressures
         estimate = self.model.stiffness(measurement.angle, measurement.pressures)
         return PositionStiffnessState(
@@ -58,15 +58,13 @@ class PositionStiffnessControl(Controller):
             estimate=estimate,
         )
 
-    def step(  # noqa: D102 (inherited)
+    def step(
         self, state: PositionStiffnessState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[PositionStiffnessState, tuple[Scalar, Scalar]]:
         angle, pressures = measurement
         estimate = self.model.stiffness(angle, pressures)
         by_differential, by_cocontraction = self._sensitivities(measurement, estimate)
-        position, differential = self.position.step(
-            state.position, setpoint.angle, angle, by_differential, period
-        )
+        position, differential = self.position.step(state.position, setpoint.angle, angle, by_differential, period)
         stiffness, cocontraction = self.stiffness.step(
             state.stiffness, setpoint.stiffness, estimate, by_cocontraction, period
         )
@@ -79,7 +77,7 @@ class PositionStiffnessControl(Controller):
         stiffness = self.stiffness.realised(stiffness, cocontraction, (command1 + command2) / 2, period)
         return PositionStiffnessState(position, stiffness, estimate), (command1, command2)
 
-    def telemetry(self, state: PositionStiffnessState) -> dict[str, Scalar]:  # noqa: D102
+    def telemetry(self, state: PositionStiffnessState) -> dict[str, Scalar]:
         loops = {
             f"{name}_{key}": value
             for name, loop, part in (
@@ -95,7 +93,5 @@ class PositionStiffnessControl(Controller):
         angle, (pressure1, pressure2) = measurement
         zero = jnp.zeros_like(pressure1)
         torque_slope = derivative(lambda pd: self.model.torque(angle, (pressure1 - pd, pressure2 + pd)), zero)
-        stiffness_slope = derivative(
-            lambda pc: self.model.stiffness(angle, (pressure1 + pc, pressure2 + pc)), zero
-        )
+        stiffness_slope = derivative(lambda pc: self.model.stiffness(angle, (pressure1 + pc, pressure2 + pc)), zero)
         return torque_slope / stiffness, stiffness_slope

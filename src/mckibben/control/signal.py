@@ -24,7 +24,7 @@ class Constant(Signal):
 
     value: float
 
-    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         return jnp.full_like(jnp.asarray(time, float), self.value)
 
 
@@ -35,7 +35,7 @@ class Step(Signal):
     after: float
     at: float
 
-    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         return jnp.where(jnp.asarray(time, float) < self.at, self.before, self.after) * 1.0
 
 
@@ -47,10 +47,8 @@ class Sine(Signal):
     offset: float = 0.0
     phase: float = 0.0
 
-    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
-        return self.offset + self.amplitude * jnp.sin(
-            2 * jnp.pi * self.frequency * jnp.asarray(time) + self.phase
-        )
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
+        return self.offset + self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * jnp.asarray(time) + self.phase)
 
 
 class Multisine(Signal):
@@ -70,7 +68,7 @@ class Multisine(Signal):
                 remedy="give one of each for every sine",
             )
 
-    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         total = jnp.full_like(jnp.asarray(time, float), self.offset)
         phases = self.phases or (0.0,) * len(self.amplitudes)
         for amplitude, frequency, phase in zip(self.amplitudes, self.frequencies, phases, strict=True):
@@ -94,11 +92,9 @@ class Samples(Signal):
 
     def __check_init__(self) -> None:
         if self.times.shape != self.values.shape or self.times.ndim != 1 or self.times.size == 0:
-            raise RangeError(
-                f"{self.times.size} times do not go with {self.values.size} values; give one value a time"
-            )
+            raise RangeError(f"{self.times.size} times do not go with {self.values.size} values; give one value a time")
         if not bool(jnp.all(jnp.diff(self.times) > 0)):
             raise RangeError("the times of a sampled signal must rise", remedy="sort them and remove repeats")
 
-    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         return jnp.interp(jnp.asarray(time, float), self.times, self.values)

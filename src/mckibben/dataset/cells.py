@@ -104,17 +104,11 @@ def _wrong(text: str, decimal: DecimalSign) -> tuple[str, str]:
     if not text:
         return "the cell is empty", ""
     if _NUMBER.fullmatch(text.replace(decimal.sign, ".")) and other not in text:
-        return (
-            ("", "")
-            if np.isfinite(float(text.replace(",", ".")))
-            else (f"{shown} is not a finite number", "")
-        )
+        return ("", "") if np.isfinite(float(text.replace(",", "."))) else (f"{shown} is not a finite number", "")
     if text.count(other) == 1 and decimal.sign not in text and _NUMBER.fullmatch(text.replace(other, ".")):
         if decimal.line is None:
             return f"{shown} has a decimal {_NAMES[other]}", f"use a decimal {_NAMES[decimal.sign]}"
-        has = (
-            f"{shown} has a decimal {_NAMES[other]}, but line {decimal.line} a decimal {_NAMES[decimal.sign]}"
-        )
+        has = f"{shown} has a decimal {_NAMES[other]}, but line {decimal.line} a decimal {_NAMES[decimal.sign]}"
         return has, "use one of them in the whole file"
     if _THOUSANDS.fullmatch(text):
         return f"{shown} has a thousands separator", "write the number without it"

@@ -124,9 +124,7 @@ def lay_out(header: Sequence[str], line: int, mapping: Mapping[str, str]) -> Lay
         if given not in header:
             problem(f"columns has {given!r}, the file {shown}")
         if recognise(name) is None:
-            problem(
-                f"columns gives {given!r} the unknown name {name!r}", remedy=f"accepted are {_accepted()}"
-            )
+            problem(f"columns gives {given!r} the unknown name {name!r}", remedy=f"accepted are {_accepted()}")
     for index, text in enumerate(header):
         column = recognise(mapping.get(text, text))
         if text and text in header[:index]:

@@ -123,9 +123,7 @@ class IsobaricDataset:
         if problems:
             raise DatasetError("dataset", problems)
         return cls(
-            table.assign_attrs(
-                specimen=specimen, source=source, slack_force=slack_force, initial_length=initial_length
-            )
+            table.assign_attrs(specimen=specimen, source=source, slack_force=slack_force, initial_length=initial_length)
         )
 
     @property
@@ -174,9 +172,7 @@ class IsobaricDataset:
     @property
     def directions(self) -> NDArray[np.str_]:
         """The distinct directions; empty where they are not recorded."""
-        return (
-            np.unique(self.table["direction"].to_numpy()) if "direction" in self.table else np.empty(0, "<U9")
-        )
+        return np.unique(self.table["direction"].to_numpy()) if "direction" in self.table else np.empty(0, "<U9")
 
     def __len__(self) -> int:
         return self.table.sizes["point"]
@@ -268,9 +264,7 @@ class IsobaricDataset:
         """
         columns: dict[str, NDArray[np.float64]] = {}
         if "force_samples" in self.table:
-            columns["force"], columns["force_spread"] = mean_and_spread(
-                self.table["force_samples"].to_numpy()
-            )
+            columns["force"], columns["force_spread"] = mean_and_spread(self.table["force_samples"].to_numpy())
         if "pressure_samples" in self.table:
             columns["pressure"] = self.table["pressure_samples"].to_numpy().mean(axis=1, dtype=np.float64)
         if not columns:

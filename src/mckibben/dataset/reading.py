@@ -114,9 +114,7 @@ def _from_netcdf(
     slack_force: float | None,
 ) -> IsobaricDataset:
     if columns:
-        raise DatasetError(
-            str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")]
-        )
+        raise DatasetError(str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")])
     dataset = IsobaricDataset.from_netcdf(path)
     given = {"initial_length": initial_length, "specimen": specimen or None, "slack_force": slack_force}
     changes = {name: value for name, value in given.items() if value is not None}
@@ -254,6 +252,4 @@ class _Reading:
         expected = agreed * (1 - contraction)
         for row in np.flatnonzero(usable & (np.abs(length - expected) > tolerance)):
             given = f"{length[row]:g} m does not go with contraction {contraction[row]:g}"
-            self._problem(
-                f"{given} of {agreed:g} m: {expected[row]:.4g} m would", self.sheet.lines[row], "length"
-            )
+            self._problem(f"{given} of {agreed:g} m: {expected[row]:.4g} m would", self.sheet.lines[row], "length")

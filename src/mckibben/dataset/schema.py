@@ -174,9 +174,7 @@ def _values(name: str, values: np.ndarray) -> Iterator[Problem]:
     if "pressure" in name and (bad := values < VACUUM).any():
         yield _first(bad, values, name, f"is below {VACUUM:g} Pa, the gauge pressure of a vacuum")
     if name == "contraction" and (bad := finite & (np.abs(values) >= 1)).any():
-        yield _first(
-            bad, values, name, "is not between -1 and 1", "contraction is a ratio: divide percent by 100"
-        )
+        yield _first(bad, values, name, "is not between -1 and 1", "contraction is a ratio: divide percent by 100")
     if name == "repeat" and (bad := finite & ((values < 0) | (values != np.round(values)))).any():
         yield _first(bad, values, name, "is not an integer from 0 up")
 

@@ -46,9 +46,7 @@ def among(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.bool_]
             remedy=f"the {name}s are {listed(present)}" if len(present) else f"no {name} is recorded",
         )
     if not len(wanted):
-        raise RangeError(
-            f"no {name} is given", remedy=f"the {name}s are {listed(present)}" if len(present) else ""
-        )
+        raise RangeError(f"no {name} is given", remedy=f"the {name}s are {listed(present)}" if len(present) else "")
     return np.asarray(np.isin(column, wanted))
 
 

@@ -110,18 +110,14 @@ def _text(path: Path) -> str:
         if data.startswith(signature):
             raise DatasetError(str(path), [Problem(what, remedy=_REMEDIES[what])])
     if (at := data.find(b"\0")) >= 0:
-        problem = Problem(
-            "is a binary file", line=data.count(b"\n", 0, at) + 1, remedy="give CSV text or NetCDF (.nc)"
-        )
+        problem = Problem("is a binary file", line=data.count(b"\n", 0, at) + 1, remedy="give CSV text or NetCDF (.nc)")
         raise DatasetError(str(path), [problem])
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         message = f"byte 0x{error.object[error.start]:02x} is not UTF-8 text"
-        raise DatasetError(
-            str(path), [Problem(message, line=line, remedy="save the file as UTF-8")]
-        ) from None
+        raise DatasetError(str(path), [Problem(message, line=line, remedy="save the file as UTF-8")]) from None
 
 
 def _delimiter(header: str, known: Callable[[str], bool]) -> str:
@@ -148,6 +144,4 @@ def _miscounted(line: int, row: list[str], sheet: Sheet) -> Problem:
     found, expected = len(row), len(sheet.header)
     decimals = found > expected and sheet.delimiter == ","
     remedy = "decimal commas need semicolons between the columns" if decimals else ""
-    return Problem(
-        f"has {found} cell{'s' if found != 1 else ''}, the header {expected}", line=line, remedy=remedy
-    )
+    return Problem(f"has {found} cell{'s' if found != 1 else ''}, the header {expected}", line=line, remedy=remedy)

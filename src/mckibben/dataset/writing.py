@@ -61,9 +61,7 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
 
 def plain(text: str) -> str:
     """A text for the rest of a line: as it is, or in JSON's quotes where it would not come back the same."""
-    return (
-        text if text.isprintable() and text == text.strip() and not text.startswith('"') else json.dumps(text)
-    )
+    return text if text.isprintable() and text == text.strip() and not text.startswith('"') else json.dumps(text)
 
 
 def unplain(text: str) -> str:

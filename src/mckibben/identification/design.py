@@ -1,7 +1,7 @@
 """The design matrix of a law: how its force changes with each of its parameters, by forward differentiation.
 
-No law writes out its basis. For the parameters in which the force is linear the derivative *is* the exact design
-matrix, at any value of them; for the others it is the Jacobian of a non-linear fit.
+No law writes out its basis. For the parameters in which the force is linear the derivative *is* the exact
+design matrix, at any value of them; for the others it is the Jacobian of a non-linear fit.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def design_matrix(
     >>> from mckibben.muscle import ExponentialLaw
     >>> law = ExponentialLaw(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, decay=10.0)
     >>> design_matrix(law, ["a1", "a2", "b1", "c1"], [0.1], [2e5]).round(4)
-    array([[1.0000e+00, 2.0000e+05, 1.0000e-01, 3.6790e-01]])
+    array([[1.000e+00, 2.000e+05, 1.000e-01, 3.679e-01]])
     """
     return force_and_design(law, names, contraction, pressure)[1]
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-_BLOCK = 6144  # numbers in a block: small enough that OpenBLAS does not wake threads, which cost 100 times the work
+# Numbers in a block: so few that OpenBLAS does not wake threads, which beside XLA cost 100 times the work.
+_BLOCK = 6144
 
 
 def tall_qr(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -15,8 +16,8 @@ def tall_qr(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
 
     References
     ----------
-    J. Demmel et al., "Communication-optimal parallel and sequential QR and LU factorizations", SIAM J. Sci. Comput. 34
-    (2012) A206-A239.
+    J. Demmel et al., "Communication-optimal parallel and sequential QR and LU factorizations", SIAM J. Sci.
+    Comput. 34 (2012) A206-A239.
 
     Examples
     --------

@@ -18,8 +18,9 @@ from mckibben.units import bar, factor
 class LeaveOnePressureOut:
     """Errors at pressures that the fit had not seen.
 
-    For each pressure the whole law, its shape included, is fitted to the points of all others. By whole pressures and
-    not by single points, because the neighbours of a point on its own curve all but give it away.
+    For each pressure the whole law, its shape included, is fitted to the points of all others. By whole
+    pressures and not by single points, because the neighbours of a point on its own curve all but give it
+    away.
 
     Attributes
     ----------
@@ -60,8 +61,8 @@ class Fit:
     law
         The law with the estimates; its domain is the range of the points used.
     standard_errors
-        By parameter, in SI; NaN where the parameter is at a bound. See `mckibben.identification.uncertainty` for what
-        they assume.
+        By parameter, in SI; NaN where the parameter is at a bound. See `mckibben.identification.uncertainty`
+        for what they assume.
     correlations
         Shape (parameters, parameters), in the order of `estimates`.
     rmse
@@ -77,8 +78,8 @@ class Fit:
     dataset
         Which data.
     residuals
-        Shape (points_used,): measured minus fitted force [N], in the order of the taut points of the dataset; None in a
-        fit that was read from a file.
+        Shape (points_used,): measured minus fitted force [N], in the order of the taut points of the
+        dataset; None in a fit that was read from a file.
     """
 
     law: ForceLaw
@@ -116,7 +117,7 @@ class Fit:
         return sorted(pairs, key=lambda pair: -abs(pair[2]))[:count]
 
     def report(self) -> str:
-        """The fit as text: a table of parameters in the units of publications, errors, correlations, warnings."""
+        """The fit as text: parameters in the units of publications, errors, correlations, warnings."""
         law = type(self.law)
         rows = [("parameter", "estimate", "standard error", "unit", "meaning")]
         for p in law.parameters():
@@ -127,8 +128,8 @@ class Fit:
         levels = np.array(self.dataset.pressures) / bar
         lines = [
             f"{law.__name__}: {law.equation}",
-            f"{self.dataset.specimen or 'unnamed specimen'}: {self.points_used} points used, {self.points_slack} slack "
-            f"left out; {len(levels)} pressures {levels.min():g}..{levels.max():g} bar",
+            f"{self.dataset.specimen or 'unnamed specimen'}: {self.points_used} points used, "
+            f"{self.points_slack} slack left out; {len(levels)} pressures {levels.min():g}..{levels.max():g} bar",
             f"domain: {self.law.domain}",
             "",
             *_table(rows),
@@ -143,7 +144,7 @@ class Fit:
         return "\n".join(lines)
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
-        """Write all but the residuals to a file that people and `from_yaml` read; every number comes back exactly."""
+        """Write all but the residuals to a file for people and `from_yaml`; numbers come back exactly."""
         from mckibben.identification.storage import write_fit
 
         write_fit(self, Path(path))

@@ -27,9 +27,10 @@ Solver = Callable[[Problem, NDArray[np.float64]], Solution]
 def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Domain | None = None) -> Fit:
     """Fit a force law to measured points by least squares.
 
-    The fit rests on the plateau means of the taut points: at a slack point the force says only "not above". The shape
-    parameters are looked for over their whole range, on a grid first; then they are refined, by variable projection
-    for a law that is linear in other parameters and by Levenberg-Marquardt for one that is not.
+    The fit rests on the plateau means of the taut points: at a slack point the force says only "not above".
+    The shape parameters are looked for over their whole range, on a grid first; then they are refined, by
+    variable projection for a law that is linear in other parameters and by Levenberg-Marquardt for one that
+    is not.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     points = means.taut
     parameters = law_type.parameters()
     _check_count(law_type, points, slack=len(means) - len(points))
-    problem = Problem(law_type, points.contraction, points.pressure, points.force, np.ones(len(points), bool))
+    problem = Problem.of(law_type, points)
     solver = solve_by_projection if law_type.linear_parameters else solve_by_optimistix
 
     start = search(problem)
@@ -77,9 +78,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     warnings += [reason] if reason else []
     return Fit(
         law=dataclasses.replace(problem.law(solution.values), domain=domain or _domain_of(points)),
-        standard_errors={
-            p.name: float(error) for p, error in zip(parameters, spread.standard_errors, strict=True)
-        },
+        standard_errors={p.name: float(error) for p, error in zip(parameters, spread.standard_errors, strict=True)},
         correlations=spread.correlations,
         rmse=float(np.sqrt(np.mean(solution.residuals**2))),
         max_error=float(np.abs(solution.residuals).max()),
@@ -108,8 +107,8 @@ def _leave_one_pressure_out(
         return None, "there is one pressure only: no error at unseen pressures can be given"
     if len(distinct) > _MOST_LEVELS:
         return None, (
-            f"there are {len(distinct)} distinct pressures, each taken for a level of its own: no error at unseen "
-            "pressures is given; record the set pressure of each point"
+            f"there are {len(distinct)} distinct pressures, each taken for a level of its own: no error at "
+            "unseen pressures is given; record the set pressure of each point"
         )
     residuals = np.empty(len(levels))
     by_pressure: dict[float, float] = {}
@@ -143,9 +142,7 @@ def _held(problem: Problem, solution: Solution) -> NDArray[np.bool_]:
 
 def _domain_of(points: IsobaricDataset) -> Domain:
     contraction, levels = points.contraction, points.levels
-    return Domain(
-        float(contraction.min()), float(contraction.max()), float(levels.min()), float(levels.max())
-    )
+    return Domain(float(contraction.min()), float(contraction.max()), float(levels.min()), float(levels.max()))
 
 
 def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) -> None:
@@ -160,17 +157,15 @@ def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) 
         )
 
 
-def _check_determined(
-    problem: Problem, solution: Solution, held: NDArray[np.bool_], points: IsobaricDataset
-) -> None:
+def _check_determined(problem: Problem, solution: Solution, held: NDArray[np.bool_], points: IsobaricDataset) -> None:
     free = solution.jacobian[:, ~held]
     number = condition(free)
     if not number < CONDITION_LIMIT:
         names = [name for name, out in zip(problem.names, held, strict=True) if not out]
         contractions = len(np.unique(points.contraction.round(6)))
         raise IdentificationError(
-            f"{len(points)} taut points at {len(points.pressures)} pressure(s) and {contractions} contraction(s) do "
-            f"not determine {', '.join(undetermined(free, names))} of {problem.law_type.__name__} "
+            f"{len(points)} taut points at {len(points.pressures)} pressure(s) and {contractions} contraction(s) "
+            f"do not determine {', '.join(undetermined(free, names))} of {problem.law_type.__name__} "
             f"(condition number {number:.1e})",
             value=number,
             upper=CONDITION_LIMIT,
@@ -190,8 +185,8 @@ def _bound_warnings(law_type: type[ForceLaw], solution: Solution, held: NDArray[
         low, high = show(p.lower, p.shown), show(p.upper, p.shown)
         if at_bound:
             sentences.append(
-                f"{p.name} is at the bound of its range {low} .. {high}: the data ask for a value beyond it, and its "
-                "standard error is not known"
+                f"{p.name} is at the bound of its range {low} .. {high}: the data ask for a value beyond it, and "
+                "its standard error is not known"
             )
         elif not p.lower <= value <= p.upper:
             sentences.append(f"{p.name} = {show(value, p.shown)} is outside its range {low} .. {high}")
@@ -200,8 +195,8 @@ def _bound_warnings(law_type: type[ForceLaw], solution: Solution, held: NDArray[
 
 def _correlation_warnings(names: tuple[str, ...], correlations: NDArray[np.float64]) -> list[str]:
     return [
-        f"{names[i]} and {names[j]} are correlated by {correlations[i, j]:+.5f}: the data determine a combination "
-        "of them well and each alone badly"
+        f"{names[i]} and {names[j]} are correlated by {correlations[i, j]:+.5f}: the data determine a "
+        "combination of them well and each alone badly"
         for i in range(len(names))
         for j in range(i + 1, len(names))
         if abs(correlations[i, j]) > _STRONG_CORRELATION

@@ -45,9 +45,7 @@ def _compiled(law_type: type[ForceLaw]) -> Callable[..., tuple[Any, Any]]:
     def residuals(position: Any, points: Any) -> Any:
         contraction, pressure, force, weights = points
         values = cube.values(jnp.clip(position, 0.0, 1.0))
-        return weights * (
-            force - law_type(**dict(zip(names, values, strict=True))).force(contraction, pressure)
-        )
+        return weights * (force - law_type(**dict(zip(names, values, strict=True))).force(contraction, pressure))
 
     @jax.jit
     def solve(start: Any, *points: Any) -> tuple[Any, Any]:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.dataset import IsobaricDataset
 from mckibben.identification.design import force_and_design
 from mckibben.identification.ranges import UnitCube
 from mckibben.muscle import ForceLaw
@@ -24,7 +25,8 @@ class Problem:
     contraction, pressure, force
         Shape (n,): [-], [Pa], [N].
     kept
-        Shape (n,): the points that count. The law is evaluated at all of them: one shape, compiled once.
+        Shape (n,): the points that count. The law is evaluated at all of them, so that leaving some out compiles
+        nothing anew.
     """
 
     law_type: type[ForceLaw]
@@ -33,9 +35,22 @@ class Problem:
     force: NDArray[np.float64] = field(repr=False)
     kept: NDArray[np.bool_] = field(repr=False)
 
+    @classmethod
+    def of(cls, law_type: type[ForceLaw], points: IsobaricDataset) -> Problem:
+        """All points of a dataset, and then some that do not count, up to the next power of two.
+
+        So datasets of similar size, such as the parts of one, share compiled code.
+        """
+        count = len(points)
+        pad = (0, max(64, 1 << (count - 1).bit_length()) - count)
+        contraction, pressure, force = (
+            np.pad(column, pad, mode="edge") for column in (points.contraction, points.pressure, points.force)
+        )
+        return cls(law_type, contraction, pressure, force, np.arange(count + pad[1]) < count)
+
     def keeping(self, kept: NDArray[np.bool_]) -> Problem:
-        """The same with other points kept."""
-        return replace(self, kept=kept)
+        """The same with only those points kept; shape (m,) with m <= n, in the order of the points."""
+        return replace(self, kept=np.pad(kept, (0, len(self.kept) - len(kept))))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -62,7 +77,7 @@ class Problem:
         return self.law_type(**dict(zip(self.names, values.tolist(), strict=True)))
 
     def response(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Force [N] and design matrix, all parameters, at the kept points: shapes (kept,), (kept, parameters)."""
+        """Force [N], shape (kept,), and design matrix, shape (kept, parameters), at the kept points."""
         force, design = force_and_design(self.law(values), self.names, self.contraction, self.pressure)
         return force[self.kept], design[self.kept]
 

@@ -1,13 +1,14 @@
 r"""Variable projection: the linear parameters are eliminated, only the shape is searched.
 
 Given the shape, the best linear parameters are an ordinary linear least-squares problem. What is left,
-:math:`r(s) = (I - Q Q^T)\,y` with :math:`Q R` the factors of the design matrix at the shape :math:`s`, is minimised by
-Gauss-Newton with Kaufman's approximation of its derivative, :math:`-(I - Q Q^T)\,\partial F/\partial s`.
+:math:`r(s) = (I - Q Q^T)\,y` with :math:`Q R` the factors of the design matrix at the shape :math:`s`, is
+minimised by Gauss-Newton with Kaufman's approximation of its derivative, :math:`-(I - Q Q^T)\,\partial
+F/\partial s`.
 
 References
 ----------
-G. Golub and V. Pereyra, "Separable nonlinear least squares: the variable projection method and its applications",
-Inverse Problems 19 (2003) R1-R26; L. Kaufman, BIT 15 (1975) 49-57.
+G. Golub and V. Pereyra, "Separable nonlinear least squares: the variable projection method and its
+applications", Inverse Problems 19 (2003) R1-R26; L. Kaufman, BIT 15 (1975) 49-57.
 """
 
 from __future__ import annotations
@@ -57,9 +58,7 @@ def project(problem: Problem, position: NDArray[np.float64]) -> Projected:
 
 def search(problem: Problem) -> NDArray[np.float64]:
     """The best position of a grid over the range of the shape."""
-    return min(
-        (project(problem, position) for position in problem.cube.grid()), key=lambda p: p.cost
-    ).position
+    return min((project(problem, position) for position in problem.cube.grid()), key=lambda p: p.cost).position
 
 
 def solve_by_projection(problem: Problem, start: NDArray[np.float64]) -> Solution:

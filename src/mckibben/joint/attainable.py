@@ -15,16 +15,14 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.joint.geometry import Pair
 from mckibben.joint.tendon import RigidTendon
-from mckibben.muscle import PressureAffineLaw
+from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.compiled import compiled
 
 if TYPE_CHECKING:
     from mckibben.joint.antagonistic import AntagonisticJoint
 
 _SCANNED = 401
-_INSIDE = (
-    1e-9  # how far inside its ends a segment is looked at, as a part of it: at the very end a muscle is slack
-)
+_INSIDE = 1e-9  # how far inside its ends a segment is looked at, as a part of it: at the very end a muscle is slack
 
 
 def torque_range(
@@ -152,14 +150,21 @@ def _tension_ranges(
     pressure_limits: tuple[float, float] | None,
     minimum_tension: float,
 ) -> tuple[Pair, Pair]:
-    """The lowest and the highest tension of each muscle."""
+    """The lowest and the highest tension of each muscle: pressures within limits, contractions within the domain."""
     if pressure_limits is None:
         lowest, highest = pressure_limits_of(joint)
     else:
         lowest, highest = ((limit, limit) for limit in pressure_limits)
-    low1, low2 = joint.tensions(angle, lowest)
-    low = (jnp.maximum(low1, minimum_tension), jnp.maximum(low2, minimum_tension))
-    return low, joint.tensions(angle, highest)
+    paths = joint.geometry.path_lengths(angle)
+
+    def tension_range(muscle: Muscle, path: Array, low: ArrayLike, high: ArrayLike) -> Pair:
+        least, most = joint.tendon.permitted(muscle, path)
+        slackest = jnp.maximum(joint.tendon.tension(muscle, path, low), minimum_tension)
+        return jnp.maximum(slackest, least), jnp.minimum(joint.tendon.tension(muscle, path, high), most)
+
+    low1, high1 = tension_range(joint.muscle1, paths[0], lowest[0], highest[0])
+    low2, high2 = tension_range(joint.muscle2, paths[1], lowest[1], highest[1])
+    return (low1, low2), (high1, high2)
 
 
 def is_affine(joint: AntagonisticJoint) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -24,6 +25,10 @@ class Tendon(eqx.Module):
     def contraction(self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         """The contraction [-] of the muscle in a path [m] at a gauge pressure [Pa]."""
 
+    @abc.abstractmethod
+    def permitted(self, muscle: Muscle, path: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        """The tensions [N] at which the muscle stays in its domain; lowest above highest if there are none."""
+
     def tension(self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         """The tension [N] in a path [m] at a gauge pressure [Pa]."""
         return muscle.force(self.contraction(muscle, path, pressure), pressure)
@@ -37,11 +42,15 @@ class Tendon(eqx.Module):
 class RigidTendon(Tendon):
     """A connector that does not give: the muscle fills its path."""
 
-    def extension(self, tension: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+    def extension(self, tension: ArrayLike) -> Float[Array, "..."]:
         return jnp.zeros_like(jnp.asarray(tension, float))
 
-    def contraction(self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:  # noqa: D102
+    def contraction(self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         return muscle.specimen.contraction_at(path)
+
+    def permitted(self, muscle: Muscle, path: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        inside = muscle.domain.contains_contraction(muscle.specimen.contraction_at(path))
+        return jnp.where(inside, -jnp.inf, jnp.inf), jnp.where(inside, jnp.inf, -jnp.inf)
 
 
 class SeriesSpring(Tendon):
@@ -65,8 +74,16 @@ class SeriesSpring(Tendon):
     preload: float
     travel: float
 
-    def extension(self, tension: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+    def extension(self, tension: ArrayLike) -> Float[Array, "..."]:
         return jnp.clip((jnp.asarray(tension) - self.preload) / self.stiffness, 0.0, self.travel)
+
+    def permitted(self, muscle: Muscle, path: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        domain, specimen = muscle.domain, muscle.specimen
+        least = jnp.asarray(path) - specimen.length_at(domain.contraction_min)  # extension that spares the muscle
+        most = jnp.asarray(path) - specimen.length_at(domain.contraction_max)
+        lowest = jnp.where(least > 0, self.preload + self.stiffness * least, -jnp.inf)
+        highest = jnp.where(most < self.travel, self.preload + self.stiffness * most, jnp.inf)
+        return jnp.where(least <= self.travel, lowest, jnp.inf), jnp.where(most >= 0, highest, -jnp.inf)
 
     def contraction(self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         """The contraction at which muscle and spring carry the same tension.
@@ -94,7 +111,7 @@ class SeriesSpring(Tendon):
         return muscle.specimen.contraction_at(path - extension)
 
 
-def _falling_root(function, lower: Array, upper: Array) -> Array:  # noqa: ANN001
+def _falling_root(function: Callable[[Array], Array], lower: Array, upper: Array) -> Array:
     """The root of an elementwise falling function in a bracket: Newton steps, bisection where they leave it."""
     tolerance = 1e-15
 

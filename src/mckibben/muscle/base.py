@@ -87,10 +87,10 @@ class PressureAffineLaw(ForceLaw):
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         """Offset [N] and gain [N/Pa] of the force at a contraction [-]."""
 
-    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         offset, gain = self.pressure_terms(contraction)
         return offset + gain * pressure
 
-    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:  # noqa: D102
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         offset, gain = self.pressure_terms(contraction)
         return (jnp.asarray(force) - offset) / gain

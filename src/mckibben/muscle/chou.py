@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 class ChouLaw(PressureAffineLaw):
     r"""The ideal McKibben muscle: a cylinder of inextensible braid, no rubber, no friction, no ends.
 
-    .. math:: F = p \frac{\pi d_0^2}{4} \left(\frac{3}{\tan^2\alpha_0} (1-\varepsilon)^2 - \frac{1}{\sin^2\alpha_0}\right)
+    .. math::
+
+        F = p \frac{\pi d_0^2}{4} \left(\frac{3}{\tan^2\alpha_0} (1-\varepsilon)^2 - \frac{1}{\sin^2\alpha_0}\right)
 
     Parameters
     ----------
@@ -32,8 +34,8 @@ class ChouLaw(PressureAffineLaw):
 
     References
     ----------
-    Eq. 1 of the paper; C.-P. Chou and B. Hannaford, "Measurement and modeling of McKibben pneumatic artificial muscles",
-    IEEE Trans. Robotics and Automation 12 (1996) 90-102.
+    Eq. 1 of the paper; C.-P. Chou and B. Hannaford, "Measurement and modeling of McKibben pneumatic artificial
+    muscles", IEEE Trans. Robotics and Automation 12 (1996) 90-102.
 
     Examples
     --------
@@ -59,9 +61,9 @@ class ChouLaw(PressureAffineLaw):
     @classmethod
     def of(cls, specimen: Specimen) -> ChouLaw:
         """The law that a specimen's geometry gives, with no test at all."""
-        return cls(specimen.braid_angle, specimen.initial_diameter, specimen.domain)
+        return cls(braid_angle=specimen.braid_angle, initial_diameter=specimen.initial_diameter, domain=specimen.domain)
 
-    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:  # noqa: D102
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         length_ratio = 1 - jnp.asarray(contraction)
         b1 = 3 / jnp.tan(self.braid_angle) ** 2
         b2 = 1 / jnp.sin(self.braid_angle) ** 2

@@ -21,8 +21,7 @@ class Domain(eqx.Module):
     def contains(self, contraction: ArrayLike, pressure: ArrayLike) -> Bool[Array, "..."]:
         """Whether each point lies inside, the edges included (to rounding)."""
         return self.contains_contraction(contraction) & (
-            (jnp.asarray(pressure) >= self.pressure_min - 1e-3)
-            & (jnp.asarray(pressure) <= self.pressure_max + 1e-3)
+            (jnp.asarray(pressure) >= self.pressure_min - 1e-3) & (jnp.asarray(pressure) <= self.pressure_max + 1e-3)
         )
 
     def contains_contraction(self, contraction: ArrayLike) -> Bool[Array, "..."]:
@@ -48,12 +47,13 @@ class Domain(eqx.Module):
             It names the value, the range, whose range it is, and the remedy.
         """
         if not bool(self.contains_contraction(contraction)):
+            lower, upper = float(self.contraction_min), float(self.contraction_max)
             raise RangeError(
                 f"contraction {contraction / percent:.1f} % is outside "
-                f"{self.contraction_min / percent:g}..{self.contraction_max / percent:g} % of {of}",
+                f"{lower / percent:g}..{upper / percent:g} % of {of}",
                 value=contraction,
-                lower=self.contraction_min,
-                upper=self.contraction_max,
+                lower=lower,
+                upper=upper,
                 unit="1",
                 remedy=remedy,
             )

@@ -66,7 +66,7 @@ class ExponentialLaw(PressureAffineLaw):
     )
     shape_parameters = (Parameter("decay", "1", "1/percent", "decay of the exponential", 1.0, 300.0),)
 
-    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:  # noqa: D102
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)
         decayed = exp(-self.decay * eps)
         return (

@@ -44,7 +44,9 @@ class Specimen(eqx.Module):
     def volume(self, contraction: ArrayLike) -> Float[Array, "..."]:
         r"""The volume [m^3] inside the braid, a cylinder of inextensible thread.
 
-        .. math:: V = \frac{\pi d_0^2 l_0}{4} (1-\varepsilon) \frac{1 - \cos^2\alpha_0 (1-\varepsilon)^2}{\sin^2\alpha_0}
+        .. math::
+
+            V = \frac{\pi d_0^2 l_0}{4} (1-\varepsilon) \frac{1 - \cos^2\alpha_0 (1-\varepsilon)^2}{\sin^2\alpha_0}
 
         The virtual work of this volume, F = -p dV/dl, is Chou's law (Eq. 1).
         """

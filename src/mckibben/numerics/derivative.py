@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
+
+Values = TypeVar("Values")
 
 
 def derivative(function: Callable[[Array], Array], x: ArrayLike) -> Float[Array, "..."]:
@@ -18,12 +21,11 @@ def derivative(function: Callable[[Array], Array], x: ArrayLike) -> Float[Array,
     return value_and_derivative(function, x)[1]
 
 
-def value_and_derivative(
-    function: Callable[[Array], Array], x: ArrayLike
-) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+def value_and_derivative(function: Callable[[Array], Values], x: ArrayLike) -> tuple[Values, Values]:
     """`function(x)` and its derivative, from one pass.
 
-    Where `function` broadcasts `x` against something larger, so do both answers.
+    Where `function` broadcasts `x` against something larger, so do both answers; where it returns several arrays, both
+    answers have that structure.
     """
     x = jnp.asarray(x, float) if not isinstance(x, jax.Array) else x
     return jax.jvp(function, (x,), (jnp.ones_like(x),))

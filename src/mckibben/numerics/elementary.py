@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
@@ -26,9 +25,7 @@ class _Constants(NamedTuple):
     integer: Any
     mantissa_bits: int
     exponent_bias: int
-    integer_magic: (
-        float  # added to a float that is a whole number, it leaves it in the low bits of the mantissa
-    )
+    integer_magic: float  # added to a float that is a whole number, it leaves it in the low bits of the mantissa
     lowest_exp: float  # below it exp is 0 (subnormal results are flushed)
     highest_exp: float  # above it exp overflows
     ln2: tuple[float, float]  # leading bits, rest
@@ -149,9 +146,7 @@ def _sincos(x: Array) -> tuple[Array, Array]:
 
 
 @_sincos.defjvp
-def _sincos_jvp(
-    primals: tuple[Array], tangents: tuple[Array]
-) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def _sincos_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     sine, cosine = _sincos(primals[0])
     return (sine, cosine), (cosine * tangents[0], -sine * tangents[0])
 

@@ -33,8 +33,8 @@ def configure() -> None:
 def with_loop_option(flags: str) -> str:
     """The user's XLA flags plus ours; a choice of the user's about the same option is kept.
 
-    >>> with_loop_option("--xla_force_host_platform_device_count=2")
-    '--xla_force_host_platform_device_count=2 --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000'
+    >>> with_loop_option("--xla_dump_to=x")
+    '--xla_dump_to=x --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000'
     """
     if _LOOP_OPTION in flags:
         return flags

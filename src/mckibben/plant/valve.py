@@ -24,10 +24,10 @@ class Valve(eqx.Module):
 class IdealValve(Valve):
     """The pressure is the command, at once: what the paper's simulation assumes."""
 
-    def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+    def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(command)
 
-    def rate(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:  # noqa: D102
+    def rate(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.zeros_like(jnp.asarray(pressure))
 
 
@@ -42,8 +42,8 @@ class FirstOrderValve(Valve):
 
     time_constant: float
 
-    def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:  # noqa: D102 (inherited)
+    def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(pressure)
 
-    def rate(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:  # noqa: D102
+    def rate(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return (jnp.asarray(command) - pressure) / self.time_constant

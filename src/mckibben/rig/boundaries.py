@@ -70,8 +70,7 @@ def boundaries(of: Muscle | Specimen, protocol: IsobaricProtocol) -> Boundaries:
     last = np.minimum(np.maximum(_after_last(force > 0), first) + protocol.slack_steps, len(stroke)) - 1
     if len(over := pressures[first == len(stroke)]):
         raise RangeError(
-            f"at {', '.join(f'{p / bar:g}' for p in over)} bar the force exceeds {limit:g} N "
-            "over the whole stroke",
+            f"at {', '.join(f'{p / bar:g}' for p in over)} bar the force exceeds {limit:g} N over the whole stroke",
             value=float(over[0]),
             unit="Pa",
             remedy="leave the pressure out, or let the stroke reach a higher contraction",

@@ -131,9 +131,7 @@ class IsobaricProtocol:
                     )
                 )
         if not 0 <= self.dwell < math.inf:
-            problems.append(
-                Problem(f"{self.dwell:g} s is not a duration", field="dwell", remedy="give seconds, or 0")
-            )
+            problems.append(Problem(f"{self.dwell:g} s is not a duration", field="dwell", remedy="give seconds, or 0"))
         for name in ("samples", "repeats", "slack_steps"):
             value = getattr(self, name)
             if not isinstance(value, (int, np.integer)) or value < 1:
@@ -181,9 +179,7 @@ class IsobaricProtocol:
         for field, end in (("contraction_min", first), ("contraction_max", last)):
             if not math.isfinite(end):
                 problems.append(
-                    Problem(
-                        f"{name} has no range of its own", field=field, remedy="give the end of the stroke"
-                    )
+                    Problem(f"{name} has no range of its own", field=field, remedy="give the end of the stroke")
                 )
             elif not bool(domain.contains_contraction(end)):
                 problems.append(
@@ -254,8 +250,7 @@ class IsobaricProtocol:
             f"{self.samples} samples in {self.acquisition:g} s",
         ]
         lines += [
-            f"  {pressure / bar:5.2f} bar: {low / percent:5.1f} .. {high / percent:4.1f} %, "
-            f"{count} plateaus a pass"
+            f"  {pressure / bar:5.2f} bar: {low / percent:5.1f} .. {high / percent:4.1f} %, {count} plateaus a pass"
             for pressure, low, high, count in zip(*limits, passes, strict=True)
         ]
         lines.append(

@@ -88,9 +88,7 @@ class VirtualRig:
             value = getattr(self, name)
             if not 0 <= value < math.inf or (name == "presliding_length" and value == 0):
                 remedy = (
-                    "take a tenth of the step for almost none"
-                    if name == "presliding_length"
-                    else "0 switches it off"
+                    "take a tenth of the step for almost none" if name == "presliding_length" else "0 switches it off"
                 )
                 problems.append(Problem(f"{value:g} {unit} has no meaning", field=name, remedy=remedy))
         if problems:
@@ -127,9 +125,7 @@ class VirtualRig:
         regulator, force_sensor, pressure_sensor = np.random.default_rng(seed).spawn(3)
 
         set_pressure = np.array(protocol.pressures)[rows.level]
-        offsets = (
-            regulator.uniform(-1, 1, (len(protocol.pressures), protocol.repeats)) * self.regulator_offset
-        )
+        offsets = regulator.uniform(-1, 1, (len(protocol.pressures), protocol.repeats)) * self.regulator_offset
         pressure = np.maximum(set_pressure + offsets[rows.level, rows.repeat], np.minimum(set_pressure, 0.0))
         tension = np.asarray(self.muscle.force(rows.contraction, pressure))
         force = tension + self._shares(rows) * self._friction(tension)
@@ -158,10 +154,7 @@ class VirtualRig:
         """Of the friction band, per plateau; each pressure begins stretched."""
         starts = np.flatnonzero(np.diff(rows.level)) + 1
         return np.concatenate(
-            [
-                presliding(travel, self.presliding_length, start=1.0)
-                for travel in np.split(rows.travel, starts)
-            ]
+            [presliding(travel, self.presliding_length, start=1.0) for travel in np.split(rows.travel, starts)]
         )
 
     def _friction(self, tension: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -56,18 +56,12 @@ def episode(
     """
     step = period / substeps
 
-    def control_period(
-        carry: tuple[PlantState, Any], setpoint: Setpoint
-    ) -> tuple[tuple[PlantState, Any], Record]:
+    def control_period(carry: tuple[PlantState, Any], setpoint: Setpoint) -> tuple[tuple[PlantState, Any], Record]:
         state, memory = carry
-        memory, commands = controller.step(
-            memory, setpoint, Measurement(state.angle, state.pressures), period
-        )
+        memory, commands = controller.step(memory, setpoint, Measurement(state.angle, state.pressures), period)
         commands = plant.limited(commands)
         switched = plant.switched(state, commands)
-        following = lax.fori_loop(
-            0, substeps, lambda _, x: rk4(lambda s: plant.rate(s, commands), x, step), switched
-        )
+        following = lax.fori_loop(0, substeps, lambda _, x: rk4(lambda s: plant.rate(s, commands), x, step), switched)
         return (following, memory), Record(state, *commands, controller.telemetry(memory))
 
     memory = controller.init(Measurement(initial.angle, initial.pressures))

@@ -66,8 +66,9 @@ class Reach:
         if short.any():
             worst = int(np.nanargmax(missing))
             sentences.append(
-                f"the desired stiffness is out of reach {_when(self.times, short)}, by up to {missing[worst]:.3g} N*m/rad "
-                f"at {self.times[worst]:.3g} s (wanted {self.desired_stiffness[worst]:.4g}, attainable "
+                f"the desired stiffness is out of reach {_when(self.times, short)}, by up to "
+                f"{missing[worst]:.3g} N*m/rad at {self.times[worst]:.3g} s (wanted "
+                f"{self.desired_stiffness[worst]:.4g}, attainable "
                 f"{self.lowest[worst]:.4g}..{self.highest[worst]:.4g} N*m/rad at "
                 f"{self.desired_angle[worst] / deg:.3g} deg)"
             )
@@ -90,9 +91,7 @@ def check_reference(
     """
     times, setpoints = sampled(reference, round(duration / control_period), control_period)
     lowest, highest = _band(plant, setpoints.angle)
-    return Reach(
-        *(np.asarray(x, float) for x in (times, setpoints.angle, setpoints.stiffness, lowest, highest))
-    )
+    return Reach(*(np.asarray(x, float) for x in (times, setpoints.angle, setpoints.stiffness, lowest, highest)))
 
 
 @compiled

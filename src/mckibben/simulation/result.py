@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
@@ -96,7 +97,7 @@ class Result:
     @property
     def trajectory(self) -> Trajectory:
         """The arrays of the table, as the metrics take them."""
-        return Trajectory(*(self.table[name].to_numpy() for name in Trajectory._fields))
+        return Trajectory(*(jnp.asarray(self.table[name].to_numpy()) for name in Trajectory._fields))
 
     def metrics(self, *, settling_band: float = 0.1) -> dict[str, float]:
         """The numbers of `mckibben.simulation.metrics.Metrics`, by name, in SI."""
@@ -109,8 +110,9 @@ class Result:
         if self.outcome is Outcome.DIVERGED:
             last = int(np.flatnonzero(np.isfinite(table["angle"].to_numpy()))[-1])
             return f"{sentence} after {float(table['time'][last]):.4g} s"
+        times = table["time"].to_numpy()
         spans = [
-            f"{what} for {mask.sum() * self.control_period:.4g} s, first at {float(table['time'][int(mask.argmax())]):.4g} s"
+            f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"
             for what, mask in (
                 ("outside the domain", table["outside_domain"].to_numpy()),
                 ("saturated", table["saturated"].to_numpy()),
@@ -151,9 +153,7 @@ class Result:
             name for name in ("control_period", "outcome") if name not in table.attrs
         ]
         if missing:
-            raise FileError(
-                str(path), [Problem(f"it is no simulation result: {', '.join(missing)} not in it")]
-            )
+            raise FileError(str(path), [Problem(f"it is no simulation result: {', '.join(missing)} not in it")])
         outcome = Outcome[table.attrs.pop("outcome")]
         return cls(table, outcome)
 

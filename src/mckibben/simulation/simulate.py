@@ -73,9 +73,7 @@ def simulate(
     _, record = compiled_episode(plant, controller, setpoints, start, numeric(control_period), substeps)
     moved = compiled_trajectory(plant, setpoints, record)
     telemetry = {name: np.asarray(value) for name, value in record.telemetry.items()}
-    return Result.of(
-        moved, control_period, band=(reach.lowest, reach.highest), telemetry=telemetry, scenario=scenario
-    )
+    return Result.of(moved, control_period, band=(reach.lowest, reach.highest), telemetry=telemetry, scenario=scenario)
 
 
 def whole_periods(duration: float, control_period: float, substeps: int) -> int:
@@ -88,13 +86,9 @@ def whole_periods(duration: float, control_period: float, substeps: int) -> int:
     """
     for name, value in (("duration", duration), ("control period", control_period)):
         if not (math.isfinite(value) and value > 0):
-            raise SimulationError(
-                f"the {name} is {value:g} s", value=value, unit="s", remedy="give a positive time"
-            )
+            raise SimulationError(f"the {name} is {value:g} s", value=value, unit="s", remedy="give a positive time")
     if substeps < 1:
-        raise SimulationError(
-            f"{substeps} integration steps a control period", value=substeps, remedy="give 1 or more"
-        )
+        raise SimulationError(f"{substeps} integration steps a control period", value=substeps, remedy="give 1 or more")
     periods = round(duration / control_period)
     if periods < 1 or abs(periods * control_period - duration) > 1e-9 * duration:
         raise SimulationError(

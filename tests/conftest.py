@@ -1,0 +1,158 @@
+"""What the tests share: the paper's knee in both geometries, and the paper's equations in plain NumPy to check against."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import hypothesis
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.control import Controller
+from mckibben.joint import AntagonisticJoint
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
+
+hypothesis.settings.register_profile("quick", max_examples=40, deadline=None)
+hypothesis.settings.load_profile("quick")
+
+
+class PaperKnee:
+    """Eqs. 3 to 8 and Table 2 as printed, written anew: bar, percent, plain NumPy; nothing of mckibben in it."""
+
+    H, r, l0 = 0.37, 0.03, 0.18
+    inertia = 0.02 + 0.5 * 0.1**2 + 0.5 * 0.2**2
+    G = (0.5 * 0.1 + 0.5 * 0.2) * 9.81
+    damping = 0.015
+
+    def __init__(self, connectors: float) -> None:
+        self.connectors = connectors
+
+    @staticmethod
+    def eq3(contraction, pressure, xp=np):
+        """Force [N] from contraction [-] and pressure [Pa]."""
+        p, eps = pressure / 1e5, contraction * 100
+        return (-245.8 + 109 * p) + (3.216 - 3.442 * p) * eps + (255.6 - 13.18 * p) * xp.exp(-0.3 * eps)
+
+    @staticmethod
+    def eq3_slope(contraction, pressure):
+        """Force per contraction [N], by hand."""
+        p, eps = pressure / 1e5, contraction * 100
+        return 100 * ((3.216 - 3.442 * p) - 0.3 * (255.6 - 13.18 * p) * np.exp(-0.3 * eps))
+
+    def spans(self, angle, xp=np):
+        """From anchor to anchor [m]: the square roots of Eq. 4."""
+        across = (self.r - self.r * xp.cos(angle)) ** 2
+        return (
+            xp.sqrt((self.H + self.r * xp.sin(angle)) ** 2 + across),
+            xp.sqrt((self.H - self.r * xp.sin(angle)) ** 2 + across),
+        )
+
+    def contractions(self, angle, xp=np):
+        """Eq. 4, of both muscles."""
+        return tuple((self.l0 - (span - self.connectors)) / self.l0 for span in self.spans(angle, xp))
+
+    def eq5(self, angle, xp=np):
+        """Moment arms [m]."""
+        span1, span2 = self.spans(angle, xp)
+        return (
+            self.r * (self.H * xp.cos(angle) + self.r * xp.sin(angle)) / span1,
+            self.r * (self.H * xp.cos(angle) - self.r * xp.sin(angle)) / span2,
+        )
+
+    def torque(self, angle, pressures, xp=np):
+        """Eq. 7 without gravity, slack muscles at zero."""
+        eps1, eps2 = self.contractions(angle, xp)
+        d1, d2 = self.eq5(angle, xp)
+        force1 = xp.maximum(self.eq3(eps1, pressures[0], xp), 0.0)
+        force2 = xp.maximum(self.eq3(eps2, pressures[1], xp), 0.0)
+        return force2 * d2 - force1 * d1
+
+    def stiffness(self, angle, pressures):
+        """Minus Eq. 8, by the product rule, for taut muscles."""
+        eps1, eps2 = self.contractions(angle)
+        (d1, d2), (span1, span2) = self.eq5(angle), self.spans(angle)
+        turn1 = self.r * (-self.H * np.sin(angle) + self.r * np.cos(angle)) / span1 - d1**2 / span1
+        turn2 = self.r * (-self.H * np.sin(angle) - self.r * np.cos(angle)) / span2 + d2**2 / span2
+        slope1 = self.eq3_slope(eps1, pressures[0]) * (-d1 / self.l0)
+        slope2 = self.eq3_slope(eps2, pressures[1]) * (d2 / self.l0)
+        force1, force2 = self.eq3(eps1, pressures[0]), self.eq3(eps2, pressures[1])
+        return -(slope2 * d2 + force2 * turn2 - slope1 * d1 - force1 * turn1)
+
+    def acceleration(self, angle, velocity, pressures, xp=np):
+        """Eq. 6, pi/6 being the stable hanging position."""
+        torque = self.torque(angle, pressures, xp) + self.G * xp.sin(np.pi / 6 - angle)
+        return (torque - self.damping * velocity) / self.inertia
+
+
+class Playback(Controller):
+    """Takes the two halves of the setpoint for its commands [Pa]: an open loop."""
+
+    def init(self, measurement):
+        return jnp.asarray(0)
+
+    def step(self, state, setpoint, measurement, period):
+        return state, (setpoint[0], setpoint[1])
+
+    def telemetry(self, state):
+        return {"stiffness_estimate": jnp.asarray(0.0)}
+
+
+def with_connectors(joint: AntagonisticJoint, length: float) -> AntagonisticJoint:
+    return eqx.tree_at(lambda j: j.geometry.connector_length, joint, length)
+
+
+@pytest.fixture(scope="session")
+def law():
+    """Eq. 3."""
+    return catalog.law("lei-mas-10-180n")
+
+
+@pytest.fixture(scope="session")
+def specimen():
+    return catalog.specimen("MAS-10-180N-AA-MC-O")
+
+
+@pytest.fixture(scope="session")
+def as_printed():
+    """The knee of Table 2 taken literally: no contraction at 0 deg."""
+    return catalog.joint("knee-table-2")
+
+
+@pytest.fixture(scope="session")
+def knee(as_printed):
+    """The knee with 0.208 m of connectors: 10 % contraction at 0 deg."""
+    return with_connectors(as_printed, 0.208)
+
+
+@pytest.fixture(scope="session")
+def load():
+    return catalog.load("knee-table-2")
+
+
+@pytest.fixture(scope="session")
+def plant(knee, load):
+    """Pre-contracted knee, 20 ms valves, all numbers as arrays."""
+    return numeric(JointPlant(knee, load, FirstOrderValve(time_constant=0.02)))
+
+
+@pytest.fixture(scope="session")
+def ideal_plant(knee, load):
+    return numeric(JointPlant(knee, load, IdealValve()))
+
+
+@pytest.fixture(scope="session")
+def paper():
+    """The knee as printed, in plain NumPy."""
+    return PaperKnee(0.19)
+
+
+@pytest.fixture(scope="session")
+def paper_precontracted():
+    return PaperKnee(0.208)
+
+
+@pytest.fixture(scope="session")
+def playback():
+    return Playback()

@@ -1,0 +1,334 @@
+import dataclasses
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mckibben import catalog
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
+from mckibben.identification import identify
+from mckibben.identification.problem import Problem
+from mckibben.identification.projection import search, solve_by_projection
+from mckibben.identification.uncertainty import uncertainty
+from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw
+from mckibben.units import bar, deg, mm, percent
+
+EQ_3 = catalog.law("lei-mas-10-180n")
+
+
+def grid(law, pressures=None, contractions=None, noise=0.0, **more) -> IsobaricDataset:
+    """Points of a law, where it pulls."""
+    pressures = np.arange(13) * 0.5 * bar if pressures is None else pressures
+    contractions = np.linspace(-3, 25, 29) * percent if contractions is None else contractions
+    pressure, contraction = (a.ravel() for a in np.meshgrid(pressures, contractions, indexing="ij"))
+    force = np.asarray(law.force(contraction, pressure))
+    force = force + noise * np.random.default_rng(1).normal(size=force.shape)
+    return IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.maximum(force, 0), **more)
+
+
+# --- recovery -----------------------------------------------------------------------------------------------
+
+
+def test_recovers_eq_3_from_noise_free_data():
+    fit = identify(ExponentialLaw, grid(EQ_3))
+    for name, estimate in fit.estimates.items():
+        assert estimate == pytest.approx(getattr(EQ_3, name), rel=1e-8), name
+    assert fit.max_error < 1e-9
+    assert fit.leave_one_pressure_out is not None
+    assert fit.leave_one_pressure_out.max_error < 1e-8
+    assert fit.warnings == ()
+
+
+@settings(max_examples=15, deadline=None)
+@given(decay=st.floats(5.0, 150.0), c1=st.floats(50.0, 400.0), a1=st.floats(10.0, 50.0), b2=st.floats(-4e-3, -1e-3))
+def test_recovers_any_exponential_law(decay, c1, a1, b2):
+    law = ExponentialLaw(a1=a1, a2=1e-3, b1=200.0, b2=b2, c1=c1, c2=1e-4, decay=decay)
+    estimates = identify(ExponentialLaw, grid(law)).estimates
+    for name, estimate in estimates.items():
+        assert estimate == pytest.approx(getattr(law, name), rel=1e-6), name
+
+
+def test_recovers_chou():
+    law = ChouLaw(25 * deg, 10 * mm)
+    fit = identify(ChouLaw, grid(law))
+    assert fit.law.braid_angle == pytest.approx(25 * deg, rel=1e-8)
+    assert fit.law.initial_diameter == pytest.approx(10 * mm, rel=1e-8)
+    assert fit.warnings == ()
+
+
+# --- real tables --------------------------------------------------------------------------------------------
+
+
+def test_dmsp_10_250_map():
+    data = catalog.dataset("dmsp-10-250-martens2017")
+    fit = identify(ExponentialLaw, data)
+    assert (fit.points_used, fit.points_slack) == (40, 45)
+    assert fit.law.decay * percent == pytest.approx(0.400, abs=5e-4)
+    assert fit.rmse == pytest.approx(1.070, abs=5e-4)
+    assert fit.max_error == pytest.approx(4.204, abs=5e-4)
+    assert fit.leave_one_pressure_out.rmse == pytest.approx(1.339, abs=5e-4)
+    assert fit.leave_one_pressure_out.max_error == pytest.approx(5.863, abs=5e-4)
+    assert len(fit.leave_one_pressure_out.by_pressure) == len(fit.dataset.pressures) == 16
+    assert fit.dataset.specimen == "DMSP-10-250"
+    np.testing.assert_allclose(
+        fit.residuals,
+        data.taut.force - np.asarray(fit.law.force(data.taut.contraction, data.taut.pressure)),
+        atol=1e-10,
+    )
+
+
+def test_sizing_chart():
+    fit = identify(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
+    assert fit.points_used == 119
+    assert fit.law.decay * percent == pytest.approx(0.340, abs=5e-4)
+    assert fit.rmse == pytest.approx(2.765, abs=5e-4)
+    assert fit.leave_one_pressure_out.rmse == pytest.approx(3.423, abs=5e-4)
+
+
+def test_domain_is_the_range_of_the_points_used_or_what_is_given():
+    data = catalog.dataset("dmsp-10-250-martens2017")
+    found = identify(ExponentialLaw, data).law.domain
+    assert found == Domain(0.0, 0.184, 68750.0, 650000.0)
+    given_domain = Domain(0.0, 0.2, 0.0, 8e5)
+    assert identify(ExponentialLaw, data, domain=given_domain).law.domain == given_domain
+
+
+# --- against other solvers ----------------------------------------------------------------------------------
+
+
+def exponential(x, a1, a2, b1, b2, c1, c2, decay):
+    """Eq. 2 in bar and percent."""
+    eps, p = x
+    return a1 + a2 * p + (b1 + b2 * p) * eps + (c1 + c2 * p) * np.exp(-decay * eps)
+
+
+def test_estimates_errors_and_correlations_are_those_of_curve_fit():
+    from scipy.optimize import curve_fit
+
+    data = catalog.dataset("dmsp-10-250-martens2017")
+    fit, taut = identify(ExponentialLaw, data), data.taut
+    x = taut.contraction / percent, taut.pressure / bar
+    start = [-245.8, 109, 3.216, -3.442, 255.6, -13.18, 0.3]
+    values, covariance = curve_fit(exponential, x, taut.force, p0=start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    errors = np.sqrt(np.diag(covariance))
+    scales = np.array([1, 1 / bar, 1 / percent, 1 / bar / percent, 1, 1 / bar, 1 / percent])
+    np.testing.assert_allclose(list(fit.estimates.values()), values * scales, rtol=1e-5)
+    np.testing.assert_allclose(list(fit.standard_errors.values()), errors * scales, rtol=1e-4)
+    np.testing.assert_allclose(fit.correlations, covariance / np.outer(errors, errors), atol=1e-4)
+    np.testing.assert_allclose(fit.covariance, covariance * np.outer(scales, scales), rtol=1e-3)
+
+
+class PlaneLaw(PressureAffineLaw):
+    """F = a + b p + c eps: linear in all its parameters."""
+
+    a: float
+    b: float
+    c: float
+    domain: Domain = Domain()
+
+    equation = "F = a + b p + c eps"
+    source = "these tests"
+    linear_parameters = (
+        Parameter("a", "N", "N", "constant"),
+        Parameter("b", "N/Pa", "N/bar", "per pressure", lower=0.0),
+        Parameter("c", "N", "N/percent", "per contraction"),
+    )
+
+    def pressure_terms(self, contraction):
+        return self.a + self.c * contraction, self.b + 0 * contraction
+
+
+def test_a_linear_law_is_ordinary_least_squares():
+    data = grid(PlaneLaw(700.0, 1e-4, -900.0), noise=3.0)
+    fit = identify(PlaneLaw, data)
+    design = np.stack([np.ones(len(data)), data.pressure / bar, data.contraction], axis=1)
+    expected, rss, *_ = np.linalg.lstsq(design, data.force, rcond=None)
+    covariance = np.linalg.inv(design.T @ design) * rss / (len(data) - 3)
+    scales = np.array([1.0, 1 / bar, 1.0])
+    np.testing.assert_allclose(list(fit.estimates.values()), expected * scales, rtol=1e-11)
+    errors = np.sqrt(np.diag(covariance)) * scales
+    np.testing.assert_allclose(list(fit.standard_errors.values()), errors, rtol=1e-10)
+
+
+def test_a_straight_line_has_its_textbook_errors():
+    """Montgomery and Vining: se(slope)^2 = s^2/Sxx, se(intercept)^2 = s^2 (1/n + mean^2/Sxx)."""
+    x, y = np.array([1.0, 2.0, 3.0, 4.0, 5.0]), np.array([2.1, 3.9, 6.2, 7.8, 10.1])
+    slope = ((x - 3) @ y) / 10
+    residuals = y - (y.mean() + slope * (x - 3))
+    found = uncertainty(np.stack([np.ones(5), x], axis=1), residuals, np.zeros(2, bool))
+    s2 = residuals @ residuals / 3
+    np.testing.assert_allclose(found.standard_errors, [np.sqrt(s2 * (0.2 + 9 / 10)), np.sqrt(s2 / 10)])
+    assert found.correlations[0, 1] == pytest.approx(-3 / np.sqrt(11))
+
+
+def test_standard_errors_cover_the_truth():
+    inside = total = 0
+    for seed in range(20):
+        data = grid(ExponentialLaw(50.0, 1e-3, 200.0, -2e-3, 250.0, 1e-4, 30.0))
+        noisy = data.force + np.random.default_rng(seed).normal(size=len(data))
+        points = IsobaricDataset.of(pressure=data.pressure, contraction=data.contraction, force=noisy, slack_force=-1e9)
+        problem = Problem.of(ExponentialLaw, points)
+        solution = solve_by_projection(problem, search(problem))
+        found = uncertainty(solution.jacobian, solution.residuals, np.zeros(7, bool))
+        truth = np.array([50.0, 1e-3, 200.0, -2e-3, 250.0, 1e-4, 30.0])
+        inside += np.count_nonzero(np.abs(solution.values - truth) < 2 * found.standard_errors)
+        total += 7
+    assert 0.88 < inside / total <= 1.0
+
+
+# --- errors at unseen pressures -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law_type", [ExponentialLaw, ChouLaw])
+def test_leaving_one_pressure_out_equals_a_loop_over_identify(law_type):
+    data = grid(EQ_3, pressures=np.arange(1, 7) * bar, noise=2.0)
+    unseen = identify(law_type, data).leave_one_pressure_out
+    residuals = []
+    for pressure in data.taut.pressures:
+        train, held_out = data.taut.split(pressures=pressure)
+        law = identify(law_type, train).law
+        error = held_out.force - np.asarray(law.force(held_out.contraction, held_out.pressure))
+        assert unseen.by_pressure[pressure] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
+        residuals.append(error)
+    pooled = np.concatenate(residuals)
+    assert unseen.rmse == pytest.approx(np.sqrt(np.mean(pooled**2)), rel=1e-6)
+    assert unseen.max_error == pytest.approx(np.abs(pooled).max(), rel=1e-6)
+
+
+def test_levels_are_the_set_pressures_where_they_are_known():
+    clean = grid(EQ_3, noise=1.0)
+    measured = clean.pressure + np.random.default_rng(0).uniform(0, 500, len(clean))
+    values = {"contraction": clean.contraction, "force": clean.force, "pressure": measured}
+    with_levels = identify(ExponentialLaw, IsobaricDataset.of(**values, set_pressure=clean.pressure))
+    assert len(with_levels.leave_one_pressure_out.by_pressure) == 13
+    assert with_levels.law.domain.pressure_max == 6 * bar
+    many = grid(EQ_3, contractions=np.linspace(-3, 15, 60) * percent)
+    scattered = many.pressure + np.random.default_rng(0).uniform(0, 500, len(many))
+    without = identify(
+        ExponentialLaw,
+        IsobaricDataset.of(pressure=scattered, contraction=many.contraction, force=many.force),
+    )
+    assert without.leave_one_pressure_out is None
+    assert any("record the set pressure" in warning for warning in without.warnings)
+
+
+# --- too little data ----------------------------------------------------------------------------------------
+
+
+def test_too_few_points():
+    data = grid(EQ_3, pressures=[5 * bar, 6 * bar], contractions=[0.0, 0.05, 0.1])
+    with pytest.raises(IdentificationError, match=r"6 taut points .* 7 parameters .* measure at least 8") as error:
+        identify(ExponentialLaw, data)
+    assert (error.value.value, error.value.lower) == (6, 8)
+
+
+@pytest.mark.parametrize(
+    ("pressures", "contractions", "undetermined"),
+    [
+        ([6 * bar], np.linspace(0, 0.2, 20), "a1, a2"),  # one pressure
+        ([3 * bar, 4 * bar, 5 * bar, 6 * bar], [0.02, 0.08], "a1"),  # two contractions
+        ([3 * bar, 4 * bar, 5 * bar, 6 * bar], [0.0, 0.05, 0.1], "a1"),  # three
+    ],
+)
+def test_a_singular_design_names_what_it_does_not_determine(pressures, contractions, undetermined):
+    data = grid(EQ_3, pressures=pressures, contractions=contractions, noise=0.5)
+    with pytest.raises(IdentificationError, match=r"not determine .*condition number.*; measure at more") as error:
+        identify(ExponentialLaw, data)
+    assert undetermined in str(error.value)
+
+
+def test_one_pressure_is_enough_for_chou_and_no_error_at_unseen_ones_is_claimed():
+    fit = identify(ChouLaw, grid(ChouLaw(25 * deg, 10 * mm), pressures=[4 * bar]))
+    assert fit.law.braid_angle == pytest.approx(25 * deg)
+    assert fit.leave_one_pressure_out is None
+    assert any("one pressure only" in warning for warning in fit.warnings)
+
+
+def test_no_error_at_unseen_pressures_where_two_are_needed():
+    fit = identify(ExponentialLaw, grid(EQ_3, pressures=[5 * bar, 6 * bar], noise=0.1))
+    assert fit.leave_one_pressure_out is None
+    assert any("without the points at 5 bar the law is not determined" in w for w in fit.warnings)
+
+
+# --- what is said, not hidden -------------------------------------------------------------------------------
+
+
+def test_a_parameter_at_its_bound_is_said():
+    law = ChouLaw(60 * deg, 10 * mm)  # beyond the 54 deg of the range; it pushes
+    contractions = np.linspace(-0.6, -0.3, 20)
+    fit = identify(ChouLaw, grid(law, contractions=contractions))
+    assert fit.law.braid_angle == pytest.approx(54 * deg)
+    assert any("braid_angle is at the bound of its range 5 deg .. 54 deg" in w for w in fit.warnings)
+    assert np.isnan(fit.standard_errors["braid_angle"])
+    assert np.isfinite(fit.standard_errors["initial_diameter"])
+    assert "at its bound" in fit.report()
+
+
+@pytest.mark.parametrize(("decay", "bound"), [(1.0, "at the bound"), (0.2, "at the bound")])
+def test_a_decay_at_its_bound_is_said(decay, bound):
+    law = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=decay)
+    fit = identify(ExponentialLaw, grid(law))
+    assert fit.law.decay == pytest.approx(1.0)
+    assert any(f"decay is {bound}" in warning for warning in fit.warnings)
+    assert any("correlated by" in warning for warning in fit.warnings)
+
+
+def test_a_linear_parameter_outside_its_range_is_said():
+    fit = identify(PlaneLaw, grid(PlaneLaw(900.0, -1e-4, -900.0)))
+    assert any(warning.startswith("b = -10 N/bar is outside its range") for warning in fit.warnings)
+
+
+def test_the_report_shows_published_units():
+    report = identify(ExponentialLaw, grid(EQ_3, noise=0.5, specimen="MAS-10")).report()
+    for part in ("MAS-10", "N/(bar*percent)", "1/percent", "leaving one pressure out: RMSE", "correlations: "):
+        assert part in report
+    row = next(line.split() for line in report.splitlines() if line.startswith("a2"))
+    assert float(row[1]) == pytest.approx(109, rel=0.01)
+    assert row[3] == "N/bar"
+
+
+def test_slack_points_do_not_matter():
+    data = grid(EQ_3, noise=0.5)
+    assert data.slack.any()
+    whole, taut = identify(ExponentialLaw, data), identify(ExponentialLaw, data.taut)
+    assert whole.estimates == taut.estimates
+    assert whole.points_slack == np.count_nonzero(data.slack)
+    assert taut.points_slack == 0
+
+
+def test_raw_samples_count_as_their_means():
+    data = grid(EQ_3, noise=0.5)
+    samples = data.force[:, None] + np.random.default_rng(0).normal(size=(len(data), 50))
+    values = {"pressure": data.pressure, "contraction": data.contraction}
+    raw = IsobaricDataset.of(**values, force=samples.mean(axis=1), force_samples=samples, slack_force=1.0)
+    means = IsobaricDataset.of(**values, force=samples.mean(axis=1), slack_force=1.0)
+    assert identify(ExponentialLaw, raw).law.decay == pytest.approx(
+        identify(ExponentialLaw, means).law.decay, rel=1e-12
+    )
+
+
+def test_a_fit_cannot_be_changed():
+    fit = identify(ExponentialLaw, grid(EQ_3))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        fit.rmse = 0.0
+
+
+def test_the_order_of_points_does_not_matter():
+    data = grid(EQ_3, noise=0.5)
+    order = np.random.default_rng(0).permutation(len(data))
+    shuffled = IsobaricDataset.of(
+        pressure=data.pressure[order], contraction=data.contraction[order], force=data.force[order]
+    )
+    assert list(identify(ExponentialLaw, shuffled).estimates.values()) == pytest.approx(
+        list(identify(ExponentialLaw, data).estimates.values()), rel=1e-8
+    )
+
+
+def test_importing_identification_is_light():
+    code = "import sys, mckibben.identification; print({'scipy.optimize', 'optimistix', 'pint'} & set(sys.modules))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "set()"

@@ -1,0 +1,134 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mckibben import catalog
+from mckibben.errors import ScenarioError
+from mckibben.identification import DatasetSummary, Fit, identify, read_law
+from mckibben.muscle import ChouLaw, Domain, ExponentialLaw
+from mckibben.units import deg, mm
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fit:
+    return identify(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017"))
+
+
+def same(a: Fit, b: Fit) -> None:
+    for field in dataclasses.fields(Fit):
+        if field.name == "correlations":
+            np.testing.assert_array_equal(a.correlations, b.correlations)
+        elif field.name == "standard_errors":
+            np.testing.assert_array_equal(list(a.standard_errors.values()), list(b.standard_errors.values()))
+            assert list(a.standard_errors) == list(b.standard_errors)
+        elif field.name != "residuals":
+            assert getattr(a, field.name) == getattr(b, field.name), field.name
+
+
+def test_every_number_comes_back_exactly(fit, tmp_path):
+    fit.to_yaml(tmp_path / "fit.yaml")
+    again = Fit.from_yaml(tmp_path / "fit.yaml")
+    same(fit, again)
+    assert again.residuals is None
+    assert again.report() == fit.report()
+    assert read_law(tmp_path / "fit.yaml") == fit.law
+    text = (tmp_path / "fit.yaml").read_text()
+    assert "# 92.52 N/bar: constant, per pressure" in text
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+anything = st.text(st.characters(blacklist_categories=("Cs", "Cc", "Cn")), max_size=30)
+
+
+@given(
+    numbers=st.lists(finite, min_size=9, max_size=9),
+    limit=st.floats(allow_nan=False),
+    texts=st.lists(anything, min_size=3, max_size=3),
+    lopo=st.booleans(),
+)
+def test_whatever_is_in_a_fit_comes_back(numbers, limit, texts, lopo, fit, tmp_path_factory):
+    path = tmp_path_factory.mktemp("fits") / "fit.yaml"
+    angle, diameter, low, e1, rho, rmse, largest, p1, p2 = numbers
+    odd = Fit(
+        law=ChouLaw(angle, diameter, Domain(low, limit, p1, p2)),
+        standard_errors={"braid_angle": np.nan, "initial_diameter": e1},
+        correlations=np.array([[np.nan, np.nan], [np.nan, rho]]),
+        rmse=rmse,
+        max_error=largest,
+        points_used=3,
+        points_slack=0,
+        leave_one_pressure_out=fit.leave_one_pressure_out if lopo else None,
+        warnings=tuple(texts[:1]),
+        dataset=DatasetSummary(texts[1], texts[2], (p1, p2)),
+    )
+    odd.to_yaml(path)
+    same(odd, Fit.from_yaml(path))
+
+
+def test_a_law_written_by_hand(tmp_path):
+    path = tmp_path / "law.yaml"
+    path.write_text(
+        "law: ChouLaw\n"
+        "parameters:\n"
+        "  braid_angle: 25 deg\n"
+        "  initial_diameter: {estimate: 10, unit: mm}\n"
+        "domain:\n"
+        "  contraction: {min: -3, max: 25, unit: percent}\n"
+        "  pressure: {min: 0, max: 8, unit: bar}\n"
+    )
+    law = read_law(path)
+    assert law.braid_angle == pytest.approx(25 * deg)
+    assert law.initial_diameter == pytest.approx(10 * mm)
+    assert law.domain == Domain(-0.03, 0.25, 0.0, 8e5)
+    with pytest.raises(ScenarioError) as error:
+        Fit.from_yaml(path)
+    assert {"residuals", "points", "correlations", "warnings", "dataset"} <= {p.field for p in error.value.problems}
+
+
+def test_a_broken_file_lists_all_its_problems_with_lines(fit, tmp_path):
+    path = tmp_path / "fit.yaml"
+    fit.to_yaml(path)
+    lines = path.read_text().splitlines()
+    number = {line.split(":")[0].strip(): i for i, line in reversed(list(enumerate(lines)))}
+    lines[number["a1"]] = "  a1: {estimate: much, standard_error: 1.0, unit: N}"
+    lines[number["a2"]] = "  a2: {estimate: 1.0, standard_error: 1.0, unit: mm}"
+    lines[number["b1"]] = "  q7: {estimate: 1.0, standard_error: 1.0, unit: N}"
+    lines[number["points"]] = "points: {used: -3, slack: 0}"
+    path.write_text("\n".join(lines))
+    with pytest.raises(ScenarioError) as error:
+        Fit.from_yaml(path)
+    found = {(p.line, p.field): p.message for p in error.value.problems}
+    assert found[number["a1"] + 1, "estimate"] == "'much' is no number"
+    assert "not a unit of the kind" in found[number["a2"] + 1, "unit"]
+    assert "no such parameter" in found[number["b1"] + 1, "q7"]
+    assert found[number["a1"] + 1, "b1"] == "is missing"
+    assert found[number["points"] + 1, "used"] == "-3 is no count"
+    assert len(found) == len(error.value.problems) == 5
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("law: [1", "line 1: is not YAML|is not YAML"),
+        ("- 1\n", "holds no fit"),
+        ("", "holds no fit"),
+        ("law: HookeLaw\n", "line 1, law: there is no law 'HookeLaw'; take one of ChouLaw, "),
+        ("law: ChouLaw\nparameters: 3\n", "line 2, parameters: 3 is no section"),
+        ("law: ChouLaw\n", "parameters: is missing"),
+        ("law: ChouLaw\nparameters: {braid_angle: 25}\n", "braid_angle: 25 is no section"),
+        ("law: ChouLaw\nparameters:\n  braid_angle: 4,5 deg\n", "line 3, braid_angle: '4,5 deg' is not a number"),
+    ],
+)
+def test_what_is_no_law_is_refused(text, message, tmp_path):
+    path = tmp_path / "law.yaml"
+    path.write_text(text)
+    with pytest.raises(ScenarioError, match=message):
+        read_law(path)
+
+
+def test_no_file(tmp_path):
+    with pytest.raises(ScenarioError, match="cannot be read: No such file"):
+        read_law(tmp_path / "nowhere.yaml")

@@ -1,0 +1,116 @@
+import json
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError, RangeError
+from mckibben.identification import hold_out, identify, validate
+from mckibben.muscle import ChouLaw, ExponentialLaw
+from mckibben.units import bar, percent
+
+EQ_3 = catalog.law("lei-mas-10-180n")
+CHOU = ChouLaw.of(catalog.specimen("MAS-10-180N-AA-MC-O"))
+
+
+@pytest.fixture(scope="module")
+def campaign() -> IsobaricDataset:
+    """Eq. 3 at 13 pressures, in both directions +-6 N, in 3 repeats."""
+    pressure, contraction, sign, repeat = (
+        a.ravel()
+        for a in np.meshgrid(
+            np.arange(13) * 0.5 * bar, np.linspace(-3, 20, 24) * percent, [1, -1], [0, 1, 2], indexing="ij"
+        )
+    )
+    noise = np.random.default_rng(3).normal(size=pressure.shape)
+    force = np.asarray(EQ_3.force(contraction, pressure)) + 6.0 * sign + noise
+    return IsobaricDataset.of(
+        pressure=pressure,
+        contraction=contraction,
+        force=np.maximum(force, 0),
+        direction=np.where(sign > 0, "loading", "unloading"),
+        repeat=repeat,
+        specimen="MAS-10",
+    )
+
+
+def test_errors_are_what_they_say(campaign):
+    validation = validate([EQ_3, CHOU], campaign)
+    assert validation.laws == ("ExponentialLaw", "ChouLaw")
+    points = campaign.taut.at(3 * bar)
+    error = np.asarray(CHOU.force(points.contraction, points.pressure)) - points.force
+    found = validation.of("ChouLaw", pressure=3 * bar)
+    assert found.points == len(points)
+    assert found.rmse == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert found.max_error == pytest.approx(np.abs(error).max())
+    assert found.bias == pytest.approx(error.mean())
+    assert validation.slack == np.count_nonzero(campaign.slack)
+
+
+def test_directions_are_told_apart(campaign):
+    validation = validate({"Eq. 3": EQ_3}, campaign)
+    at = {d: validation.of("Eq. 3", pressure=6 * bar, direction=d) for d in ("loading", "unloading")}
+    assert at["loading"].bias == pytest.approx(-6, abs=0.5)
+    assert at["unloading"].bias == pytest.approx(6, abs=0.5)
+    both = validation.of("Eq. 3", pressure=6 * bar)
+    assert both.points == sum(e.points for e in at.values())
+    assert validation.of("Eq. 3", direction="loading").points < validation.of("Eq. 3").points
+
+
+def test_the_groups_add_up(campaign):
+    validation = validate([EQ_3], campaign)
+    whole = validation.of("ExponentialLaw")
+    parts = [e for e in validation.errors if e.pressure is not None and e.direction is None]
+    assert sum(e.points for e in parts) == whole.points
+    assert sum(e.points * e.rmse**2 for e in parts) == pytest.approx(whole.points * whole.rmse**2)
+    assert max(e.max_error for e in parts) == whole.max_error
+
+
+def test_points_outside_the_domain_are_counted(campaign):
+    low = campaign.select(campaign.levels <= 4 * bar)
+    fit = identify(ExponentialLaw, low)
+    validation = validate([fit.law], campaign)
+    assert validation.of("ExponentialLaw", pressure=4 * bar).outside == 0
+    at_6_bar = validation.of("ExponentialLaw", pressure=6 * bar)
+    assert at_6_bar.outside == at_6_bar.points
+    assert "outside domain" in validation.report()
+
+
+def test_two_laws_of_a_type_are_numbered_and_names_are_kept(campaign):
+    assert validate([EQ_3, CHOU, EQ_3], campaign).laws == ("ExponentialLaw 1", "ChouLaw", "ExponentialLaw 2")
+    assert validate({"a": EQ_3, "b": CHOU}, campaign).laws == ("a", "b")
+
+
+def test_records_are_json(campaign):
+    records = validate([EQ_3], campaign).records()
+    assert json.loads(json.dumps(records)) == records
+    assert set(records[0]) >= {"law", "pressure", "direction", "rmse", "max_error", "bias"}
+
+
+def test_a_direction_that_is_not_recorded_makes_no_groups():
+    validation = validate([EQ_3], catalog.dataset("dmsp-10-250-martens2017"))
+    assert {e.direction for e in validation.errors} == {None}
+    assert validation.of("ExponentialLaw").bias == pytest.approx(64, abs=1)  # another specimen: PHYSICS.md 12
+
+
+def test_hold_out_by_pressure_and_by_repeat(campaign):
+    by_pressure = hold_out(ExponentialLaw, campaign, pressures=[2 * bar, 3 * bar, 4.5 * bar, 6 * bar])
+    assert len(by_pressure.fit.dataset.pressures) == 9
+    assert {e.pressure for e in by_pressure.validation.errors} == {None, 2e5, 3e5, 4.5e5, 6e5}
+    assert by_pressure.validation.of("ExponentialLaw").rmse == pytest.approx(np.hypot(6, 1), abs=0.4)
+    assert by_pressure.validation.of("ExponentialLaw", pressure=6 * bar).outside > 0
+    by_repeat = hold_out(ExponentialLaw, campaign, repeats=[2])
+    assert by_repeat.fit.points_used == len(campaign.taut.split(repeats=[2])[0])
+    assert by_repeat.validation.of("ExponentialLaw").rmse == pytest.approx(np.hypot(6, 1), abs=0.4)
+
+
+def test_nothing_to_compare(campaign):
+    with pytest.raises(IdentificationError, match="0 laws"):
+        validate([], campaign)
+    with pytest.raises(IdentificationError, match="0 taut points"):
+        validate([EQ_3], campaign.select(campaign.slack))
+    with pytest.raises(RangeError, match="no errors of ExponentialLaw"):
+        validate([EQ_3], campaign).of("ExponentialLaw", pressure=7 * bar)
+    with pytest.raises(RangeError, match="hold out"):
+        hold_out(ExponentialLaw, campaign)

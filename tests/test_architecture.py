@@ -1,0 +1,106 @@
+import ast
+import importlib
+import inspect
+import os
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import mckibben
+
+ROOT = Path(__file__).parents[1]
+MODULES = [m.name for m in pkgutil.walk_packages(mckibben.__path__, "mckibben.") if not m.name.endswith("__main__")]
+SOURCES = {name: (importlib.util.find_spec(name) or sys.modules[name].__spec__).origin for name in MODULES}
+
+
+def python(code: str, **environment: str) -> str:
+    """What a fresh interpreter prints."""
+    clean = {k: v for k, v in os.environ.items() if k not in ("XLA_FLAGS", "JAX_ENABLE_X64")}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=clean | environment)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_the_layers_hold():
+    done = subprocess.run(
+        [Path(sys.executable).with_name("lint-imports"), "--no-cache"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout
+    assert "0 broken" in done.stdout
+
+
+def test_the_import_stays_light():
+    heavy = "jax equinox xarray matplotlib scipy pint pydantic numpy pandas"
+    loaded = python(f"import sys, mckibben; print([m for m in {heavy.split()} if m in sys.modules])")
+    assert loaded == "[]"
+
+
+def test_the_units_and_errors_need_nothing_heavy():
+    code = "import sys, mckibben.units, mckibben.errors; print([m for m in ('jax', 'numpy', 'pint') if m in sys.modules])"
+    assert python(code) == "[]"
+
+
+def test_jax_computes_with_64_bits_after_the_import():
+    assert python("import mckibben, jax.numpy as jnp; print(jnp.ones(1).dtype)") == "float64"
+
+
+def test_jax_computes_with_64_bits_even_when_it_was_imported_first():
+    code = "import jax, jax.numpy as jnp; jnp.ones(1); import mckibben; print(jnp.ones(1).dtype)"
+    assert python(code) == "float64"
+
+
+def test_the_users_xla_flags_are_kept():
+    mine = "--xla_force_host_platform_device_count=2"
+    code = "import mckibben, os, jax; print(os.environ['XLA_FLAGS'], jax.device_count())"
+    assert python(code, XLA_FLAGS=mine).startswith(mine)
+    assert python(code, XLA_FLAGS=mine).endswith(" 2")
+
+
+def test_a_second_import_in_a_child_adds_no_flag_twice():
+    code = (
+        "import mckibben, os, subprocess, sys;"
+        "print(subprocess.run([sys.executable, '-c', 'import mckibben, os; print(os.environ.get(\"XLA_FLAGS\"))'],"
+        "capture_output=True, text=True).stdout.strip() == str(os.environ.get('XLA_FLAGS')))"
+    )
+    assert python(code) == "True"
+
+
+@pytest.mark.parametrize("name", mckibben.__all__)
+def test_every_public_name_is_there_and_documented(name):
+    thing = getattr(mckibben, name)
+    assert inspect.getdoc(thing), f"{name} has no docstring"
+    assert name in dir(mckibben)
+
+
+def test_the_lazy_names_the_listed_names_and_the_names_for_type_checkers_agree():
+    tree = ast.parse(Path(mckibben.__file__).read_text())
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    typed = {alias.name for node in block.body for alias in node.names}
+    assert typed | set(mckibben._MODULES) == set(mckibben.__all__)
+    assert set(mckibben._HOME_OF) | set(mckibben._MODULES) == set(mckibben.__all__)
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="force_law"):
+        _ = mckibben.force_law
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_module_has_a_docstring(name):
+    assert ast.get_docstring(ast.parse(Path(SOURCES[name]).read_text())), name
+
+
+def test_modules_stay_short():
+    lengths = {name: len(Path(path).read_text().splitlines()) for name, path in SOURCES.items()}
+    assert {name: n for name, n in lengths.items() if n > 350} == {}
+
+
+def test_only_the_report_draws_and_only_the_command_line_prints():
+    for name, path in SOURCES.items():
+        tree = ast.parse(Path(path).read_text())
+        calls = {n.func.id for n in ast.walk(tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
+        if not name.startswith(("mckibben.cli", "mckibben.study")):
+            assert "print" not in calls, name

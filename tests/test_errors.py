@@ -1,0 +1,92 @@
+import pickle
+
+import pytest
+
+from mckibben import errors
+from mckibben.errors import (
+    DatasetError,
+    FileError,
+    McKibbenError,
+    NotInCatalogError,
+    Problem,
+    RangeError,
+    UnitError,
+)
+
+
+def test_a_remedy_is_printed_after_the_message():
+    error = RangeError("contraction -6.5 % is outside -3..25 %", remedy="give the joint a series spring")
+    assert str(error) == "contraction -6.5 % is outside -3..25 %; give the joint a series spring"
+    assert error.remedy == "give the joint a series spring"
+
+
+def test_without_a_remedy_the_message_stands_alone():
+    assert str(RangeError("too far")) == "too far"
+
+
+def test_an_error_carries_its_value_range_and_unit():
+    error = RangeError("x", value=-0.065, lower=-0.03, upper=0.25, unit="1")
+    assert (error.value, error.lower, error.upper, error.unit) == (-0.065, -0.03, 0.25, "1")
+
+
+def test_all_errors_are_of_one_family_and_of_the_usual_python_kind():
+    family = [e for e in vars(errors).values() if isinstance(e, type) and issubclass(e, Exception)]
+    for error in family:
+        if issubclass(error, Warning):
+            continue
+        assert issubclass(error, McKibbenError), error
+        assert error.__doc__, error
+    assert issubclass(UnitError, ValueError)
+    assert issubclass(NotInCatalogError, KeyError)
+
+
+def test_a_missing_entry_prints_without_the_quotes_of_a_key_error():
+    assert str(NotInCatalogError("the catalog has no law 'x'", remedy="known are y")) == (
+        "the catalog has no law 'x'; known are y"
+    )
+
+
+@pytest.mark.parametrize(
+    ("problem", "text"),
+    [
+        (Problem("is empty"), "is empty"),
+        (Problem("is empty", line=3), "line 3: is empty"),
+        (Problem("is empty", field="force_N"), "force_N: is empty"),
+        (Problem("is empty", line=3, field="force_N"), "line 3, force_N: is empty"),
+        (Problem("is empty", line=0), "line 0: is empty"),
+        (Problem("is empty", line=3, remedy="fill it"), "line 3: is empty; fill it"),
+    ],
+)
+def test_a_problem_says_where_what_and_what_to_do(problem, text):
+    assert str(problem) == text
+
+
+def test_a_file_error_lists_all_its_problems():
+    error = DatasetError("rig.csv", [Problem("a", line=1), Problem("b", line=2)])
+    assert str(error) == "rig.csv: 2 problems\n  line 1: a\n  line 2: b"
+    assert error.source == "rig.csv"
+    assert [p.line for p in error.problems] == [1, 2]
+
+
+def test_a_long_list_is_cut_and_says_by_how_much():
+    problems = [Problem("x", line=i) for i in range(FileError.shown + 7)]
+    lines = str(FileError("f", problems)).splitlines()
+    assert lines[0] == f"f: {FileError.shown + 7} problems"
+    assert len(lines) == FileError.shown + 2
+    assert lines[-1] == "  ... and 7 more"
+    assert len(FileError("f", problems).problems) == FileError.shown + 7
+
+
+def test_a_file_error_survives_a_trip_to_another_process():
+    error = DatasetError("rig.csv", [Problem("a", line=1)])
+    copy = pickle.loads(pickle.dumps(error))
+    assert type(copy) is DatasetError
+    assert str(copy) == str(error)
+    assert copy.problems == error.problems
+
+
+def test_a_simple_error_survives_a_trip_to_another_process():
+    error = RangeError("far", value=3, lower=0.0, upper=1.0, unit="m", remedy="less")
+    copy = pickle.loads(pickle.dumps(error))
+    assert str(copy) == str(error)
+    assert (copy.value, copy.lower, copy.upper, copy.unit, copy.remedy) == (3, 0.0, 1.0, "m", "less")

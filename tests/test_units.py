@@ -1,0 +1,241 @@
+import math
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mckibben import units
+from mckibben.errors import UnitError
+from mckibben.units import factor, quantity, show
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "expected"),
+    [
+        ("6 bar", "Pa", 6e5),
+        ("0.6 MPa", "Pa", 6e5),
+        ("600 kPa", "Pa", 6e5),
+        ("6000 mbar", "Pa", 6e5),
+        ("1 psi", "Pa", 6894.757293168361),
+        ("208 mm", "m", 0.208),
+        ("20.8 cm", "m", 0.208),
+        ("25 deg", "rad", 25 * math.pi / 180),
+        ("25 °", "rad", 25 * math.pi / 180),
+        ("20 ms", "s", 0.02),
+        ("2 min", "s", 120.0),
+        ("0.5 Hz", "1/s", 0.5),
+        ("-3 %", "1", -0.03),
+        ("-3 percent", "1", -0.03),
+        ("0.25", "1", 0.25),
+        ("0.25 ratio", "1", 0.25),
+        ("6bar", "Pa", 6e5),
+        ("  +6.0e0\tbar \n", "Pa", 6e5),
+        (".5 m", "m", 0.5),
+        ("5. m", "m", 5.0),
+        ("13 N*m/rad", "N*m/rad", 13.0),
+        ("13 N*m/deg", "N*m/rad", 13 * 180 / math.pi),
+        ("0.015 N*m*s/rad", "N*m*s/rad", 0.015),
+        ("-3.442 N/(bar*percent)", "N/Pa", -3.442e-3),
+        ("0.3 1/percent", "1", 30.0),
+        ("0.3 /percent", "1", 30.0),
+        ("200 kg*cm^2", "kg*m^2", 0.02),
+        ("0.02 kg*m**2", "kg*m^2", 0.02),
+        ("1.2 kN·mm", "N*m", 1.2),
+        ("500 g", "kg", 0.5),
+        ("9.81 N/kg", "m/s^2", 9.81),
+        ("2 kg*m*s^-2", "N", 2.0),
+    ],
+)
+def test_a_number_and_a_unit_is_read_to_si(text, unit, expected):
+    assert quantity(text, unit) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        " ",
+        "m",
+        "5",  # no unit
+        "4,5 m",
+        "1_000 mm",
+        "1 000 mm",
+        "9**9**9 m",
+        "2*3 m",
+        "1e400 m",
+        "-1e400 m",
+        "1e308 kN*m/N*m/mm",
+        "nan m",
+        "inf m",
+        "-inf m",
+        "0x10 m",
+        "- 5 m",
+        "--5 m",
+        "5e m",
+        ". m",
+        "5 m m",
+        "5 m 5",
+        "5 5 m",
+        "5 m*",
+        "5 *m",
+        "5 m/",
+        "5 m//s*s",
+        "5 m/1",
+        "5 (m",
+        "5 m)",
+        "5 ((m))",
+        "5 m^0",
+        "5 m^1.0",
+        "5 m^n",
+        "5 m^99",
+        "5 m**9**9",
+        "5 m; import os",
+        "5 {m}",
+        "5 [length]",
+        "5 µm",
+        "５ m",
+        "٥ m",
+        "5 m\x00",
+        "5 MM",
+        "5 M",
+        "5 Mm",
+        "5 km",  # a unit, but not of the vocabulary
+        "5 inch",
+        "5 meter",
+        "5 delta_m",
+    ],
+)
+def test_anything_else_is_refused_with_a_unit_error(text):
+    with pytest.raises(UnitError):
+        quantity(text, "m")
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("13 N*m", "N*m/rad"),
+        ("13 N*m/rad", "N*m"),
+        ("3 deg", "1"),
+        ("3 %", "rad"),
+        ("3", "rad"),
+        ("6 bar", "m"),
+        ("6 kg", "N"),
+        ("1 Hz", "s"),
+        ("2 rad/s", "Hz"),
+    ],
+)
+def test_a_unit_of_another_kind_is_refused_and_both_kinds_are_named(text, unit):
+    with pytest.raises(UnitError) as caught:
+        quantity(text, unit)
+    assert unit in str(caught.value)
+    assert caught.value.unit == unit
+
+
+def test_a_decimal_comma_is_refused_and_the_point_is_suggested():
+    with pytest.raises(UnitError, match=r"'4,5 bar' is not a number and a unit; write it like '4\.5 bar'"):
+        quantity("4,5 bar", "Pa")
+
+
+def test_megamolar_is_no_millimetre_and_the_known_units_are_listed():
+    with pytest.raises(UnitError, match=r"unknown unit 'MM'.*\bmm\b"):
+        quantity("180 MM", "m")
+
+
+def test_a_power_tower_is_refused_at_once():
+    start = time.perf_counter()
+    with pytest.raises(UnitError):
+        quantity("9**9**9 m", "m")
+    assert time.perf_counter() - start < 1.0
+
+
+@pytest.mark.parametrize(
+    ("unit", "to", "expected"),
+    [
+        ("N/(bar*percent)", "", 1e-3),
+        ("N/bar/percent", "N/Pa", 1e-3),
+        ("1/(m*s)", "", 1.0),
+        ("kg*m^2/s^2", "N*m", 1.0),
+        ("kg*mm^2", "kg*m^2", 1e-6),
+        ("mm^-1", "1/m", 1e3),
+        ("deg/s", "rad/s", math.pi / 180),
+        ("N*m/deg", "N*m/rad", 180 / math.pi),
+        ("Pa", "N/m^2", 1.0),
+        ("bar*cm^2", "N", 10.0),
+        ("%", "1", 0.01),
+        ("1", "%", 100.0),
+        ("1 / %", "1/ratio", 100.0),
+    ],
+)
+def test_factors_of_compound_units(unit, to, expected):
+    assert factor(unit, to) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize(("unit", "expected"), [("m^1/s", 1.0), ("mm^1/s", 1e-3), ("kg*m^1/s^2", 1.0), ("m^-1/s", 1.0)])
+def test_a_first_power_before_a_slash_is_a_unit(unit, expected):
+    assert factor(unit) == expected
+
+
+def test_a_very_long_unit_is_refused_like_any_other_wrong_text():
+    with pytest.raises(UnitError):
+        quantity("5 " + "*".join(["m"] * 5000), "m")
+
+
+def test_the_python_names_agree_with_the_text():
+    for name in units.UNITS:
+        if hasattr(units, name):
+            assert getattr(units, name) == pytest.approx(factor(name), rel=1e-15), name
+    assert {"Pa", "kPa", "bar", "mm", "deg", "percent", "ms", "Hz"} <= set(dir(units))
+
+
+def test_a_dimensionless_value_that_is_shown_is_read_back():
+    assert quantity(show(0.25, "1"), "1") == 0.25
+
+
+def test_shown_text_is_what_a_reader_expects():
+    assert show(6e5, "bar") == "6 bar"
+    assert show(0.1, "%") == "10 %"
+    assert show(10 * units.deg, "deg") == "10 deg"
+    assert show(1 / 3, "m", digits=3) == "0.333 m"
+
+
+_SHOWN = ["Pa", "kPa", "bar", "psi", "m", "mm", "deg", "%", "ratio", "N*m/rad", "N/(bar*percent)", "1/percent", "ms"]
+
+
+@given(st.floats(-1e9, 1e9, allow_subnormal=False), st.sampled_from(_SHOWN))
+def test_showing_and_reading_back_changes_nothing(value, unit):
+    kind = {"psi": "Pa", "mm": "m", "deg": "rad", "%": "1", "ratio": "1", "ms": "s"}.get(unit, unit)
+    back = quantity(show(value, unit, digits=17), kind) * factor(kind)
+    assert back == pytest.approx(value, rel=1e-14, abs=1e-300)
+
+
+@given(st.floats(-1e9, 1e9, allow_subnormal=False), st.integers(3, 12))
+def test_fewer_digits_lose_no_more_than_they_say(value, digits):
+    back = quantity(show(value, "bar", digits), "Pa")
+    assert abs(back - value) <= 0.5001 * 10.0 ** (1 - digits) * abs(value) + 1e-300
+
+
+_PIECES = st.lists(
+    st.sampled_from(
+        ["5", "4,5", "9**9", "1e400", "-", "+", ".", "e", " ", "\t", "m", "bar", "N", "mm", "rad", "%", "°", "ratio"]
+        + ["1/", "/", "*", "**", "^", "^2", "^-1", "(", ")", "·", "_", "µ", "nan", "inf", "\n", "'", "5 ", "5 m"]
+    ),
+    max_size=9,
+).map("".join)
+
+
+def _answer(text: str) -> None:
+    start = time.perf_counter()
+    try:
+        value = quantity(text, "m")
+    except UnitError as error:
+        assert str(error)
+    else:
+        assert isinstance(value, float)
+        assert math.isfinite(value)
+    assert time.perf_counter() - start < 1.0
+
+
+@given(st.one_of(st.text(max_size=40), _PIECES, _PIECES.map(lambda tail: f"5 {tail}")))
+def test_any_text_gives_a_finite_number_or_a_unit_error_and_quickly(text):
+    _answer(text)
