@@ -1,0 +1,121 @@
+"""The parts of a scenario as the objects that are simulated. Only here is JAX needed."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from mckibben import catalog
+from mckibben.control import (
+    PID,
+    BackpropPID,
+    Constant,
+    Jacobian,
+    Multisine,
+    PositionStiffnessControl,
+    Reference,
+    Samples,
+    Signal,
+    Sine,
+    Step,
+)
+from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
+from mckibben.muscle import ChouLaw, Muscle
+from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load, PlantState
+from mckibben.study.scenario.controller import BackpropSpec, ControllerSpec, LoopSpec, PIDSpec
+from mckibben.study.scenario.joint import GeometrySpec, JointSpec, MuscleSpec
+from mckibben.study.scenario.part import Part
+from mckibben.study.scenario.plant import LoadSpec, StartSpec, ValveSpec
+from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
+from mckibben.study.scenario.samples import read_samples
+
+
+def build_plant(joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> JointPlant:
+    """What is simulated."""
+    valves = IdealValve() if valve is None else FirstOrderValve(valve.time_constant)
+    return JointPlant(build_joint(joint), _load(load), valves)
+
+
+def build_joint(spec: JointSpec) -> AntagonisticJoint:
+    """The joint, as it is or as a controller believes it to be."""
+    geometry = _geometry(spec.geometry)
+    if spec.connector_length is not None:
+        geometry = dataclasses.replace(geometry, connector_length=spec.connector_length)
+    muscle1, muscle2 = spec.muscle1 or spec.muscle, spec.muscle2 or spec.muscle
+    assert muscle1 is not None and muscle2 is not None  # the model of the joint sees to it
+    tendon = RigidTendon() if spec.spring is None else SeriesSpring(**_given(spec.spring))
+    return AntagonisticJoint(geometry, _muscle(muscle1), _muscle(muscle2), tendon)
+
+
+def build_control(spec: ControllerSpec, plant: JointSpec) -> PositionStiffnessControl:
+    """The controller; its model is an object of its own even where it is that of the plant."""
+    return PositionStiffnessControl(_loop(spec.position), _loop(spec.stiffness), model=build_joint(spec.model or plant))
+
+
+def build_reference(spec: ReferenceSpec) -> Reference:
+    """What is wanted over time."""
+    return Reference(
+        angle=_signal(spec.angle, "angle", "rad"), stiffness=_signal(spec.stiffness, "stiffness", "N*m/rad")
+    )
+
+
+def build_start(plant: JointPlant, spec: StartSpec) -> PlantState:
+    """The state at rest to start from."""
+    return plant.at_rest(spec.angle, stiffness=spec.stiffness)
+
+
+def _geometry(spec: GeometrySpec) -> KneeGeometry:
+    numbers = _given(spec, "base")
+    return KneeGeometry(**numbers) if spec.base is None else dataclasses.replace(catalog.geometry(spec.base), **numbers)
+
+
+def _muscle(spec: MuscleSpec) -> Muscle:
+    specimen = catalog.specimen(spec.specimen)
+    if isinstance(spec.law, Path):
+        from mckibben.identification import Fit
+
+        return Muscle(specimen, Fit.from_yaml(spec.law).law)
+    return Muscle(specimen, ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law))
+
+
+def _load(spec: LoadSpec) -> Load:
+    numbers = _given(spec, "base")
+    return Load(**numbers) if spec.base is None else dataclasses.replace(catalog.load(spec.base), **numbers)
+
+
+def _loop(spec: LoopSpec[Any, Any, Any, Any]) -> PID | BackpropPID:
+    if spec.backprop is None:
+        assert spec.pid is not None  # the model of the loop sees to it
+        return PID(**_given(spec.pid))
+    network = _given(spec.backprop, *PIDSpec.model_fields)
+    if "jacobian" in network:
+        network["jacobian"] = Jacobian[network["jacobian"].upper()]
+    return BackpropPID(_base(spec.backprop), **network)
+
+
+def _base(spec: BackpropSpec[Any, Any, Any, Any]) -> PID:
+    return PID(**{key: value for key, value in _given(spec).items() if key in PIDSpec.model_fields})
+
+
+def _signal(spec: SignalSpec[Any], quantity: str, unit: str) -> Signal:
+    if spec.step is not None:
+        return Step(**_given(spec.step))
+    if spec.sine is not None:
+        return Sine(**_given(spec.sine))
+    if spec.multisine is not None:
+        return Multisine(**_given(spec.multisine))
+    if spec.samples is not None:
+        file = spec.samples.file
+        return Samples(*read_samples(file, quantity, unit)) if file else Samples(**_given(spec.samples))
+    assert spec.constant is not None  # the model of the signal sees to it
+    return Constant(spec.constant)
+
+
+def _given(spec: Part, *without: str) -> dict[str, Any]:
+    """The fields that were given, by name; what was not takes the default of the class that is built."""
+    return {
+        name: getattr(spec, name)
+        for name in type(spec).model_fields
+        if name not in without and getattr(spec, name) is not None
+    }

@@ -1,0 +1,110 @@
+"""What validation found, in our words and with the lines of the file."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from mckibben.errors import Problem
+from mckibben.study.scenario.document import Document, Place, dotted
+from mckibben.study.scenario.part import quoted, suggest
+from mckibben.study.scenario.quantity import Quantity
+
+
+def problems_of(error: ValidationError, document: Document, model: type[BaseModel]) -> list[Problem]:
+    """Each of the errors once, in the order of the file.
+
+    A key that is missing only because it is misspelt is not said twice, nor anything about a value that the document
+    has refused already.
+    """
+    details = error.errors(include_url=False)
+    misspelt = {
+        (*found["loc"][:-1], close)
+        for found in details
+        if found["type"] == "extra_forbidden"
+        for close in _close_keys(found["loc"], model)
+    }
+    problems = []
+    for found in details:
+        place = tuple(found["loc"])
+        if any(place[: len(refused)] == refused for refused in document.refused):
+            continue
+        if found["type"] == "missing" and place in misspelt:
+            continue
+        problems.append(_problem(found, place, document, model))
+    return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
+
+
+def _problem(found: ErrorDetails, place: Place, document: Document, model: type[BaseModel]) -> Problem:
+    kind, value, context = found["type"], found["input"], found.get("ctx", {})
+    message, remedy = found["msg"], ""
+    if kind == "mckibben":
+        message, remedy = context["message"], context["remedy"]
+        place = place[:-1] if context["parent"] else place
+    elif kind == "missing":
+        message, remedy = "is missing", f"add it{_example(place, model)}"
+    elif kind == "extra_forbidden":
+        message, remedy = "is no key of a scenario here", suggest(str(place[-1]), _keys(place[:-1], model))
+    elif value in ("", None):
+        message, remedy = "has no value", "write one, or leave the key out"
+    elif kind == "model_type":
+        message = f"{quoted(value) if isinstance(value, str) else 'a list'} stands where keys and values belong"
+        remedy = f"give a mapping of {', '.join(_keys(place, model))}"
+    elif kind == "tuple_type":
+        message = f"{quoted(value) if isinstance(value, str) else 'a mapping'} stands where a list belongs"
+        remedy = "write [first, second, ...]"
+    elif kind == "too_long":
+        message = f"has {context['actual_length']} items, more than {context['max_length']}"
+        remedy = "put them in a CSV file (samples: {file: wish.csv})"
+    elif kind == "too_short":
+        message, remedy = "is empty", "give at least one"
+    return Problem(message, document.line(place), dotted(place), remedy)
+
+
+def _example(place: Place, model: type[BaseModel]) -> str:
+    parent = _model_at(place[:-1], model)
+    if parent is None:
+        return ""
+    for name, info in parent.model_fields.items():
+        if (info.alias or name) == place[-1]:
+            if info.examples:
+                return f", such as `{place[-1]}: {info.examples[0]}`"
+            marks = [mark for mark in info.metadata if isinstance(mark, Quantity)]
+            if marks:
+                return f", such as `{place[-1]}: {marks[0].example.strip(chr(39))}`"
+            inner = _model_in(info.annotation)
+            return f", a mapping of {', '.join(_keys((), inner))}" if inner else ""
+    return ""
+
+
+def _close_keys(place: Place, model: type[BaseModel]) -> list[str]:
+    """The keys that a misspelt one may stand for."""
+    keys = _keys(place[:-1], model)
+    remedy = suggest(str(place[-1]), keys)
+    return [key for key in keys if remedy == f"did you mean {key!r}?"]
+
+
+def _keys(place: Place, model: type[BaseModel]) -> list[str]:
+    found = _model_at(place, model)
+    return [info.alias or name for name, info in found.model_fields.items()] if found else []
+
+
+def _model_at(place: Place, model: type[BaseModel]) -> type[BaseModel] | None:
+    """The model that validates what stands at a place."""
+    found: type[BaseModel] | None = model
+    for key in place:
+        if found is None:
+            return None
+        fields = {info.alias or name: info for name, info in found.model_fields.items()}
+        found = _model_in(fields[str(key)].annotation) if key in fields else None
+    return found
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    """The model in an annotation such as ``Model | None``."""
+    for candidate in (annotation, *get_args(annotation)):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return None

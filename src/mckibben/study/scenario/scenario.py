@@ -1,0 +1,194 @@
+"""A scenario: everything that one simulated run needs."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_serializer
+
+from mckibben.errors import Problem, ScenarioError
+from mckibben.study.scenario.controller import ControllerSpec
+from mckibben.study.scenario.document import LONGEST, read_document
+from mckibben.study.scenario.fields import Duration, PositiveTime, Title
+from mckibben.study.scenario.joint import JointSpec
+from mckibben.study.scenario.part import Part, refuse
+from mckibben.study.scenario.plant import LoadSpec, StartSpec, ValveSpec
+from mckibben.study.scenario.problems import problems_of
+from mckibben.study.scenario.reference import ReferenceSpec
+from mckibben.study.scenario.words import Whole
+from mckibben.study.scenario.writing import to_text
+
+if TYPE_CHECKING:
+    from mckibben.control import PositionStiffnessControl, Reference
+    from mckibben.plant import JointPlant, PlantState
+
+_MOST_PERIODS = 10_000_000
+
+
+class Scenario(Part):
+    """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
+
+    Two scenarios are equal if all that they say is. Paths are absolute here, and relative to the file in the text.
+
+    Attributes
+    ----------
+    name
+        What it is about, in a few words.
+    joint, load, valve
+        The plant; no valve is an ideal one.
+    controller
+        Its loops, and its model of the joint.
+    signals
+        The wishes, ``reference`` in the text (and when a scenario is made in code).
+    start
+        The state at rest to start from.
+    duration, control_period
+        [s]; the first is a whole number of the second.
+    substeps
+        Integration steps a control period.
+
+    Examples
+    --------
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> scenario.control_period
+    0.001
+    >>> scenario.plant()
+    JointPlant(...)
+    """
+
+    name: Title = Field(examples=["pre-contracted knee, PID"])
+    joint: JointSpec
+    load: LoadSpec = Field(examples=["knee-table-2"])
+    valve: ValveSpec | None = None
+    controller: ControllerSpec
+    signals: ReferenceSpec = Field(alias="reference")
+    start: StartSpec = StartSpec()
+    duration: Duration = Field(examples=["10 s"])
+    control_period: PositiveTime = Field(examples=["1 ms"])
+    substeps: Annotated[int, Whole(1, 1000)] = 4
+
+    @field_validator("valve", mode="before")
+    @classmethod
+    def _ideal(cls, value: Any) -> Any:
+        if value == "ideal":
+            return None
+        if isinstance(value, str) and value:
+            refuse(f"{value[:40]!r} is no valve", "write ideal, or {time_constant: 20 ms}")
+        return value
+
+    @field_validator("control_period", mode="after")
+    @classmethod
+    def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
+        duration = info.data.get("duration")
+        if duration is None:
+            return value
+        periods = duration / value
+        if periods > _MOST_PERIODS:
+            refuse(
+                f"{value * 1e3:g} ms divides the duration {duration:g} s into more than {_MOST_PERIODS} periods",
+                "choose a longer period or a shorter duration",
+            )
+        if round(periods) < 1 or abs(periods - round(periods)) > 1e-6:
+            near = max(round(periods), 1) * value
+            refuse(
+                f"the duration {duration:g} s is no whole number of control periods of {value * 1e3:g} ms "
+                f"({periods:.6g})",
+                f"choose a duration of {near:.9g} s, or a period that divides {duration:g} s",
+            )
+        return value
+
+    @model_serializer(mode="wrap", when_used="json")
+    def _write(self, handler: Any) -> Any:
+        written = handler(self)
+        return {**written, "valve": written["valve"] or "ideal"}
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Scenario:
+        """Read a scenario file.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file: line, field, value, allowed range and remedy.
+        """
+        source = os.fspath(path)
+        try:
+            with Path(path).open("rb") as file:
+                content = file.read(4 * LONGEST + 1)
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            raise ScenarioError(source, [Problem("is not text in UTF-8", remedy="give a YAML file")]) from None
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            problem = Problem(f"cannot be read: {reason}", remedy="give the path of a scenario, see examples/")
+            raise ScenarioError(source, [problem]) from None
+        return cls.parse(text, source=source, folder=Path(path).parent)
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "scenario", folder: str | os.PathLike[str] = ".") -> Scenario:
+        """Read a scenario from text.
+
+        Parameters
+        ----------
+        text
+            YAML with units.
+        source
+            What errors call it.
+        folder
+            To which paths in the text are relative.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the text.
+        """
+        document = read_document(text)
+        if not document.readable:
+            raise ScenarioError(source, document.problems)
+        try:
+            scenario = cls.model_validate(document.data, context={"folder": Path(folder)})
+        except ValidationError as error:
+            raise ScenarioError(source, problems_of(error, document, cls)) from None
+        if document.problems:
+            raise ScenarioError(source, document.problems)
+        return scenario
+
+    def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
+        """The scenario as text that `parse` reads back to the last bit; paths are relative to a folder."""
+        return to_text(self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)}))
+
+    def to_yaml(self, path: str | os.PathLike[str]) -> None:
+        """Write the scenario to a file that `read` reads back to the last bit."""
+        Path(path).write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
+
+    def plant(self) -> JointPlant:
+        """What is simulated."""
+        from mckibben.study.scenario.building import build_plant
+
+        return build_plant(self.joint, self.load, self.valve)
+
+    def control(self) -> PositionStiffnessControl:
+        """The controller, with its own model of the joint."""
+        from mckibben.study.scenario.building import build_control
+
+        return build_control(self.controller, self.joint)
+
+    def reference(self) -> Reference:
+        """What is wanted over time."""
+        from mckibben.study.scenario.building import build_reference
+
+        return build_reference(self.signals)
+
+    def initial(self, plant: JointPlant) -> PlantState:
+        """The state at rest in which a plant starts.
+
+        Raises
+        ------
+        UnreachableError
+            If the plant cannot rest there.
+        """
+        from mckibben.study.scenario.building import build_start
+
+        return build_start(plant, self.start)

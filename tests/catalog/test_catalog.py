@@ -1,0 +1,140 @@
+import re
+
+import jax
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from mckibben import catalog
+from mckibben.catalog.entries import KINDS
+from mckibben.errors import NotInCatalogError
+from mckibben.muscle import ExponentialLaw
+from mckibben.units import factor
+
+LOADERS = {
+    "specimens": catalog.specimen,
+    "laws": catalog.law,
+    "datasets": catalog.dataset,
+    "geometries": catalog.geometry,
+    "loads": catalog.load,
+    "joints": catalog.joint,
+}
+ENTRIES = [(kind, name) for kind in KINDS for name in catalog.names(kind)]
+
+
+@pytest.mark.parametrize(("kind", "name"), ENTRIES)
+def test_every_entry_loads_and_is_cited(kind, name):
+    assert LOADERS[kind](name) is not None
+    source = catalog.cite(name)
+    assert len(source.splitlines()[0]) > 20
+    assert re.search(r"\(.+\)", source.splitlines()[1])
+
+
+@pytest.mark.parametrize(("kind", "name"), [e for e in ENTRIES if e[0] != "datasets"])
+def test_every_number_of_every_entry_is_finite(kind, name):
+    assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(LOADERS[kind](name)))
+
+
+def test_all_kinds_have_loaders_and_entries():
+    assert set(LOADERS) == set(KINDS)
+    assert {kind for kind, _ in ENTRIES} == set(KINDS)
+
+
+def test_the_coefficients_of_equation_3_are_the_printed_ones_once_they_are_in_bar_and_percent():
+    law = catalog.law("lei-mas-10-180n")
+    assert isinstance(law, ExponentialLaw)
+    printed = {"a1": -245.8, "a2": 109, "b1": 3.216, "b2": -3.442, "c1": 255.6, "c2": -13.18, "decay": 0.3}
+    shown = {p.name: float(getattr(law, p.name)) / factor(p.shown, p.unit) for p in law.parameters()}
+    assert shown == pytest.approx(printed, rel=1e-14)
+    assert law.decay == pytest.approx(30.0, rel=1e-15)
+    assert law.b2 == pytest.approx(-3.442 * 100 / 1e5, rel=1e-14)
+
+
+def test_the_specimen_is_the_papers():
+    specimen = catalog.specimen("MAS-10-180N-AA-MC-O")
+    assert specimen.name == "MAS-10-180N-AA-MC-O"
+    assert (specimen.initial_length, specimen.initial_diameter) == pytest.approx((0.18, 0.01), rel=1e-15)
+    assert np.degrees(specimen.braid_angle) == pytest.approx(25, rel=1e-15)
+    assert specimen.rated_force == 630.0
+    box = specimen.domain
+    assert [box.contraction_min, box.contraction_max, box.pressure_min, box.pressure_max] == pytest.approx(
+        [-0.03, 0.25, 0.0, 8e5]
+    )
+
+
+def test_the_other_specimen_is_a_quarter_metre_long():
+    assert catalog.specimen("DMSP-10-250").initial_length == 0.25
+
+
+def test_the_knee_is_table_2():
+    geometry, load = catalog.geometry("knee-table-2"), catalog.load("knee-table-2")
+    assert (geometry.joint_length, geometry.joint_radius, geometry.connector_length) == (0.37, 0.03, 0.19)
+    assert (load.mass1, load.mass2, load.distance1, load.distance2) == (0.5, 0.5, 0.1, 0.2)
+    assert (load.inertia, load.damping, load.gravity) == (0.02, 0.015, 9.81)
+    assert load.hanging_angle == pytest.approx(np.pi / 6, rel=1e-15)
+    assert load.hanging is True
+    joint = catalog.joint("knee-table-2")
+    assert joint.geometry == geometry
+    assert joint.muscle1.specimen.name == joint.muscle2.specimen.name == "MAS-10-180N-AA-MC-O"
+
+
+def test_the_measured_map_has_17_pressures_5_lengths_and_40_taut_points():
+    data = catalog.dataset("dmsp-10-250-martens2017")
+    assert len(data) == 85
+    assert np.unique(data.pressure).size == 17
+    assert np.unique(np.round(data.contraction, 6)).size == 5
+    assert int(np.sum(np.asarray(data.force) > 0)) == 40
+    assert len(data.taut()) == 40 if callable(getattr(data, "taut", None)) else True
+
+
+def test_the_makers_chart_has_119_taut_points():
+    data = catalog.dataset("festo-tool-10mm")
+    assert int(np.sum(np.asarray(data.force) > 0)) == 119
+    assert float(np.max(data.pressure)) == pytest.approx(8e5)
+
+
+def test_a_dataset_remembers_where_it_comes_from():
+    assert "Martens" in catalog.dataset("dmsp-10-250-martens2017").table.attrs["source"]
+
+
+@pytest.mark.parametrize(
+    ("loader", "wrong", "meant"),
+    [
+        (catalog.law, "lei-mas-10-180", "lei-mas-10-180n"),
+        (catalog.specimen, "MAS-10-180N", "MAS-10-180N-AA-MC-O"),
+        (catalog.dataset, "dmsp-10-250", "dmsp-10-250-martens2017"),
+        (catalog.joint, "knee-table2", "knee-table-2"),
+        (catalog.cite, "knee_table_2", "knee-table-2"),
+    ],
+)
+def test_a_slip_of_the_pen_gets_a_suggestion(loader, wrong, meant):
+    with pytest.raises(NotInCatalogError, match=f"did you mean '{meant}'") as caught:
+        loader(wrong)
+    assert repr(wrong) in str(caught.value)
+
+
+def test_a_name_like_no_other_gets_the_list():
+    with pytest.raises(NotInCatalogError, match="known are lei-mas-10-180n"):
+        catalog.law("zzz")
+    with pytest.raises(NotInCatalogError, match="geometries"):
+        catalog.names("muscles")
+
+
+def test_the_citation_of_the_paper_says_what_to_know():
+    text = catalog.cite("lei-mas-10-180n")
+    assert "Lei" in text
+    assert "Eq. 3" in text
+    assert "bar, percent and N" in text
+
+
+def test_no_name_appears_twice_in_one_kind():
+    for kind in KINDS:
+        assert len(set(catalog.names(kind))) == len(catalog.names(kind))
+
+
+def test_all_files_of_the_catalog_are_read():
+    from mckibben.catalog import entries
+
+    files = [f for f in entries._FOLDER.iterdir() if f.name.endswith(".yaml")]
+    written = [n for f in files for kind, part in YAML(typ="safe").load(f.read_text()).items() if kind in KINDS for n in part]
+    assert sorted(written) == sorted(name for _, name in ENTRIES)

@@ -1,0 +1,127 @@
+import dataclasses
+import math
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mckibben import catalog
+from mckibben.joint import AntagonisticJoint, SeriesSpring
+from mckibben.muscle import ChouLaw, Muscle
+
+ANGLES = np.radians(np.linspace(-30, 30, 13))
+TAUT = [(2e5, 2e5), (3e5, 4e5), (5.5e5, 2.5e5)]
+
+angles = st.floats(math.radians(-25), math.radians(25))
+pressures = st.floats(2e5, 6e5)
+
+
+def test_at_0_deg_and_equal_pressures_there_is_no_torque(as_printed, knee):
+    for joint in (as_printed, knee):
+        assert float(joint.torque(0.0, (3e5, 3e5))) == pytest.approx(0.0, abs=1e-13)
+
+
+def test_equation_7_by_hand(knee):
+    # 0 deg, 10 % contraction, 6 bar against 3: the arms are 0.03 m.
+    force = lambda p: (-245.8 + 109 * p) + (3.216 - 3.442 * p) * 10 + (255.6 - 13.18 * p) * math.exp(-3)  # noqa: E731
+    assert float(knee.torque(0.0, (3e5, 6e5))) == pytest.approx(0.03 * (force(6) - force(3)), rel=1e-12)
+    assert float(knee.torque(0.0, (3e5, 6e5))) > 0  # muscle 2 drives
+
+
+@pytest.mark.parametrize("held", TAUT)
+def test_torque_and_stiffness_are_those_of_the_papers_equations(knee, paper_precontracted, held):
+    eps = paper_precontracted.contractions(ANGLES)
+    np.testing.assert_allclose(knee.contractions(ANGLES, held), eps, atol=1e-14)
+    taut = (paper_precontracted.eq3(eps[0], held[0]) > 0) & (paper_precontracted.eq3(eps[1], held[1]) > 0)
+    assert taut.sum() >= 5
+    torque, stiffness = knee.torque_and_stiffness(ANGLES, held)
+    np.testing.assert_allclose(torque, paper_precontracted.torque(ANGLES, held), rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(stiffness[taut], paper_precontracted.stiffness(ANGLES, held)[taut], rtol=1e-11)
+
+
+def test_stiffness_as_printed_falls_as_pressure_rises(as_printed, paper):
+    values = [float(as_printed.stiffness(0.0, (p, p))) for p in (0.5e5, 3e5, 6e5)]
+    assert values == pytest.approx([float(paper.stiffness(0.0, (p, p))) for p in (0.5e5, 3e5, 6e5)], rel=1e-12)
+    assert values[0] > values[1] > values[2]
+
+
+def test_stiffness_is_minus_the_slope_of_the_torque_slack_muscles_included(knee):
+    torque = jax.jit(knee.torque)
+    angle, step = np.radians([-28.0, -10.0, 0.0, 13.0, 28.0])[:, None], 1e-6
+    held = (np.array([0.0, 1e5, 4e5]), np.array([3e5, 0.0, 4e5]))
+    slope = (torque(angle + step, held) - torque(angle - step, held)) / (2 * step)
+    np.testing.assert_allclose(knee.stiffness(angle, held), -slope, rtol=1e-6, atol=1e-6)
+
+
+def test_scalars_and_arrays_broadcast(knee):
+    assert knee.torque(0.1, (3e5, 3e5)).shape == ()
+    grid = knee.stiffness(ANGLES[:, None], (np.array([2e5, 3e5]), 3e5))
+    assert grid.shape == (13, 2)
+    assert float(grid[3, 1]) == pytest.approx(float(knee.stiffness(ANGLES[3], (3e5, 3e5))), rel=1e-12)
+    assert knee.torque(0.1, (np.array([2e5, 3e5]), 3e5)).shape == (2,)
+    assert knee.stiffness(0.1, (np.array([2e5, 3e5]), 3e5)).shape == (2,)
+
+
+def test_a_whole_number_in_a_jax_array_is_an_angle(knee):
+    assert float(knee.stiffness(jax.numpy.asarray(0), (3e5, 3e5))) == float(knee.stiffness(0.0, (3e5, 3e5)))
+
+
+@pytest.mark.parametrize("degrees", [-20, 0, 4, 20])
+def test_the_affine_map_is_torque_and_stiffness_of_taut_muscles(knee, degrees):
+    angle = math.radians(degrees)
+    found = knee.affine_map(angle)
+    for held in TAUT:
+        if min(float(t) for t in knee.tensions(angle, held)) <= 0:
+            continue
+        assert float(found.torque(held)) == pytest.approx(float(knee.torque(angle, held)), rel=1e-11, abs=1e-12)
+        assert float(found.stiffness(held)) == pytest.approx(float(knee.stiffness(angle, held)), rel=1e-11)
+
+
+def test_the_affine_map_inverts_exactly(knee):
+    angles = np.radians([-15.0, 0.0, 3.0, 15.0])
+    found = knee.affine_map(angles)
+    held = np.array([2.4e5, 3e5, 5e5, 4.4e5]), np.array([3e5, 3.1e5, 4e5, 2e5])
+    back = found.pressures_for(found.torque(held), found.stiffness(held))
+    np.testing.assert_allclose(back, held, rtol=1e-10)
+
+
+def test_no_affine_map_is_pretended_where_the_tendon_gives(knee):
+    springy = dataclasses.replace(knee, tendon=SeriesSpring(2e4, 100.0, 0.01))
+    with pytest.raises(TypeError, match="SeriesSpring"):
+        springy.affine_map(0.0)
+
+
+# Two unlike muscles, so that nothing holds by symmetry alone.
+def unlike() -> AntagonisticJoint:
+    knee = catalog.joint("knee-table-2")
+    geometry = dataclasses.replace(knee.geometry, connector_length=0.208)
+    specimen = knee.muscle1.specimen
+    return AntagonisticJoint(geometry, Muscle(specimen, ChouLaw.of(specimen)), knee.muscle2)
+
+
+UNLIKE = unlike()
+SWAPPED = AntagonisticJoint(UNLIKE.geometry, UNLIKE.muscle2, UNLIKE.muscle1)
+both = jax.jit(UNLIKE.torque_and_stiffness)
+both_swapped = jax.jit(SWAPPED.torque_and_stiffness)
+work_of = jax.jit(lambda a, p: (UNLIKE.tensions(a, p), UNLIKE.torque(a, p)))
+paths = jax.jit(UNLIKE.geometry.path_lengths)
+
+
+@given(angles, pressures, pressures)
+def test_swapping_the_muscles_and_the_angles_sign_flips_the_torque_and_keeps_the_stiffness(angle, p1, p2):
+    torque, stiffness = both(angle, (p1, p2))
+    mirrored, same = both_swapped(-angle, (p2, p1))
+    assert float(mirrored) == pytest.approx(-float(torque), rel=1e-12, abs=1e-12)
+    assert float(same) == pytest.approx(float(stiffness), rel=1e-12)
+
+
+@given(angles, pressures, pressures)
+def test_the_work_of_the_muscles_is_that_of_the_torque(angle, p1, p2):
+    (force1, force2), torque = work_of(angle, (p1, p2))
+    step = 1e-6
+    (ahead1, ahead2), (behind1, behind2) = paths(angle + step), paths(angle - step)
+    work = -(float(force1) * float(ahead1 - behind1) + float(force2) * float(ahead2 - behind2))
+    scale = 0.03 * (float(force1) + float(force2))
+    assert work / (2 * step) == pytest.approx(float(torque), abs=1e-8 * scale + 1e-9)

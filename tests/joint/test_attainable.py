@@ -1,0 +1,166 @@
+"""PHYSICS.md 3 to 5: what pressures within limits can hold."""
+
+import dataclasses
+import math
+
+import jax
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from mckibben.errors import UnreachableError
+from mckibben.joint import SeriesSpring
+
+
+@pytest.fixture(scope="module")
+def bands(as_printed, knee, load):
+    """Attainable stiffness while gravity is held, by geometry and degrees."""
+    band = jax.jit(lambda joint, angle: joint.attainable_stiffness(angle, -load.gravity_torque(angle)))
+    joints = {"as printed": as_printed, "pre-contracted": knee}
+    return lambda name, degrees: tuple(float(x) for x in band(joints[name], math.radians(degrees)))
+
+
+def program(paper, angle, torque, limits=(0.0, 6e5), minimum_tension=0.0):
+    """The same band as a linear program over both pressures in bar, from the paper's equations."""
+    (d1, d2), (eps1, eps2) = paper.eq5(angle), paper.contractions(angle)
+    at = lambda f: (f(0.0, 0.0), f(1e5, 0.0) - f(0.0, 0.0), f(0.0, 1e5) - f(0.0, 0.0))  # noqa: E731
+    t0, t1, t2 = at(lambda p1, p2: paper.eq3(eps2, p2) * d2 - paper.eq3(eps1, p1) * d1)
+    k0, k1, k2 = at(lambda p1, p2: paper.stiffness(angle, (p1, p2)))
+    offsets = paper.eq3(eps1, 0.0), paper.eq3(eps2, 0.0)
+    gains = paper.eq3(eps1, 1e5) - offsets[0], paper.eq3(eps2, 1e5) - offsets[1]
+    found = []
+    for sign in (1, -1):
+        answer = linprog(
+            [sign * k1, sign * k2],
+            A_ub=[[-gains[0], 0], [0, -gains[1]]],
+            b_ub=[offsets[0] - minimum_tension, offsets[1] - minimum_tension],
+            A_eq=[[t1, t2]],
+            b_eq=[torque - t0],
+            bounds=[(limits[0] / 1e5, limits[1] / 1e5)] * 2,
+            method="highs",
+        )
+        found.append(k0 + sign * answer.fun if answer.success else math.nan)
+    return tuple(found)
+
+
+def test_as_printed_cocontraction_moves_the_stiffness_at_0_deg_within_70_4_and_73_5(as_printed, bands):
+    free = [float(x) for x in as_printed.attainable_stiffness(0.0, 0.0)]
+    assert free == pytest.approx([70.392, 73.464], abs=0.001)  # Eq. 3 by hand: p = 6 and 0 bar
+    assert bands("as printed", 0) == pytest.approx((70.4, 73.5), abs=0.11)
+
+
+def test_as_printed_the_bands_at_0_and_5_deg_do_not_overlap(bands):
+    assert bands("as printed", 0)[1] < bands("as printed", 5)[0] - 1
+
+
+def test_as_printed_a_constant_stiffness_is_out_of_reach_soon_after_2_deg(bands):
+    assert bands("as printed", 2)[0] < 73.0 < bands("as printed", 2)[1]
+    assert bands("as printed", 4)[0] > bands("as printed", 0)[1]
+
+
+def test_precontracted_the_stiffness_is_free_within_10_and_19_6_at_0_deg_and_14_and_19_at_20(bands):
+    assert bands("pre-contracted", 0) == pytest.approx((10.0, 19.6), abs=0.1)
+    assert bands("pre-contracted", 20) == pytest.approx((14.0, 19.4), abs=0.1)
+
+
+@pytest.mark.parametrize("degrees", [-30, 30])
+def test_precontracted_the_knee_holds_30_deg(bands, degrees):
+    low, high = bands("pre-contracted", degrees)
+    assert low < high
+
+
+def test_as_printed_the_joint_cannot_be_held_at_12_deg(bands):
+    assert np.isnan(bands("as printed", 12)).all()
+    assert np.isnan(bands("as printed", 20)).all()
+    assert np.isfinite(bands("as printed", 10)).all()
+
+
+@pytest.mark.parametrize(("name", "degrees"), [("as printed", d) for d in (0, 3, 8)] + [("pre-contracted", d) for d in (-25, 0, 7, 30)])
+@pytest.mark.parametrize("torque", [-0.7, 0.0, 0.5])
+def test_the_band_is_the_optimum_of_a_linear_program(
+    as_printed, knee, paper, paper_precontracted, name, degrees, torque
+):
+    joint, reference = {"as printed": (as_printed, paper), "pre-contracted": (knee, paper_precontracted)}[name]
+    angle = math.radians(degrees)
+    got = [float(x) for x in joint.attainable_stiffness(angle, torque)]
+    assert got == pytest.approx(program(reference, angle, torque), rel=1e-7, nan_ok=True)
+
+
+def test_pressure_limits_and_a_minimum_tension_narrow_the_band_as_the_linear_program_says(knee, paper_precontracted):
+    got = [float(x) for x in knee.attainable_stiffness(0.1, 0.3, pressure_limits=(1e5, 4e5), minimum_tension=20.0)]
+    expected = program(paper_precontracted, 0.1, 0.3, (1e5, 4e5), 20.0)
+    assert got == pytest.approx(expected, rel=1e-7)
+    wide = [float(x) for x in knee.attainable_stiffness(0.1, 0.3)]
+    assert wide[0] < got[0] < got[1] < wide[1]
+
+
+def test_no_point_of_a_pressure_grid_lies_outside_the_band_and_some_come_near_its_ends(knee, paper_precontracted):
+    angle = math.radians(15)
+    p1, p2 = np.meshgrid(np.linspace(0, 6e5, 1201), np.linspace(0, 6e5, 1201))
+    eps = paper_precontracted.contractions(angle)
+    taut = (paper_precontracted.eq3(eps[0], p1) >= 0) & (paper_precontracted.eq3(eps[1], p2) >= 0)
+    near = taut & (np.abs(paper_precontracted.torque(angle, (p1, p2)) - 0.2) < 2e-3)
+    stiffness = paper_precontracted.stiffness(angle, (p1[near], p2[near]))
+    low, high = (float(x) for x in knee.attainable_stiffness(angle, 0.2))
+    assert stiffness.min() == pytest.approx(low, abs=0.02)
+    assert stiffness.max() == pytest.approx(high, abs=0.02)
+
+
+def test_a_torque_beyond_the_range_cannot_be_held_and_one_inside_can(knee):
+    low, high = (float(x) for x in knee.attainable_torque(0.1))
+    assert low < 0 < high
+    for torque, holdable in ((low - 1e-6, False), (low + 1e-6, True), (high - 1e-6, True), (high + 1e-6, False)):
+        assert np.isfinite(knee.attainable_stiffness(0.1, torque)[0]) == holdable
+    assert high == pytest.approx(float(knee.torque(0.1, (0.0, 6e5))), rel=1e-12)
+
+
+def test_bands_broadcast(knee):
+    angles, torques = np.radians([-10.0, 0.0, 10.0])[:, None], np.array([0.0, 0.5])
+    low, high = knee.attainable_stiffness(angles, torques)
+    assert low.shape == high.shape == (3, 2)
+    assert float(low[2, 1]) == pytest.approx(float(knee.attainable_stiffness(angles[2, 0], 0.5)[0]), rel=1e-12)
+
+
+@pytest.mark.parametrize(("degrees", "torque", "stiffness"), [(0, -0.736, 15.0), (10, 0.2, 13.0), (-20, 0.5, 17.0)])
+def test_pressures_for_give_torque_and_stiffness_within_limits(knee, degrees, torque, stiffness):
+    angle = math.radians(degrees)
+    held = knee.pressures_for(angle, torque, stiffness)
+    assert all(0 <= float(p) <= 6e5 for p in held)
+    assert float(knee.torque(angle, held)) == pytest.approx(torque, abs=1e-10)
+    assert float(knee.stiffness(angle, held)) == pytest.approx(stiffness, abs=1e-8)
+    inverse = knee.affine_map(angle).pressures_for(torque, stiffness)
+    assert [float(p) for p in held] == pytest.approx([float(p) for p in inverse], rel=1e-8)
+
+
+def test_a_stiffness_out_of_reach_is_refused_with_the_range(knee):
+    with pytest.raises(UnreachableError, match=r"stiffness 25 .* outside the attainable 9\.\d+\.\.19\.\d+") as caught:
+        knee.pressures_for(0.0, 0.0, 25.0)
+    assert caught.value.lower < caught.value.upper < 25.0
+    with pytest.raises(UnreachableError, match="no pressures within limits hold the joint at 12 deg"):
+        dataclasses.replace(knee, geometry=dataclasses.replace(knee.geometry, connector_length=0.19)).pressures_for(
+            math.radians(12), 0.0, 110.0
+        )
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_the_ends_of_the_band_belong_to_it(knee, end):
+    stiffness = float(knee.attainable_stiffness(0.0, -0.7)[end])
+    held = knee.pressures_for(0.0, -0.7, stiffness)
+    assert float(knee.stiffness(0.0, held)) == pytest.approx(stiffness, abs=1e-6)
+
+
+def test_a_stiffness_that_a_spring_jumps_over_is_refused_not_replaced_by_another(as_printed):
+    springy = dataclasses.replace(as_printed, tendon=SeriesSpring(stiffness=2e4, preload=100.0, travel=0.02))
+    try:
+        held = springy.pressures_for(0.0, -0.7, 40.0)
+    except UnreachableError:
+        return
+    assert float(springy.stiffness(0.0, held)) == pytest.approx(40.0, abs=1e-3)
+
+
+def test_with_a_spring_the_pressures_found_give_what_was_asked(as_printed):
+    springy = dataclasses.replace(as_printed, tendon=SeriesSpring(stiffness=2e4, preload=20.0, travel=0.02))
+    held = springy.pressures_for(0.05, -0.5, 20.0)
+    torque, stiffness = jax.jit(springy.torque_and_stiffness)(0.05, held)
+    assert float(torque) == pytest.approx(-0.5, abs=1e-9)
+    assert float(stiffness) == pytest.approx(20.0, abs=1e-6)

@@ -1,0 +1,120 @@
+"""The series spring, against SciPy's root finder on the paper's Eq. 3."""
+
+import dataclasses
+import math
+
+import jax
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from mckibben.joint import RigidTendon, SeriesSpring
+
+SPRING = SeriesSpring(stiffness=2e4, preload=60.0, travel=0.01)
+L0 = 0.18
+
+
+@pytest.fixture(scope="module")
+def muscle(as_printed):
+    return as_printed.muscle1
+
+
+@pytest.fixture(scope="module")
+def contraction(muscle):
+    return jax.jit(lambda path, pressure: SPRING.contraction(muscle, path, pressure))
+
+
+@pytest.fixture(scope="module")
+def springy(as_printed):
+    return dataclasses.replace(as_printed, tendon=SPRING)
+
+
+@pytest.fixture(scope="module")
+def torque_and_stiffness(springy):
+    return jax.jit(springy.torque_and_stiffness)
+
+
+def solved(paper, path, pressure, spring=SPRING):
+    """The extension at which the paper's muscle and the spring pull alike."""
+
+    def excess(x):
+        return max(paper.eq3(1 - (path - x) / L0, pressure), 0.0) - spring.preload - spring.stiffness * x
+
+    if excess(0.0) <= 0:
+        return 0.0
+    return spring.travel if excess(spring.travel) >= 0 else brentq(excess, 0, spring.travel, xtol=1e-15, rtol=1e-15)
+
+
+CASES = [(path, bars * 1e5) for path in (0.17, 0.178, 0.182, 0.19) for bars in (0, 0.7, 2, 4, 6)]
+
+
+def test_all_three_regimes_are_among_the_cases(paper):
+    extensions = [solved(paper, *case) for case in CASES]
+    assert {0.0, SPRING.travel} < set(extensions)
+    assert sum(0 < x < SPRING.travel for x in extensions) >= 4
+
+
+def test_the_spring_gives_as_scipy_finds(contraction, paper):
+    path, pressure = np.array(CASES).T
+    expected = [1 - (p - solved(paper, p, q)) / L0 for p, q in CASES]
+    np.testing.assert_allclose(contraction(path, pressure), expected, atol=1e-13)
+
+
+def test_muscle_and_spring_carry_one_tension(contraction, muscle):
+    path, pressure = np.array(CASES).T
+    shortened = np.asarray(contraction(path, pressure))
+    extension = path - L0 * (1 - shortened)
+    tension = np.asarray(muscle.force(shortened, pressure))
+    free = (extension > 1e-12) & (extension < SPRING.travel - 1e-12)
+    np.testing.assert_allclose(tension[free], 60.0 + 2e4 * extension[free], rtol=1e-9)
+    assert np.all(tension[extension <= 1e-12] <= 60.0 + 1e-9)
+    assert np.all(tension[extension >= SPRING.travel - 1e-12] >= 60.0 + 200.0 - 1e-9)
+
+
+def test_extension_is_preload_then_proportion_then_stop():
+    tensions = np.array([0.0, 60.0, 80.0, 260.0, 1000.0])
+    np.testing.assert_allclose(SPRING.extension(tensions), [0.0, 0.0, 0.001, 0.01, 0.01], atol=1e-15)
+    assert float(RigidTendon().extension(500.0)) == 0.0
+
+
+def test_pressure_for_inverts_tension(muscle):
+    paths, pressures = np.array([0.178, 0.182, 0.19]), np.array([3e5, 2e5, 4e5])
+    tension = jax.jit(lambda a, b: SPRING.tension(muscle, a, b))(paths, pressures)
+    np.testing.assert_allclose(SPRING.pressure_for(muscle, paths, tension), pressures, rtol=1e-9)
+
+
+def test_stiffness_is_minus_the_slope_of_the_torque_in_all_regimes(springy, torque_and_stiffness):
+    angle = np.radians([-12.0, -4.0, 0.5, 9.0])[:, None]
+    held = (np.array([0.3e5, 1.5e5, 5e5]), np.array([0.2e5, 2e5, 4e5]))
+    step = 1e-7
+    slope = (torque_and_stiffness(angle + step, held)[0] - torque_and_stiffness(angle - step, held)[0]) / (2 * step)
+    np.testing.assert_allclose(torque_and_stiffness(angle, held)[1], -slope, rtol=2e-5, atol=1e-5)
+
+
+def test_the_torque_is_that_of_the_tensions_that_scipy_finds(paper, torque_and_stiffness):
+    angle, held = math.radians(6), (2e5, 3.5e5)
+    tensions = []
+    for span, pressure in zip(paper.spans(angle), held, strict=True):
+        path = span - 0.19
+        tensions.append(max(paper.eq3(1 - (path - solved(paper, path, pressure)) / L0, pressure), 0.0))
+    d1, d2 = paper.eq5(angle)
+    assert float(torque_and_stiffness(angle, held)[0]) == pytest.approx(tensions[1] * d2 - tensions[0] * d1, rel=1e-9)
+
+
+@pytest.mark.parametrize("stiff", [SeriesSpring(1e12, 0.0, 0.01), SeriesSpring(1e4, 1e6, 0.01), SeriesSpring(1e4, 0.0, 0.0)])
+def test_a_spring_that_does_not_give_is_a_rigid_tendon(as_printed, stiff):
+    held = (2e5, 3e5)
+    rigid = as_printed.torque_and_stiffness(0.1, held)
+    got = jax.jit(lambda t: dataclasses.replace(as_printed, tendon=t).torque_and_stiffness(0.1, held))(stiff)
+    np.testing.assert_allclose(got, rigid, rtol=1e-6)
+
+
+def test_a_spring_widens_the_range_of_the_knee_as_printed(as_printed, springy, load):
+    holding = -load.gravity_torque(math.radians(15))
+    assert np.isnan(as_printed.attainable_torque(math.radians(15))[0]) or not (
+        float(as_printed.attainable_torque(math.radians(15))[0])
+        <= float(holding)
+        <= float(as_printed.attainable_torque(math.radians(15))[1])
+    )
+    low, high = jax.jit(springy.attainable_torque)(math.radians(15))
+    assert float(low) < float(holding) < float(high)

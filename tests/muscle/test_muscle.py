@@ -1,0 +1,93 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.errors import RangeError
+from mckibben.muscle import Domain, Muscle, Specimen
+
+
+@pytest.fixture(scope="module")
+def muscle(specimen, law):
+    return Muscle(specimen, law)
+
+
+def test_a_muscle_pulls_as_its_law_says(muscle, law):
+    assert float(muscle.force(0.1, 6e5)) == float(law.force(0.1, 6e5)) > 0
+
+
+def test_a_muscle_never_pushes(muscle, law):
+    contraction, pressure = np.linspace(-0.08, 0.4, 40)[:, None], np.linspace(-1e5, 8e5, 10)
+    force, fitted = muscle.force(contraction, pressure), law.force(contraction, pressure)
+    assert float(fitted.min()) < -100
+    assert float(force.min()) == 0.0
+    np.testing.assert_array_equal(force, np.maximum(fitted, 0))
+
+
+def test_a_slack_muscle_has_no_slope_and_a_taut_one_that_of_its_law(muscle, law):
+    assert float(muscle.slope(0.05, 0.0)) == 0.0
+    assert float(muscle.slope(0.05, 5e5)) == pytest.approx(float(law.slope(0.05, 5e5)), rel=1e-14)
+    assert np.isfinite(float(jax.grad(lambda c: muscle.force(c, 0.0))(0.05)))
+
+
+def test_the_force_of_a_contraction_that_is_no_number_is_no_number(muscle):
+    assert np.isnan(float(muscle.force(np.nan, 3e5)))
+
+
+def test_pressure_for_brings_the_force_back(muscle):
+    pressure = muscle.pressure_for(jnp.array([10.0, 100.0, 300.0]), 0.05)
+    np.testing.assert_allclose(muscle.force(0.05, pressure), [10.0, 100.0, 300.0], rtol=1e-12)
+
+
+def test_a_muscle_may_be_trusted_where_specimen_and_law_both_may(muscle):
+    domain = muscle.domain  # the specimen takes 8 bar, Eq. 3 was identified up to 6
+    assert (float(domain.contraction_min), float(domain.contraction_max)) == (-0.03, 0.25)
+    assert (float(domain.pressure_min), float(domain.pressure_max)) == (0.0, 6e5)
+
+
+def test_length_and_contraction_are_inverse(specimen):
+    assert float(specimen.contraction_at(0.162)) == pytest.approx(0.1, abs=1e-15)
+    assert float(specimen.length_at(0.1)) == pytest.approx(0.162, rel=1e-15)
+    assert float(specimen.contraction_at(0.1854)) == pytest.approx(-0.03, abs=1e-15)
+
+
+def test_a_domain_contains_its_edges_and_nothing_beyond():
+    domain = Domain(-0.03, 0.25, 0.0, 6e5)
+    contraction = np.array([-0.031, -0.03, 0.1, 0.25, 0.251])
+    np.testing.assert_array_equal(domain.contains(contraction, 3e5), [False, True, True, True, False])
+    np.testing.assert_array_equal(domain.contains_contraction(contraction), [False, True, True, True, False])
+    np.testing.assert_array_equal(domain.contains(0.1, np.array([-1.0, 0.0, 6e5, 6.00001e5])), [False, True, True, False])
+    assert domain.contains(contraction[:, None], np.zeros(3)).shape == (5, 3)
+    assert not bool(domain.contains(np.nan, 3e5))
+
+
+def test_a_domain_without_limits_contains_all():
+    assert bool(Domain().contains(1e9, -1e9))
+
+
+def test_an_intersection_is_the_shared_part_whatever_the_order():
+    one, other = Domain(-0.03, 0.25, 0.0, 8e5), Domain(-0.05, 0.2, 1e5, 6e5)
+    for shared in (one.intersection(other), other.intersection(one)):
+        assert [float(x) for x in jax.tree.leaves(shared)] == [-0.03, 0.2, 1e5, 6e5]
+
+
+def test_leaving_the_domain_is_said_as_the_house_says_it():
+    domain = Domain(-0.03, 0.25, 0.0, 8e5)
+    domain.check_contraction(0.25, of="M")
+    with pytest.raises(RangeError) as caught:
+        domain.check_contraction(-0.065, of="MAS-10-180N-AA-MC-O", remedy="give the joint a series spring")
+    assert str(caught.value) == (
+        "contraction -6.5 % is outside -3..25 % of MAS-10-180N-AA-MC-O; give the joint a series spring"
+    )
+    assert (caught.value.value, caught.value.lower, caught.value.upper) == (-0.065, -0.03, 0.25)
+
+
+def test_a_domain_prints_in_percent_and_bar():
+    assert str(Domain(-0.03, 0.25, 0.0, 6e5)) == "contraction -3..25 %, pressure 0..6 bar"
+
+
+def test_a_specimen_is_a_pytree_of_its_numbers():
+    specimen = Specimen("X", 0.18, 0.01, 0.4, 630.0, Domain(-0.03, 0.25, 0.0, 8e5))
+    assert len(jax.tree.leaves(specimen)) == 8
+    with pytest.raises(AttributeError):
+        specimen.initial_length = 0.2

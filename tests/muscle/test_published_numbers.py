@@ -1,0 +1,91 @@
+"""PHYSICS.md 1, 2 and 9: Eqs. 1 and 3 in numbers worked out by hand."""
+
+import math
+
+import jax
+import numpy as np
+import pytest
+
+from mckibben.muscle import ChouLaw
+from mckibben.units import bar, deg, mm, percent
+
+# contraction %, pressure bar, force N of Eq. 3
+EQ3 = [
+    (0, 6, -245.8 + 109 * 6 + 255.6 - 13.18 * 6),  # 584.72
+    (10, 6, (-245.8 + 654) + (3.216 - 20.652) * 10 + (255.6 - 79.08) * math.exp(-3)),
+    (-3, 0, -245.8 - 9.648 + 255.6 * math.exp(0.9)),
+    (25, 3, (-245.8 + 327) + (3.216 - 10.326) * 25 + (255.6 - 39.54) * math.exp(-7.5)),
+]
+
+
+@pytest.mark.parametrize(("contraction", "pressure", "force"), EQ3)
+def test_equation_3_by_hand(law, contraction, pressure, force):
+    assert float(law.force(contraction * percent, pressure * bar)) == pytest.approx(force, abs=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("contraction", "pressure", "force", "tolerance"),
+    [(0, 6, 584.72, 0.005), (10, 6, 242.6, 0.05), (-8, 6, 2494, 1), (5, 0, -173, 0.5), (23.4, 6, 0, 1)],
+)
+def test_equation_3_gives_the_numbers_that_we_publish(law, contraction, pressure, force, tolerance):
+    assert float(law.force(contraction * percent, pressure * bar)) == pytest.approx(force, abs=tolerance)
+
+
+def test_equation_3_crosses_zero_at_23_4_percent_for_6_bar(law):
+    assert float(law.force(23.35 * percent, 6 * bar)) > 0 > float(law.force(23.45 * percent, 6 * bar))
+
+
+def test_equation_3_is_the_papers_over_its_whole_domain(law, paper):
+    contraction, pressure = np.linspace(-0.03, 0.25, 29)[:, None], np.linspace(0, 6e5, 13)
+    np.testing.assert_allclose(law.force(contraction, pressure), paper.eq3(contraction, pressure), rtol=1e-12, atol=1e-10)
+    np.testing.assert_allclose(
+        law.slope(contraction, pressure), paper.eq3_slope(contraction, pressure), rtol=1e-12, atol=1e-9
+    )
+
+
+def test_equation_1_by_hand():
+    law = ChouLaw(braid_angle=25 * deg, initial_diameter=10 * mm)
+    beta1, beta2 = 3 / math.tan(math.radians(25)) ** 2, 1 / math.sin(math.radians(25)) ** 2
+    area = math.pi * 0.01**2 / 4
+    assert float(law.force(0.0, 6 * bar)) == pytest.approx(6e5 * area * (beta1 - beta2), rel=1e-13)
+    assert float(law.force(0.0, 6 * bar)) == pytest.approx(386, abs=0.5)
+    assert float(law.force(0.1, 3 * bar)) == pytest.approx(3e5 * area * (beta1 * 0.81 - beta2), rel=1e-13)
+    assert float(law.slope(0.1, 3 * bar)) == pytest.approx(-3e5 * area * 2 * beta1 * 0.9, rel=1e-13)
+
+
+def test_equation_1_has_no_force_without_pressure_and_none_at_36_percent():
+    law = ChouLaw(braid_angle=25 * deg, initial_diameter=10 * mm)
+    assert float(law.force(0.1, 0.0)) == 0.0
+    assert law.zero_force_contraction == pytest.approx(0.36, abs=0.005)
+    assert float(law.force(law.zero_force_contraction, 6 * bar)) == pytest.approx(0.0, abs=1e-10)
+
+
+def test_equation_1_of_a_specimen_is_that_of_its_geometry(specimen):
+    law = ChouLaw.of(specimen)
+    assert (law.braid_angle, law.initial_diameter) == (pytest.approx(25 * deg), pytest.approx(0.01))
+    assert law.domain is specimen.domain
+
+
+@pytest.mark.parametrize("contraction", [-0.03, 0.0, 0.1, 0.2, 0.35])
+def test_equation_1_is_the_virtual_work_of_the_braid(specimen, contraction):
+    pressure, step = 4 * bar, 1e-6
+    volume = lambda c: float(specimen.volume(c))  # noqa: E731
+    length = lambda c: float(specimen.length_at(c))  # noqa: E731
+    work = -pressure * (volume(contraction + step) - volume(contraction - step))
+    travel = length(contraction + step) - length(contraction - step)
+    assert work / travel == pytest.approx(float(ChouLaw.of(specimen).force(contraction, pressure)), rel=1e-7)
+
+
+def test_the_volume_is_that_of_a_cylinder_of_constant_thread(specimen):
+    assert float(specimen.volume(0.0)) == pytest.approx(math.pi * 0.01**2 / 4 * 0.18, rel=1e-14)
+    thread, contraction = 0.18 / math.cos(math.radians(25)), 0.17
+    turns = 0.18 * math.tan(math.radians(25)) / (math.pi * 0.01)
+    length = 0.18 * (1 - contraction)
+    diameter = math.sqrt(thread**2 - length**2) / (turns * math.pi)
+    assert float(specimen.volume(contraction)) == pytest.approx(math.pi * diameter**2 / 4 * length, rel=1e-12)
+
+
+def test_single_precision_is_good_to_a_milliwatt_of_doubt(law):
+    single = jax.jit(law.force)(np.float32(0.1), np.float32(6e5))
+    assert single.dtype == np.float32
+    assert float(single) == pytest.approx(242.6, abs=0.05)

@@ -1,0 +1,51 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+
+from mckibben.control import Constant
+from mckibben.numerics.compiled import compiled, numeric
+
+
+class Thing(eqx.Module):
+    number: float
+    whole: int
+    flag: bool
+    text: str = eqx.field(static=True, default="a")
+
+
+def test_numbers_become_arrays_and_all_else_stays():
+    thing = numeric(Thing(1.5, 2, True))
+    assert isinstance(thing.number, jax.Array)
+    assert thing.number.dtype == jnp.float64
+    assert isinstance(thing.whole, jax.Array)
+    assert thing.flag is True
+    assert thing.text == "a"
+    assert numeric(jnp.float32(1.0)).dtype == jnp.float32
+
+
+def test_a_new_value_compiles_nothing_and_a_new_structure_does():
+    traced = []
+
+    @compiled
+    def double(signal, *, time):
+        traced.append(1)
+        return 2 * signal(time)
+
+    assert float(double(Constant(1.5), time=0.0)) == 3.0
+    assert float(double(Constant(2.5), time=1.0)) == 5.0
+    assert float(double(Constant(-1.0), time=7.0)) == -2.0
+    assert len(traced) == 1
+    double(Constant(1.0), time=jnp.zeros(3))
+    assert len(traced) == 2
+
+
+def test_the_compiled_function_keeps_its_name():
+    @compiled
+    def named(x):
+        """Documented."""
+        return x
+
+    assert named.__name__ == "named"
+    assert named.__doc__ == "Documented."
+    assert float(named(2.0)) == pytest.approx(2.0)
