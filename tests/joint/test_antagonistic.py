@@ -12,7 +12,7 @@ from mckibben.joint import AntagonisticJoint, SeriesSpring
 from mckibben.muscle import ChouLaw, Muscle
 
 ANGLES = np.radians(np.linspace(-30, 30, 13))
-TAUT = [(2e5, 2e5), (3e5, 4e5), (5.5e5, 2.5e5)]
+TAUT = [(4e5, 4e5), (3.5e5, 4.5e5), (5.5e5, 4.6e5)]
 
 angles = st.floats(math.radians(-25), math.radians(25))
 pressures = st.floats(2e5, 6e5)

@@ -2,6 +2,7 @@
 
 from mckibben.rig.boundaries import Boundaries, boundaries
 from mckibben.rig.protocol import IsobaricProtocol, Plateaus
+from mckibben.rig.turns import away_from_turns
 from mckibben.rig.virtual import VirtualRig
 
-__all__ = ["Boundaries", "IsobaricProtocol", "Plateaus", "VirtualRig", "boundaries"]
+__all__ = ["Boundaries", "IsobaricProtocol", "Plateaus", "VirtualRig", "away_from_turns", "boundaries"]

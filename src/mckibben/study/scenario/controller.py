@@ -1,4 +1,4 @@
-"""The controller of a scenario: a loop for the position, a loop for the stiffness, and what it believes of the joint."""
+"""The controller of a scenario: a loop for position, a loop for stiffness, and what it believes of the joint."""
 
 from __future__ import annotations
 
@@ -51,9 +51,8 @@ class PIDSpec(Part, Generic[P, I, D]):
                 f"{name} {'negative' if gain < 0 else 'zero' if gain == 0 else 'positive'}"
                 for name, gain in {**info.data, "kd": value}.items()
             )
-            refuse(
-                f"its gains differ in sign ({signs})", "give all one sign, all negative if reverse-acting", parent=True
-            )
+            remedy = "give all one sign, negative if the loop is reverse-acting"
+            refuse(f"its gains differ in sign ({signs})", remedy, parent=True)
         return value
 
 

@@ -69,9 +69,9 @@ def dotted(place: Place) -> str:
 
 
 def read_document(text: str) -> Document:
-    """Read YAML text; whatever it is, the answer is a document.
+    r"""Read YAML text; whatever it is, the answer is a document.
 
-    >>> document = read_document("duration: 10 s\\nstart: {angle: 5 deg}")
+    >>> document = read_document("duration: 10 s\nstart: {angle: 5 deg}")
     >>> document.data
     {'duration': '10 s', 'start': {'angle': '5 deg'}}
     >>> document.line(("start", "angle"))
@@ -191,8 +191,11 @@ def _unreadable(document: Document, message: str, *, line: int | None = None, re
 
 def _explain(error: Any, text: str, document: Document) -> None:
     """A YAML error in our words, with its line."""
-    mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+    marks = [getattr(error, name, None) for name in ("problem_mark", "context_mark")]
     problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "it cannot be parsed"
+    if "end of stream" in problem:  # where it began says more than that the text ended
+        marks.reverse()
+    mark = marks[0] or marks[1]
     position = getattr(error, "position", None)
     if mark is None:
         line = text.count("\n", 0, position) + 1 if isinstance(position, int) else None

@@ -1,4 +1,4 @@
-"""The kinds of field in a scenario, with the ranges they may have. The ranges are wide: they catch slips of the unit."""
+"""The kinds of field in a scenario, with the ranges they may have: wide ones, they catch slips of the unit."""
 
 from __future__ import annotations
 

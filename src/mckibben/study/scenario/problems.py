@@ -24,7 +24,7 @@ def problems_of(error: ValidationError, document: Document, model: type[BaseMode
         (*found["loc"][:-1], close)
         for found in details
         if found["type"] == "extra_forbidden"
-        for close in _close_keys(found["loc"], model)
+        for close in _close_keys(found["loc"], document, model)
     }
     problems = []
     for found in details:
@@ -33,6 +33,8 @@ def problems_of(error: ValidationError, document: Document, model: type[BaseMode
             continue
         if found["type"] == "missing" and place in misspelt:
             continue
+        if found.get("ctx", {}).get("parent") and any(key[:-1] == place[:-1] for key in misspelt):
+            continue  # what the part seems to lack is probably the key that is misspelt
         problems.append(_problem(found, place, document, model))
     return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
 
@@ -43,10 +45,14 @@ def _problem(found: ErrorDetails, place: Place, document: Document, model: type[
     if kind == "mckibben":
         message, remedy = context["message"], context["remedy"]
         place = place[:-1] if context["parent"] else place
+        while place not in document.lines and place:  # a name alone stands for `from`, a quantity for `constant`
+            place = place[:-1]
     elif kind == "missing":
         message, remedy = "is missing", f"add it{_example(place, model)}"
     elif kind == "extra_forbidden":
-        message, remedy = "is no key of a scenario here", suggest(str(place[-1]), _keys(place[:-1], model))
+        message, remedy = "is no key of a scenario here", suggest(str(place[-1]), _free_keys(place, document, model))
+        if str(place[-1])[:1].isdigit() and value == "":
+            message, remedy = "is what follows a comma", "write decimals with a point"
     elif value in ("", None):
         message, remedy = "has no value", "write one, or leave the key out"
     elif kind == "model_type":
@@ -79,11 +85,17 @@ def _example(place: Place, model: type[BaseModel]) -> str:
     return ""
 
 
-def _close_keys(place: Place, model: type[BaseModel]) -> list[str]:
+def _close_keys(place: Place, document: Document, model: type[BaseModel]) -> list[str]:
     """The keys that a misspelt one may stand for."""
-    keys = _keys(place[:-1], model)
+    keys = _free_keys(place, document, model)
     remedy = suggest(str(place[-1]), keys)
     return [key for key in keys if remedy == f"did you mean {key!r}?"]
+
+
+def _free_keys(place: Place, document: Document, model: type[BaseModel]) -> list[str]:
+    """The keys that could stand in place of an unknown one: those not given yet, or all if all are."""
+    keys = _keys(place[:-1], model)
+    return [key for key in keys if (*place[:-1], key) not in document.lines] or keys
 
 
 def _keys(place: Place, model: type[BaseModel]) -> list[str]:

@@ -80,9 +80,9 @@ class Quantity:
     def range(self) -> str:
         """The range, in words."""
         unit = f" {self.shown}" if self.unit != "1" else ""
-        ends = [f"{self.lower:g} (excluded)" if self.open_lower else f"{self.lower:g}"]
-        ends.append(f"{self.upper:g} (excluded)" if self.open_upper else f"{self.upper:g}")
-        return f"{ends[0]} to {ends[1]}{unit}"
+        lower = f"above {self.lower:g}" if self.open_lower else f"{self.lower:g}"
+        upper = f"below {self.upper:g}" if self.open_upper else f"{self.upper:g}"
+        return f"{lower} to {upper}{unit}"
 
     def _from_text(self, text: str) -> float:
         stripped = text.strip()
@@ -98,14 +98,11 @@ class Quantity:
             pass
         except ArithmeticError:  # a product of units beyond the floats
             refuse(f"{quoted(text)} is not a finite number", f"write it like {self.example}")
-        try:
-            value = quantity(stripped, self.shown) * factor(
-                self.shown, self.unit
-            )  # the same complaint, about the unit shown
+        try:  # the same complaint, but about the unit shown
+            return quantity(stripped, self.shown) * factor(self.shown, self.unit)
         except UnitError as error:
             message = str(error).removesuffix(f"; {error.remedy}") if error.remedy else str(error)
             refuse(message, error.remedy)
-        return value
 
     def _holds(self, number: float) -> bool:
         scale = factor(self.shown, self.unit)

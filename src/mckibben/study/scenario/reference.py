@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, Generic, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
+from mckibben.errors import ScenarioError
 from mckibben.study.scenario.fields import Angle, Frequency, Instant, Phase, Stiffness, TablePath
 from mckibben.study.scenario.part import Part, refuse
+from mckibben.study.scenario.samples import read_samples
 
 Q = TypeVar("Q")
 MOST_SAMPLES = 2000
@@ -65,7 +68,7 @@ class SamplesSpec(Part, Generic[Q]):
     @classmethod
     def _rising(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
         times = value or ()
-        for before, after in zip(times, times[1:], strict=False):
+        for before, after in itertools.pairwise(times):
             if not after > before:
                 refuse(f"do not rise: {after:g} s follows {before:g} s", "sort them and remove repeats")
         return value
@@ -78,9 +81,11 @@ class SamplesSpec(Part, Generic[Q]):
             return value
         if value is not None and (times is not None or values is not None):
             refuse("is given beside times or values", "keep the file, or the lists")
-        if value is None and (times is None or values is None):
+        if value is not None:
+            return value
+        if times is None or values is None:
             refuse("lacks its samples", "give `times` and `values`, or a `file`", parent=True)
-        if value is None and (len(times) != len(values) or not times):
+        if len(times) != len(values) or not times:
             refuse(f"has {len(times)} times and {len(values)} values", "give one value a time", parent=True)
         return value
 
@@ -121,3 +126,16 @@ class ReferenceSpec(Part):
 
     angle: SignalSpec[Angle]
     stiffness: SignalSpec[Stiffness]
+
+    @field_validator("angle", "stiffness", mode="after")
+    @classmethod
+    def _readable_file(cls, value: SignalSpec[Any], info: ValidationInfo) -> SignalSpec[Any]:
+        if value.samples is not None and value.samples.file is not None:
+            name, unit = ("angle", "rad") if info.field_name == "angle" else ("stiffness", "N*m/rad")
+            try:
+                read_samples(value.samples.file, name, unit)
+            except ScenarioError as error:
+                first, *others = (str(problem) for problem in error.problems)
+                more = f" (and {len(others)} more)" if others else ""
+                refuse(f"{value.samples.file.name}: {first}{more}")
+        return value

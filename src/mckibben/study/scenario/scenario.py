@@ -102,7 +102,7 @@ class Scenario(Part):
     @model_serializer(mode="wrap", when_used="json")
     def _write(self, handler: Any) -> Any:
         written = handler(self)
-        return {**written, "valve": written["valve"] or "ideal"}
+        return {**written, "valve": written.get("valve") or "ideal"}
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Scenario:

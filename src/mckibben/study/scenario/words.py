@@ -38,12 +38,11 @@ class Whole:
         return value
 
 
-def read_flag(value: Any) -> Any:
-    if isinstance(value, bool):
-        return value
-    if isinstance(value, str) and value in ("true", "false"):
-        return value == "true"
-    refuse(f"{quoted(value)} is neither true nor false", "write true or false")
+def read_flag(value: Any) -> bool:
+    """True or false."""
+    if not isinstance(value, bool) and value not in ("true", "false"):
+        refuse(f"{quoted(value)} is neither true nor false", "write true or false")
+    return value is True or value == "true"
 
 
 @dataclass(frozen=True)
@@ -106,20 +105,24 @@ def write_path(path: Path, info: SerializationInfo) -> str:
 
 
 def read_table(value: Any, info: ValidationInfo) -> Path:
+    """The path of a CSV file."""
     return read_path(value, info, ".csv")
 
 
-def read_law(value: Any, info: ValidationInfo) -> Any:
+def read_law(value: Any, info: ValidationInfo) -> str | Path:
+    """A law of the catalog, ``chou``, or the path of a fit."""
     if str(value).endswith((".yaml", ".yml")):
         return read_path(value, info, ".yaml")
     return Entry("laws").read(value, others=("chou",))
 
 
 def write_law(value: str | Path, info: SerializationInfo) -> str:
+    """What `read_law` reads."""
     return write_path(value, info) if isinstance(value, Path) else value
 
 
-def read_title(value: Any) -> Any:
+def read_title(value: Any) -> str:
+    """One line of text."""
     if not isinstance(value, str) or not value.strip():
         refuse(f"{quoted(value)} is not a name", "name the scenario in a few words")
     if len(value.strip()) > 200 or not value.strip().isprintable():

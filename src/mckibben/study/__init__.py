@@ -1,0 +1,1 @@
+"""Whole pieces of work: scenario files, the paper end to end, tuning."""

@@ -1,0 +1,6 @@
+"""The paper, end to end: its test, its law, its knee, its control, and what of its claims holds."""
+
+from mckibben.study.paper.claims import Claim
+from mckibben.study.paper.reproduce import Reproduction, reproduce
+
+__all__ = ["Claim", "Reproduction", "reproduce"]

@@ -1,0 +1,220 @@
+"""The paper, end to end."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import mckibben
+from mckibben.identification import Fit, Validation
+from mckibben.study.paper.claims import Claim, judge
+from mckibben.study.paper.identification import CHOU, EXPERIMENTAL, TEST_PRESSURES, Identification, run_identification
+from mckibben.study.paper.joint import JointMap, run_joint
+from mckibben.study.paper.settings import SETTINGS
+from mckibben.study.paper.tracking import LOST_ANGLE, Run, Tracking, run_tracking
+from mckibben.units import bar, deg, factor
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Everything that the report shows, as numbers.
+
+    Attributes
+    ----------
+    identification, joint, tracking
+        The three parts.
+    claims
+        The paper's claims with verdicts.
+    quick
+        Whether it was the quick form: fewer repeats, seeds and generations.
+    seconds
+        How long it took.
+    """
+
+    identification: Identification
+    joint: dict[str, JointMap]
+    tracking: Tracking
+    claims: tuple[Claim, ...]
+    quick: bool
+    seconds: float
+
+    def results(self) -> dict[str, Any]:
+        """Every number of the report, ready for JSON; a number that does not exist is None."""
+        return _plain(
+            {
+                "mckibben": mckibben.__version__,
+                "versions": {name: version(name) for name in ("jax", "numpy", "equinox")},
+                "python": platform.python_version(),
+                "quick": self.quick,
+                "seeds": self.tracking.seeds,
+                "identification": {name: _fit(fit) for name, fit in self.identification.fits.items()},
+                "validation": _validation(self.identification),
+                "joint": {setting.key: _joint(self.joint[setting.key]) for setting in SETTINGS},
+                "tracking": _tracking(self.tracking),
+                "tuning": {key: _tuned(tuned) for key, tuned in self.tracking.tuned.items()},
+                "coupling": {
+                    key: {
+                        "angle_by_step_deg": found.angle_by_step / deg,
+                        "stiffness_by_motion": found.stiffness_by_motion,
+                        "stiffness_at_rest": found.stiffness_at_rest,
+                    }
+                    for key, found in self.tracking.coupling.items()
+                },
+                "claims": [asdict(claim) for claim in self.claims],
+            }
+        )
+
+    def save(self, folder: Path) -> None:
+        """Keep the numbers: results.json, fits, datasets, scenarios and trajectories."""
+        for name in ("fits", "data", "scenarios", "trajectories"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        for name, fit in self.identification.fits.items():
+            fit.to_yaml(folder / "fits" / f"{name}.yaml")
+        self.identification.rig.test.to_netcdf(folder / "data" / "virtual-rig-test.nc")
+        self.identification.rig.retest.to_netcdf(folder / "data" / "virtual-rig-retest.nc")
+        for (key, wish, controller), run in self.tracking.runs.items():
+            name = "-".join((key, wish.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
+            run.scenario.to_yaml(folder / "scenarios" / f"{name}.yaml")
+            run.result.to_netcdf(folder / "trajectories" / f"{name}.nc")
+        text = json.dumps(self.results(), indent=2, allow_nan=False)
+        part = folder / ".results.json.part"
+        part.write_text(text + "\n", encoding="utf-8")
+        part.replace(folder / "results.json")
+
+
+def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Reproduction:
+    """Run the paper: test, identify, validate, the joint, and the control of position and stiffness.
+
+    Parameters
+    ----------
+    quick
+        Two repeats of the test instead of five, 5 seeds of BP instead of 20, and a shorter tuning.
+    progress
+        Called with what is being done and the part that is done, 0 to 1.
+    """
+    start = time.perf_counter()
+
+    def report(what: str, part: float) -> None:
+        if progress:
+            progress(what, part)
+
+    report("isobaric test, identification, validation", 0.0)
+    identification = run_identification(repeats=2 if quick else 5)
+    report("attainable stiffness of the knee", 0.1)
+    joint = run_joint()
+    what = "position and stiffness control"
+    report(what, 0.15)
+    tracking = run_tracking(
+        seeds=5 if quick else 20,
+        generations=8 if quick else 40,
+        progress=lambda part: report(what, 0.15 + 0.85 * part),
+    )
+    claims = judge(identification, joint, tracking)
+    return Reproduction(identification, joint, tracking, claims, quick, time.perf_counter() - start)
+
+
+def _fit(fit: Fit) -> dict[str, Any]:
+    unseen = fit.leave_one_pressure_out
+    shown = {p.name: factor(p.shown, p.unit) for p in type(fit.law).parameters()}
+    units = {p.name: p.shown for p in type(fit.law).parameters()}
+    return {
+        "law": type(fit.law).__name__,
+        "decay_per_percent": fit.estimates["decay"] / shown["decay"],
+        "rmse_N": fit.rmse,
+        "max_N": fit.max_error,
+        "leave_one_pressure_out_rmse_N": unseen.rmse if unseen else None,
+        "leave_one_pressure_out_max_N": unseen.max_error if unseen else None,
+        "points_used": fit.points_used,
+        "points_slack": fit.points_slack,
+        "parameters": {
+            name: {
+                "estimate": value / shown[name],
+                "standard_error": fit.standard_errors[name] / shown[name],
+                "unit": units[name],
+            }
+            for name, value in fit.estimates.items()
+        },
+        "warnings": list(fit.warnings),
+    }
+
+
+def _validation(found: Identification) -> dict[str, Any]:
+    def by_pressure(validation: Validation, law: str) -> dict[str, float]:
+        return {f"{p / bar:g} bar": validation.of(law, pressure=p).rmse for p in TEST_PRESSURES}
+
+    held_out = found.held_out_pressures.validation
+    repeat = found.held_out_repeat.validation
+    return {
+        "retest_rmse_N": {law: by_pressure(found.retested, law) for law in (EXPERIMENTAL, CHOU)},
+        "held_out_pressures_rmse_N": by_pressure(held_out, held_out.laws[0]),
+        "held_out_repeat_rmse_N": by_pressure(repeat, repeat.laws[0]),
+        "measured_rmse_N": {
+            name: {law: validation.of(law).rmse for law in validation.laws}
+            for name, validation in found.measured.items()
+        },
+    }
+
+
+def _joint(found: JointMap) -> dict[str, Any]:
+    low, high = found.at(0.0)
+    first, last = found.holdable
+    return {
+        "attainable_stiffness_at_0_deg": [low, high],
+        "holdable_angles_deg": [first / deg, last / deg],
+    }
+
+
+def _tracking(found: Tracking) -> dict[str, Any]:
+    table: dict[str, Any] = {}
+    for (key, wish, controller), run in found.runs.items():
+        table.setdefault(key, {}).setdefault(wish.value, {})[controller] = _run(run)
+    return table
+
+
+def _run(run: Run) -> dict[str, Any]:
+    numbers = {
+        "angle_rmse_deg": ("angle_rmse", deg),
+        "angle_max_deg": ("angle_max", deg),
+        "stiffness_rmse": ("stiffness_rmse", 1.0),
+        "stiffness_settling_s": ("stiffness_settling", 1.0),
+        "coupling_deg": ("coupling", deg),
+        "time_saturated_s": ("time_saturated", 1.0),
+        "time_slack_s": ("time_slack", 1.0),
+        "time_outside_domain_s": ("time_outside_domain", 1.0),
+    }
+    found: dict[str, Any] = {name: run.median(metric) / unit for name, (metric, unit) in numbers.items()}
+    if run.seeds is not None:
+        found["worst"] = {name: run.worst(metric) / unit for name, (metric, unit) in numbers.items()}
+        found["lost"] = run.lost
+    return found | {"outcome": run.result.describe(), "lost_above_deg": LOST_ANGLE / deg}
+
+
+def _tuned(tuned: Any) -> dict[str, Any]:
+    return {
+        "position": {name: getattr(tuned.position, name) for name in ("kp", "ki", "kd")},
+        "stiffness": {name: getattr(tuned.stiffness, name) for name in ("kp", "ki", "kd")},
+        "cost": tuned.cost,
+        "cost_before": tuned.cost_before,
+        "evaluated": tuned.evaluated,
+        "at_bound": list(tuned.at_bound),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """The same with NaN and infinities as None, which JSON has words for."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

@@ -1,0 +1,244 @@
+"""The runs behind Figs. 7 and 8: PID and BP, on moderate and on tuned gains, in both geometries, over many seeds."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from mckibben.control import PositionStiffnessControl, Setpoint
+from mckibben.errors import ReachabilityWarning
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation import Metrics, Result, Trajectory, episode, measure, simulate, trajectory
+from mckibben.simulation.loop import compiled_episode, sampled
+from mckibben.simulation.metrics import rms
+from mckibben.simulation.simulate import whole_periods
+from mckibben.simulation.trajectory import compiled_trajectory
+from mckibben.study.paper.settings import BOUND, FREE, SETTINGS, Setting, Wish, bp_scenario, gains_of, pid_scenario
+from mckibben.study.scenario import Scenario
+from mckibben.study.tuning import Cost, Tuned, tune_pid
+from mckibben.units import deg, quantity
+
+PID, BP, TUNED_PID = "PID", "BP", "PID tuned"
+TUNED_BP, FREE_TUNED_BP = "BP on tuned gains", "BP on tuned gains, free"
+CONTROLLERS = (PID, BP, TUNED_PID, TUNED_BP, FREE_TUNED_BP)
+
+LOST_ANGLE = 90 * deg
+"""An angle error from which on a run counts as lost: the joint has swung over."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One controller on one wish in one geometry.
+
+    Attributes
+    ----------
+    scenario, result
+        The run that the figures show (for BP that of the first seed).
+    seeds
+        Metrics over the seeds, each of shape (seeds,), where the controller has a seed.
+    """
+
+    scenario: Scenario
+    result: Result
+    seeds: Metrics | None
+
+    def median(self, metric: str) -> float:
+        """The median over the seeds, a run that never settles counting as the longest; the value itself without seeds."""
+        return _quantile(self._values(metric), 0.5)
+
+    def worst(self, metric: str) -> float:
+        """The largest over the seeds."""
+        return _quantile(self._values(metric), 1.0)
+
+    @property
+    def lost(self) -> int:
+        """How many runs were lost: not finite, or the joint swung over."""
+        largest = self._values("angle_max")
+        return int(np.sum(~(largest < LOST_ANGLE)))
+
+    def _values(self, metric: str) -> np.ndarray:
+        if self.seeds is None:
+            return np.array([self.result.metrics()[metric]])
+        return np.asarray(getattr(self.seeds, metric))
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """How position and stiffness disturb each other under PID with moderate gains.
+
+    Attributes
+    ----------
+    angle_by_step
+        The largest difference of the angle [rad] between a run with the stiffness step and one without it, after the
+        step.
+    stiffness_by_motion
+        RMS error of the stiffness [N*m/rad] over the second half of a run with constant desired stiffness, the angle
+        moving.
+    stiffness_at_rest
+        The same with the desired angle held at 0.
+    """
+
+    angle_by_step: float
+    stiffness_by_motion: float
+    stiffness_at_rest: float
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """All runs, by setting, wish and controller.
+
+    Attributes
+    ----------
+    runs
+        Keys (setting key, wish, controller name).
+    tuned, coupling
+        By setting key.
+    seeds
+        How many seeds BP was run with.
+    """
+
+    runs: dict[tuple[str, Wish, str], Run]
+    tuned: dict[str, Tuned]
+    coupling: dict[str, Coupling]
+    seeds: int
+
+
+def run_tracking(*, seeds: int, generations: int, progress: Callable[[float], None] | None = None) -> Tracking:
+    """Run everything.
+
+    Parameters
+    ----------
+    seeds
+        How many initial networks BP is run with.
+    generations
+        Of the tuning.
+    progress
+        Called with the part that is done, 0 to 1.
+    """
+    runs: dict[tuple[str, Wish, str], Run] = {}
+    tuned: dict[str, Tuned] = {}
+    coupling: dict[str, Coupling] = {}
+    for i, setting in enumerate(SETTINGS):
+
+        def report(part: float, start: float = i / len(SETTINGS)) -> None:
+            if progress:
+                progress(start + part / len(SETTINGS))
+
+        tuned[setting.key] = _tune(setting, generations, lambda part: report(0.6 * part))
+        gains = gains_of(tuned[setting.key].position, tuned[setting.key].stiffness)
+        for j, wish in enumerate(Wish):
+            for name, given in ((PID, None), (TUNED_PID, gains)):
+                scenario = pid_scenario(setting, wish, given, name=name)
+                runs[setting.key, wish, name] = Run(scenario, _quiet(scenario), None)
+            for name, given, ratio in ((BP, None, FREE), (TUNED_BP, gains, BOUND), (FREE_TUNED_BP, gains, FREE)):
+                scenario = bp_scenario(setting, wish, given, gain_ratio=ratio, name=name)
+                runs[setting.key, wish, name] = _run_bp(scenario, seeds)
+            report(0.6 + 0.2 * (j + 1))
+        coupling[setting.key] = _coupling(setting)
+    return Tracking(runs, tuned, coupling, seeds)
+
+
+def run_scenario(scenario: Scenario) -> Result:
+    """Simulate a scenario; the result carries its text."""
+    plant = scenario.plant()
+    return simulate(
+        plant,
+        scenario.control(),
+        scenario.reference(),
+        duration=scenario.duration,
+        control_period=scenario.control_period,
+        substeps=scenario.substeps,
+        initial=scenario.initial(plant),
+        scenario=scenario.dumps(),
+    )
+
+
+def _tune(setting: Setting, generations: int, progress: Callable[[float], None]) -> Tuned:
+    scenario = pid_scenario(setting, Wish.CONSTANT)
+    plant = scenario.plant()
+    return tune_pid(
+        plant,
+        scenario.control(),
+        [pid_scenario(setting, wish).reference() for wish in Wish],
+        Cost(quantity(setting.angle_scale, "rad") / 10, quantity(setting.stiffness_scale, "N*m/rad") / 10),
+        initial=scenario.initial(plant),
+        duration=scenario.duration,
+        control_period=scenario.control_period,
+        substeps=scenario.substeps,
+        generations=generations,
+        progress=progress,
+    )
+
+
+def _run_bp(scenario: Scenario, seeds: int) -> Run:
+    plant = scenario.plant()
+    periods = whole_periods(scenario.duration, scenario.control_period, scenario.substeps)
+    _, wishes = sampled(scenario.reference(), periods, scenario.control_period)
+    control, initial = scenario.control(), scenario.initial(plant)
+    arguments = numeric((plant, control, wishes, initial, scenario.control_period))
+    measured = _over_seeds(*arguments, jnp.arange(seeds), scenario.substeps)
+    return Run(scenario, _quiet(scenario), measured)
+
+
+@eqx.filter_jit
+def _over_seeds(
+    plant: JointPlant,
+    control: PositionStiffnessControl,
+    wishes: Setpoint,
+    initial: PlantState,
+    period: Array,
+    seeds: Array,
+    substeps: int,
+) -> Metrics:
+    def one(seed: Array) -> Metrics:
+        seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, (seed, seed))
+        _, record = episode(plant, seeded, wishes, initial, period, substeps)
+        return measure(trajectory(plant, wishes, record), period)
+
+    return jax.vmap(one)(seeds)
+
+
+def _coupling(setting: Setting) -> Coupling:
+    """Two more runs: the step's run without the step, and the constant wish with the angle held."""
+    stepping = pid_scenario(setting, Wish.STEP)
+    plant, control, initial = stepping.plant(), stepping.control(), stepping.initial(stepping.plant())
+    periods = whole_periods(stepping.duration, stepping.control_period, stepping.substeps)
+    _, stepped = sampled(stepping.reference(), periods, stepping.control_period)
+    level = stepped._replace(stiffness=jnp.full_like(stepped.stiffness, stepped.stiffness[0]))
+    _, moving = sampled(pid_scenario(setting, Wish.CONSTANT).reference(), periods, stepping.control_period)
+    held = moving._replace(angle=jnp.zeros_like(moving.angle))
+
+    def moved(wishes: Setpoint) -> Trajectory:
+        arguments = numeric((plant, control, wishes, initial, stepping.control_period))
+        _, record = compiled_episode(*arguments, stepping.substeps)
+        return compiled_trajectory(plant, wishes, record)
+
+    half = periods // 2
+    with_step, without, moving_run, held_run = (moved(wishes) for wishes in (stepped, level, moving, held))
+    return Coupling(
+        angle_by_step=float(jnp.max(jnp.abs(with_step.angle - without.angle)[half:])),
+        stiffness_by_motion=float(rms((moving_run.stiffness - moving_run.desired_stiffness)[half:])),
+        stiffness_at_rest=float(rms((held_run.stiffness - held_run.desired_stiffness)[half:])),
+    )
+
+
+def _quiet(scenario: Scenario) -> Result:
+    """Run it; the report says itself where a wish is out of reach."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ReachabilityWarning)
+        return run_scenario(scenario)
+
+
+def _quantile(values: np.ndarray, part: float) -> float:
+    """A quantile in which NaN (never settled, lost) counts as the largest of all."""
+    ordered = np.sort(np.where(np.isnan(values), np.inf, values))
+    found = float(ordered[round(part * (len(ordered) - 1))])
+    return found if np.isfinite(found) else float("nan")

@@ -1,0 +1,131 @@
+"""PID against a textbook loop in plain Python."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from mckibben.control import PID
+
+PERIOD = 0.01
+
+
+class Textbook:
+    """Rectangular integral, filtered backward difference, back-calculation."""
+
+    def __init__(self, kp, ki, kd, tf, tt, on_error, output):
+        self.kp, self.ki, self.kd, self.tf, self.tt, self.on_error = kp, ki, kd, tf, tt, on_error
+        self.i, self.d, self.last = output, 0.0, None
+
+    def start(self, desired, measured):
+        self.last = desired - measured if self.on_error else -measured
+
+    def __call__(self, desired, measured, low, high):
+        e = desired - measured
+        x = desired - measured if self.on_error else -measured
+        self.d = (self.tf * self.d + (x - self.last)) / (self.tf + PERIOD)
+        self.last = x
+        self.i += self.ki * e * PERIOD
+        u = self.kp * e + self.i + self.kd * self.d
+        realised = min(max(u, low), high)
+        self.i += min(PERIOD / self.tt, 1.0) * (realised - u) if self.tt > 0 else realised - u
+        return u, realised
+
+
+@jax.jit
+def run(pid, desired, measured, start, low, high):
+    """All outputs, and what was realised of them."""
+
+    def period(state, sample):
+        state, output = pid.step(state, sample[0], sample[1], 1.0, PERIOD)
+        realised = jnp.clip(output, low, high)
+        return pid.realised(state, output, realised, PERIOD), (output, realised)
+
+    return lax.scan(period, pid.init(desired[0], measured[0], start), (desired, measured))[1]
+
+
+def signals(seed=0, count=300):
+    rng = np.random.default_rng(seed)
+    return np.cumsum(rng.normal(size=count)) * 0.1, np.cumsum(rng.normal(size=count)) * 0.1
+
+
+@pytest.mark.parametrize("on_error", [False, True])
+@pytest.mark.parametrize(
+    ("gains", "limits"),
+    [
+        ((3.0, 4.0, 0.2, 0.02, 0.05), (-1e9, 1e9)),
+        ((3.0, 4.0, 0.2, 0.02, 0.05), (-1.0, 1.5)),
+        ((-3.0, -4.0, -0.2, 0.02, 0.05), (-1.0, 1.5)),
+        ((2.0, 8.0, 0.0, 0.0, 0.001), (-1.0, 1.5)),  # tracks at once
+        ((2.0, 8.0, 0.3, 0.0, 0.0), (-1.0, 1.5)),  # unfiltered
+    ],
+)
+def test_it_is_the_textbooks_pid(gains, limits, on_error):
+    desired, measured = signals()
+    book = Textbook(*gains, on_error, 0.7)
+    book.start(desired[0], measured[0])
+    expected = [book(float(d), float(m), *limits) for d, m in zip(desired, measured, strict=True)]
+    pid = PID(*(jnp.asarray(g) for g in gains), derivative_on_error=on_error)
+    got = run(pid, desired, measured, 0.7, *limits)
+    np.testing.assert_allclose(np.array(got).T, expected, rtol=1e-11, atol=1e-11)
+
+
+def test_without_an_error_it_goes_on_with_the_output_it_took_over():
+    same = np.full(20, 0.3)
+    output, _ = run(PID(3.0, 4.0, 0.5), same, same, 1.25, -10.0, 10.0)
+    np.testing.assert_allclose(output, 1.25, rtol=1e-14)
+
+
+def test_a_step_of_the_wish_does_not_kick_unless_the_derivative_sees_it():
+    desired, measured = np.where(np.arange(20) < 10, 0.0, 1.0), np.zeros(20)
+    calm, _ = run(PID(1.0, 0.0, 5.0), desired, measured, 0.0, -1e9, 1e9)
+    kicked, _ = run(PID(1.0, 0.0, 5.0, derivative_on_error=True), desired, measured, 0.0, -1e9, 1e9)
+    np.testing.assert_allclose(calm, desired)
+    assert float(kicked[10]) == pytest.approx(1.0 + 5.0 * 1.0 / (0.005 + PERIOD))
+    assert abs(float(kicked[-1]) - 1.0) < 0.1
+
+
+def test_the_derivative_opposes_a_moving_measurement():
+    ramp = 0.5 * PERIOD * np.arange(400)
+    output, _ = run(PID(0.0, 0.0, 2.0), np.zeros(400), ramp, 0.0, -1e9, 1e9)
+    assert float(output[-1]) == pytest.approx(-2.0 * 0.5, rel=1e-6)
+
+
+def test_anti_windup_leaves_the_limit_sooner():
+    desired = np.where(np.arange(400) < 200, 5.0, -0.5)
+    measured = np.zeros(400)
+    times = []
+    for tracking in (0.02, 1e9):  # with, and practically without
+        _, realised = run(PID(0.5, 2.0, 0.0, tracking_time=tracking), desired, measured, 0.0, -1.0, 1.0)
+        assert float(realised[199]) == 1.0
+        below = np.flatnonzero(np.asarray(realised[200:]) < 1.0)
+        times.append(below[0] if below.size else 200)
+    assert times[0] <= 5 < 100 < times[1]
+
+
+def test_the_integral_does_not_run_away_at_the_limit():
+    state_after = []
+    for tracking in (0.05, 1e9):
+        pid = PID(1.0, 5.0, 0.0, tracking_time=tracking)
+        state = pid.init(0.0, 0.0, 0.0)
+        for _ in range(50):
+            state, output = pid.step(state, 10.0, 0.0, 1.0, PERIOD)
+            state = pid.realised(state, output, jnp.minimum(output, 1.0), PERIOD)
+        state_after.append(float(state.integral))
+    assert state_after[1] == pytest.approx(25.0, rel=1e-6)
+    assert state_after[0] < 0.0  # close to limit minus kp e
+
+
+def test_the_sensitivity_is_no_business_of_a_pid():
+    pid = PID(1.0, 2.0, 0.1)
+    state = pid.init(0.0, 0.0, 0.0)
+    assert pid.step(state, 1.0, 0.2, 5.0, PERIOD) == pid.step(state, 1.0, 0.2, -7.0, PERIOD)
+
+
+def test_a_step_does_not_change_the_state_that_it_was_given():
+    pid = PID(1.0, 2.0, 0.1)
+    state = pid.init(0.0, 0.0, 0.0)
+    before = jax.tree.map(float, state)
+    pid.step(state, 1.0, 0.2, 1.0, PERIOD)
+    assert jax.tree.map(float, state) == before

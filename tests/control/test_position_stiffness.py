@@ -1,0 +1,153 @@
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.control import PID, BackpropPID, Loop, Measurement, PositionStiffnessControl, Setpoint
+from mckibben.numerics.compiled import numeric
+
+PERIOD = 1e-3
+POSITION, STIFFNESS = PID(1.5e5, 6e5, 1e4), PID(2e3, 2e5, 0.0)
+
+
+class Spy(Loop):
+    """Asks for a fixed output and remembers all that it is told."""
+
+    output: float
+
+    def init(self, desired, measured, output):
+        return {"started": (desired, measured, output)}
+
+    def step(self, state, desired, measured, sensitivity, period):
+        return {"asked": (desired, measured, sensitivity, period)}, jnp.asarray(self.output)
+
+    def realised(self, state, output, realised, period):
+        return state | {"told": (output, realised, period)}
+
+    def telemetry(self, state):
+        return {}
+
+
+@pytest.fixture(scope="module")
+def control(knee):
+    return numeric(PositionStiffnessControl(POSITION, STIFFNESS, model=knee))
+
+
+def seen(angle=0.1, p1=4e5, p2=4.4e5):
+    return Measurement(jnp.asarray(angle), (jnp.asarray(p1), jnp.asarray(p2)))
+
+
+def wish(angle=0.1, stiffness=15.0):
+    return Setpoint(jnp.asarray(angle), jnp.asarray(stiffness))
+
+
+@jax.jit
+def once(control, setpoint, measurement):
+    """State and commands of the first step."""
+    return control.step(control.init(measurement), setpoint, measurement, PERIOD)
+
+
+@pytest.fixture(scope="module")
+def spied(knee):
+    def run(differential, cocontraction, measurement):
+        control = PositionStiffnessControl(Spy(differential), Spy(cocontraction), model=knee)
+        return control.step(control.init(measurement), wish(0.2, 16.0), measurement, PERIOD), control.init(measurement)
+
+    return run
+
+
+def test_it_takes_over_the_pressures_as_they_are(control, knee):
+    measurement = seen()
+    setpoint = Setpoint(measurement.angle, knee.stiffness(measurement.angle, measurement.pressures))
+    _, commands = once(control, setpoint, measurement)
+    assert [float(c) for c in commands] == pytest.approx([4e5, 4.4e5], rel=1e-12)
+
+
+def test_the_first_muscle_gets_the_sum_less_the_difference(spied):
+    (_, commands), _ = spied(0.5e5, 3e5, seen())
+    assert [float(c) for c in commands] == [2.5e5, 3.5e5]
+
+
+def test_each_loop_sees_its_own_quantity_and_the_models_sensitivity(spied, knee):
+    measurement = seen()
+    (state, _), start = spied(0.5e5, 3e5, measurement)
+    held = (4e5, 4.4e5)
+    estimate = float(knee.stiffness(0.1, held))
+    assert float(state.estimate) == pytest.approx(estimate)
+    assert [float(x) for x in start.position["started"]] == pytest.approx([0.1, 0.1, 0.2e5])
+    assert [float(x) for x in start.stiffness["started"]] == pytest.approx([estimate, estimate, 4.2e5])
+    desired, measured, by_differential, period = (float(x) for x in state.position["asked"])
+    assert (desired, measured, period) == pytest.approx((0.2, 0.1, PERIOD))
+    step = 10.0
+    more = float(knee.torque(0.1, (held[0] - step, held[1] + step)) - knee.torque(0.1, (held[0] + step, held[1] - step)))
+    assert by_differential == pytest.approx(more / (2 * step) / estimate, rel=1e-6)
+    assert by_differential > 0
+    desired, measured, by_cocontraction, _ = (float(x) for x in state.stiffness["asked"])
+    assert (desired, measured) == pytest.approx((16.0, estimate))
+    stiffer = float(
+        knee.stiffness(0.1, (held[0] + step, held[1] + step)) - knee.stiffness(0.1, (held[0] - step, held[1] - step))
+    )
+    assert by_cocontraction == pytest.approx(stiffer / (2 * step), rel=1e-6)
+
+
+def test_both_loops_are_told_what_was_realised(spied):
+    (state, commands), _ = spied(4e5, 4e5, seen())  # wants 0 and 8 bar; there are 6
+    assert [float(c) for c in commands] == [0.0, 6e5]
+    assert [float(x) for x in state.position["told"]] == pytest.approx([4e5, 3e5, PERIOD])
+    assert [float(x) for x in state.stiffness["told"]] == pytest.approx([4e5, 3e5, PERIOD])
+
+
+@pytest.mark.parametrize("stiffness", [-1e6, 0.0, 15.0, 1e6])
+@pytest.mark.parametrize("angle", [-50.0, 0.0, 50.0])
+def test_commands_stay_within_the_limits_of_the_muscles(control, angle, stiffness):
+    _, commands = once(control, wish(angle, stiffness), seen())
+    assert all(0.0 <= float(c) <= 6e5 for c in commands)
+
+
+def test_the_limits_are_each_muscles_own(knee):
+    weaker = eqx.tree_at(lambda j: j.muscle2.law.domain.pressure_max, knee, 3e5)
+    control = PositionStiffnessControl(Spy(5e5), Spy(5e5), model=weaker)
+    _, commands = control.step(control.init(seen()), wish(), seen(), PERIOD)
+    assert [float(c) for c in commands] == [0.0, 3e5]
+
+
+def test_the_estimate_is_the_models_and_no_one_elses(control, knee):
+    measurement = seen()
+    state, _ = once(control, wish(), measurement)
+    assert float(state.estimate) == pytest.approx(float(knee.stiffness(0.1, (4e5, 4.4e5))), rel=1e-12)
+    stronger = eqx.tree_at(lambda c: c.model.muscle1.law.a2, control, replace_fn=lambda a: 1.2 * a)
+    other, _ = once(stronger, wish(), measurement)
+    assert float(other.estimate) != pytest.approx(float(state.estimate), rel=1e-3)
+
+
+def test_telemetry_names_the_estimate_and_the_gains_of_learning_loops(knee):
+    learner = BackpropPID(POSITION, signal_scale=0.2, error_scale=0.02, output_scale=1e5)
+    control = numeric(PositionStiffnessControl(learner, STIFFNESS, model=knee))
+    state, _ = once(control, wish(), seen())
+    telemetry = control.telemetry(state)
+    assert set(telemetry) == {"stiffness_estimate", "position_kp", "position_ki", "position_kd"}
+    assert float(telemetry["position_kp"]) == pytest.approx(1.5e5)
+
+
+def test_the_controller_does_not_know_the_plant():
+    import ast
+    import inspect
+
+    from mckibben.control import backprop, base, pid, position_stiffness
+
+    for module in (backprop, base, pid, position_stiffness):
+        tree = ast.parse(inspect.getsource(module))
+        imported = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+        assert not any(name and name.startswith(("mckibben.plant", "mckibben.simulation")) for name in imported)
+
+
+def test_a_model_with_a_series_spring_works_as_well(as_printed):
+    from mckibben.joint import SeriesSpring
+
+    springy = dataclasses.replace(as_printed, tendon=SeriesSpring(2e4, 20.0, 0.02))
+    control = numeric(PositionStiffnessControl(POSITION, STIFFNESS, model=springy))
+    state, commands = once(control, wish(0.05, 20.0), seen(0.03, 1e5, 1.3e5))
+    assert np.isfinite([float(state.estimate), *map(float, commands)]).all()

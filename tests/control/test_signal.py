@@ -1,0 +1,78 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.control import Constant, Multisine, Reference, Samples, Sine, Step
+from mckibben.errors import RangeError
+
+TIMES = np.array([0.0, 0.25, 1.0, 4.999, 5.0, 10.0])
+
+
+def test_a_constant_is_the_same_always():
+    np.testing.assert_array_equal(Constant(13.0)(TIMES), np.full(6, 13.0))
+
+
+def test_a_step_has_its_new_value_from_its_time_on():
+    np.testing.assert_array_equal(Step(before=13.0, after=17.0, at=5.0)(TIMES), [13, 13, 13, 13, 17, 17])
+
+
+def test_a_sine_is_at_its_amplitude_after_a_quarter_period():
+    sine = Sine(amplitude=0.2, frequency=0.5, offset=0.1)
+    assert float(sine(0.0)) == pytest.approx(0.1)
+    assert float(sine(0.5)) == pytest.approx(0.3)
+    assert float(sine(1.5)) == pytest.approx(-0.1)
+    assert float(Sine(1.0, 2.0, phase=np.pi / 2)(0.0)) == pytest.approx(1.0)
+
+
+def test_a_multisine_is_the_sum_of_its_sines():
+    many = Multisine((0.1, 0.2), (0.5, 1.5), (0.3, -0.7), offset=1.0)
+    expected = 1 + 0.1 * np.sin(np.pi * TIMES + 0.3) + 0.2 * np.sin(3 * np.pi * TIMES - 0.7)
+    np.testing.assert_allclose(many(TIMES), expected, atol=1e-13)
+    np.testing.assert_allclose(Multisine((0.1,), (0.5,))(TIMES), Sine(0.1, 0.5)(TIMES), atol=1e-15)
+
+
+def test_samples_are_joined_by_straight_lines_and_held_beyond():
+    signal = Samples([1.0, 2.0, 4.0], [10.0, 20.0, 0.0])
+    np.testing.assert_allclose(signal(np.array([0.0, 1.0, 1.5, 3.0, 4.0, 9.0])), [10, 10, 15, 10, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("times", "values", "words"),
+    [
+        ([0.0, 1.0], [1.0], "2 times do not go with 1 values"),
+        ([], [], "0 times"),
+        ([0.0, 2.0, 1.0], [1.0, 2.0, 3.0], "must rise"),
+        ([0.0, 1.0, 1.0], [1.0, 2.0, 3.0], "must rise"),
+        ([0.0, np.nan], [1.0, 2.0], "must rise"),
+    ],
+)
+def test_samples_that_are_none_are_refused(times, values, words):
+    with pytest.raises(RangeError, match=words):
+        Samples(times, values)
+
+
+def test_a_multisine_needs_one_of_each_for_every_sine():
+    with pytest.raises(RangeError, match="2 amplitudes, 1 frequencies"):
+        Multisine((0.1, 0.2), (0.5,))
+    with pytest.raises(RangeError, match="1 phases"):
+        Multisine((0.1, 0.2), (0.5, 0.6), (0.1,))
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [Constant(2), Step(1, 2, 3), Sine(1, 1), Multisine((1, 2), (1, 2)), Samples([0, 1], [0, 1])],
+    ids=lambda s: type(s).__name__,
+)
+def test_every_signal_is_a_float_in_the_shape_of_time(signal):
+    assert signal(1.5).shape == ()
+    grid = signal(TIMES.reshape(2, 3))
+    assert grid.shape == (2, 3)
+    assert jnp.issubdtype(grid.dtype, jnp.floating)
+    np.testing.assert_allclose(jax.jit(lambda s, t: s(t))(signal, TIMES), signal(TIMES), rtol=1e-12, atol=1e-13)
+
+
+def test_a_reference_wants_both_at_once():
+    wish = Reference(angle=Sine(0.2, 0.5), stiffness=Step(13.0, 17.0, 5.0))(TIMES)
+    np.testing.assert_allclose(wish.angle, 0.2 * np.sin(np.pi * TIMES), atol=1e-13)
+    np.testing.assert_array_equal(wish.stiffness, [13, 13, 13, 13, 17, 17])

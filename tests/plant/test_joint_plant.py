@@ -1,0 +1,109 @@
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from mckibben.control import Setpoint
+from mckibben.errors import McKibbenError, RangeError, UnreachableError
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import IdealValve, JointPlant, PlantState
+from mckibben.simulation.loop import compiled_episode
+
+PERIODS = 2000
+
+
+def rates(state):
+    return [float(x) for x in jax.tree.leaves(state)]
+
+
+@pytest.mark.parametrize("degrees", [-25, 0, 10, 25])
+def test_at_rest_nothing_moves(plant, degrees):
+    state = plant.at_rest(math.radians(degrees))
+    assert rates(plant.rate(state, state.pressures)) == pytest.approx([0, 0, 0, 0], abs=1e-9)
+    assert float(state.angle) == pytest.approx(math.radians(degrees))
+    assert all(0 <= float(p) <= 6e5 for p in state.pressures)
+    assert all(float(t) > 0 for t in plant.joint.tensions(state.angle, state.pressures))
+
+
+def test_at_rest_the_stiffness_is_the_one_asked_for_or_the_middle(plant):
+    asked = plant.at_rest(0.1, stiffness=14.0)
+    assert float(plant.joint.stiffness(0.1, asked.pressures)) == pytest.approx(14.0, abs=1e-8)
+    low, high = plant.joint.attainable_stiffness(0.1, -plant.load.gravity_torque(0.1))
+    middle = plant.at_rest(0.1)
+    assert float(plant.joint.stiffness(0.1, middle.pressures)) == pytest.approx(float(low + high) / 2, abs=1e-6)
+
+
+def test_a_rest_out_of_reach_says_why(plant, as_printed, load):
+    with pytest.raises(UnreachableError, match="stiffness 30"):
+        plant.at_rest(0.0, stiffness=30.0)
+    with pytest.raises(RangeError, match="contraction"):
+        JointPlant(as_printed, load, IdealValve()).at_rest(math.radians(15))
+    with pytest.raises(McKibbenError):
+        plant.at_rest(math.radians(50))
+
+
+def test_the_rate_is_equation_6(plant, paper_precontracted):
+    state = PlantState(*(jnp.asarray(x) for x in (0.2, -1.5, 3.2e5, 4.1e5)))
+    got = plant.rate(state, (5e5, 1e5))
+    expected = paper_precontracted.acceleration(0.2, -1.5, (3.2e5, 4.1e5))
+    assert float(got.angle) == -1.5
+    assert float(got.velocity) == pytest.approx(expected, rel=1e-11)
+    assert float(got.pressure1) == pytest.approx((5e5 - 3.2e5) / 0.02)
+    assert float(got.pressure2) == pytest.approx((1e5 - 4.1e5) / 0.02)
+
+
+def test_commands_beyond_the_muscles_are_limited(plant):
+    assert [float(c) for c in plant.limited((-1e5, 7e5))] == [0.0, 6e5]
+    assert [float(c) for c in plant.limited((1e5, 5e5))] == [1e5, 5e5]
+
+
+def test_a_switch_moves_pressures_only_through_an_ideal_valve(plant, ideal_plant):
+    state = PlantState(*(jnp.asarray(x) for x in (0.1, 0.2, 1e5, 2e5)))
+    assert rates(plant.switched(state, (3e5, 4e5))) == [0.1, 0.2, 1e5, 2e5]
+    assert rates(ideal_plant.switched(state, (3e5, 4e5))) == [0.1, 0.2, 3e5, 4e5]
+
+
+def test_it_prints_its_valve_and_pressures(plant):
+    assert str(plant) == "JointPlant(FirstOrderValve, 0..6 bar)"
+
+
+@pytest.fixture(scope="module")
+def swung(ideal_plant, playback):
+    """Two seconds at held pressures from 15 deg, 0.3 rad/s, for a damping."""
+    held = Setpoint(jnp.full(PERIODS, 4e5), jnp.full(PERIODS, 3.6e5))
+    start = numeric(PlantState(math.radians(15), 0.3, 4e5, 3.6e5))
+
+    def run(damping):
+        import equinox as eqx
+
+        loaded = eqx.tree_at(lambda p: p.load.damping, ideal_plant, jnp.asarray(damping))
+        return compiled_episode(loaded, playback, held, start, jnp.asarray(1e-3), 4)[1].state
+
+    return run
+
+
+def energy(paper, state):
+    """Kinetic energy, minus the work of the muscles' torque by quadrature, and the height of the masses."""
+    angles, velocities = np.asarray(state.angle)[::100], np.asarray(state.velocity)[::100]
+    work = [
+        quad(lambda a: paper.torque(a, (4e5, 3.6e5)), 0, x, epsabs=1e-12, epsrel=1e-12, limit=200)[0] for x in angles
+    ]
+    return paper.inertia * velocities**2 / 2 - np.array(work) - paper.G * np.cos(np.pi / 6 - angles)
+
+
+def test_energy_is_conserved_with_no_damping_and_constant_pressures(swung, paper_precontracted):
+    state = swung(0.0)
+    total = energy(paper_precontracted, state)
+    kinetic = paper_precontracted.inertia * np.asarray(state.velocity) ** 2 / 2
+    assert kinetic.max() > 0.05
+    assert np.ptp(np.asarray(state.angle)) > 0.3  # it does swing
+    assert np.ptp(total) < 1e-8 * kinetic.max()
+
+
+def test_damping_takes_energy_and_the_joint_comes_to_rest(swung, paper_precontracted):
+    total = energy(paper_precontracted, swung(0.2))
+    assert np.all(np.diff(total) < 1e-12)
+    assert total[0] - total[-1] > 0.05

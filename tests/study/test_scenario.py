@@ -1,0 +1,405 @@
+"""Scenario files: reading, errors, builders. See test_scenario_properties.py for what holds for all of them."""
+
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.errors import ScenarioError
+from mckibben.study.scenario import Scenario, SignalSpec, SineSpec
+from mckibben.units import bar, deg
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+BASE = (EXAMPLES / "pre-contracted-step-pid.yaml").read_text()
+
+PLAIN = """\
+name: plain
+joint:
+  geometry: {joint_length: 370 mm, joint_radius: 3 cm, connector_length: 0.208 m}
+  muscle1: {specimen: DMSP-10-250, law: chou}
+  muscle2: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+  spring: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}
+load: {from: knee-table-2, mass2: 0.8 kg, hanging: false}
+valve: {time_constant: 20 ms}
+controller:
+  position: {pid: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad, derivative_on_error: true}}
+  stiffness:
+    backprop:
+      {kp: 50 mbar/(N*m/rad), ki: 3 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad), signal_scale: 15 N*m/rad,
+       error_scale: 1 N*m/rad, output_scale: 1 bar/s, momentum: 0.25, jacobian: model, hidden: 5, seed: 3}
+  model: {geometry: knee-table-2, connector_length: 208 mm, muscle: {specimen: DMSP-10-250, law: chou}}
+reference:
+  angle: {multisine: {amplitudes: [3 deg, 1 deg], frequencies: [0.5 Hz, 1.25 Hz], offset: 2 deg}}
+  stiffness: {samples: {times: [0 s, 1 s, 2000 ms], values: [13 N*m/rad, 14 N*m/rad, 13.5 N*m/rad]}}
+duration: 2 s
+control_period: 2 ms
+"""
+
+
+def problems(text: str, **options) -> list:
+    with pytest.raises(ScenarioError) as caught:
+        Scenario.parse(text, **options)
+    assert all(problem.message for problem in caught.value.problems)
+    return list(caught.value.problems)
+
+
+def only(text: str, **options):
+    found = problems(text, **options)
+    assert len(found) == 1, [str(p) for p in found]
+    return found[0]
+
+
+def changed(old: str, new: str, text: str = BASE) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda p: p.stem)
+def test_examples_build_and_start_at_rest(path):
+    scenario = Scenario.read(path)
+    plant = scenario.plant()
+    initial = scenario.initial(plant)
+    rate = plant.rate(initial, initial.pressures)
+    assert abs(float(rate.velocity)) < 1e-6
+    setpoint = scenario.reference()(0.0)
+    assert float(plant.joint.stiffness(initial.angle, initial.pressures)) == pytest.approx(float(setpoint.stiffness))
+    state = scenario.control().init(mk.control.Measurement(initial.angle, initial.pressures))
+    assert jnp.isfinite(state.estimate)
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda p: p.stem)
+def test_examples_round_trip(path, tmp_path):
+    scenario = Scenario.read(path)
+    scenario.to_yaml(tmp_path / "copy.yaml")
+    assert Scenario.read(tmp_path / "copy.yaml") == scenario
+
+
+def test_the_parts_are_those_of_the_text():
+    scenario = Scenario.parse(PLAIN)
+    plant, control, reference = scenario.plant(), scenario.control(), scenario.reference()
+    assert plant.joint.geometry == mk.KneeGeometry(0.37, 0.03, 0.208)
+    assert plant.joint.muscle1.specimen.name == "DMSP-10-250"
+    assert isinstance(plant.joint.muscle1.law, mk.ChouLaw)
+    assert isinstance(plant.joint.muscle2.law, mk.ExponentialLaw)
+    assert isinstance(plant.joint.tendon, mk.SeriesSpring)
+    spring = plant.joint.tendon
+    assert (spring.stiffness, spring.preload, spring.travel) == (20e3, 50.0, pytest.approx(0.018, rel=1e-15))
+    assert plant.load.mass2 == 0.8
+    assert plant.load.mass1 == mk.catalog.load("knee-table-2").mass1
+    assert plant.load.hanging is False
+    assert plant.valve == mk.FirstOrderValve(0.02)
+    assert control.position == mk.PID(2 * bar, 60 * bar, 0.4 * bar, derivative_on_error=True)
+    assert isinstance(control.stiffness, mk.BackpropPID)
+    assert control.stiffness.base.kp == 0.05 * bar
+    assert control.stiffness.learning_rate == mk.BackpropPID.learning_rate
+    assert (control.stiffness.momentum, control.stiffness.hidden, control.stiffness.seed) == (0.25, 5, 3)
+    assert control.stiffness.jacobian is mk.Jacobian.MODEL
+    assert isinstance(control.model.muscle2.law, mk.ChouLaw)
+    assert control.model.geometry.connector_length == pytest.approx(0.208, rel=1e-15)
+    assert isinstance(reference.angle, mk.Multisine)
+    np.testing.assert_allclose(reference.angle(0.0), 2 * deg)
+    np.testing.assert_allclose(reference.stiffness(1.5), 13.75)
+    assert (scenario.duration, scenario.control_period, scenario.substeps) == (2.0, 0.002, 4)
+    assert Scenario.parse(scenario.dumps()) == scenario
+
+
+def test_the_controllers_model_is_another_object_than_the_plants():
+    scenario = Scenario.parse(BASE)
+    assert scenario.control().model is not scenario.plant().joint
+
+
+def test_units_of_the_same_kind_are_the_same_scenario():
+    other = changed("1 ms", "0.001 s")
+    other = changed("0.05 bar/(N*m/rad)", "5 kPa/(N*m/rad)", other)
+    assert Scenario.parse(other) == Scenario.parse(BASE)
+
+
+def test_short_forms():
+    load = Scenario.parse(changed("load: knee-table-2  ", "load: {from: knee-table-2}  "))
+    assert load == Scenario.parse(BASE)
+    constant = Scenario.parse(changed("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "{constant: 3 deg}"))
+    assert constant == Scenario.parse(changed("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "3 deg"))
+    assert "angle: 3 deg" in constant.dumps()
+    assert "load: knee-table-2\n" in constant.dumps()
+
+
+def test_parts_can_be_made_in_code_with_si_numbers():
+    signal = SignalSpec[float](sine=SineSpec[float](amplitude=0.1, frequency=1.0))
+    assert signal.sine is not None
+    assert signal.sine.amplitude == 0.1
+    scenario = Scenario.parse(BASE)
+    assert Scenario(**dict(scenario.model_dump(by_alias=True))) == scenario
+
+
+# Errors ---------------------------------------------------------------------------------------------------------------
+
+
+def test_three_mistakes_are_three_problems_with_lines():
+    text = PLAIN.replace("20 ms", "20 mm").replace("amplitudes", "amplitude").replace("2 s\n", "2.001 s\n")
+    wrong_unit, misspelt, no_whole = problems(text, source="three.yaml")
+    assert (wrong_unit.line, wrong_unit.field) == (8, "valve.time_constant")
+    assert "'mm'" in wrong_unit.message
+    assert "like ms" in wrong_unit.remedy
+    assert (misspelt.line, misspelt.field) == (17, "reference.angle.multisine.amplitude")
+    assert "'amplitudes'" in misspelt.remedy
+    assert (no_whole.line, no_whole.field) == (20, "control_period")
+    assert "2.001 s" in no_whole.message
+    assert "2 ms" in no_whole.message
+    with pytest.raises(ScenarioError, match=r"three\.yaml: 3 problems\n  line 8, valve"):
+        Scenario.parse(text, source="three.yaml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field", "words"),
+    [
+        ("208 mm", "208", "joint.connector_length", "'208' has no unit; write it like '208 mm'"),
+        ("208 mm", "4,5 m", "joint.connector_length", "write it like '4.5 m'"),
+        ("208 mm", "208 MM", "joint.connector_length", "unknown unit 'MM'"),
+        ("208 mm", "-1 mm", "joint.connector_length", "outside 0 to 100000 mm"),
+        ("208 mm", "1e400 m", "joint.connector_length", "not a finite number"),
+        ("208 mm", "9**9**9 m", "joint.connector_length", "is not a"),
+        ("208 mm", "1 " + "m*" * 2000 + "m", "joint.connector_length", "not a quantity"),
+        ("208 mm", "1 " + "MPa^9*" * 9 + "MPa", "joint.connector_length", "kind"),
+        ("208 mm", "", "joint.connector_length", "has no value"),
+        ("208 mm", "[208 mm]", "joint.connector_length", "not a quantity"),
+        ("geometry: knee-table-2 ", "geometry: knee-tabel-2 ", "joint.geometry", "did you mean 'knee-table-2'"),
+        ("law: lei-mas-10-180n", "law: lei", "joint.muscle.law", "known are lei-mas-10-180n, chou"),
+        ("law: lei-mas-10-180n", "law: missing.yaml", "joint.muscle.law", "there is no file 'missing.yaml'"),
+        ("specimen: MAS-10-180N-AA", "specimen: MAS-10-180N-O", "joint.muscle.specimen", "did you mean"),
+        ("  muscle: {", "  muscles: {", "joint.muscles", "did you mean 'muscle'"),
+        ("load: knee-table-2 ", "load: {mass1: 1 kg} ", "load", "lacks mass2, distance1"),
+        ("load: knee-table-2 ", "load: {from: knee-table-2, mass1: -1 kg} ", "load.mass1", "outside 0 to 10000 kg"),
+        ("load: knee-table-2 ", "load: [] ", "load", "a list stands where keys and values belong"),
+        ("valve: ideal", "valve: perfect", "valve", "write ideal, or {time_constant: 20 ms}"),
+        ("valve: ideal", "valve: {}", "valve.time_constant", "is missing"),
+        ("valve: ideal", "valve: {time_constant: 0 ms}", "valve.time_constant", "outside above 0"),
+        ("ki: 60", "ki: -60", "controller.position.pid", "kp positive, ki negative, kd positive"),
+        ("0.05 bar/(N*m/rad)", "0,05 bar/rad", "controller.stiffness.pid", "decimals with a point"),
+        ("kp: 2 bar/rad, ", "", "controller.position.pid.kp", "add it, such as `kp: 12.5 bar/rad`"),
+        ("ki: 60", "k: 60", "controller.position.pid.k", "did you mean 'ki'"),
+        ("position: {pid:", "position: {pud:", "controller.position.pud", "did you mean 'pid'"),
+        ("{sine:", "{constant: 1 deg, sine:", "reference.angle", "constant and sine at once"),
+        ("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "{}", "reference.angle", "has no signal"),
+        ("amplitude: 10 deg", "amplitude: 10 N*m/rad", "reference.angle.sine.amplitude", "unit like deg"),
+        ("0.5 Hz", "-0.5 Hz", "reference.angle.sine.frequency", "outside 0 to 1e+06 Hz"),
+        ("start: {angle: 0 deg,", "start: {angel: 0 deg,", "start.angel", "did you mean 'angle'"),
+        ("duration: 10 s", "duration: 10000 min", "control_period", "more than 10000000 periods"),
+        ("duration: 10 s\n", "", "duration", "is missing"),
+        ("control_period: 1 ms", "control_period: 0 ms", "control_period", "outside above 0"),
+        ("control_period: 1 ms", "control_period: 3 ms", "control_period", "duration 10 s is no whole number"),
+        ("control_period: 1 ms", "control_period: 30 s", "control_period", "choose a duration of 30 s"),
+        ("substeps: 4 ", "substeps: 4.5 ", "substeps", "not a whole number"),
+        ("substeps: 4 ", f"substeps: {'9' * 5000} ", "substeps", "not a whole number"),
+        ("substeps: 4 ", "substeps: 0 ", "substeps", "outside 1 to 1000"),
+        ("name: pre-contracted knee, stiffness step, PID", 'name: "a\\0b"', "name", "not one line"),
+        ("name: pre-contracted knee, stiffness step, PID", "name:", "name", "not a name"),
+        ("duration: 10 s", "duration: &d 10 s", None, ""),
+        ("duration: 10 s", "duration: !!python/object:os.system 10 s", "duration", "is a tag"),
+        ("duration: 10 s", "duration: *ten", "duration", "is an alias"),
+        ("duration: 10 s", "duration: 10 s\nduration: 5 s", "duration", "stands twice"),
+        ("duration: 10 s", "duration: 10 s\n[a, b]: 3", "?", "a key is no word"),
+        ("duration: 10 s", "duration: 10 s\n<<: {a: 1}", "<<", "is no key"),
+        ("duration: 10 s", "\tduration: 10 s", "", "a tab in the indentation"),
+        ("duration: 10 s", "duration: 10 s: 5", "", "not YAML"),
+        ("duration: 10 s", "duration: [10 s", "", "not YAML"),
+        ("duration: 10 s", 'duration: "10 s', "", "not YAML"),
+        ("duration: 10 s", "duration: 10 s\n---\nname: other", "", "a second document starts here"),
+        ("duration: 10 s", "duration: " + "[" * 100_000, "", "nested more than 12 deep"),
+        ("duration: 10 s", "duration: " + "{a: " * 50_000, "", "nested more than 12 deep"),
+        ("duration: 10 s", "duration: \x07", "", "not YAML"),
+    ],
+)
+def test_one_mistake_is_told_with_its_place(old, new, field, words):
+    text = changed(old, new)
+    if field is None:
+        Scenario.parse(text)
+        return
+    found = problems(text)
+    problem = next(p for p in found if p.field.startswith(field) and words in f"{p.message}; {p.remedy}")
+    assert problem.line is not None
+    line = BASE[: BASE.index(old)].count("\n") + 1
+    expected = BASE.split("\n").index("control_period: 1 ms") + 1 if field == "control_period" else line
+    if field == "duration" and not new:  # the line of what it is missing from
+        expected = next(i for i, text in enumerate(BASE.split("\n"), 1) if not text.startswith("#"))
+    assert expected <= problem.line <= expected + 2
+    if "comma" not in str(problem) and "point" not in words:
+        assert len(found) == 1, [str(p) for p in found]
+
+
+@pytest.mark.parametrize(
+    ("signal", "words"),
+    [
+        ("{samples: {times: [0 s, 2 s, 1 s], values: [1 deg, 1 deg, 1 deg]}}", "do not rise: 1 s follows 2 s"),
+        ("{samples: {times: [0 s, 0 s], values: [1 deg, 1 deg]}}", "do not rise"),
+        ("{samples: {times: [0 s], values: [1 deg, 1 deg]}}", "1 times and 2 values"),
+        ("{samples: {times: [], values: []}}", "0 times and 0 values"),
+        ("{samples: {times: [0 s]}}", "lacks its samples"),
+        ("{samples: {times: 0 s, values: [1 deg]}}", "stands where a list belongs"),
+        ("{samples: {times: [0 s], values: [1 deg], file: pyproject.csv}}", "no file"),
+        ("{samples: {file: nowhere.csv}}", "there is no file 'nowhere.csv'"),
+        ("{samples: {file: 3}}", "there is no file"),
+        ("{multisine: {amplitudes: [1 deg], frequencies: [1 Hz, 2 Hz]}}", "1 amplitudes, 2 frequencies"),
+        ("{multisine: {amplitudes: [], frequencies: []}}", "is empty"),
+        ("{multisine: {amplitudes: [1 deg, 2], frequencies: [1 Hz, 2 Hz]}}", "'2' has no unit"),
+        ("fast", "not a number and a unit"),
+    ],
+)
+def test_bad_signals(signal, words):
+    problem = only(changed("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", signal))
+    assert words in str(problem)
+    assert problem.field.startswith("reference.angle")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("momentum: 0.25", "momentum: 1"), "outside 0 to below 1"),
+        (("momentum: 0.25", "gain_ratio: 1"), "outside above 1"),
+        (("seed: 3", "seed: -1"), "outside 0 to 2147483647"),
+        (("jacobian: model", "jacobian: signs"), "did you mean 'sign'"),
+        (("ki: 3 bar/(N*m*s/rad)", "ki: -3 bar/(N*m*s/rad)"), "differ in sign"),
+        (("derivative_on_error: true", "derivative_on_error: yes"), "neither true nor false"),
+        (("error_scale: 1 N*m/rad, ", ""), "error_scale: is missing"),
+    ],
+)
+def test_bad_loops(change, words):
+    assert words in str(only(changed(*change, PLAIN)))
+
+
+def test_learning_by_a_sign_needs_one():
+    text = changed("ki: 3 bar/(N*m*s/rad)", "ki: 0 bar/(N*m*s/rad)", PLAIN)
+    Scenario.parse(text)  # jacobian: model
+    assert "which is zero" in str(only(changed("jacobian: model", "jacobian: sign", text)))
+
+
+@pytest.mark.parametrize(
+    ("joint", "words"),
+    [
+        ("{geometry: knee-table-2}", "lacks its muscles"),
+        ("{geometry: knee-table-2, muscle1: M}", "lacks muscle2"),
+        ("{geometry: knee-table-2, muscle: M, muscle2: M}", "beside muscle2"),
+        ("{geometry: {joint_length: 1 m}, muscle: M}", "lacks joint_radius, connector_length"),
+        ("{geometry: {from: knee-table-2, joint_radius: 2 m, joint_length: 1 m}, muscle: M}", "is not below"),
+        ("{geometry: {from: knee-table-2, joint_length: 1 m}, connector_length: 2 m, muscle: M}", "no room"),
+        ("{geometry: {from: knee-table-2, connector_length: 1 mm}, connector_length: 2 mm, muscle: M}", "as well"),
+    ],
+)
+def test_bad_joints(joint, words):
+    start, end = BASE.index("joint:\n"), BASE.index("\nload:") + 1
+    muscle = "{specimen: DMSP-10-250, law: chou}"
+    problem = only(f"{BASE[:start]}joint: {joint.replace('M', muscle) if 'M' in joint else joint}\n{BASE[end:]}")
+    assert words in str(problem)
+    assert problem.field.startswith("joint")
+
+
+def test_a_load_without_inertia():
+    numbers = "mass1: 0 kg, mass2: 1 kg, distance1: 0 m, distance2: 0 m, inertia: 0 kg*m^2, damping: 0 N*m*s/rad"
+    assert "no inertia" in str(only(changed("load: knee-table-2 ", f"load: {{{numbers}}} ")))
+
+
+def test_files_that_are_no_scenarios(tmp_path):
+    def message(content: bytes | None, name: str = "a.yaml") -> str:
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(ScenarioError) as caught:
+            Scenario.read(tmp_path / name)
+        return str(caught.value)
+
+    assert "No such file" in message(None, "missing.yaml")
+    assert "directory" in message(None, "")
+    assert "null" in message(None, "\0")
+    assert "is empty" in message(b"")
+    assert "is empty" in message(b"# only a comment\n")
+    assert "is empty" in message(b"---\n...\n")
+    assert "not text" in message(b"\xff\xfe\x00\x01")
+    assert "not YAML" in message(b"PK\x03\x04\x00\x00")
+    assert "longer than" in message(b"a" * 2_000_000)
+    assert "stands where keys and values belong" in message(b"just words")
+    assert "a list stands" in message(b"- a\n- b\n")
+
+
+def test_a_bomb_is_refused_at_once():
+    bomb = "a: &a [x, x, x, x, x, x, x, x, x]\n"
+    for previous, name in zip("abcdefgh", "bcdefghi", strict=True):
+        bomb += f"{name}: &{name} [{', '.join(['*' + previous] * 9)}]\n"
+    found = problems(bomb)
+    assert any("is an alias" in p.message for p in found)
+
+
+def test_windows_line_ends_and_byte_order_marks_are_fine(tmp_path):
+    (tmp_path / "a.yaml").write_bytes(b"\xef\xbb\xbf" + BASE.replace("\n", "\r\n").encode())
+    assert Scenario.read(tmp_path / "a.yaml") == Scenario.parse(BASE)
+
+
+# Other files ----------------------------------------------------------------------------------------------------------
+
+
+def test_samples_from_a_table(tmp_path):
+    (tmp_path / "wish.csv").write_text("time_ms,angle_deg,stiffness_N*m/rad\n0,0,13\n500,5,14\n1000,0,15\n")
+    text = changed("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "{samples: {file: wish.csv}}")
+    text = changed("{step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 5 s}}", "{samples: {file: wish.csv}}", text)
+    scenario = Scenario.parse(text, folder=tmp_path)
+    setpoint = scenario.reference()(0.25)
+    np.testing.assert_allclose(setpoint.angle, 2.5 * deg)
+    np.testing.assert_allclose(setpoint.stiffness, 13.5)
+
+    scenario.to_yaml(tmp_path / "a.yaml")
+    assert "file: wish.csv" in (tmp_path / "a.yaml").read_text()
+    (tmp_path / "sub").mkdir()
+    scenario.to_yaml(tmp_path / "sub" / "b.yaml")
+    assert Scenario.read(tmp_path / "a.yaml") == Scenario.read(tmp_path / "sub" / "b.yaml") == scenario
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("", "has no column time_"),
+        ("time_s,torque_N\n0,1\n", "has no column angle_"),
+        ("time_s,angle_mm\n0,1\n", "'mm' is not a unit of the kind 'rad'"),
+        ("time_s,angle_deg\n", "holds no samples"),
+        ("time_s,angle_deg\n0,x\n", "line 2: '0,x' holds no two finite numbers"),
+        ("time_s,angle_deg\n0,1\n0,2\n1\n", "line 3: the time 0 s does not rise; sort the rows (and 1 more)"),
+        ("time_s,angle_deg\n0,inf\n", "finite"),
+    ],
+)
+def test_bad_tables(tmp_path, table, words):
+    (tmp_path / "wish.csv").write_text(table)
+    text = changed("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "{samples: {file: wish.csv}}")
+    assert words in str(only(text, folder=tmp_path))
+
+
+def test_law_from_a_fit(tmp_path):
+    law = mk.catalog.law("lei-mas-10-180n")
+    strain, pressure = np.meshgrid(np.linspace(0, 0.2, 9), np.linspace(1, 6, 6) * bar)
+    strain, pressure = strain.ravel(), pressure.ravel()
+    rows = zip(pressure / bar, strain * 100, np.asarray(law.force(strain, pressure)), strict=True)
+    body = "".join(f"{p!r},{c!r},{f!r}\n" for p, c, f in ((float(a), float(b), float(c)) for a, b, c in rows if c > 1))
+    (tmp_path / "data.csv").write_text("pressure_bar,contraction_percent,force_N\n" + body)
+    mk.identify(mk.ExponentialLaw, mk.read_dataset(tmp_path / "data.csv")).to_yaml(tmp_path / "fit.yaml")
+    scenario = Scenario.parse(changed("law: lei-mas-10-180n", "law: fit.yaml"), folder=tmp_path)
+    fitted = scenario.plant().joint.muscle1.law
+    assert float(fitted.force(0.1, 3 * bar)) == pytest.approx(float(law.force(0.1, 3 * bar)), rel=1e-8)
+    scenario.to_yaml(tmp_path / "again.yaml")
+    assert Scenario.read(tmp_path / "again.yaml") == scenario
+
+
+def test_a_broken_fit_is_told_when_it_is_built(tmp_path):
+    (tmp_path / "fit.yaml").write_text("law: nothing")
+    scenario = Scenario.parse(changed("law: lei-mas-10-180n", "law: fit.yaml"), folder=tmp_path)
+    with pytest.raises(ScenarioError, match=r"fit\.yaml"):
+        scenario.plant()
+
+
+def test_the_modules_that_read_need_no_jax():
+    code = textwrap.dedent("""
+        import sys
+        import mckibben.study.scenario
+        print("jax" in sys.modules)
+    """)
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "False"
