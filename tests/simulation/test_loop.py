@@ -1,0 +1,172 @@
+"""The sampled-data loop against an independent solver, and its order, batches and precision."""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint, Sine, Step
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import PlantState
+from mckibben.simulation.loop import compiled_episode, episode, sampled
+
+PERIOD = 1e-3
+REFERENCE = Reference(angle=Sine(amplitude=0.17, frequency=0.5), stiffness=Step(before=13.0, after=17.0, at=5.0))
+
+
+@pytest.fixture(scope="module")
+def control(knee):
+    return numeric(PositionStiffnessControl(PID(1.5e5, 6e5, 1e4), PID(2e3, 2e5, 0.0), model=knee))
+
+
+@pytest.fixture(scope="module", params=["first order", "ideal"])
+def run(request, plant, ideal_plant, control):
+    """Ten seconds in closed loop, with either valve."""
+    chosen = plant if request.param == "first order" else ideal_plant
+    setpoints = sampled(REFERENCE, 10_000, PERIOD)[1]
+    record = compiled_episode(chosen, control, setpoints, numeric(chosen.at_rest(0.0)), jnp.asarray(PERIOD), 4)
+    return request.param, setpoints, *record
+
+
+def solved(paper, record, time_constant):
+    """The same commands, held over each period, through the paper's own equations and an eighth-order method."""
+
+    def rate(t, y, commands):
+        angle, velocity, p1, p2 = y
+        if time_constant is None:
+            slopes = jnp.zeros_like(p1), jnp.zeros_like(p2)
+        else:
+            slopes = (commands[0] - p1) / time_constant, (commands[1] - p2) / time_constant
+        return velocity, paper.acceleration(angle, velocity, (p1, p2), jnp), *slopes
+
+    term, solver = diffrax.ODETerm(rate), diffrax.Dopri8()
+    control = diffrax.PIDController(rtol=1e-11, atol=(1e-13, 1e-13, 1e-6, 1e-6))
+
+    def period(y, commands):
+        start = y if time_constant is not None else (*y[:2], *commands)
+        answer = diffrax.diffeqsolve(
+            term, solver, 0.0, PERIOD, PERIOD, start, commands, stepsize_controller=control, max_steps=64
+        )
+        return jax.tree.map(lambda x: x[-1], answer.ys), y[0]
+
+    start = tuple(x[0] for x in record.state)
+    return jax.jit(lambda y, c: lax.scan(period, y, c)[1])(start, (record.command1, record.command2))
+
+
+def test_it_agrees_with_an_independent_solver_to_1e_8_rad_over_10_s(run, paper_precontracted):
+    valve, _, _, record = run
+    angle = solved(paper_precontracted, record, 0.02 if valve == "first order" else None)
+    assert np.ptp(np.asarray(angle)) > 0.2
+    np.testing.assert_allclose(record.state.angle, angle, rtol=0, atol=1e-8)
+
+
+def test_the_loop_tracks_and_stays_within_limits(run):
+    _, setpoints, final, record = run
+    assert float(jnp.max(jnp.abs(record.state.angle - setpoints.angle)[1000:5000])) < 0.15
+    for command in (record.command1, record.command2):
+        assert 0.0 <= float(command.min()) <= float(command.max()) <= 6e5
+    assert float(jnp.mean(record.telemetry["stiffness_estimate"][8000:])) == pytest.approx(17.0, abs=0.5)
+    assert record.state.angle.shape == (10_000,)
+    assert np.isfinite([float(x) for x in final]).all()
+
+
+def test_the_record_holds_the_start_of_each_period(run):
+    valve, _, _, record = run
+    assert float(record.state.angle[0]) == 0.0
+    assert float(record.state.velocity[0]) == 0.0
+    if valve == "ideal":  # the pressure of the last period is its command
+        np.testing.assert_array_equal(record.state.pressure1[1:], record.command1[:-1])
+
+
+def test_the_commands_are_those_of_the_controller_stepped_by_hand(run, control):
+    from mckibben.control import Measurement
+
+    _, setpoints, _, record = run
+    step = jax.jit(lambda memory, wish, seen: control.step(memory, wish, seen, PERIOD))
+    at = lambda k: Measurement(record.state.angle[k], (record.state.pressure1[k], record.state.pressure2[k]))  # noqa: E731
+    memory = control.init(at(0))
+    for k in range(5):
+        memory, commands = step(memory, Setpoint(setpoints.angle[k], setpoints.stiffness[k]), at(k))
+        assert [float(c) for c in commands] == pytest.approx(
+            [float(record.command1[k]), float(record.command2[k])], rel=1e-12
+        )
+
+
+def test_halving_the_step_divides_the_error_by_sixteen(plant, playback):
+    # Long periods, commands that jump every 50 ms, both muscles taut throughout.
+    jumps = Setpoint(
+        jnp.asarray([4.2e5, 4e5, 4.4e5, 4.1e5, 4e5, 4.3e5]), jnp.asarray([4.4e5, 4.5e5, 4e5, 4.2e5, 4.3e5, 4e5])
+    )
+    start = numeric(PlantState(0.02, 0.0, 4.2e5, 4.2e5))
+    final = {
+        n: compiled_episode(plant, playback, jumps, start, jnp.asarray(0.05), n)[0] for n in (1, 2, 4, 8, 16, 256)
+    }
+    errors = [abs(float(final[n].angle - final[256].angle)) for n in (2, 4, 8, 16)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert orders[-1] == pytest.approx(4, abs=0.2), (errors, orders)
+    assert orders[-2] == pytest.approx(4, abs=0.5), (errors, orders)
+    assert abs(float(final[1].angle - final[256].angle)) > errors[0]
+
+
+def test_a_batch_is_its_single_runs(plant, control):
+    setpoints = sampled(REFERENCE, 300, PERIOD)[1]
+    start = numeric(plant.at_rest(0.0))
+    masses, gains = jnp.asarray([0.3, 0.5, 0.8]), jnp.asarray([1e5, 1.5e5, 2e5])
+
+    def one(mass, gain):
+        heavier = eqx.tree_at(lambda p: p.load.mass2, plant, mass)
+        tuned = eqx.tree_at(lambda c: c.position.kp, control, gain)
+        return episode(heavier, tuned, setpoints, start, PERIOD, 4)[1].state
+
+    together, alone = jax.jit(jax.vmap(one))(masses, gains), jax.jit(one)
+    for k in range(3):
+        single = alone(masses[k], gains[k])
+        np.testing.assert_allclose(together.angle[k], single.angle, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(together.pressure1[k], single.pressure1, rtol=1e-10)
+    assert float(jnp.abs(together.angle[0] - together.angle[2]).max()) > 1e-4
+
+
+def test_the_same_run_twice_is_the_same_to_the_last_bit(plant, control):
+    setpoints = sampled(REFERENCE, 300, PERIOD)[1]
+    start = numeric(plant.at_rest(0.0))
+    one, two = (compiled_episode(plant, control, setpoints, start, jnp.asarray(PERIOD), 4)[1] for _ in range(2))
+    np.testing.assert_array_equal(one.state.angle, two.state.angle)
+
+
+def test_its_derivative_is_that_of_finite_differences(plant, control):
+    setpoints = sampled(REFERENCE, 100, PERIOD)[1]
+    start = numeric(plant.at_rest(0.0))
+
+    def cost(gain):
+        tuned = eqx.tree_at(lambda c: c.position.kp, control, gain)
+        angle = episode(plant, tuned, setpoints, start, PERIOD, 2)[1].state.angle
+        return jnp.sum((angle - setpoints.angle) ** 2)
+
+    value = jax.jit(cost)
+    gain, step = 1.5e5, 10.0
+    slope = (float(value(gain + step)) - float(value(gain - step))) / (2 * step)
+    assert float(jax.jit(jax.jacfwd(cost))(gain)) == pytest.approx(slope, rel=1e-6)
+
+
+def test_in_single_precision_it_runs_and_stays_single(plant, control):
+    single = lambda tree: jax.tree.map(  # noqa: E731
+        lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, numeric(tree)
+    )
+    setpoints = sampled(REFERENCE, 300, PERIOD)[1]
+    start = plant.at_rest(0.0)
+    exact = compiled_episode(plant, control, setpoints, numeric(start), jnp.asarray(PERIOD), 4)[1]
+    _, record = compiled_episode(*(single(x) for x in (plant, control, setpoints, start)), jnp.float32(PERIOD), 4)
+    assert {x.dtype for x in record.state} == {jnp.dtype(jnp.float32)}
+    np.testing.assert_allclose(record.state.angle, exact.state.angle, atol=1e-4)
+
+
+def test_setpoints_are_sampled_at_the_start_of_each_period():
+    times, wish = sampled(REFERENCE, 6000, PERIOD)
+    assert times.shape == (6000,)
+    assert float(times[1234]) == pytest.approx(1.234, rel=1e-15)
+    assert float(wish.stiffness[4999]) == 13.0
+    assert float(wish.stiffness[5000]) == 17.0
+    assert float(wish.angle[500]) == pytest.approx(0.17, rel=1e-14)
