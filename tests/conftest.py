@@ -1,4 +1,4 @@
-"""What the tests share: the paper's knee in both geometries, and the paper's equations in plain NumPy to check against."""
+"""What the tests share: the paper's knee in both geometries, and the paper's equations in plain NumPy."""
 
 from __future__ import annotations
 

@@ -39,7 +39,9 @@ def test_the_import_stays_light():
 
 
 def test_the_units_and_errors_need_nothing_heavy():
-    code = "import sys, mckibben.units, mckibben.errors; print([m for m in ('jax', 'numpy', 'pint') if m in sys.modules])"
+    code = (
+        "import sys, mckibben.units, mckibben.errors; print([m for m in ('jax', 'numpy', 'pint') if m in sys.modules])"
+    )
     assert python(code) == "[]"
 
 

@@ -72,6 +72,7 @@ _PRODUCT = rf"{_NAME}(?:[*/]{_NAME})*"
 _FACTOR = rf"(?:{_NAME}|\({_PRODUCT}\))"
 _UNIT = re.compile(rf"(?:1/)?{_FACTOR}(?:[*/]{_FACTOR})*")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_LONGEST = 80  # characters in a unit
 _REST = re.compile(r"(?:(?:1?/|[A-Za-z%°(]).*)?", re.DOTALL)
 
 
@@ -88,6 +89,8 @@ def _registry() -> Any:
 @functools.cache
 def _parse(unit: str) -> Any:
     """A pint unit from text of our grammar."""
+    if len(unit) > _LONGEST:
+        raise UnitError(f"{unit[:20]!r}... is not a unit", value=unit, remedy="a unit is a few names joined by * and /")
     text = unit.strip().replace("%", "percent").replace("°", "deg").replace("·", "*").replace("**", "^")
     text = re.sub(r"\s*([*/()^])\s*", r"\1", text)
     if text == "1":

@@ -82,7 +82,9 @@ def test_each_loop_sees_its_own_quantity_and_the_models_sensitivity(spied, knee)
     desired, measured, by_differential, period = (float(x) for x in state.position["asked"])
     assert (desired, measured, period) == pytest.approx((0.2, 0.1, PERIOD))
     step = 10.0
-    more = float(knee.torque(0.1, (held[0] - step, held[1] + step)) - knee.torque(0.1, (held[0] + step, held[1] - step)))
+    more = float(
+        knee.torque(0.1, (held[0] - step, held[1] + step)) - knee.torque(0.1, (held[0] + step, held[1] - step))
+    )
     assert by_differential == pytest.approx(more / (2 * step) / estimate, rel=1e-6)
     assert by_differential > 0
     desired, measured, by_cocontraction, _ = (float(x) for x in state.stiffness["asked"])

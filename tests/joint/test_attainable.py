@@ -79,7 +79,9 @@ def test_as_printed_the_joint_cannot_be_held_beyond_10_4_deg(bands):
         assert np.isfinite(bands("as printed", degrees)).all(), degrees
 
 
-@pytest.mark.parametrize(("name", "degrees"), [("as printed", d) for d in (0, 3, 8)] + [("pre-contracted", d) for d in (-25, 0, 7, 30)])
+@pytest.mark.parametrize(
+    ("name", "degrees"), [("as printed", d) for d in (0, 3, 8)] + [("pre-contracted", d) for d in (-25, 0, 7, 30)]
+)
 @pytest.mark.parametrize("torque", [-0.7, 0.0, 0.5])
 def test_the_band_is_the_optimum_of_a_linear_program(
     as_printed, knee, paper, paper_precontracted, name, degrees, torque

@@ -101,7 +101,9 @@ def test_the_torque_is_that_of_the_tensions_that_scipy_finds(paper, torque_and_s
     assert float(torque_and_stiffness(angle, held)[0]) == pytest.approx(tensions[1] * d2 - tensions[0] * d1, rel=1e-9)
 
 
-@pytest.mark.parametrize("stiff", [SeriesSpring(1e12, 0.0, 0.01), SeriesSpring(1e4, 1e6, 0.01), SeriesSpring(1e4, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    "stiff", [SeriesSpring(1e12, 0.0, 0.01), SeriesSpring(1e4, 1e6, 0.01), SeriesSpring(1e4, 0.0, 0.0)]
+)
 def test_a_spring_that_does_not_give_is_a_rigid_tendon(as_printed, stiff):
     held = (2e5, 3e5)
     rigid = as_printed.torque_and_stiffness(0.1, held)

@@ -56,7 +56,9 @@ def test_a_domain_contains_its_edges_and_nothing_beyond():
     contraction = np.array([-0.031, -0.03, 0.1, 0.25, 0.251])
     np.testing.assert_array_equal(domain.contains(contraction, 3e5), [False, True, True, True, False])
     np.testing.assert_array_equal(domain.contains_contraction(contraction), [False, True, True, True, False])
-    np.testing.assert_array_equal(domain.contains(0.1, np.array([-1.0, 0.0, 6e5, 6.00001e5])), [False, True, True, False])
+    np.testing.assert_array_equal(
+        domain.contains(0.1, np.array([-1.0, 0.0, 6e5, 6.00001e5])), [False, True, True, False]
+    )
     assert domain.contains(contraction[:, None], np.zeros(3)).shape == (5, 3)
     assert not bool(domain.contains(np.nan, 3e5))
 

@@ -37,7 +37,9 @@ def test_equation_3_crosses_zero_at_23_4_percent_for_6_bar(law):
 
 def test_equation_3_is_the_papers_over_its_whole_domain(law, paper):
     contraction, pressure = np.linspace(-0.03, 0.25, 29)[:, None], np.linspace(0, 6e5, 13)
-    np.testing.assert_allclose(law.force(contraction, pressure), paper.eq3(contraction, pressure), rtol=1e-12, atol=1e-10)
+    np.testing.assert_allclose(
+        law.force(contraction, pressure), paper.eq3(contraction, pressure), rtol=1e-12, atol=1e-10
+    )
     np.testing.assert_allclose(
         law.slope(contraction, pressure), paper.eq3_slope(contraction, pressure), rtol=1e-12, atol=1e-9
     )

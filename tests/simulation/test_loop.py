@@ -19,7 +19,7 @@ REFERENCE = Reference(angle=Sine(amplitude=0.17, frequency=0.5), stiffness=Step(
 
 @pytest.fixture(scope="module")
 def control(knee):
-    return numeric(PositionStiffnessControl(PID(1.5e5, 6e5, 1e4), PID(2e3, 2e5, 0.0), model=knee))
+    return numeric(PositionStiffnessControl(PID(3e5, 4e6, 3e4), PID(2e3, 2e5, 0.0), model=knee))
 
 
 @pytest.fixture(scope="module", params=["first order", "ideal"])
@@ -35,25 +35,24 @@ def solved(paper, record, time_constant):
     """The same commands, held over each period, through the paper's own equations and an eighth-order method."""
 
     def rate(t, y, commands):
-        angle, velocity, p1, p2 = y
-        if time_constant is None:
-            slopes = jnp.zeros_like(p1), jnp.zeros_like(p2)
-        else:
-            slopes = (commands[0] - p1) / time_constant, (commands[1] - p2) / time_constant
-        return velocity, paper.acceleration(angle, velocity, (p1, p2), jnp), *slopes
+        angle, velocity, p1, p2 = y  # pressures in bar
+        lag = jnp.inf if time_constant is None else time_constant
+        acceleration = paper.acceleration(angle, velocity, (p1 * 1e5, p2 * 1e5), jnp)
+        return velocity, acceleration, (commands[0] - p1) / lag, (commands[1] - p2) / lag
 
     term, solver = diffrax.ODETerm(rate), diffrax.Dopri8()
-    control = diffrax.PIDController(rtol=1e-11, atol=(1e-13, 1e-13, 1e-6, 1e-6))
+    tight = diffrax.PIDController(rtol=1e-12, atol=1e-13)
 
     def period(y, commands):
         start = y if time_constant is not None else (*y[:2], *commands)
         answer = diffrax.diffeqsolve(
-            term, solver, 0.0, PERIOD, PERIOD, start, commands, stepsize_controller=control, max_steps=64
+            term, solver, 0.0, PERIOD, PERIOD, start, commands, stepsize_controller=tight, max_steps=64
         )
         return jax.tree.map(lambda x: x[-1], answer.ys), y[0]
 
-    start = tuple(x[0] for x in record.state)
-    return jax.jit(lambda y, c: lax.scan(period, y, c)[1])(start, (record.command1, record.command2))
+    state, commands = record.state, (record.command1 / 1e5, record.command2 / 1e5)
+    start = (state.angle[0], state.velocity[0], state.pressure1[0] / 1e5, state.pressure2[0] / 1e5)
+    return jax.jit(lambda y, c: lax.scan(period, y, c)[1])(start, commands)
 
 
 def test_it_agrees_with_an_independent_solver_to_1e_8_rad_over_10_s(run, paper_precontracted):
@@ -65,7 +64,7 @@ def test_it_agrees_with_an_independent_solver_to_1e_8_rad_over_10_s(run, paper_p
 
 def test_the_loop_tracks_and_stays_within_limits(run):
     _, setpoints, final, record = run
-    assert float(jnp.max(jnp.abs(record.state.angle - setpoints.angle)[1000:5000])) < 0.15
+    assert float(jnp.max(jnp.abs(record.state.angle - setpoints.angle)[1000:])) < 0.06
     for command in (record.command1, record.command2):
         assert 0.0 <= float(command.min()) <= float(command.max()) <= 6e5
     assert float(jnp.mean(record.telemetry["stiffness_estimate"][8000:])) == pytest.approx(17.0, abs=0.5)
@@ -101,9 +100,7 @@ def test_halving_the_step_divides_the_error_by_sixteen(plant, playback):
         jnp.asarray([4.2e5, 4e5, 4.4e5, 4.1e5, 4e5, 4.3e5]), jnp.asarray([4.4e5, 4.5e5, 4e5, 4.2e5, 4.3e5, 4e5])
     )
     start = numeric(PlantState(0.02, 0.0, 4.2e5, 4.2e5))
-    final = {
-        n: compiled_episode(plant, playback, jumps, start, jnp.asarray(0.05), n)[0] for n in (1, 2, 4, 8, 16, 256)
-    }
+    final = {n: compiled_episode(plant, playback, jumps, start, jnp.asarray(0.05), n)[0] for n in (1, 2, 4, 8, 16, 256)}
     errors = [abs(float(final[n].angle - final[256].angle)) for n in (2, 4, 8, 16)]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert orders[-1] == pytest.approx(4, abs=0.2), (errors, orders)
@@ -146,7 +143,7 @@ def test_its_derivative_is_that_of_finite_differences(plant, control):
         return jnp.sum((angle - setpoints.angle) ** 2)
 
     value = jax.jit(cost)
-    gain, step = 1.5e5, 10.0
+    gain, step = 3e5, 10.0
     slope = (float(value(gain + step)) - float(value(gain - step))) / (2 * step)
     assert float(jax.jit(jax.jacfwd(cost))(gain)) == pytest.approx(slope, rel=1e-6)
 

@@ -7,6 +7,20 @@
 M. Martens and I. Boblan, "Modeling the Static Force of a Festo Pneumatic Muscle Actuator: ...
 """
 
-from mckibben.catalog.entries import cite, dataset, geometry, joint, law, load, names, specimen
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from mckibben.catalog.publications import cite, names
+
+if TYPE_CHECKING:
+    from mckibben.catalog.entries import dataset, geometry, joint, law, load, specimen
 
 __all__ = ["cite", "dataset", "geometry", "joint", "law", "load", "names", "specimen"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:  # entries need JAX; names and sources do not
+        return getattr(importlib.import_module("mckibben.catalog.entries"), name)
+    raise AttributeError(f"module 'mckibben.catalog' has no attribute {name!r}")

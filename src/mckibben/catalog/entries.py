@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
-import functools
 from importlib import resources
 from typing import Any
 
+from mckibben.catalog.publications import FOLDER, find
 from mckibben.dataset import IsobaricDataset, read_dataset
-from mckibben.errors import NotInCatalogError
 from mckibben.joint import AntagonisticJoint, KneeGeometry
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.plant import Load
 from mckibben.units import quantity
-
-KINDS = ("specimens", "laws", "datasets", "geometries", "loads", "joints")
-_FOLDER = resources.files("mckibben.catalog")
-
-
-def names(kind: str) -> list[str]:
-    """The entries of a kind: one of "specimens", "laws", "datasets", "geometries", "loads", "joints"."""
-    if kind not in KINDS:
-        raise NotInCatalogError(f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}")
-    return [name for publication in _publications() for name in publication.get(kind, {})]
 
 
 def specimen(name: str) -> Specimen:
@@ -31,7 +19,7 @@ def specimen(name: str) -> Specimen:
     >>> specimen("MAS-10-180N-AA-MC-O").initial_length
     0.18
     """
-    entry, _ = _find("specimens", name)
+    entry, _ = find("specimens", name)
     return Specimen(
         name=name,
         initial_length=quantity(entry["initial_length"], "m"),
@@ -44,7 +32,7 @@ def specimen(name: str) -> Specimen:
 
 def law(name: str) -> ForceLaw:
     """A published parameter set as a law, such as "lei-mas-10-180n" (Eq. 3 of the paper)."""
-    entry, _ = _find("laws", name)
+    entry, _ = find("laws", name)
     law_type = LAWS[entry["type"]]
     values = {p.name: quantity(entry["parameters"][p.name], p.unit) for p in law_type.parameters()}
     return law_type(**values, domain=_domain(entry))
@@ -52,16 +40,16 @@ def law(name: str) -> ForceLaw:
 
 def dataset(name: str) -> IsobaricDataset:
     """A measured table, such as "dmsp-10-250-martens2017"."""
-    entry, source = _find("datasets", name)
+    entry, source = find("datasets", name)
     length = entry.get("initial_length")
-    with resources.as_file(_FOLDER / "tables" / entry["table"]) as path:
+    with resources.as_file(FOLDER / "tables" / entry["table"]) as path:
         read = read_dataset(path, initial_length=quantity(length, "m") if length else None, specimen=entry["specimen"])
     return IsobaricDataset(read.table.assign_attrs(source=source))
 
 
 def geometry(name: str) -> KneeGeometry:
     """Where the muscles of a published joint run, such as "knee-table-2"."""
-    entry, _ = _find("geometries", name)
+    entry, _ = find("geometries", name)
     return KneeGeometry(
         **{key: quantity(entry[key], "m") for key in ("joint_length", "joint_radius", "connector_length")}
     )
@@ -69,7 +57,7 @@ def geometry(name: str) -> KneeGeometry:
 
 def load(name: str) -> Load:
     """What a published joint moves, such as "knee-table-2"."""
-    entry, _ = _find("loads", name)
+    entry, _ = find("loads", name)
     units = {
         "mass1": "kg",
         "mass2": "kg",
@@ -86,48 +74,9 @@ def load(name: str) -> Load:
 
 def joint(name: str) -> AntagonisticJoint:
     """A published joint with its muscles, such as "knee-table-2"."""
-    entry, _ = _find("joints", name)
+    entry, _ = find("joints", name)
     muscle = Muscle(specimen(entry["specimen"]), law(entry["law"]))
     return AntagonisticJoint(geometry(entry["geometry"]), muscle, muscle)
-
-
-def cite(name: str) -> str:
-    """Where an entry comes from, and what to know about it: source, place in it, notes."""
-    entries = [
-        (entry, publication)
-        for publication in _publications()
-        for kind in KINDS
-        for key, entry in publication.get(kind, {}).items()
-        if key == name
-    ]
-    if not entries:
-        raise _unknown("entry", name, [n for kind in KINDS for n in names(kind)])
-    publication = entries[0][1]
-    places = "; ".join(dict.fromkeys(entry["where"] for entry, _ in entries))
-    notes = [f"- {note}" for note in publication.get("notes", [])]
-    return "\n".join([publication["source"], f"({places})", *notes])
-
-
-@functools.cache
-def _publications() -> tuple[dict[str, Any], ...]:
-    from ruamel.yaml import YAML
-
-    reader = YAML(typ="safe", pure=True)
-    files = sorted((f for f in _FOLDER.iterdir() if f.name.endswith(".yaml")), key=lambda f: f.name)
-    return tuple(reader.load(file.read_text(encoding="utf-8")) for file in files)
-
-
-def _find(kind: str, name: str) -> tuple[dict[str, Any], str]:
-    for publication in _publications():
-        if name in publication.get(kind, {}):
-            return publication[kind][name], publication["source"]
-    raise _unknown(kind.removesuffix("s"), name, names(kind))
-
-
-def _unknown(kind: str, name: str, known: list[str]) -> NotInCatalogError:
-    close = difflib.get_close_matches(name, known, 1, cutoff=0.4)
-    remedy = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(dict.fromkeys(known))}"
-    return NotInCatalogError(f"the catalog has no {kind} {name!r}", value=name, remedy=remedy)
 
 
 def _domain(entry: dict[str, Any]) -> Domain:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,7 +25,7 @@ _LOST = 1e6  # the cost of a run that did not stay finite
 
 @dataclass(frozen=True)
 class Cost:
-    """What a set of gains costs: RMS errors of angle and stiffness, each in its unit of account, summed over references.
+    """What a set of gains costs: RMS errors of angle and stiffness, each by its scale, summed over references.
 
     Attributes
     ----------
@@ -106,9 +107,10 @@ def tune_pid(
     """
     from scipy.optimize import differential_evolution  # 0.3 s at import
 
-    loops = (controller.position, controller.stiffness)
-    if not all(isinstance(loop, PID) for loop in loops):
+    position, stiffness = controller.position, controller.stiffness
+    if not (isinstance(position, PID) and isinstance(stiffness, PID)):
         raise TypeError("tune_pid takes a controller whose two loops are PID")
+    loops = (position, stiffness)
     gains = np.array([getattr(loop, name) for loop in loops for name in _GAINS])
     searched = np.flatnonzero(gains)
     start = np.log10(np.abs(gains[searched]))
@@ -139,7 +141,7 @@ def tune_pid(
         costs,
         [(x - decades, x + decades) for x in start],
         x0=start,
-        init=_initial_population(start, decades, population, seed),
+        init=_initial_population(start, decades, population, seed),  # type: ignore[arg-type]  # an array is allowed
         maxiter=generations,
         vectorized=True,
         updating="deferred",
@@ -153,8 +155,8 @@ def tune_pid(
     names = [f"{loop}.{name}" for loop in ("position", "stiffness") for name in _GAINS]
     near_bound = np.abs(found.x - start) > 0.99 * decades
     return Tuned(
-        position=_with_gains(controller.position, best[:3].tolist()),
-        stiffness=_with_gains(controller.stiffness, best[3:].tolist()),
+        position=_with_gains(position, best[:3].tolist()),
+        stiffness=_with_gains(stiffness, best[3:].tolist()),
         cost=float(found.fun),
         cost_before=float(costs(start[:, None])[0]),
         evaluated=evaluated,
@@ -188,10 +190,14 @@ def _compiled_cost(
     """From candidates of shape (many, 6) to their costs, in lanes that the processor computes side by side."""
     wishes = [sampled(reference, round(duration / control_period), control_period)[1] for reference in references]
     plant, controller, initial = numeric((plant, controller, initial))
+    loops: Any = (controller.position, controller.stiffness)
 
     def one(gains: Array) -> Array:
-        position, stiffness = _with_gains(controller.position, gains[:3]), _with_gains(controller.stiffness, gains[3:])
-        candidate = eqx.tree_at(lambda c: (c.position, c.stiffness), controller, (position, stiffness))
+        candidate = eqx.tree_at(
+            lambda c: (c.position, c.stiffness),
+            controller,
+            (_with_gains(loops[0], gains[:3]), _with_gains(loops[1], gains[3:])),
+        )
         total = jnp.asarray(0.0)
         for wish in wishes:
             _, record = episode(plant, candidate, wish, initial, control_period, substeps)

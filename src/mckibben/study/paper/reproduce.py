@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import platform
 import time
 from collections.abc import Callable
@@ -13,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import mckibben
-from mckibben.identification import Fit, Validation
+from mckibben.identification import Validation
+from mckibben.study.numbers import METRICS, fit_numbers, plain, write_json
 from mckibben.study.paper.claims import Claim, judge
 from mckibben.study.paper.identification import CHOU, EXPERIMENTAL, TEST_PRESSURES, Identification, run_identification
 from mckibben.study.paper.joint import JointMap, run_joint
 from mckibben.study.paper.settings import SETTINGS
 from mckibben.study.paper.tracking import LOST_ANGLE, Run, Tracking, run_tracking
-from mckibben.units import bar, deg, factor
+from mckibben.units import bar, deg
 
 Progress = Callable[[str, float], None]
 
@@ -49,14 +48,14 @@ class Reproduction:
 
     def results(self) -> dict[str, Any]:
         """Every number of the report, ready for JSON; a number that does not exist is None."""
-        return _plain(
+        return plain(
             {
                 "mckibben": mckibben.__version__,
                 "versions": {name: version(name) for name in ("jax", "numpy", "equinox")},
                 "python": platform.python_version(),
                 "quick": self.quick,
                 "seeds": self.tracking.seeds,
-                "identification": {name: _fit(fit) for name, fit in self.identification.fits.items()},
+                "identification": {name: fit_numbers(fit) for name, fit in self.identification.fits.items()},
                 "validation": _validation(self.identification),
                 "joint": {setting.key: _joint(self.joint[setting.key]) for setting in SETTINGS},
                 "tracking": _tracking(self.tracking),
@@ -85,10 +84,7 @@ class Reproduction:
             name = "-".join((key, wish.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
             run.scenario.to_yaml(folder / "scenarios" / f"{name}.yaml")
             run.result.to_netcdf(folder / "trajectories" / f"{name}.nc")
-        text = json.dumps(self.results(), indent=2, allow_nan=False)
-        part = folder / ".results.json.part"
-        part.write_text(text + "\n", encoding="utf-8")
-        part.replace(folder / "results.json")
+        write_json(folder / "results.json", self.results())
 
 
 def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Reproduction:
@@ -120,31 +116,6 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     )
     claims = judge(identification, joint, tracking)
     return Reproduction(identification, joint, tracking, claims, quick, time.perf_counter() - start)
-
-
-def _fit(fit: Fit) -> dict[str, Any]:
-    unseen = fit.leave_one_pressure_out
-    shown = {p.name: factor(p.shown, p.unit) for p in type(fit.law).parameters()}
-    units = {p.name: p.shown for p in type(fit.law).parameters()}
-    return {
-        "law": type(fit.law).__name__,
-        "decay_per_percent": fit.estimates["decay"] / shown["decay"],
-        "rmse_N": fit.rmse,
-        "max_N": fit.max_error,
-        "leave_one_pressure_out_rmse_N": unseen.rmse if unseen else None,
-        "leave_one_pressure_out_max_N": unseen.max_error if unseen else None,
-        "points_used": fit.points_used,
-        "points_slack": fit.points_slack,
-        "parameters": {
-            name: {
-                "estimate": value / shown[name],
-                "standard_error": fit.standard_errors[name] / shown[name],
-                "unit": units[name],
-            }
-            for name, value in fit.estimates.items()
-        },
-        "warnings": list(fit.warnings),
-    }
 
 
 def _validation(found: Identification) -> dict[str, Any]:
@@ -181,19 +152,9 @@ def _tracking(found: Tracking) -> dict[str, Any]:
 
 
 def _run(run: Run) -> dict[str, Any]:
-    numbers = {
-        "angle_rmse_deg": ("angle_rmse", deg),
-        "angle_max_deg": ("angle_max", deg),
-        "stiffness_rmse": ("stiffness_rmse", 1.0),
-        "stiffness_settling_s": ("stiffness_settling", 1.0),
-        "coupling_deg": ("coupling", deg),
-        "time_saturated_s": ("time_saturated", 1.0),
-        "time_slack_s": ("time_slack", 1.0),
-        "time_outside_domain_s": ("time_outside_domain", 1.0),
-    }
-    found: dict[str, Any] = {name: run.median(metric) / unit for name, (metric, unit) in numbers.items()}
+    found: dict[str, Any] = {name: run.median(metric) / unit for name, (metric, unit) in METRICS.items()}
     if run.seeds is not None:
-        found["worst"] = {name: run.worst(metric) / unit for name, (metric, unit) in numbers.items()}
+        found["worst"] = {name: run.worst(metric) / unit for name, (metric, unit) in METRICS.items()}
         found["lost"] = run.lost
     return found | {"outcome": run.result.describe(), "lost_above_deg": LOST_ANGLE / deg}
 
@@ -207,14 +168,3 @@ def _tuned(tuned: Any) -> dict[str, Any]:
         "evaluated": tuned.evaluated,
         "at_bound": list(tuned.at_bound),
     }
-
-
-def _plain(value: Any) -> Any:
-    """The same with NaN and infinities as None, which JSON has words for."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value

@@ -16,12 +16,13 @@ from mckibben.control import PositionStiffnessControl, Setpoint
 from mckibben.errors import ReachabilityWarning
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation import Metrics, Result, Trajectory, episode, measure, simulate, trajectory
+from mckibben.simulation import Metrics, Result, Trajectory, episode, measure, trajectory
 from mckibben.simulation.loop import compiled_episode, sampled
 from mckibben.simulation.metrics import rms
 from mckibben.simulation.simulate import whole_periods
 from mckibben.simulation.trajectory import compiled_trajectory
 from mckibben.study.paper.settings import BOUND, FREE, SETTINGS, Setting, Wish, bp_scenario, gains_of, pid_scenario
+from mckibben.study.running import run_scenario
 from mckibben.study.scenario import Scenario
 from mckibben.study.tuning import Cost, Tuned, tune_pid
 from mckibben.units import deg, quantity
@@ -51,7 +52,7 @@ class Run:
     seeds: Metrics | None
 
     def median(self, metric: str) -> float:
-        """The median over the seeds, a run that never settles counting as the longest; the value itself without seeds."""
+        """The median over the seeds, a run that never settles being the longest; without seeds the value itself."""
         return _quantile(self._values(metric), 0.5)
 
     def worst(self, metric: str) -> float:
@@ -146,21 +147,6 @@ def run_tracking(*, seeds: int, generations: int, progress: Callable[[float], No
     return Tracking(runs, tuned, coupling, seeds)
 
 
-def run_scenario(scenario: Scenario) -> Result:
-    """Simulate a scenario; the result carries its text."""
-    plant = scenario.plant()
-    return simulate(
-        plant,
-        scenario.control(),
-        scenario.reference(),
-        duration=scenario.duration,
-        control_period=scenario.control_period,
-        substeps=scenario.substeps,
-        initial=scenario.initial(plant),
-        scenario=scenario.dumps(),
-    )
-
-
 def _tune(setting: Setting, generations: int, progress: Callable[[float], None]) -> Tuned:
     scenario = pid_scenario(setting, Wish.CONSTANT)
     plant = scenario.plant()
@@ -183,8 +169,8 @@ def _run_bp(scenario: Scenario, seeds: int) -> Run:
     periods = whole_periods(scenario.duration, scenario.control_period, scenario.substeps)
     _, wishes = sampled(scenario.reference(), periods, scenario.control_period)
     control, initial = scenario.control(), scenario.initial(plant)
-    arguments = numeric((plant, control, wishes, initial, scenario.control_period))
-    measured = _over_seeds(*arguments, jnp.arange(seeds), scenario.substeps)
+    plant, control, initial, period = numeric((plant, control, initial, scenario.control_period))
+    measured = _over_seeds(plant, control, wishes, initial, period, jnp.arange(seeds), scenario.substeps)
     return Run(scenario, _quiet(scenario), measured)
 
 
@@ -216,9 +202,10 @@ def _coupling(setting: Setting) -> Coupling:
     _, moving = sampled(pid_scenario(setting, Wish.CONSTANT).reference(), periods, stepping.control_period)
     held = moving._replace(angle=jnp.zeros_like(moving.angle))
 
+    plant, control, initial, period = numeric((plant, control, initial, stepping.control_period))
+
     def moved(wishes: Setpoint) -> Trajectory:
-        arguments = numeric((plant, control, wishes, initial, stepping.control_period))
-        _, record = compiled_episode(*arguments, stepping.substeps)
+        _, record = compiled_episode(plant, control, wishes, initial, period, stepping.substeps)
         return compiled_trajectory(plant, wishes, record)
 
     half = periods // 2

@@ -1,0 +1,61 @@
+"""The catalog's files, one a publication: what they hold, and where it comes from. No JAX here: names stay quick."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+from importlib import resources
+from typing import Any
+
+from mckibben.errors import NotInCatalogError
+
+KINDS = ("specimens", "laws", "datasets", "geometries", "loads", "joints")
+FOLDER = resources.files("mckibben.catalog")
+
+
+def names(kind: str) -> list[str]:
+    """The entries of a kind: one of "specimens", "laws", "datasets", "geometries", "loads", "joints"."""
+    if kind not in KINDS:
+        raise NotInCatalogError(f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}")
+    return [name for publication in _publications() for name in publication.get(kind, {})]
+
+
+def cite(name: str) -> str:
+    """Where an entry comes from, and what to know about it: source, place in it, notes."""
+    found = [
+        (publication, publication[kind][name])
+        for publication in _publications()
+        for kind in KINDS
+        if name in publication.get(kind, {})
+    ]
+    if not found:
+        raise _unknown("entry", name, [known for kind in KINDS for known in names(kind)])
+    publication = found[0][0]
+    places = "; ".join(dict.fromkeys(entry["where"] for _, entry in found))
+    return "\n".join([publication["source"], f"({places})", *(f"- {note}" for note in publication.get("notes", []))])
+
+
+def find(kind: str, name: str) -> tuple[dict[str, Any], str]:
+    """An entry as its file has it, and the source of the file."""
+    for publication in _publications():
+        if name in publication.get(kind, {}):
+            return publication[kind][name], publication["source"]
+    raise _unknown(_SINGULAR[kind], name, names(kind))
+
+
+_SINGULAR: dict[str, str] = dict(zip(KINDS, ("specimen", "law", "dataset", "geometry", "load", "joint"), strict=True))
+
+
+@functools.cache
+def _publications() -> tuple[dict[str, Any], ...]:
+    from ruamel.yaml import YAML
+
+    reader = YAML(typ="safe", pure=True)
+    files = sorted((f for f in FOLDER.iterdir() if f.name.endswith(".yaml")), key=lambda f: f.name)
+    return tuple(reader.load(file.read_text(encoding="utf-8")) for file in files)
+
+
+def _unknown(kind: str, name: str, known: list[str]) -> NotInCatalogError:
+    close = difflib.get_close_matches(name, known, 1, cutoff=0.4)
+    remedy = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(dict.fromkeys(known))}"
+    return NotInCatalogError(f"the catalog has no {kind} {name!r}", value=name, remedy=remedy)

@@ -1,0 +1,318 @@
+"""The command line: parse, call a study, print. No physics here, and heavy imports only inside the commands."""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import mckibben
+from mckibben.errors import McKibbenError, McKibbenWarning, UnitError
+
+if TYPE_CHECKING:
+    from mckibben.simulation import Result
+    from mckibben.study.scenario import Scenario
+
+app = typer.Typer(
+    name="mckibben",
+    help="Pneumatic artificial muscles, from the test rig to a controlled joint.",
+    epilog="Exit codes: 0 done, 1 failed, 2 bad input.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print machine-readable results instead of a table.")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Keep results, figures and data here.")]
+InitialLength = Annotated[
+    str, typer.Option(metavar="LENGTH", help="Of the deflated muscle, such as '180 mm'; where a file has lengths only.")
+]
+SlackForce = Annotated[
+    str, typer.Option(metavar="FORCE", help="Up to this force a muscle counts as slack, such as '1 N'.")
+]
+Column = Annotated[
+    list[str] | None,
+    typer.Option(metavar="'HEADER=NAME'", help="Read a column under another name; may be given several times."),
+]
+
+
+@app.command()
+def reproduce(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the report goes.")] = Path("mckibben-report"),
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer repeats, seeds and tuning steps.")] = False,
+    json: Json = False,
+) -> None:
+    """Run the paper end to end: test, identification, knee, control; to a report with figures."""
+    out.mkdir(parents=True, exist_ok=True)  # before the work, so that nothing is lost
+    from mckibben.study.numbers import to_json
+
+    with _progress() as report:
+        from mckibben.study.paper import reproduce as run
+
+        done = run(quick=quick, progress=lambda what, part: report(what, 0.8 * part))
+        report("keeping the numbers", 0.8)
+        done.save(out)
+        from mckibben.report import write_report
+
+        report("figures and report", 0.85)
+        page = write_report(done, out)
+        report("done", 1.0)
+    if json:
+        typer.echo(to_json(done.results()))
+        return
+    _table(
+        "The paper's claims",
+        ("verdict", "claim", "source"),
+        [("holds" if claim.holds else "does not hold", claim.claim, claim.source) for claim in done.claims],
+    )
+    typer.echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
+
+
+@app.command()
+def identify(
+    data: Annotated[str, typer.Argument(metavar="DATA", help="A CSV or NetCDF file, or a dataset of the catalog.")],
+    law: Annotated[str, typer.Option(help="Which law: exponential (Eq. 2) or chou (Eq. 1).")] = "exponential",
+    initial_length: InitialLength = "",
+    slack_force: SlackForce = "",
+    column: Column = None,
+    json: Json = False,
+    out: Out = None,
+) -> None:
+    """Fit a force law to measured points: estimates with standard errors, and errors at unseen pressures."""
+    from mckibben.study.inputs import data_named, law_type_named
+
+    law_type = law_type_named(law)
+    measured = data_named(data, **_reading(column, initial_length, slack_force))
+    from mckibben.identification import identify as run
+    from mckibben.study.numbers import fit_numbers, to_json, write_json
+
+    fit = run(law_type, measured)
+    numbers = fit_numbers(fit)
+    typer.echo(to_json(numbers) if json else fit.report())
+    if out:
+        from mckibben import report
+
+        out.mkdir(parents=True, exist_ok=True)
+        fit.to_yaml(out / "fit.yaml")
+        measured.to_netcdf(out / "data.nc")
+        write_json(out / "results.json", numbers)
+        report.save(report.isobaric(measured, fit), out, "fit")
+        _said(f"kept fit.yaml, data.nc, results.json and fit.png in {out}", json)
+
+
+@app.command()
+def validate(
+    law: Annotated[str, typer.Argument(metavar="LAW", help="A fit file, a law of the catalog, or 'chou'.")],
+    data: Annotated[str, typer.Argument(metavar="DATA", help="A CSV or NetCDF file, or a dataset of the catalog.")],
+    specimen: Annotated[str, typer.Option(help="Whose braid angle and diameter 'chou' takes.")] = "",
+    initial_length: InitialLength = "",
+    slack_force: SlackForce = "",
+    column: Column = None,
+    json: Json = False,
+    out: Out = None,
+) -> None:
+    """Hold a force law against measured points: errors by pressure and direction."""
+    from mckibben.study.inputs import data_named, law_named
+
+    known = law_named(law, specimen=specimen)
+    measured = data_named(data, **_reading(column, initial_length, slack_force))
+    from mckibben.identification import validate as run
+    from mckibben.study.numbers import to_json, write_json
+
+    validation = run({law: known}, measured)
+    numbers = {"slack": validation.slack, "errors": validation.records()}
+    typer.echo(to_json(numbers) if json else validation.report())
+    if out:
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(out / "results.json", numbers)
+        _said(f"kept results.json in {out}", json)
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="What to run; see examples/.")],
+    json: Json = False,
+    out: Out = None,
+) -> None:
+    """Run a controller on a joint, from a scenario file."""
+    from mckibben.study.scenario import Scenario
+
+    read = Scenario.read(scenario)
+    from mckibben.study.numbers import shown, to_json, write_json
+    from mckibben.study.running import run_scenario
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", McKibbenWarning)
+        result = run_scenario(read)
+    reach = "; ".join(str(w.message) for w in caught if issubclass(w.category, McKibbenWarning))
+    numbers = {
+        "scenario": read.name,
+        "outcome": result.outcome.name.lower(),
+        "described": result.describe(),
+        "out_of_reach": reach,
+        "metrics": shown(result.metrics()),
+    }
+    if json:
+        typer.echo(to_json(numbers))
+    else:
+        if reach:
+            typer.echo(f"warning: {reach}", err=True)
+        rows = [(name, "-" if value != value else f"{value:.4g}") for name, value in numbers["metrics"].items()]
+        _table(read.name, ("metric", "value"), rows)
+        typer.echo(result.describe())
+    if out:
+        _keep_run(out, read, result)
+        write_json(out / "results.json", numbers)
+        _said(f"kept result.nc, results.json, scenario.yaml and tracking.png in {out}", json)
+
+
+@app.command()
+def laws(json: Json = False) -> None:
+    """The force laws that can be fitted, and the published parameter sets."""
+    from mckibben import catalog
+    from mckibben.muscle import LAWS
+    from mckibben.study.numbers import to_json
+
+    published = {name: catalog.law(name) for name in catalog.names("laws")}
+    if json:
+        numbers = {name: {"equation": law.equation, "source": law.source} for name, law in LAWS.items()}
+        sets = {name: {"law": type(law).__name__, "domain": str(law.domain)} for name, law in published.items()}
+        typer.echo(to_json({"laws": numbers, "published": sets}))
+        return
+    rows = [(name, law.equation, law.source) for name, law in LAWS.items()]
+    _table("Laws", ("law", "equation", "source"), rows)
+    sets = [(name, type(law).__name__, str(law.domain)) for name, law in published.items()]
+    _table("Published parameter sets", ("name", "law", "domain"), sets)
+
+
+@app.command()
+def specimens(json: Json = False) -> None:
+    """The makes of muscle that the catalog knows, and its measured datasets."""
+    from mckibben import catalog
+    from mckibben.study.numbers import to_json
+    from mckibben.units import mm
+
+    known = {name: catalog.specimen(name) for name in catalog.names("specimens")}
+    data = {name: catalog.cite(name).splitlines()[0] for name in catalog.names("datasets")}
+    if json:
+        numbers = {
+            name: {
+                "initial_length_mm": s.initial_length / mm,
+                "initial_diameter_mm": s.initial_diameter / mm,
+                "rated_force_N": s.rated_force,
+                "domain": str(s.domain),
+                "source": catalog.cite(name),
+            }
+            for name, s in known.items()
+        }
+        typer.echo(to_json({"specimens": numbers, "datasets": data}))
+        return
+    rows = [
+        (name, f"{s.initial_length / mm:g} x {s.initial_diameter / mm:g} mm", f"{s.rated_force:g} N", str(s.domain))
+        for name, s in known.items()
+    ]
+    _table("Specimens", ("name", "length x diameter", "rated", "domain"), rows)
+    _table("Datasets", ("name", "source"), list(data.items()))
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        typer.echo(f"mckibben {mckibben.__version__}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Run the command line; errors of ours become one message and exit code 2, others exit code 1."""
+    from mckibben.numerics.runtime import use_compile_cache
+
+    use_compile_cache()
+    warnings.showwarning = _show_warning
+    try:
+        app()
+    except (McKibbenError, OSError) as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(2)
+    except Exception as error:
+        if os.environ.get("MCKIBBEN_DEBUG"):
+            raise
+        typer.echo(
+            f"failed: {type(error).__name__}: {error}\nThis is a fault of mckibben. Please report it with the output of "
+            "the same command under MCKIBBEN_DEBUG=1.",
+            err=True,
+        )
+        sys.exit(1)
+
+
+def _reading(columns: list[str] | None, initial_length: str, slack_force: str) -> dict[str, Any]:
+    """The options of reading a file, as `data_named` takes them."""
+    from mckibben.units import quantity
+
+    named = {}
+    for text in columns or []:
+        header, equals, name = text.rpartition("=")
+        if not equals:
+            raise UnitError(f"--column {text!r} names no column", remedy="write --column 'Druck [bar]=pressure_bar'")
+        named[header] = name
+    return {
+        "columns": named or None,
+        "initial_length": quantity(initial_length, "m") if initial_length else None,
+        "slack_force": quantity(slack_force, "N") if slack_force else None,
+    }
+
+
+def _keep_run(folder: Path, scenario: Scenario, result: Result) -> None:
+    from mckibben import report
+
+    folder.mkdir(parents=True, exist_ok=True)
+    scenario.to_yaml(folder / "scenario.yaml")
+    result.to_netcdf(folder / "result.nc")
+    report.save(report.tracking({scenario.name: result}), folder, "tracking")
+
+
+def _table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*headers, title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for row in rows:
+        table.add_row(*row)
+    Console(highlight=False).print(table)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on standard error."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("starting", total=1.0)
+        yield lambda what, part: bar.update(task, description=what, completed=part)
+
+
+def _said(text: str, json: bool) -> None:
+    typer.echo(text, err=json)
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    if issubclass(category, McKibbenWarning):
+        typer.echo(f"warning: {message}", err=True)
+
+
+if __name__ == "__main__":
+    main()

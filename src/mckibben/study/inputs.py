@@ -1,0 +1,84 @@
+"""What users name in commands: a file or an entry of the catalog, as data or as a law."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mckibben import catalog
+from mckibben.errors import NotInCatalogError
+
+if TYPE_CHECKING:
+    from mckibben.dataset import IsobaricDataset
+    from mckibben.muscle import ForceLaw
+
+
+def data_named(
+    name: str,
+    *,
+    columns: Mapping[str, str] | None = None,
+    initial_length: float | None = None,
+    specimen: str = "",
+    slack_force: float | None = None,
+) -> IsobaricDataset:
+    """A dataset of the catalog by its name, or a file of measurements by its path.
+
+    Parameters
+    ----------
+    name
+        Such as "festo-tool-10mm" or "rig.csv".
+    columns, initial_length, specimen, slack_force
+        As for `mckibben.read_dataset`; for files only.
+    """
+    from mckibben.dataset import read_dataset
+
+    if name in catalog.names("datasets") and not Path(name).exists():
+        return catalog.dataset(name)
+    return read_dataset(
+        name, columns=columns, initial_length=initial_length, specimen=specimen, slack_force=slack_force
+    )
+
+
+def law_named(name: str, *, specimen: str = "") -> ForceLaw:
+    """A law by the name of a published parameter set, as "chou" of a specimen, or from a fit file.
+
+    Raises
+    ------
+    NotInCatalogError
+        If it is none of these.
+    """
+    from mckibben.identification import read_law
+    from mckibben.muscle import ChouLaw
+
+    if Path(name).exists() or Path(name).suffix in (".yaml", ".yml"):
+        return read_law(name)
+    if name == "chou":
+        if not specimen:
+            raise NotInCatalogError(
+                "the law 'chou' needs a specimen, whose braid angle and diameter it takes",
+                remedy=f"add --specimen, one of {', '.join(catalog.names('specimens'))}",
+            )
+        return ChouLaw.of(catalog.specimen(specimen))
+    if name in catalog.names("laws"):
+        return catalog.law(name)
+    raise NotInCatalogError(
+        f"there is no law {name!r}",
+        value=name,
+        remedy=f"give a fit file (.yaml), 'chou', or one of {', '.join(catalog.names('laws'))}",
+    )
+
+
+def law_type_named(name: str) -> type[ForceLaw]:
+    """A kind of law by its name, with or without "Law", in any case.
+
+    >>> law_type_named("exponential").__name__
+    'ExponentialLaw'
+    """
+    from mckibben.muscle import LAWS
+
+    for known, law_type in LAWS.items():
+        if name.lower() in (known.lower(), known.removesuffix("Law").lower()):
+            return law_type
+    short = ", ".join(known.removesuffix("Law").lower() for known in LAWS)
+    raise NotInCatalogError(f"there is no law {name!r}", value=name, remedy=f"known are {short}")

@@ -1,0 +1,82 @@
+"""Numbers for people and for JSON: the names and units in which results are shown, in one place."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mckibben.units import deg, factor
+
+if TYPE_CHECKING:
+    from mckibben.identification import Fit
+
+METRICS: dict[str, tuple[str, float]] = {
+    "angle_rmse_deg": ("angle_rmse", deg),
+    "angle_max_deg": ("angle_max", deg),
+    "stiffness_rmse": ("stiffness_rmse", 1.0),
+    "stiffness_max": ("stiffness_max", 1.0),
+    "stiffness_settling_s": ("stiffness_settling", 1.0),
+    "coupling_deg": ("coupling", deg),
+    "estimate_rmse": ("estimate_rmse", 1.0),
+    "time_saturated_s": ("time_saturated", 1.0),
+    "time_slack_s": ("time_slack", 1.0),
+    "time_outside_domain_s": ("time_outside_domain", 1.0),
+}
+"""From the name under which a metric is shown to that of `Metrics`, and the unit. Stiffness is in N*m/rad."""
+
+
+def shown(metrics: Mapping[str, float]) -> dict[str, float]:
+    """The metrics of a run under the names and in the units in which they are shown."""
+    return {name: metrics[metric] / unit for name, (metric, unit) in METRICS.items()}
+
+
+def fit_numbers(fit: Fit) -> dict[str, Any]:
+    """A fit in the units in which its law is published."""
+    unseen = fit.leave_one_pressure_out
+    published = {p.name: factor(p.shown, p.unit) for p in type(fit.law).parameters()}
+    units = {p.name: p.shown for p in type(fit.law).parameters()}
+    return {
+        "law": type(fit.law).__name__,
+        **({"decay_per_percent": fit.estimates["decay"] / published["decay"]} if "decay" in published else {}),
+        "rmse_N": fit.rmse,
+        "max_N": fit.max_error,
+        "leave_one_pressure_out_rmse_N": unseen.rmse if unseen else None,
+        "leave_one_pressure_out_max_N": unseen.max_error if unseen else None,
+        "points_used": fit.points_used,
+        "points_slack": fit.points_slack,
+        "parameters": {
+            name: {
+                "estimate": value / published[name],
+                "standard_error": fit.standard_errors[name] / published[name],
+                "unit": units[name],
+            }
+            for name, value in fit.estimates.items()
+        },
+        "warnings": list(fit.warnings),
+    }
+
+
+def plain(value: Any) -> Any:
+    """The same with NaN and infinities as None, which JSON has a word for, and tuples as lists."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def to_json(value: Any) -> str:
+    """As text, indented."""
+    return json.dumps(plain(value), indent=2, allow_nan=False)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """To a file; an existing one is replaced only when the new one is whole."""
+    part = path.with_name(f".{path.name}.part")
+    part.write_text(to_json(value) + "\n", encoding="utf-8")
+    part.replace(path)
