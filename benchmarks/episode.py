@@ -2,8 +2,9 @@
 
     python benchmarks/episode.py [--runs 41] [--json FILE]
 
-The C reference is `episode.c`, compiled here with `cc -O3 -march=native`. Before anything is timed, both have to compute
-the same episode; the deviation is printed. Times differ from machine to machine and hour to hour: look at the ratio.
+The C reference is `episode.c`, compiled with `cc -O3 -march=native`. Before anything is timed, both have to
+compute the same episode; the deviation is printed. Times differ from machine to machine and hour to hour: look at the
+ratio.
 """
 
 from __future__ import annotations

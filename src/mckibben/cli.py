@@ -145,7 +145,7 @@ def simulate(
     from mckibben.study.scenario import Scenario
 
     read = Scenario.read(scenario)
-    from mckibben.study.numbers import shown, to_json, write_json
+    from mckibben.study.numbers import METRICS, shown, to_json, write_json
     from mckibben.study.running import run_scenario
 
     with warnings.catch_warnings(record=True) as caught:
@@ -164,8 +164,11 @@ def simulate(
     else:
         if reach:
             typer.echo(f"warning: {reach}", err=True)
-        rows = [(name, "-" if value != value else f"{value:.4g}") for name, value in numbers["metrics"].items()]
-        _table(read.name, ("metric", "value"), rows)
+        rows = [
+            (METRICS[name][0].replace("_", " "), "never" if value != value else f"{value:.4g}", METRICS[name][1])
+            for name, value in numbers["metrics"].items()
+        ]
+        _table(read.name, ("metric", "value", "unit"), rows)
         typer.echo(result.describe())
     if out:
         _keep_run(out, read, result)
@@ -282,10 +285,12 @@ def _table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) ->
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(*headers, title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    table = Table(*headers, box=box.SIMPLE_HEAD)
     for row in rows:
         table.add_row(*row)
-    Console(highlight=False).print(table)
+    console = Console(highlight=False)
+    console.print(title)
+    console.print(table)
 
 
 @contextmanager

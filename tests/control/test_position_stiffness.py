@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.control import PID, BackpropPID, Loop, Measurement, PositionStiffnessControl, Setpoint
+from mckibben.control import PID, BackpropPID, Jacobian, Loop, Measurement, PositionStiffnessControl, Setpoint
 from mckibben.numerics.compiled import numeric
 
 PERIOD = 1e-3
@@ -153,3 +153,15 @@ def test_a_model_with_a_series_spring_works_as_well(as_printed):
     control = numeric(PositionStiffnessControl(POSITION, STIFFNESS, model=springy))
     state, commands = once(control, wish(0.05, 20.0), seen(0.03, 1e5, 1.3e5))
     assert np.isfinite([float(state.estimate), *map(float, commands)]).all()
+
+
+@pytest.mark.xfail(strict=True, reason="0/0 in _sensitivities poisons the weights for ever")
+def test_a_learner_with_the_models_jacobian_survives_two_slack_muscles(knee):
+    learner = BackpropPID(POSITION, signal_scale=0.2, error_scale=0.02, output_scale=1e5, jacobian=Jacobian.MODEL)
+    control = numeric(PositionStiffnessControl(learner, STIFFNESS, model=knee))
+    slack = seen(0.0, 0.0, 0.0)
+    assert float(knee.stiffness(0.0, slack.pressures)) == 0.0
+    step = jax.jit(lambda state, measurement: control.step(state, wish(0.1), measurement, PERIOD))
+    state, _ = step(control.init(slack), slack)
+    _, commands = step(state, seen())
+    assert np.isfinite([float(c) for c in commands]).all()

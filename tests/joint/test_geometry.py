@@ -52,7 +52,7 @@ def test_a_knee_seen_from_behind_is_the_same_knee(angle):
 
 def test_arrays_go_through(as_printed):
     angles = np.linspace(-0.5, 0.5, 6).reshape(2, 3)
-    for pair in (as_printed.geometry.path_lengths(angles), as_printed.geometry.moment_arms(angles)):
+    for pair in (lengths_of(0.37, 0.03, 0.19, angles), as_printed.geometry.moment_arms(angles)):
         assert [x.shape for x in pair] == [(2, 3), (2, 3)]
 
 

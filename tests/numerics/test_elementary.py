@@ -51,6 +51,15 @@ def test_sin_and_cos_stay_accurate_up_to_1e5(form):
 
 
 @pytest.mark.parametrize("form", FORMS)
+def test_in_single_precision_sin_and_cos_lose_at_most_a_digit_up_to_1e5(form):
+    x = samples(np.float32, -1e5, 1e5)
+    sine, cosine = FORMS[form](elementary.sincos)(jnp.asarray(x))
+    wide = x.astype(np.longdouble)
+    assert np.max(np.abs(np.asarray(sine) - np.sin(wide))) < 1.3e-6
+    assert np.max(np.abs(np.asarray(cosine) - np.cos(wide))) < 1.3e-6
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_sine_keeps_its_relative_accuracy_around_the_multiples_of_pi(form):
     x = (np.arange(-40, 41) * np.pi)[:, None] + np.array([0.0, 1e-7, -1e-3])
     got = FORMS[form](elementary.sin)(jnp.asarray(x.ravel()))

@@ -85,4 +85,5 @@ def compiled_episode(
 def sampled(reference: Reference, periods: int, period: float) -> tuple[Float[Array, " periods"], Setpoint]:
     """The start times [s] of the control periods, and the wishes at them."""
     times = jnp.arange(periods) * period
-    return times, reference(times)
+    # With an explicit type: a weakly typed wish would compile everything anew.
+    return times, Setpoint(*(jnp.asarray(wish, float) for wish in reference(times)))

@@ -13,24 +13,24 @@ from mckibben.units import deg, factor
 if TYPE_CHECKING:
     from mckibben.identification import Fit
 
-METRICS: dict[str, tuple[str, float]] = {
-    "angle_rmse_deg": ("angle_rmse", deg),
-    "angle_max_deg": ("angle_max", deg),
-    "stiffness_rmse": ("stiffness_rmse", 1.0),
-    "stiffness_max": ("stiffness_max", 1.0),
-    "stiffness_settling_s": ("stiffness_settling", 1.0),
-    "coupling_deg": ("coupling", deg),
-    "estimate_rmse": ("estimate_rmse", 1.0),
-    "time_saturated_s": ("time_saturated", 1.0),
-    "time_slack_s": ("time_slack", 1.0),
-    "time_outside_domain_s": ("time_outside_domain", 1.0),
+METRICS: dict[str, tuple[str, str, float]] = {
+    "angle_rmse_deg": ("angle_rmse", "deg", deg),
+    "angle_max_deg": ("angle_max", "deg", deg),
+    "stiffness_rmse": ("stiffness_rmse", "N*m/rad", 1.0),
+    "stiffness_max": ("stiffness_max", "N*m/rad", 1.0),
+    "stiffness_settling_s": ("stiffness_settling", "s", 1.0),
+    "coupling_deg": ("coupling", "deg", deg),
+    "estimate_rmse": ("estimate_rmse", "N*m/rad", 1.0),
+    "time_saturated_s": ("time_saturated", "s", 1.0),
+    "time_slack_s": ("time_slack", "s", 1.0),
+    "time_outside_domain_s": ("time_outside_domain", "s", 1.0),
 }
-"""From the name under which a metric is shown to that of `Metrics`, and the unit. Stiffness is in N*m/rad."""
+"""From the name under which a metric is shown to that of `Metrics`, the unit as text and as a factor to SI."""
 
 
 def shown(metrics: Mapping[str, float]) -> dict[str, float]:
     """The metrics of a run under the names and in the units in which they are shown."""
-    return {name: metrics[metric] / unit for name, (metric, unit) in METRICS.items()}
+    return {name: metrics[metric] / unit for name, (metric, _, unit) in METRICS.items()}
 
 
 def fit_numbers(fit: Fit) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from mckibben.control import PID, PositionStiffnessControl, Reference
+from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import episode
@@ -23,8 +23,7 @@ from mckibben.simulation.metrics import rms
 _LOST = 1e6  # the cost of a run that did not stay finite
 
 
-@dataclass(frozen=True)
-class Cost:
+class Cost(NamedTuple):
     """What a set of gains costs: RMS errors of angle and stiffness, each by its scale, summed over references.
 
     Attributes
@@ -107,17 +106,15 @@ def tune_pid(
     """
     from scipy.optimize import differential_evolution  # 0.3 s at import
 
-    position, stiffness = controller.position, controller.stiffness
-    if not (isinstance(position, PID) and isinstance(stiffness, PID)):
-        raise TypeError("tune_pid takes a controller whose two loops are PID")
-    loops = (position, stiffness)
+    loops = position, stiffness = _pid_loops(controller)
     gains = np.array([getattr(loop, name) for loop in loops for name in _GAINS])
     searched = np.flatnonzero(gains)
     start = np.log10(np.abs(gains[searched]))
 
-    evaluate = _compiled_cost(
-        plant, controller, references, cost, initial, duration, control_period, substeps, population
-    )
+    periods = round(duration / control_period)
+    sampled_wishes = [sampled(reference, periods, control_period)[1] for reference in references]
+    wishes = jax.tree.map(lambda *each: jnp.stack(each), *sampled_wishes)
+    plant, controller, initial, period, scales = numeric((plant, controller, initial, control_period, cost))
 
     def costs(columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """The cost of each column of logarithms."""
@@ -127,7 +124,9 @@ def tune_pid(
         padded = np.concatenate([candidates, np.tile(gains, (padding, 1))])
         nonlocal evaluated
         evaluated += len(candidates)
-        return np.asarray(evaluate(jnp.asarray(padded)))[: len(candidates)]
+        return np.asarray(_costs(plant, controller, wishes, initial, period, scales, jnp.asarray(padded), substeps))[
+            : len(candidates)
+        ]
 
     done = evaluated = 0
 
@@ -176,34 +175,38 @@ def _initial_population(start: NDArray, decades: float, population: int, seed: i
     return start + spread
 
 
-def _compiled_cost(
+@eqx.filter_jit
+def _costs(
     plant: JointPlant,
     controller: PositionStiffnessControl,
-    references: Sequence[Reference],
-    cost: Cost,
+    wishes: Setpoint,
     initial: PlantState,
-    duration: float,
-    control_period: float,
+    period: Array,
+    scales: Cost,
+    candidates: Array,
     substeps: int,
-    lanes: int,
-) -> Callable[[Array], Array]:
-    """From candidates of shape (many, 6) to their costs, in lanes that the processor computes side by side."""
-    wishes = [sampled(reference, round(duration / control_period), control_period)[1] for reference in references]
-    plant, controller, initial = numeric((plant, controller, initial))
-    loops: Any = (controller.position, controller.stiffness)
+) -> Array:
+    """The cost of each of many candidates, shape (many, 6), over wishes of shape (references, periods)."""
+    position, stiffness = _pid_loops(controller)
 
-    def one(gains: Array) -> Array:
-        candidate = eqx.tree_at(
-            lambda c: (c.position, c.stiffness),
-            controller,
-            (_with_gains(loops[0], gains[:3]), _with_gains(loops[1], gains[3:])),
-        )
-        total = jnp.asarray(0.0)
-        for wish in wishes:
-            _, record = episode(plant, candidate, wish, initial, control_period, substeps)
-            angle_error = record.state.angle - wish.angle
-            stiffness_error = plant.joint.stiffness(record.state.angle, record.state.pressures) - wish.stiffness
-            total += rms(angle_error) / cost.angle_scale + rms(stiffness_error) / cost.stiffness_scale
-        return jnp.where(jnp.isfinite(total), total, _LOST)
+    def errors(gains: Array, wish: Setpoint) -> Array:
+        loops = (_with_gains(position, gains[:3]), _with_gains(stiffness, gains[3:]))
+        candidate = eqx.tree_at(lambda c: (c.position, c.stiffness), controller, loops)
+        _, record = episode(plant, candidate, wish, initial, period, substeps)
+        angle_error = record.state.angle - wish.angle
+        stiffness_error = plant.joint.stiffness(record.state.angle, record.state.pressures) - wish.stiffness
+        return rms(angle_error) / scales.angle_scale + rms(stiffness_error) / scales.stiffness_scale
 
-    return jax.jit(lambda candidates: jax.lax.map(one, candidates, batch_size=lanes))
+    # One flat axis of lanes, every candidate with every wish: nested axes would vectorise along the short one.
+    references, many = wishes.angle.shape[0], candidates.shape[0]
+    lanes = jax.tree.map(lambda wish: jnp.repeat(wish, many, axis=0), wishes)
+    cost = jax.vmap(errors)(jnp.tile(candidates, (references, 1)), lanes)
+    total = jnp.sum(cost.reshape(references, many), axis=0)
+    return jnp.where(jnp.isfinite(total), total, _LOST)
+
+
+def _pid_loops(controller: PositionStiffnessControl) -> tuple[PID, PID]:
+    position, stiffness = controller.position, controller.stiffness
+    if not (isinstance(position, PID) and isinstance(stiffness, PID)):
+        raise TypeError("tune_pid takes a controller whose two loops are PID")
+    return position, stiffness

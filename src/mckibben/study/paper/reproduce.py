@@ -152,9 +152,9 @@ def _tracking(found: Tracking) -> dict[str, Any]:
 
 
 def _run(run: Run) -> dict[str, Any]:
-    found: dict[str, Any] = {name: run.median(metric) / unit for name, (metric, unit) in METRICS.items()}
+    found: dict[str, Any] = {name: run.median(metric) / unit for name, (metric, _, unit) in METRICS.items()}
     if run.seeds is not None:
-        found["worst"] = {name: run.worst(metric) / unit for name, (metric, unit) in METRICS.items()}
+        found["worst"] = {name: run.worst(metric) / unit for name, (metric, _, unit) in METRICS.items()}
         found["lost"] = run.lost
     return found | {"outcome": run.result.describe(), "lost_above_deg": LOST_ANGLE / deg}
 
