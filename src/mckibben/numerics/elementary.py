@@ -130,25 +130,30 @@ def sincos(x: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
 
 
 @jax.custom_jvp
-def _exp(x: Array) -> Array:
+def _exp_rule(x: Array) -> Array:
     return lax.platform_dependent(x, cpu=_exp_polynomial, default=jnp.exp)
 
 
-@_exp.defjvp
+@_exp_rule.defjvp
 def _exp_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     value = _exp(primals[0])
     return value, value * tangents[0]
 
 
 @jax.custom_jvp
-def _sincos(x: Array) -> tuple[Array, Array]:
+def _sincos_rule(x: Array) -> tuple[Array, Array]:
     return lax.platform_dependent(x, cpu=_sincos_polynomial, default=lambda y: (jnp.sin(y), jnp.cos(y)))
 
 
-@_sincos.defjvp
+@_sincos_rule.defjvp
 def _sincos_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     sine, cosine = _sincos(primals[0])
     return (sine, cosine), (cosine * tangents[0], -sine * tangents[0])
+
+
+# Outside of compiled code each is compiled as one piece; inside they are inlined.
+_exp = jax.jit(_exp_rule, inline=True)
+_sincos = jax.jit(_sincos_rule, inline=True)
 
 
 def _exp_polynomial(x: Array) -> Array:

@@ -1,0 +1,272 @@
+"""Figures of the muscle: isobaric curves, laws against measured points, fits with their residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.identification import Fit, Validation
+from mckibben.muscle import ForceLaw
+from mckibben.report.panels import beside, legend_above, letter
+from mckibben.report.style import (
+    DOUBLE,
+    EXPERIMENTAL,
+    LOADING,
+    THEORETICAL,
+    UNLOADING,
+    blank,
+    pressure_colours,
+    styled,
+)
+from mckibben.units import bar, percent
+
+_CONTRACTION, _FORCE = "contraction [%]", "force [N]"
+_DIRECTIONS = {"loading": LOADING, "unloading": UNLOADING}
+_MOST_CURVES = 20
+
+
+@styled
+def isobaric_curves(dataset: IsobaricDataset) -> Figure:
+    """The characteristic curves of an isobaric test (Fig. 3): each pressure labelled, loading and unloading apart.
+
+    Parameters
+    ----------
+    dataset
+        With directions; the curves are means over repeats, slack points included.
+    """
+    figure = blank(DOUBLE, 4.6)
+    axes = figure.subplots()
+    colours, levels = pressure_colours(), dataset.pressures
+    top = float(dataset.force.max())
+    left, right = float(dataset.contraction.min()) / percent, float(dataset.contraction.max()) / percent
+    for level in levels:
+        colour = colours((level - levels[0]) / max(float(np.ptp(levels)), 1.0))
+        curves = {d: _mean_curve(dataset.at(level), d) for d in ("loading", "unloading")}
+        (up, force_up), (down, force_down) = curves["loading"], curves["unloading"]
+        axes.plot(up, force_up, color=colour, label="loading (being stretched)")
+        axes.plot(down, force_down, color=colour, linestyle=(0, (3, 1.5)), label="unloading (shortening)")
+        # On the diagonal of the panel each falling curve passes once, and clear of its neighbours.
+        middle = np.interp(up, down, force_down) / 2 + force_up / 2
+        place = int(np.argmin(np.abs(middle / top - 0.1 - 0.75 * (up - left) / (right - left))))
+        axes.text(
+            up[place],
+            middle[place],
+            f"{level / bar:g}",
+            color=colour,
+            fontsize=7,
+            fontweight="bold",
+            ha="center",
+            va="center",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
+        )
+    axes.set(xlabel=_CONTRACTION, ylabel=_FORCE, ylim=(-0.015 * top, 1.04 * top))
+    handles = [
+        Line2D([], [], color="#444444", label="loading (being stretched)"),
+        Line2D([], [], color="#444444", linestyle=(0, (3, 1.5)), label="unloading (shortening)"),
+    ]
+    title = f"pressure in bar, mean of {max(len(dataset.repeats), 1)} repeats"
+    axes.legend(handles=handles, loc="upper right", title=title, title_fontsize=7.5, alignment="left")
+    return figure
+
+
+@styled
+def law_comparison(
+    dataset: IsobaricDataset, laws: Mapping[str, ForceLaw], validation: Validation | None = None
+) -> Figure:
+    """Laws against measured points, a panel a pressure (Fig. 4).
+
+    Parameters
+    ----------
+    dataset
+        Measured points; loading and unloading are told apart where known.
+    laws
+        By name: first the experimental one, then the theoretical one.
+    validation
+        If given, the RMSE of each law is written into each panel.
+    """
+    levels = dataset.pressures
+    columns = 2 if len(levels) > 1 else 1
+    rows = -(-len(levels) // columns)
+    figure = blank(DOUBLE, 2.35 * rows + 0.5)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    contraction = np.linspace(float(dataset.contraction.min()), float(dataset.contraction.max()), 300)
+    top = float(dataset.force.max())
+    for i, (axes, level) in enumerate(zip(grid, levels, strict=False)):
+        points = dataset.at(level)
+        _points(axes, points)
+        for (name, law), look in zip(laws.items(), (EXPERIMENTAL, THEORETICAL), strict=False):
+            axes.plot(contraction / percent, np.asarray(law.force(contraction, level)), label=name, zorder=4, **look)
+        letter(axes, "abcdefghijkl"[i % 12], f"{level / bar:g} bar")
+        if validation:
+            lines = [f"RMSE {name.split(' (')[0]}: {validation.of(name, pressure=level).rmse:.1f} N" for name in laws]
+            beside(axes, "\n".join(lines))
+        axes.set(ylim=(-0.02 * top, 1.06 * top))
+        axes.label_outer()
+    for axes in grid[len(levels) :]:
+        axes.remove()
+    figure.supxlabel(_CONTRACTION, fontsize=8)
+    figure.supylabel(_FORCE, fontsize=8)
+    for axes in grid[: len(levels)]:
+        axes.set_xlabel("")
+    legend_above(figure, *grid[: len(levels)])
+    return figure
+
+
+@styled
+def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
+    """Points of an isobaric dataset; with a fit also its curves and what it leaves over.
+
+    Parameters
+    ----------
+    dataset
+        Measured points, of any number of pressures.
+    fit
+        A law identified from them, or from others.
+    """
+    return _fitted({dataset.table.attrs["specimen"] or "isobaric test": (dataset, fit)})
+
+
+@styled
+def measured_muscles(found: Mapping[str, tuple[IsobaricDataset, Fit]]) -> Figure:
+    """Several datasets side by side, each with its fit above and the residuals below."""
+    return _fitted(found)
+
+
+def _fitted(found: Mapping[str, tuple[IsobaricDataset, Fit | None]]) -> Figure:
+    residuals = any(fit for _, fit in found.values())
+    width = DOUBLE if len(found) > 1 else 5.4
+    figure = blank(width, 5.0 if residuals else 3.4)
+    grid = figure.subplots(
+        1 + residuals,
+        len(found),
+        squeeze=False,
+        sharex="col",
+        gridspec_kw={"height_ratios": [2.4, 1] if residuals else [1]},
+    )
+    low = min(float(data.levels.min()) for data, _ in found.values()) / bar
+    high = max(float(data.levels.max()) for data, _ in found.values()) / bar
+    scale, colours = Normalize(low, max(high, low + 0.1)), pressure_colours()
+    for i, (name, (data, fit)) in enumerate(found.items()):
+        data = data.plateau_means()
+        axes = grid[0, i]
+        taut = data.taut
+        _coloured(axes, taut.contraction, taut.force, taut.levels, data.taut, scale, edge="white")
+        slack = data.select(data.slack)
+        if len(slack):
+            axes.plot(slack.contraction / percent, slack.force, "x", color="#999999", markersize=3)
+        if fit:
+            _curves(axes, data, fit.law, scale)
+            difference = taut.force - np.asarray(fit.law.force(taut.contraction, taut.pressure))
+            _coloured(grid[1, i], taut.contraction, difference, taut.levels, taut, scale, edge="white")
+            grid[1, i].axhline(0, color="#444444", linewidth=0.7)
+            grid[1, i].set(xlabel=_CONTRACTION, ylabel="measured − fitted [N]" if i == 0 else "")
+            rmse = float(np.sqrt(np.mean(difference**2)))
+            beside(grid[1, i], f"RMSE {rmse:.2f} N")
+        else:
+            axes.set_xlabel(_CONTRACTION)
+        if len(found) > 1:
+            letter(axes, "abcdef"[i], name)
+        else:
+            axes.set_title(name)
+        axes.set(ylabel=_FORCE if i == 0 else "")
+        axes.set_ylim(bottom=-0.03 * float(data.force.max()))
+        axes.legend(handles=_handles(data, fit), loc="upper right")
+    figure.colorbar(
+        ScalarMappable(norm=scale, cmap=colours),
+        ax=list(grid.ravel()),
+        label="pressure [bar]",
+        fraction=0.04,
+        aspect=40,
+    )
+    return figure
+
+
+def _handles(data: IsobaricDataset, fit: Fit | None) -> list[Line2D]:
+    def marks(shape: str, label: str, colour: str = "#444444") -> Line2D:
+        return Line2D([], [], linestyle="", marker=shape, color=colour, label=label)
+
+    known = [str(d) for d in data.directions]
+    handles = [marks(_DIRECTIONS[d]["marker"], d) for d in known] or [marks("o", "measured, taut")]
+    if data.slack.any():
+        handles.append(marks("x", "slack (left out)", "#999999"))
+    if fit:
+        handles.append(Line2D([], [], color="#444444", linewidth=1.0, label=f"fitted {_short(fit)}"))
+    return handles
+
+
+def _short(fit: Fit) -> str:
+    return type(fit.law).source.split(" of the paper")[0]
+
+
+def _coloured(
+    axes: Axes,
+    contraction: NDArray[np.float64],
+    value: NDArray[np.float64],
+    levels: NDArray[np.float64],
+    data: IsobaricDataset,
+    scale: Normalize,
+    edge: str,
+) -> None:
+    """Points coloured by pressure, their shape by direction."""
+    directions = data.table["direction"].to_numpy() if "direction" in data.table else np.full(len(data), "")
+    size = 14 if len(data) < 300 else 6
+    for direction in np.unique(directions):
+        mask = directions == direction
+        axes.scatter(
+            contraction[mask] / percent,
+            value[mask],
+            c=levels[mask] / bar,
+            norm=scale,
+            cmap=pressure_colours(),
+            marker=_DIRECTIONS.get(str(direction), {"marker": "o"})["marker"],
+            s=size,
+            edgecolors=edge,
+            linewidths=0.3,
+            zorder=3,
+        )
+
+
+def _curves(axes: Axes, data: IsobaricDataset, law: ForceLaw, scale: Normalize) -> None:
+    levels = data.taut.pressures
+    if len(levels) > _MOST_CURVES:
+        levels = np.linspace(levels[0], levels[-1], _MOST_CURVES // 2)
+    contraction = np.linspace(float(data.contraction.min()), float(data.contraction.max()), 300)
+    for level in levels:
+        force = np.asarray(law.force(contraction, level))
+        # A muscle cannot push: the curve ends where it goes slack.
+        taut = np.where(force > 0, force, np.nan)
+        axes.plot(contraction / percent, taut, color=pressure_colours()(scale(level / bar)), linewidth=0.9, zorder=2)
+
+
+def _points(axes: Axes, data: IsobaricDataset) -> None:
+    directions = data.table["direction"].to_numpy() if "direction" in data.table else np.full(len(data), "")
+    for direction in np.unique(directions):
+        mask = directions == direction
+        look = _DIRECTIONS.get(str(direction), {"color": "#444444", "marker": "o"})
+        axes.plot(
+            data.contraction[mask] / percent,
+            data.force[mask],
+            linestyle="",
+            markersize=3.2,
+            markerfacecolor="white" if direction == "unloading" else look["color"],
+            markeredgewidth=0.7,
+            label=f"{direction} data" if direction else "data",
+            **look,
+        )
+
+
+def _mean_curve(data: IsobaricDataset, direction: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Contraction [%], ascending, and mean force [N] over the repeats of one pass."""
+    mask = data.table["direction"].to_numpy() == direction
+    contraction = np.round(data.contraction[mask], 6)
+    places = np.unique(contraction)
+    force = np.array([data.force[mask][contraction == place].mean() for place in places])
+    return places / percent, force
