@@ -84,12 +84,13 @@ def test_the_measured_map_has_17_pressures_5_lengths_and_40_taut_points():
     assert np.unique(data.pressure).size == 17
     assert np.unique(np.round(data.contraction, 6)).size == 5
     assert int(np.sum(np.asarray(data.force) > 0)) == 40
-    assert len(data.taut()) == 40 if callable(getattr(data, "taut", None)) else True
+    assert len(data.taut) == 40
 
 
 def test_the_makers_chart_has_119_taut_points():
     data = catalog.dataset("festo-tool-10mm")
     assert int(np.sum(np.asarray(data.force) > 0)) == 119
+    assert len(data.taut) == 119
     assert float(np.max(data.pressure)) == pytest.approx(8e5)
 
 

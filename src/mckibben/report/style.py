@@ -62,8 +62,7 @@ def house_style() -> Iterator[None]:
     """The style of `mckibben.mplstyle` on matplotlib's defaults, whatever the user has set; undone afterwards."""
     with resources.as_file(resources.files("mckibben.report") / "mckibben.mplstyle") as path:
         settings = mpl.rc_params_from_file(path, use_default_template=True)
-    settings.pop("backend", None)
-    with mpl.rc_context(settings):
+    with mpl.rc_context({name: value for name, value in settings.items() if not name.startswith("backend")}):
         yield
 
 
