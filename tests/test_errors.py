@@ -77,7 +77,6 @@ def test_a_long_list_is_cut_and_says_by_how_much():
     assert len(FileError("f", problems).problems) == FileError.shown + 7
 
 
-@pytest.mark.xfail(strict=True, reason="FileError.__init__ takes two arguments, pickle gives it one")
 def test_a_file_error_survives_a_trip_to_another_process():
     error = DatasetError("rig.csv", [Problem("a", line=1)])
     copy = pickle.loads(pickle.dumps(error))

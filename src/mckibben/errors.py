@@ -118,6 +118,9 @@ class FileError(McKibbenError, ValueError):
             lines.append(f"  ... and {count - self.shown} more")
         super().__init__("\n".join(lines))
 
+    def __reduce__(self) -> tuple[type[FileError], tuple[str, tuple[Problem, ...]]]:
+        return type(self), (self.source, self.problems)
+
 
 class DatasetError(FileError):
     """A file of measurements cannot be read."""

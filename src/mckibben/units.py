@@ -70,7 +70,7 @@ UNITS = ("m cm mm kg g s ms min Hz N kN Pa kPa MPa bar mbar psi rad deg percent 
 _NAME = r"(?:[A-Za-z]+(?:\^-?[1-9])?)"
 _PRODUCT = rf"{_NAME}(?:[*/]{_NAME})*"
 _FACTOR = rf"(?:{_NAME}|\({_PRODUCT}\))"
-_UNIT = re.compile(rf"(?:1/)?{_FACTOR}(?:[*/]{_FACTOR})*")
+_UNIT = re.compile(rf"{_FACTOR}(?:[*/]{_FACTOR})*")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _LONGEST = 80  # characters in a unit
 _REST = re.compile(r"(?:(?:1?/|[A-Za-z%°(]).*)?", re.DOTALL)
@@ -93,8 +93,8 @@ def _parse(unit: str) -> Any:
         raise UnitError(f"{unit[:20]!r}... is not a unit", value=unit, remedy="a unit is a few names joined by * and /")
     text = unit.strip().replace("%", "percent").replace("°", "deg").replace("·", "*").replace("**", "^")
     text = re.sub(r"\s*([*/()^])\s*", r"\1", text)
-    if text == "1":
-        text = "ratio"
+    if text == "1" or text.startswith("1/"):
+        text = f"ratio{text[1:]}"
     if not _UNIT.fullmatch(text):
         raise UnitError(
             f"{unit!r} is not a unit",
@@ -106,7 +106,7 @@ def _parse(unit: str) -> Any:
             raise UnitError(
                 f"unknown unit {name!r} in {unit!r}", value=unit, remedy=f"known are {', '.join(UNITS)} and %"
             )
-    return _registry().parse_units(text.replace("^", "**").replace("1/", "ratio/", 1))
+    return _registry().parse_units(text.replace("^", "**"))
 
 
 def factor(unit: str, to: str = "") -> float:
@@ -156,6 +156,8 @@ def quantity(text: str, unit: str) -> float:
         ...
     mckibben.errors.UnitError: '4,5 bar' is not a number and a unit; write it like '4.5 bar'
     """
+    if not isinstance(text, str):  # type: ignore[unnecessary-isinstance]  # YAML hands over numbers too
+        raise UnitError(f"{text!r} has no unit", value=text, unit=unit, remedy=f"write it like '{text} {unit}'")
     stripped = text.strip()
     number = _NUMBER.match(stripped)
     rest = stripped[number.end() :].strip() if number else ""
@@ -177,4 +179,5 @@ def show(value: float, unit: str, digits: int = 6) -> str:
     >>> show(0.208, "mm")
     '208 mm'
     """
-    return f"{value / factor(unit):.{digits}g} {unit}"
+    number = f"{value / factor(unit):.{digits}g}"
+    return number if unit == "1" else f"{number} {unit}"

@@ -155,7 +155,6 @@ def test_a_model_with_a_series_spring_works_as_well(as_printed):
     assert np.isfinite([float(state.estimate), *map(float, commands)]).all()
 
 
-@pytest.mark.xfail(strict=True, reason="0/0 in _sensitivities poisons the weights for ever")
 def test_a_learner_with_the_models_jacobian_survives_two_slack_muscles(knee):
     learner = BackpropPID(POSITION, signal_scale=0.2, error_scale=0.02, output_scale=1e5, jacobian=Jacobian.MODEL)
     control = numeric(PositionStiffnessControl(learner, STIFFNESS, model=knee))

@@ -66,7 +66,6 @@ def test_scalars_and_arrays_broadcast(knee):
     assert both_of(knee, 0.1, (np.array([2e5, 3e5]), 3e5))[1].shape == (2,)
 
 
-@pytest.mark.xfail(strict=True, reason="derivative() casts whole numbers, but not those in a JAX array")
 def test_a_whole_number_in_a_jax_array_is_an_angle(knee):
     assert float(knee.stiffness(jax.numpy.asarray(0), (3e5, 3e5))) == float(knee.stiffness(0.0, (3e5, 3e5)))
 

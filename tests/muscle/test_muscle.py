@@ -30,7 +30,6 @@ def test_a_slack_muscle_has_no_slope_and_a_taut_one_that_of_its_law(muscle, law)
     assert np.isfinite(float(jax.grad(lambda c: muscle.force(c, 0.0))(0.05)))
 
 
-@pytest.mark.xfail(strict=True, reason="where(force > 0, force, 0) turns NaN into a slack muscle")
 def test_the_force_of_a_contraction_that_is_no_number_is_no_number(muscle):
     assert np.isnan(float(muscle.force(np.nan, 3e5)))
 

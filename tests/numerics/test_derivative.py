@@ -39,7 +39,6 @@ def test_whole_numbers_are_taken_as_floats():
     np.testing.assert_allclose(derivative(lambda v: v**3, np.array([1, 2])), [3.0, 12.0])
 
 
-@pytest.mark.xfail(strict=True, reason="derivative() casts whole numbers, but not those in a JAX array")
 def test_whole_numbers_in_a_jax_array_are_taken_as_floats():
     np.testing.assert_allclose(derivative(lambda v: v**3, jnp.array([1, 2])), [3.0, 12.0])
 

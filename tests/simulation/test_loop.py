@@ -148,7 +148,6 @@ def test_its_derivative_is_that_of_finite_differences(plant, control):
     assert float(jax.jit(jax.jacfwd(cost))(gain)) == pytest.approx(slope, rel=1e-6)
 
 
-@pytest.mark.xfail(strict=True, reason="asarray(x, float) in PID.init and pressure_limits_of promotes to 64 bits")
 def test_in_single_precision_it_runs_and_stays_single(plant, control):
     single = lambda tree: jax.tree.map(  # noqa: E731
         lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, numeric(tree)

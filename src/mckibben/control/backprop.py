@@ -12,6 +12,8 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from mckibben.control.base import Loop
 from mckibben.control.pid import PID, PIDState
+from mckibben.numerics.arrays import floating
+from mckibben.numerics.checks import check_positive
 
 Scalar = Float[Array, ""]
 
@@ -98,6 +100,17 @@ class BackpropPID(Loop):
     jacobian: Jacobian = eqx.field(kw_only=True, static=True, default=Jacobian.SIGN)
     seed: int | Int[Array, ""] = eqx.field(kw_only=True, default=0)
 
+    def __check_init__(self) -> None:
+        check_positive(
+            "BackpropPID",
+            signal_scale=self.signal_scale,
+            error_scale=self.error_scale,
+            output_scale=self.output_scale,
+            gain_ratio=self.gain_ratio,
+            hidden=self.hidden,
+        )
+        check_positive("BackpropPID", zero=True, learning_rate=self.learning_rate, momentum=self.momentum)
+
     def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> BackpropState:
         weights = jax.random.uniform(jax.random.key(self.seed), (self.hidden, 4), minval=-1.0, maxval=1.0)
         network = Network(weights, jnp.zeros((3, self.hidden + 1)))
@@ -105,7 +118,7 @@ class BackpropPID(Loop):
             pid=self.base.init(desired, measured, output),
             network=network,
             change=jax.tree.map(jnp.zeros_like, network),
-            error=jnp.zeros_like(jnp.asarray(output, float)),
+            error=jnp.zeros_like(floating(output)),
             factors=jnp.ones(3),
         )
 
@@ -159,7 +172,8 @@ class BackpropPID(Loop):
 
     def _jacobian(self, sensitivity: ArrayLike) -> Array:
         if self.jacobian is Jacobian.SIGN:
-            return jnp.sign(self.base.ki)
+            ki, kp, kd = self.base.ki, self.base.kp, self.base.kd
+            return jnp.sign(jnp.where(ki != 0, ki, jnp.where(kp != 0, kp, kd)))
         return jnp.asarray(sensitivity) * self.output_scale / self.error_scale
 
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.base import Loop
+from mckibben.numerics.arrays import floating
 
 Scalar = Float[Array, ""]
 
@@ -53,9 +54,9 @@ class PID(Loop):
 
     def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> PIDState:
         return PIDState(
-            integral=jnp.asarray(output, float),
+            integral=floating(output),
             differentiated=self.differentiated(desired, measured),
-            derivative=jnp.zeros_like(jnp.asarray(output, float)),
+            derivative=jnp.zeros_like(floating(output)),
         )
 
     def step(
@@ -81,7 +82,7 @@ class PID(Loop):
 
     def differentiated(self, desired: ArrayLike, measured: ArrayLike) -> Scalar:
         """What the derivative is taken of."""
-        measured = jnp.asarray(measured, float)
+        measured = floating(measured)
         return jnp.asarray(desired) - measured if self.derivative_on_error else -measured
 
     def derivative(self, state: PIDState, desired: ArrayLike, measured: ArrayLike, period: ArrayLike) -> Scalar:

@@ -94,4 +94,6 @@ class PositionStiffnessControl(Controller):
         zero = jnp.zeros_like(pressure1)
         torque_slope = derivative(lambda pd: self.model.torque(angle, (pressure1 - pd, pressure2 + pd)), zero)
         stiffness_slope = derivative(lambda pc: self.model.stiffness(angle, (pressure1 + pc, pressure2 + pc)), zero)
-        return torque_slope / stiffness, stiffness_slope
+        slack = stiffness == 0  # then no pressure holds an angle, and nothing can be learned from one
+        angle_slope = jnp.where(slack, 0.0, torque_slope / jnp.where(slack, 1.0, stiffness))
+        return angle_slope, stiffness_slope

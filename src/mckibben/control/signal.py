@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError
+from mckibben.numerics.arrays import floating
 
 
 class Signal(eqx.Module):
@@ -25,7 +26,7 @@ class Constant(Signal):
     value: float
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
-        return jnp.full_like(jnp.asarray(time, float), self.value)
+        return jnp.full_like(floating(time), self.value)
 
 
 class Step(Signal):
@@ -36,7 +37,7 @@ class Step(Signal):
     at: float
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
-        return jnp.where(jnp.asarray(time, float) < self.at, self.before, self.after) * 1.0
+        return jnp.where(floating(time) < self.at, self.before, self.after) * 1.0
 
 
 class Sine(Signal):
@@ -69,7 +70,7 @@ class Multisine(Signal):
             )
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
-        total = jnp.full_like(jnp.asarray(time, float), self.offset)
+        total = jnp.full_like(floating(time), self.offset)
         phases = self.phases or (0.0,) * len(self.amplitudes)
         for amplitude, frequency, phase in zip(self.amplitudes, self.frequencies, phases, strict=True):
             total = total + Sine(amplitude, frequency, 0.0, phase)(time)
@@ -87,8 +88,8 @@ class Samples(Signal):
         One value for each.
     """
 
-    times: Float[Array, " n"] = eqx.field(converter=lambda x: jnp.asarray(x, float))
-    values: Float[Array, " n"] = eqx.field(converter=lambda x: jnp.asarray(x, float))
+    times: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x))
+    values: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x))
 
     def __check_init__(self) -> None:
         if self.times.shape != self.values.shape or self.times.ndim != 1 or self.times.size == 0:
@@ -97,4 +98,4 @@ class Samples(Signal):
             raise RangeError("the times of a sampled signal must rise", remedy="sort them and remove repeats")
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
-        return jnp.interp(jnp.asarray(time, float), self.times, self.values)
+        return jnp.interp(floating(time), self.times, self.values)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.errors import UnreachableError
+from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import attainable
 from mckibben.joint.geometry import KneeGeometry, Pair
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import Muscle, PressureAffineLaw
+from mckibben.numerics.arrays import floating
 from mckibben.numerics.derivative import derivative, value_and_derivative
 from mckibben.units import deg
 
@@ -139,7 +141,7 @@ class AntagonisticJoint(eqx.Module):
 
         def tension_slope(muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike) -> Array:
             """The derivative of one muscle's tension with respect to the angle, its air locked in."""
-            pressure = jnp.asarray(pressure, float)
+            pressure = floating(pressure)
             contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)
             by_pressure = derivative(lambda p: self.tendon.contraction(muscle, path, p), pressure)
             volume, volume_slope = value_and_derivative(muscle.specimen.volume, contraction)
@@ -227,15 +229,19 @@ class AntagonisticJoint(eqx.Module):
         angle, torque
             Where [rad] and how hard [N*m].
         stiffness
-            How stiff [N*m/rad]; the middle of what is attainable there unless given.
+            How stiff [N*m/rad]; unless given, amid the slackest and the tightest state (the middle of the attainable
+            range, where the stiffness is affine in the pressures).
 
         Raises
         ------
         UnreachableError
             If there are none; it names the attainable range.
         RangeError
-            If a muscle would leave its domain.
+            If a muscle would leave its domain, or a number is not finite.
         """
+        for name, value in (("angle", angle), ("torque", torque), ("stiffness", stiffness)):
+            if value is not None and not math.isfinite(value):
+                raise RangeError(f"the {name} is {value}", value=value, remedy="give a finite number")
         found = attainable.hold(self, angle, torque, jnp.nan if stiffness is None else stiffness)
         if found.exists:
             return found.pressures
@@ -254,6 +260,16 @@ class AntagonisticJoint(eqx.Module):
                 value=angle,
                 unit="rad",
                 remedy="choose a smaller angle, a longer connector or a series spring",
+            )
+        if low <= (stiffness or 0.0) <= high:
+            raise UnreachableError(
+                f"stiffness {stiffness:.4g} N*m/rad {where} lies in a gap of the attainable {low:.4g}..{high:.4g} "
+                "N*m/rad: it jumps where a spring meets its stop",
+                value=stiffness,
+                lower=low,
+                upper=high,
+                unit="N*m/rad",
+                remedy="choose another stiffness, preload or travel",
             )
         raise UnreachableError(
             f"stiffness {stiffness:.4g} N*m/rad {where} is outside the attainable {low:.4g}..{high:.4g} N*m/rad",

@@ -16,12 +16,14 @@ from jaxtyping import Array, ArrayLike
 from mckibben.joint.geometry import Pair
 from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
+from mckibben.numerics.arrays import floating
 from mckibben.numerics.compiled import compiled
 
 if TYPE_CHECKING:
     from mckibben.joint.antagonistic import AntagonisticJoint
 
 _SCANNED = 401
+_MET = 1e-6  # how near a stiffness has to come to the wish, as a part of it
 _INSIDE = 1e-9  # how far inside its ends a segment is looked at, as a part of it: at the very end a muscle is slack
 
 
@@ -67,17 +69,17 @@ class Hold(NamedTuple):
 
 @compiled
 def hold(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> Hold:
-    """The pressures that give a torque and a stiffness at an angle; the middle of the range for a stiffness of NaN."""
+    """The pressures that give a torque and a stiffness at an angle; amid the co-contractions for a stiffness of NaN."""
     segment = _segment(joint, angle, torque, None, 0.0)
     places = jnp.linspace(_INSIDE, 1 - _INSIDE, 2 if is_affine(joint) else _SCANNED)
     scanned = segment.stiffness(places)
     lowest, highest = jnp.min(scanned), jnp.max(scanned)
-    wanted = jnp.where(jnp.isnan(stiffness), (lowest + highest) / 2, stiffness)
 
-    above = scanned >= wanted
-    crossing = above[1:] != above[:-1]
-    first = jnp.argmax(crossing)
-    rising = above[first + 1]
+    # The wish lies between neighbours; a spring that meets a stop makes the stiffness jump: the smallest step is best.
+    wanted = jnp.where(jnp.isnan(stiffness), lowest, stiffness)
+    between = (scanned[1:] - wanted) * (scanned[:-1] - wanted) <= 0
+    first = jnp.argmin(jnp.where(between, jnp.abs(scanned[1:] - scanned[:-1]), jnp.inf))
+    rising = scanned[first + 1] > scanned[first]
 
     def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
@@ -86,9 +88,12 @@ def hold(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffnes
         return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
 
     low, high = lax.fori_loop(0, 60, halve, (places[first], places[first + 1]))
+    anywhere = jnp.isnan(stiffness)
+    place = jnp.where(anywhere, 0.5, (low + high) / 2)
+    met = jnp.abs(segment.stiffness(place) - wanted) <= _MET * jnp.abs(wanted)
     return Hold(
-        segment.pressures((low + high) / 2),
-        segment.holdable & jnp.any(crossing),
+        segment.pressures(place),
+        segment.holdable & (anywhere | (jnp.any(between) & met)),
         jnp.where(segment.holdable, lowest, jnp.nan),
         jnp.where(segment.holdable, highest, jnp.nan),
     )
@@ -127,7 +132,7 @@ def _segment(
     pressure_limits: tuple[float, float] | None,
     minimum_tension: float,
 ) -> _Segment:
-    angle, torque = jnp.broadcast_arrays(jnp.asarray(angle, float), jnp.asarray(torque, float))
+    angle, torque = jnp.broadcast_arrays(floating(angle), floating(torque))
     low, high = _tension_ranges(joint, angle, pressure_limits, minimum_tension)
     arm1, arm2 = joint.geometry.moment_arms(angle)
     first = jnp.maximum(low[0], (low[1] * arm2 - torque) / arm1)
@@ -139,8 +144,8 @@ def _segment(
 def pressure_limits_of(joint: AntagonisticJoint) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """The lowest and the highest gauge pressure [Pa] of each muscle's domain: ((low1, low2), (high1, high2))."""
     domains = joint.muscle1.domain, joint.muscle2.domain
-    low1, low2 = (jnp.asarray(domain.pressure_min, float) for domain in domains)
-    high1, high2 = (jnp.asarray(domain.pressure_max, float) for domain in domains)
+    low1, low2 = (floating(domain.pressure_min) for domain in domains)
+    high1, high2 = (floating(domain.pressure_max) for domain in domains)
     return (low1, low2), (high1, high2)
 
 

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.numerics.checks import check_positive
 from mckibben.numerics.derivative import value_and_derivative
 from mckibben.numerics.elementary import sincos
 
@@ -45,6 +46,10 @@ class KneeGeometry(eqx.Module):
     joint_length: float
     joint_radius: float
     connector_length: float
+
+    def __check_init__(self) -> None:
+        check_positive("KneeGeometry", "m", joint_length=self.joint_length, joint_radius=self.joint_radius)
+        check_positive("KneeGeometry", "m", zero=True, connector_length=self.connector_length)
 
     def path_lengths(self, angle: ArrayLike) -> Pair:
         """What is left for each muscle (and its series spring) [m] at an angle [rad]."""

@@ -11,6 +11,8 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle import Muscle
+from mckibben.numerics.arrays import floating
+from mckibben.numerics.checks import check_positive
 from mckibben.numerics.derivative import value_and_derivative
 
 
@@ -43,7 +45,7 @@ class RigidTendon(Tendon):
     """A connector that does not give: the muscle fills its path."""
 
     def extension(self, tension: ArrayLike) -> Float[Array, "..."]:
-        return jnp.zeros_like(jnp.asarray(tension, float))
+        return jnp.zeros_like(floating(tension))
 
     def contraction(self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         return muscle.specimen.contraction_at(path)
@@ -74,6 +76,11 @@ class SeriesSpring(Tendon):
     preload: float
     travel: float
 
+    def __check_init__(self) -> None:
+        check_positive("SeriesSpring", "N/m", stiffness=self.stiffness)
+        check_positive("SeriesSpring", "N", zero=True, preload=self.preload)
+        check_positive("SeriesSpring", "m", zero=True, travel=self.travel)
+
     def extension(self, tension: ArrayLike) -> Float[Array, "..."]:
         return jnp.clip((jnp.asarray(tension) - self.preload) / self.stiffness, 0.0, self.travel)
 
@@ -92,7 +99,7 @@ class SeriesSpring(Tendon):
         difference, found by Newton's method from the closed spring and bisection where Newton leaves the bracket; its
         derivatives are those of the implicit function.
         """
-        path, pressure = jnp.broadcast_arrays(jnp.asarray(path, float), jnp.asarray(pressure, float))
+        path, pressure = jnp.broadcast_arrays(floating(path), floating(pressure))
 
         def excess(extension: Array) -> Array:
             """Muscle force minus spring force, held at the stops."""

@@ -37,7 +37,7 @@ class Muscle(eqx.Module):
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         """The force [N], never below 0; arguments as for the law."""
         force = self.law.force(contraction, pressure)
-        return jnp.where(force > 0, force, 0.0)
+        return jnp.where(force < 0, 0.0, force)  # this way round a lost state (NaN) is not taken for slack
 
     def slope(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         """The derivative of `force` with respect to the contraction [N]; 0 where slack."""

@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.numerics.arrays import floating
+
 Values = TypeVar("Values")
 
 
@@ -27,5 +29,5 @@ def value_and_derivative(function: Callable[[Array], Values], x: ArrayLike) -> t
     Where `function` broadcasts `x` against something larger, so do both answers; where it returns several arrays, both
     answers have that structure.
     """
-    x = jnp.asarray(x, float) if not isinstance(x, jax.Array) else x
+    x = floating(x)
     return jax.jvp(function, (x,), (jnp.ones_like(x),))

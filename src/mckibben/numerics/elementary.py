@@ -1,8 +1,9 @@
 r"""`exp`, `sin` and `cos` that vectorise on the CPU, for the inner loops.
 
 XLA's own 64-bit versions are not vectorised on the CPU, which makes batches of simulations 6 to 12 times slower.
-These are polynomials after a Cody-Waite range reduction: about 1 ulp in 32 and 64 bits, over the whole range for
-`exp` and for :math:`|x| < 10^5` for `sin` and `cos`. On other devices the native functions are used.
+These are polynomials after a Cody-Waite range reduction, good to about 1 ulp: `exp` wherever its result is a normal
+number (smaller ones are 0), `sin` and `cos` for :math:`|x| < 10^5` in 64 bits and :math:`|x| < 100` in 32 bits. On
+other devices the native functions are used.
 
 The polynomial of `exp` is a Chebyshev-economised series of :math:`(e^r - 1 - r)/r^2`; those of `sin` and `cos` are the
 minimax polynomials of fdlibm (Sun Microsystems, 1993; 64 bits) and Cephes (Moshier, 1989; 32 bits).
@@ -17,6 +18,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.numerics.arrays import floating
 
 
 class _Constants(NamedTuple):
@@ -103,7 +106,7 @@ def exp(x: ArrayLike) -> Float[Array, "..."]:
     >>> round(float(exp(1.0)), 12)
     2.718281828459
     """
-    return _exp(_floating(x))
+    return _exp(floating(x))
 
 
 def sin(x: ArrayLike) -> Float[Array, "..."]:
@@ -112,7 +115,7 @@ def sin(x: ArrayLike) -> Float[Array, "..."]:
     >>> round(float(sin(0.5)), 12)
     0.479425538604
     """
-    return _sincos(_floating(x))[0]
+    return _sincos(floating(x))[0]
 
 
 def cos(x: ArrayLike) -> Float[Array, "..."]:
@@ -121,12 +124,12 @@ def cos(x: ArrayLike) -> Float[Array, "..."]:
     >>> round(float(cos(0.5)), 12)
     0.87758256189
     """
-    return _sincos(_floating(x))[1]
+    return _sincos(floating(x))[1]
 
 
 def sincos(x: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Sine and cosine at the price of one."""
-    return _sincos(_floating(x))
+    return _sincos(floating(x))
 
 
 @jax.custom_jvp
@@ -202,11 +205,6 @@ def _polynomial(x: Array, coefficients: tuple[float, ...]) -> Array:
         terms = paired + terms[2 * len(paired) :]
         power = power * power
     return terms[0]
-
-
-def _floating(x: ArrayLike) -> Array:
-    x = jnp.asarray(x)
-    return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(jnp.result_type(float))
 
 
 def _constants(x: Array) -> _Constants:

@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
+from mckibben.numerics.arrays import floating
 from mckibben.plant.load import Load
 from mckibben.plant.valve import Valve
 from mckibben.units import bar
@@ -81,16 +82,18 @@ class JointPlant(eqx.Module):
         angle
             Where [rad].
         stiffness
-            The stiffness of the joint there [N*m/rad]; the middle of the attainable range unless given.
+            The stiffness of the joint there [N*m/rad]; amid the attainable ones unless given.
 
         Raises
         ------
         UnreachableError
             If no pressures within limits hold the angle, or the stiffness at it; it names the attainable range.
+        RangeError
+            If a muscle would leave its domain.
         """
         holding = -self.load.gravity_torque(angle)
         pressure1, pressure2 = self.joint.pressures_for(angle, float(holding), stiffness)
-        return PlantState(jnp.asarray(angle, float), jnp.asarray(0.0, float), pressure1, pressure2)
+        return PlantState(floating(angle), floating(0.0), pressure1, pressure2)
 
     def __str__(self) -> str:
         (low, _), (high, _) = pressure_limits_of(self.joint)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import sincos
 
 
@@ -47,6 +48,12 @@ class Load(eqx.Module):
     hanging_angle: float = jnp.pi / 6
     gravity: float = 9.81
     hanging: bool = eqx.field(static=True, default=True)
+
+    def __check_init__(self) -> None:
+        check_positive("Load", "kg", zero=True, mass1=self.mass1, mass2=self.mass2)
+        check_positive("Load", "m", zero=True, distance1=self.distance1, distance2=self.distance2)
+        check_positive("Load", "kg*m^2", inertia=self.inertia)
+        check_positive("Load", "N*m*s/rad", zero=True, damping=self.damping)
 
     @property
     def total_inertia(self) -> Float[Array, ""]:

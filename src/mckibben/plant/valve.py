@@ -8,6 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.numerics.checks import check_positive
+
 
 class Valve(eqx.Module):
     """The pressure's answer to a command that is held over a control period."""
@@ -41,6 +43,9 @@ class FirstOrderValve(Valve):
     """
 
     time_constant: float
+
+    def __check_init__(self) -> None:
+        check_positive("FirstOrderValve", "s", time_constant=self.time_constant)
 
     def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(pressure)

@@ -1,1 +1,29 @@
-"""x."""
+"""Figures and the HTML report; the only place that imports matplotlib. Drawing takes numbers and returns figures."""
+
+from mckibben.report.comparison import controller_comparison, gain_histories
+from mckibben.report.figures import ReportFigure, figures
+from mckibben.report.html import write_report
+from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
+from mckibben.report.muscle import isobaric, isobaric_curves, law_comparison, measured_muscles
+from mckibben.report.style import house_style, save
+from mckibben.report.tracking import control_results, tracking
+from mckibben.report.tracking_errors import error_curves
+
+__all__ = [
+    "ReportFigure",
+    "attainable_stiffness",
+    "control_results",
+    "controller_comparison",
+    "error_curves",
+    "figures",
+    "gain_histories",
+    "house_style",
+    "isobaric",
+    "isobaric_curves",
+    "law_comparison",
+    "measured_muscles",
+    "save",
+    "torque_stiffness_map",
+    "tracking",
+    "write_report",
+]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from mckibben.report.panels import legend_above, letter
 from mckibben.report.style import BLACK, CONTROLLERS, DOUBLE, GREEN, PURPLE, blank, styled
@@ -26,6 +27,13 @@ _GAINS = {
     "ki": {"color": GREEN, "linestyle": (0, (5, 1.5))},
     "kd": {"color": PURPLE, "linestyle": (0, (1, 1))},
 }
+_ABOVE: dict[str, Any] = {
+    "xycoords": "axes fraction",
+    "textcoords": "offset points",
+    "va": "bottom",
+    "fontsize": 7.5,
+    "annotation_clip": False,
+}
 _WIDEST = 1e3  # an axis ends at so many times its smallest value; what lies beyond is an arrow
 
 
@@ -42,6 +50,7 @@ def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, Run]]]) 
     grid = figure.subplots(len(found), len(_METRICS), squeeze=False, sharey="row")
     for i, (geometry, wishes) in enumerate(found.items()):
         names = list(dict.fromkeys(name for runs in wishes.values() for name in runs))
+        names.sort(key=lambda name: list(CONTROLLERS).index(name) if name in CONTROLLERS else len(CONTROLLERS))
         for j, (metric, label, unit) in enumerate(_METRICS):
             axes = grid[i, j]
             _dots(axes, wishes, names, metric, unit)
@@ -93,10 +102,12 @@ def gain_histories(results: Mapping[str, tuple[Result, float]]) -> Figure:
                 axes.axhline(bound, color="#888888", linewidth=0.8, linestyle=(0, (2, 2)), label="bound on the gains")
             axes.set_yscale("log", base=2)
             axes.set_ylim(ratio**-1.15, ratio**1.15)
-            axes.yaxis.set_major_locator(_steps(ratio))
+            axes.yaxis.set_major_locator(FixedLocator([1 / ratio, ratio**-0.5, 1, ratio**0.5, ratio]))
             axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
-            axes.yaxis.set_minor_formatter(NullFormatter())
-            letter(axes, "abcdefgh"[len(results) * row + i], f"{loop} loop, {title}")
+            axes.yaxis.set_minor_locator(NullLocator())
+            letter(axes, "abcdefgh"[len(results) * row + i], f"{loop} loop")
+            if row == 0:
+                axes.annotate(title, (0, 1), (0, 18), **_ABOVE)
             axes.set(ylabel="gain / base gain [-]" if i == 0 else "", xlabel="time [s]" if row else "")
     legend_above(figure, *grid.ravel())
     return figure
@@ -145,7 +156,3 @@ def _dots(axes: Axes, wishes: Mapping[str, Mapping[str, Run]], names: list[str],
 def run_count(run: Run) -> int:
     """With how many seeds a controller was run; one where it has none."""
     return 1 if run.seeds is None else int(np.size(run.seeds.angle_rmse))
-
-
-def _steps(ratio: float) -> LogLocator:
-    return LogLocator(base=ratio**0.5, numticks=12)

@@ -84,9 +84,10 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "Fig. 4: measured force, experimental law and Chou's law",
         "A second test, which no law has seen, at the paper's four pressures, in the paper's colours: loading data blue, "
         "unloading data red, the law identified from the first test purple, Chou's law of the specimen green. The "
-        "experimental law runs between the two directions. Chou's, which knows no rubber and no ends of the muscle, "
-        "reads too low where the muscle is long and too high where it is short.",
-        "Four panels of force over contraction; the purple curve passes through the points, the green one crosses them.",
+        "experimental law runs between the two directions; Chou's knows neither the rubber nor the ends of the muscle. "
+        "The errors of both are in the panels. The muscle of the virtual rig follows Eq. 3, so this shows the method at "
+        "work; the next figure has muscles that were measured.",
+        "Panels of force over contraction, one a pressure, with points of both directions and the curves of both laws.",
         law_comparison(rig.retest, laws, found.retested),
     )
     measured = {name: (found.data[name], found.fits[name]) for name in found.measured}
@@ -115,8 +116,8 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "The shaded band is all the stiffness that pressures within limits can give at an angle while the muscles carry "
         "the load and stay within their range of contraction; outside the dotted lines no pressures hold the joint. The "
         "wishes of the simulations are drawn over it: where one leaves the band, no controller can follow it for long.",
-        "Two panels with a band of attainable stiffness over the joint angle: thin and steep for the geometry as printed, "
-        "wide for the pre-contracted one.",
+        "A band of attainable stiffness over the joint angle for each geometry; "
+        + "; ".join(f"{n}: {m.at(0.0)[0]:.1f} to {m.at(0.0)[1]:.1f} N·m/rad at 0 degrees" for n, m in maps.items()),
         attainable_stiffness(maps, wishes),
     )
     yield ReportFigure(
@@ -194,8 +195,8 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "tracking",
         "How BP moves its gains",
         f"Gains relative to the base gains over a run with a stiffness step, first seed. Dashed: the bounds. About "
-        f"moderate gains BP may move by a factor of {FREE:g}, about tuned ones by less. Learning pushes most gains to "
-        "a bound and leaves them there, which makes it a gain schedule more than an adaptation.",
+        f"moderate gains BP may move by a factor of {FREE:g}, about tuned ones by less. Where a gain climbs to "
+        "its bound and stays, learning has become a choice of other constant gains.",
         "Gains of both loops over time as multiples of their base, within dashed bounds.",
         gain_histories(histories),
     )

@@ -6,11 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from mckibben.report.panels import beside, draw_band, legend_above, letter
-from mckibben.report.style import BLACK, BLUE, DOUBLE, VERMILLION, blank, styled
+from mckibben.report.panels import beside, draw_band, legend_above, letter, minus
+from mckibben.report.style import BLACK, BLUE, DOUBLE, blank, styled
 from mckibben.simulation import Result
 from mckibben.study.paper.joint import JointMap
 from mckibben.units import deg
@@ -18,8 +21,8 @@ from mckibben.units import deg
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
 _WISHES = (
     {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.1},
-    {"color": VERMILLION, "linestyle": "-", "linewidth": 1.1},
-    {"color": BLUE, "linestyle": ":", "linewidth": 1.4},
+    {"color": BLACK, "linestyle": (0, (1, 1.2)), "linewidth": 1.5},
+    {"color": BLACK, "linestyle": "-", "linewidth": 0.8},
 )
 
 
@@ -53,7 +56,7 @@ def attainable_stiffness(
         room = 0.12 * (last - first)
         axes.set_xlim(first - room, last + room)
         letter(axes, "abcdef"[i], name)
-        beside(axes, f"can be held:\n{first:.1f}° to {last:.1f}°", x=0.5, ha="center", y=0.97)
+        beside(axes, f"can be held:\n{minus(first)}° to {minus(last)}°", x=0.5, ha="center", y=0.97)
         _head_room(axes, 0.2)
     legend_above(figure, *grid)
     return figure
@@ -77,8 +80,8 @@ def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
         for j, (axes, value) in enumerate(zip(grid[i], values, strict=True)):
             levels = span if j < 2 else _levels(np.zeros(1), value)
             cmap = "viridis" if j < 2 else "cividis"
-            filled = axes.contourf(found.angles / deg, found.torques, value, levels, cmap=cmap)
-            axes.contour(filled, levels=filled.levels[::2], colors="white", linewidths=0.4, alpha=0.7)
+            _filled(axes, found, value, levels, cmap)
+            filled = ScalarMappable(BoundaryNorm(levels, 256), cmap)
             axes.plot(
                 found.angles / deg,
                 found.gravity_torque,
@@ -98,15 +101,37 @@ def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
             axes.set_facecolor("#F3F3F3")
             axes.grid(False)
             if j:
-                figure.colorbar(
-                    filled, ax=list(grid[i, :2]) if j == 1 else axes, label=_STIFFNESS, fraction=0.06, pad=0.02
-                )
+                label = _STIFFNESS if j == 1 else "room [N·m/rad]"
+                figure.colorbar(filled, ax=list(grid[i, :2]) if j == 1 else axes, label=label, fraction=0.06, pad=0.02)
             letter(axes, "abcdefghi"[3 * i + j], f"{name}: {titles[j]}" if j < 2 else titles[j])
             reach = found.angles[~np.isnan(found.lowest_at).all(axis=0)] / deg
-            axes.set_xlim(1.15 * reach.min(), 1.15 * reach.max())
+            edge = found.angles[[0, -1]] / deg
+            axes.set_xlim(max(edge[0], 1.15 * reach.min()), min(edge[1], 1.15 * reach.max()))
             axes.set(xlabel=_ANGLE, ylabel=_TORQUE if j == 0 else "")
     legend_above(figure, *grid.ravel())
     return figure
+
+
+def _filled(axes: Axes, found: JointMap, value: NDArray[np.float64], levels: NDArray[np.float64], cmap: str) -> None:
+    """Filled contours within the attainable region, whose edge is drawn as a curve and not in the steps of the grid."""
+    held = ~np.isnan(value)
+    columns = np.flatnonzero(held.any(axis=0))
+    whole = np.stack([_extended(value[:, j], held[:, j]) for j in columns], axis=1)
+    angles = found.angles[columns] / deg
+    filled = axes.contourf(angles, found.torques, whole, levels, cmap=cmap)
+    lines = axes.contour(filled, levels=levels[::2], colors="white", linewidths=0.4, alpha=0.7)
+    low = [found.torques[held[:, j]].min() for j in columns]
+    high = [found.torques[held[:, j]].max() for j in columns]
+    outline = np.column_stack([np.append(angles, angles[::-1]), np.append(low, high[::-1])])
+    edge = Polygon(outline, closed=True, transform=axes.transData)
+    for drawn in (filled, lines):
+        drawn.set_clip_path(edge)
+    filled.set_rasterized(True)
+
+
+def _extended(column: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
+    places = np.arange(column.size)
+    return np.interp(places, places[held], column[held])
 
 
 def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -124,8 +149,8 @@ def _path(result: Result, wish: str) -> Sequence[tuple[str, NDArray[np.float64],
     stiffness = result.table["desired_stiffness"].to_numpy()
     levels = np.unique(stiffness)
     if len(levels) > 4:
-        return [(f"wish: {wish}", angle, stiffness)]
-    label, pieces = f"wish: {wish}", []
+        return [(f"desired stiffness, {wish}", angle, stiffness)]
+    label, pieces = f"desired stiffness, {wish}", []
     for level in levels:
         there = angle[stiffness == level]
         pieces.append((label, np.array([there.min(), there.max()]), np.array([level, level])))

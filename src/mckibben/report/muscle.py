@@ -54,10 +54,11 @@ def isobaric_curves(dataset: IsobaricDataset) -> Figure:
         axes.plot(up, force_up, color=colour, label="loading (being stretched)")
         axes.plot(down, force_down, color=colour, linestyle=(0, (3, 1.5)), label="unloading (shortening)")
         # On the diagonal of the panel each falling curve passes once, and clear of its neighbours.
-        middle = np.interp(up, down, force_down) / 2 + force_up / 2
-        place = int(np.argmin(np.abs(middle / top - 0.1 - 0.75 * (up - left) / (right - left))))
+        along = np.linspace(max(up[0], down[0]), min(up[-1], down[-1]), 400)
+        middle = (np.interp(along, up, force_up) + np.interp(along, down, force_down)) / 2
+        place = int(np.argmin(np.abs(middle / top - 0.05 - 0.6 * (along - left) / (right - left))))
         axes.text(
-            up[place],
+            along[place],
             middle[place],
             f"{level / bar:g}",
             color=colour,
@@ -72,7 +73,7 @@ def isobaric_curves(dataset: IsobaricDataset) -> Figure:
         Line2D([], [], color="#444444", label="loading (being stretched)"),
         Line2D([], [], color="#444444", linestyle=(0, (3, 1.5)), label="unloading (shortening)"),
     ]
-    title = f"pressure in bar, mean of {max(len(dataset.repeats), 1)} repeats"
+    title = f"labels: pressure [bar]; mean of {max(len(dataset.repeats), 1)} repeats"
     axes.legend(handles=handles, loc="upper right", title=title, title_fontsize=7.5, alignment="left")
     return figure
 
@@ -109,13 +110,10 @@ def law_comparison(
             lines = [f"RMSE {name.split(' (')[0]}: {validation.of(name, pressure=level).rmse:.1f} N" for name in laws]
             beside(axes, "\n".join(lines))
         axes.set(ylim=(-0.02 * top, 1.06 * top))
+        axes.set(xlabel=_CONTRACTION, ylabel=_FORCE)
         axes.label_outer()
     for axes in grid[len(levels) :]:
         axes.remove()
-    figure.supxlabel(_CONTRACTION, fontsize=8)
-    figure.supylabel(_FORCE, fontsize=8)
-    for axes in grid[: len(levels)]:
-        axes.set_xlabel("")
     legend_above(figure, *grid[: len(levels)])
     return figure
 
@@ -158,14 +156,14 @@ def _fitted(found: Mapping[str, tuple[IsobaricDataset, Fit | None]]) -> Figure:
         data = data.plateau_means()
         axes = grid[0, i]
         taut = data.taut
-        _coloured(axes, taut.contraction, taut.force, taut.levels, data.taut, scale, edge="white")
+        _coloured(axes, taut, taut.force, scale)
         slack = data.select(data.slack)
         if len(slack):
             axes.plot(slack.contraction / percent, slack.force, "x", color="#999999", markersize=3)
         if fit:
             _curves(axes, data, fit.law, scale)
             difference = taut.force - np.asarray(fit.law.force(taut.contraction, taut.pressure))
-            _coloured(grid[1, i], taut.contraction, difference, taut.levels, taut, scale, edge="white")
+            _coloured(grid[1, i], taut, difference, scale)
             grid[1, i].axhline(0, color="#444444", linewidth=0.7)
             grid[1, i].set(xlabel=_CONTRACTION, ylabel="measured − fitted [N]" if i == 0 else "")
             rmse = float(np.sqrt(np.mean(difference**2)))
@@ -206,29 +204,21 @@ def _short(fit: Fit) -> str:
     return type(fit.law).source.split(" of the paper")[0]
 
 
-def _coloured(
-    axes: Axes,
-    contraction: NDArray[np.float64],
-    value: NDArray[np.float64],
-    levels: NDArray[np.float64],
-    data: IsobaricDataset,
-    scale: Normalize,
-    edge: str,
-) -> None:
+def _coloured(axes: Axes, data: IsobaricDataset, value: NDArray[np.float64], scale: Normalize) -> None:
     """Points coloured by pressure, their shape by direction."""
     directions = data.table["direction"].to_numpy() if "direction" in data.table else np.full(len(data), "")
     size = 14 if len(data) < 300 else 6
     for direction in np.unique(directions):
         mask = directions == direction
         axes.scatter(
-            contraction[mask] / percent,
+            data.contraction[mask] / percent,
             value[mask],
-            c=levels[mask] / bar,
+            c=data.levels[mask] / bar,
             norm=scale,
             cmap=pressure_colours(),
             marker=_DIRECTIONS.get(str(direction), {"marker": "o"})["marker"],
             s=size,
-            edgecolors=edge,
+            edgecolors="white",
             linewidths=0.3,
             zorder=3,
         )
@@ -238,8 +228,10 @@ def _curves(axes: Axes, data: IsobaricDataset, law: ForceLaw, scale: Normalize) 
     levels = data.taut.pressures
     if len(levels) > _MOST_CURVES:
         levels = np.linspace(levels[0], levels[-1], _MOST_CURVES // 2)
-    contraction = np.linspace(float(data.contraction.min()), float(data.contraction.max()), 300)
+    first, last = float(data.contraction.min()), float(data.contraction.max())
     for level in levels:
+        there = data.contraction[data.levels == level]
+        contraction = np.linspace(float(there.min()) if there.size else first, last, 300)
         force = np.asarray(law.force(contraction, level))
         # A muscle cannot push: the curve ends where it goes slack.
         taut = np.where(force > 0, force, np.nan)

@@ -62,12 +62,12 @@ def note_off_scale(
         if not np.any(out > 0):
             continue
         worst = int(np.nanargmax(out))
-        sentences.append(f"{name} {values[worst]:.3g} {unit} at {times[worst]:.2f} s")
+        sentences.append(f"{name} {minus(values[worst], '.3g')} {unit} at {times[worst]:.2f} s")
     if sentences:
         axes.text(
             0.985,
             0.03 if bottom else 0.97,
-            "off the scale: " + "; ".join(sentences),
+            "off the scale: " + "\n".join(sentences),
             transform=axes.transAxes,
             ha="right",
             va="bottom" if bottom else "top",
@@ -76,6 +76,11 @@ def note_off_scale(
             bbox=_HALO,
             zorder=5,
         )
+
+
+def minus(value: float, form: str = ".1f") -> str:
+    """A number as text with a typographic minus, as on the axes."""
+    return format(value, form).replace("-", "−")
 
 
 def draw_band(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, **look: Any) -> None:

@@ -27,7 +27,7 @@ BLACK, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = (
     "#CC79A7",
 )
 """The colours of Okabe and Ito, which people with any kind of colour vision can tell apart."""
-BAND = "#DDDDDD"
+BAND = "#DBE2E9"
 
 DESIRED: dict[str, Any] = {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.0, "zorder": 3}
 CONTROLLERS: dict[str, dict[str, Any]] = {

@@ -99,10 +99,7 @@ def control_results(panels: Mapping[str, tuple[str, Result]]) -> Figure:
             below.set(ylabel="")
             above.tick_params(labelleft=False)
             below.tick_params(labelleft=False)
-        if i // columns == rows - 1:
-            below.set(xlabel=TIME)
-        else:
-            below.tick_params(labelbottom=False)
+        below.set(xlabel=TIME)
         upper.append(above)
         lower.append(below)
     runs = list(panels.values())

@@ -45,8 +45,8 @@ def error_curves(columns: Mapping[str, Mapping[str, Result]]) -> Figure:
         letter(grid[0, i], "abcdef"[i], f"angle, {title}")
         letter(grid[1, i], "abcdef"[count + i], f"stiffness, {title}")
         _settling(grid[2, i], runs, times)
-    _share_limits(grid[0], angle, next(iter(columns.values())), "deg")
-    _share_limits(grid[1], stiffness, next(iter(columns.values())), "N·m/rad")
+    _share_limits(grid[0], angle, next(iter(columns.values())), "deg", part=0.998, margin=0.12)
+    _share_limits(grid[1], stiffness, next(iter(columns.values())), "N·m/rad", part=0.975, margin=0.7)
     grid[0, 0].set_ylabel("angle error [deg]")
     for row in (1, 2):
         grid[row, 0].set_ylabel("stiffness error [N·m/rad]")
@@ -60,8 +60,11 @@ def _share_limits(
     errors: Mapping[str, Mapping[str, NDArray[np.float64]]],
     runs: Mapping[str, Result],
     unit: str,
+    *,
+    part: float,
+    margin: float,
 ) -> None:
-    low, high = robust_limits([v for column in errors.values() for v in column.values()], margin=0.25)
+    low, high = robust_limits([v for column in errors.values() for v in column.values()], part=part, margin=margin)
     times = next(iter(runs.values())).table["time"].to_numpy()
     for axes, column in zip(row, errors.values(), strict=True):
         axes.set_ylim(low, high)

@@ -10,7 +10,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import mckibben
 from mckibben.identification import Validation
 from mckibben.study.numbers import METRICS, fit_numbers, plain, write_json
 from mckibben.study.paper.claims import Claim, judge
@@ -50,7 +49,7 @@ class Reproduction:
         """Every number of the report, ready for JSON; a number that does not exist is None."""
         return plain(
             {
-                "mckibben": mckibben.__version__,
+                "mckibben": version("mckibben"),
                 "versions": {name: version(name) for name in ("jax", "numpy", "equinox")},
                 "python": platform.python_version(),
                 "quick": self.quick,

@@ -1,0 +1,29 @@
+"""Numbers that make no sense are refused where an object is made from them; traced numbers cannot be looked at."""
+
+from __future__ import annotations
+
+import math
+
+from mckibben.errors import RangeError
+
+
+def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
+    """Raise unless every plain number is finite and positive (or zero, where allowed).
+
+    Raises
+    ------
+    RangeError
+        It names the owner, the field and the value.
+    """
+    for name, value in values.items():
+        if not isinstance(value, int | float):
+            continue
+        if not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
+            kind = "0 or above" if zero else "above 0"
+            raise RangeError(
+                f"{owner}: {name} is {value:g} {unit}".rstrip(),
+                value=value,
+                lower=0.0,
+                unit=unit,
+                remedy=f"it has to be finite and {kind}",
+            )

@@ -1,0 +1,152 @@
+"""The report: one page that needs nothing else, and its figures as files beside it."""
+
+from __future__ import annotations
+
+import base64
+import os
+import re
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import jinja2
+import markupsafe
+
+from mckibben import catalog
+from mckibben.report import tables
+from mckibben.report.figures import ReportFigure, figures
+from mckibben.report.style import save
+from mckibben.report.words import SECTIONS, decisions
+from mckibben.study.paper import Reproduction
+from mckibben.study.paper.settings import PRE_CONTRACTED, SETTINGS, Wish
+from mckibben.study.paper.tracking import PID
+
+SOURCES = ("lei-mas-10-180n", "dmsp-10-250-martens2017", "festo-tool-10mm")
+_PAGE = "report.html"
+_LARGEST_SVG = 400_000  # bytes; a larger drawing is embedded as PNG
+
+
+@dataclass(frozen=True)
+class EmbeddedFigure:
+    """A figure of the page: its words, and the picture as a data address."""
+
+    drawn: ReportFigure
+    address: str
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source with what to know about it."""
+
+    reference: str
+    where: str
+    notes: tuple[str, ...]
+
+
+def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> Path:
+    """Write `report.html`, and its figures as PNG and SVG in `figures/` beside it.
+
+    The page holds its figures and its style: it needs no network, no script and no other file. Every number in it is
+    one of the reproduction, or worked out from the catalog.
+
+    Parameters
+    ----------
+    reproduction
+        What `mckibben.study.paper.reproduce` gave.
+    folder
+        Where to; made if need be.
+
+    Returns
+    -------
+    pathlib.Path
+        Of the page; it appears complete or not at all.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn: dict[str, list[EmbeddedFigure]] = {section: [] for section in SECTIONS}
+    for figure in figures(reproduction):
+        png, svg = save(figure.figure, folder / "figures", figure.name)
+        drawn[figure.section].append(EmbeddedFigure(figure, _address(png, svg)))
+    text = render(reproduction, drawn)
+    page = folder / _PAGE
+    part = folder / f".{_PAGE}.part"
+    part.write_text(text, encoding="utf-8")
+    part.replace(page)
+    return page
+
+
+def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
+    """The page as text, with figures that are drawn already, by section."""
+    results = reproduction.results()
+    environment = jinja2.Environment(
+        loader=jinja2.BaseLoader(),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["typeset"] = typeset
+    template = environment.from_string(_resource("report.html.jinja"))
+    example = reproduction.tracking.runs[PRE_CONTRACTED.key, Wish.STEP, PID].scenario
+    return template.render(
+        style=markupsafe.Markup(_resource("report.css")),
+        results=results,
+        seconds=reproduction.seconds,
+        claims=reproduction.claims,
+        holding=sum(claim.holds for claim in reproduction.claims),
+        sections=SECTIONS,
+        figures=drawn,
+        fit=tables.fit_table(results),
+        parameters=tables.parameter_table(results),
+        warnings={tables.NAMES.get(n, n): f["warnings"] for n, f in results["identification"].items() if f["warnings"]},
+        validation=tables.validation_tables(results),
+        joint=tables.joint_table(results),
+        tracking=tables.tracking_tables(results),
+        outcomes=_outcomes(reproduction),
+        gains=tables.gains_table(reproduction, results),
+        coupling=tables.coupling_table(results),
+        settings=tables.settings_table(reproduction),
+        decisions=decisions(reproduction),
+        sources=[_source(name) for name in SOURCES],
+        example=example.dumps(),
+        scenarios=[scenario_file(*key) for key in reproduction.tracking.runs],
+    )
+
+
+def scenario_file(key: str, wish: Wish, controller: str) -> str:
+    """The file of a run's scenario, as `Reproduction.save` names it."""
+    name = "-".join((key, wish.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
+    return f"scenarios/{name}.yaml"
+
+
+def typeset(text: str) -> markupsafe.Markup:
+    """Text with powers of ten as superscripts, +- as one sign, units with a dot, and files of figures as code."""
+    safe = str(markupsafe.escape(text))
+    safe = re.sub(r"\^([−-]?\d+)", r"<sup>\1</sup>", safe)
+    safe = safe.replace("+-", "±").replace("N*m/rad", "N·m/rad")
+    safe = re.sub(r"(\d)\.\.(−?\d|-)", r"\1 to \2", safe)
+    safe = re.sub(r"(?<![\w.])-(?=\d)", "−", safe)
+    return markupsafe.Markup(safe)
+
+
+def _outcomes(reproduction: Reproduction) -> list[tuple[str, str]]:
+    """How each run that the figures show ended."""
+    names = {setting.key: setting.name for setting in SETTINGS}
+    return [
+        (f"{names[key]}, {wish.value} stiffness, {controller}", run.result.describe())
+        for (key, wish, controller), run in reproduction.tracking.runs.items()
+    ]
+
+
+def _address(png: Path, svg: Path) -> str:
+    kind, path = ("svg+xml", svg) if svg.stat().st_size <= _LARGEST_SVG else ("png", png)
+    return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+
+
+def _resource(name: str) -> str:
+    return (resources.files("mckibben.report") / name).read_text(encoding="utf-8")
+
+
+def _source(name: str) -> Source:
+    reference, where, *notes = catalog.cite(name).splitlines()
+    return Source(reference, where.strip("()"), tuple(note.removeprefix("- ") for note in notes))

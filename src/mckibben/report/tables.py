@@ -1,0 +1,265 @@
+"""The tables of the report: rows of text from the numbers of a reproduction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mckibben import catalog
+from mckibben.control import Sine
+from mckibben.study.paper import Reproduction
+from mckibben.study.paper.identification import FESTO, MARTENS, RIG
+from mckibben.study.paper.settings import LEARNING, SETTINGS, STEP_TIME, Setting, Wish
+from mckibben.study.paper.tracking import CONTROLLERS, PID
+from mckibben.units import deg, factor
+
+NAMES = {
+    RIG: "virtual rig (follows Eq. 3, with friction)",
+    MARTENS: "DMSP-10-250, measured",
+    FESTO: "10 mm muscle, maker's chart",
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table as the page shows it.
+
+    Attributes
+    ----------
+    caption
+        What it is, and how to read it.
+    head
+        The titles of the columns; the first is that of the rows' names.
+    rows
+        Cells as text; the first names the row. A row of one cell is the title of those after it.
+    """
+
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """A number as text with so many significant digits and a typographic minus; an absent one is "–"."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "–"
+    if isinstance(value, int):
+        return f"{value:,}"
+    size = abs(value)
+    if size != 0 and not 1e-4 <= size < 1e5:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        text = f"{mantissa}·10^{int(exponent)}"
+    else:
+        places = max(digits - 1 - math.floor(math.log10(size)), 0) if size else 0
+        text = f"{value:.{min(places, 6)}f}"
+    return text.replace("-", "−")
+
+
+def unit_text(unit: str) -> str:
+    """A unit as it is printed."""
+    return unit.replace("percent", "%").replace("*", "·")
+
+
+def fit_table(results: Mapping[str, Any]) -> Table:
+    """How well Eq. 2 describes each dataset."""
+    rows = []
+    for name, fit in results["identification"].items():
+        rows.append(
+            (
+                NAMES.get(name, name),
+                number(fit["decay_per_percent"], 4),
+                number(fit["rmse_N"]),
+                number(fit["max_N"]),
+                number(fit["leave_one_pressure_out_rmse_N"]),
+                number(fit["leave_one_pressure_out_max_N"]),
+                number(fit["points_used"]),
+                number(fit["points_slack"]),
+            )
+        )
+    head = ("dataset", "decay μ [1/%]", "RMSE [N]", "maximum [N]", "RMSE, unseen pressure [N]",
+            "maximum, unseen pressure [N]", "points", "slack, left out")  # fmt: skip
+    return Table(
+        "Eq. 2 fitted to each dataset. “Unseen pressure”: the law is fitted without one pressure and asked for it, in turn.",
+        head,
+        rows,
+    )
+
+
+def parameter_table(results: Mapping[str, Any]) -> Table:
+    """Estimates with standard errors beside the published ones of Eq. 3, in its units."""
+    fits = results["identification"]
+    law = catalog.law("lei-mas-10-180n")
+    shown = {p.name: p.shown for p in type(law).parameters()}
+    rows = []
+    for name, unit in shown.items():
+        published = float(getattr(law, name)) / factor(unit)
+        cells = [f"{name.replace('decay', 'μ')} [{unit_text(unit)}]", number(published, 5)]
+        for fit in fits.values():
+            found = fit["parameters"][name]
+            cells.append(f"{number(found['estimate'], 5)} ± {number(found['standard_error'], 2)}")
+        rows.append(cells)
+    return Table(
+        "Parameters of Eq. 2: estimate ± standard error, in the units of Eq. 3. They are strongly correlated: sets that "
+        "look different can describe nearly the same force.",
+        ("parameter", "Eq. 3, published", *(NAMES.get(name, name) for name in fits)),
+        rows,
+    )
+
+
+def validation_tables(results: Mapping[str, Any]) -> list[Table]:
+    """Per pressure on the rig's second test and on points held out; over all points on measured muscles."""
+    found = results["validation"]
+    retest = found["retest_rmse_N"]
+    columns = {f"second test: {law}": values for law, values in retest.items()}
+    columns["pressures held out: Eq. 2"] = found["held_out_pressures_rmse_N"]
+    columns["repeat held out: Eq. 2"] = found["held_out_repeat_rmse_N"]
+    pressures = list(next(iter(columns.values())))
+    by_pressure = Table(
+        "Virtual rig, RMSE [N] at the paper's four pressures: on a second test with other noise and offsets, and at "
+        "points that were kept from the fit. Half of the friction band is in every one of them, since a law has one "
+        "curve for both directions.",
+        ("pressure", *(f"{name} [N]" for name in columns)),
+        [(p, *(number(values[p]) for values in columns.values())) for p in pressures],
+    )
+    measured = found["measured_rmse_N"]
+    laws = list(next(iter(measured.values())))
+    overall = Table(
+        "Measured muscles, RMSE [N] over all taut points: laws fitted to these points, and laws that do not know them.",
+        ("dataset", *(f"{law} [N]" for law in laws)),
+        [(NAMES.get(name, name), *(number(values[law]) for law in laws)) for name, values in measured.items()],
+    )
+    return [by_pressure, overall]
+
+
+def joint_table(results: Mapping[str, Any]) -> Table:
+    """What the knee can hold."""
+    rows = []
+    for setting in SETTINGS:
+        found = results["joint"][setting.key]
+        low, high = found["attainable_stiffness_at_0_deg"]
+        first, last = found["holdable_angles_deg"]
+        rows.append((setting.name, setting.connectors, number(low), number(high), number(first), number(last)))
+    head = ("geometry", "connectors", "lowest stiffness at 0° [N·m/rad]", "highest at 0° [N·m/rad]",
+            "held from [deg]", "to [deg]")  # fmt: skip
+    return Table("The knee with its load, by pressures within limits and contractions within range.", head, rows)
+
+
+def tracking_tables(results: Mapping[str, Any]) -> list[Table]:
+    """A table a geometry: each controller under each wish, median and worst over seeds."""
+    columns = {
+        "angle RMSE [deg]": "angle_rmse_deg",
+        "angle maximum [deg]": "angle_max_deg",
+        "stiffness RMSE [N·m/rad]": "stiffness_rmse",
+        "settling [s]": "stiffness_settling_s",
+        "outside the range [s]": "time_outside_domain_s",
+    }
+    tables = []
+    for setting in SETTINGS:
+        rows: list[tuple[str, ...]] = []
+        for wish in Wish:
+            rows.append((f"{wish.value} stiffness",))
+            runs = results["tracking"][setting.key][wish.value]
+            rows += [_tracking_row(name, runs[name], columns, results["seeds"]) for name in CONTROLLERS if name in runs]
+        tables.append(
+            Table(
+                f"Geometry {setting.name}. For BP the median over {results['seeds']} seeds and in brackets the worst; "
+                "settling is into 10 % of the change asked for. Lost: the joint swung over, or the state was no longer "
+                "finite.",
+                ("controller", *columns, "lost"),
+                rows,
+            )
+        )
+    return tables
+
+
+def _tracking_row(name: str, run: Mapping[str, Any], columns: Mapping[str, str], seeds: int) -> tuple[str, ...]:
+    def cell(key: str) -> str:
+        never = "never" if "settling" in key else "–"
+        median = never if run[key] is None else number(run[key])
+        if "worst" not in run:
+            return median
+        worst = run["worst"][key]
+        return f"{median} ({never if worst is None else number(worst)})"
+
+    return (
+        name,
+        *(cell(key) for key in columns.values()),
+        f"{run['lost']} of {seeds}" if "lost" in run else "no seeds",
+    )
+
+
+def gains_table(reproduction: Reproduction, results: Mapping[str, Any]) -> Table:
+    """Moderate and tuned gains of both loops, in the same units."""
+    units = {
+        "position": ("bar/rad", "bar/(rad*s)", "bar*s/rad"),
+        "stiffness": ("bar/(N*m/rad)", "bar*rad/(N*m*s)", "bar*s/(N*m/rad)"),
+    }
+    rows: list[tuple[str, ...]] = []
+    for setting in SETTINGS:
+        tuned = results["tuning"][setting.key]
+        bounds = f"; at the bound of the search: {', '.join(tuned['at_bound'])}" if tuned["at_bound"] else ""
+        rows.append(
+            (
+                f"{setting.name}: cost {number(tuned['cost_before'])} with moderate gains, {number(tuned['cost'])} tuned, "
+                f"{tuned['evaluated']:,} sets of gains tried{bounds}",
+            )
+        )
+        moderate = reproduction.tracking.runs[setting.key, Wish.CONSTANT, PID].scenario.control()
+        for loop, names in units.items():
+            for gain, unit in zip(("kp", "ki", "kd"), names, strict=True):
+                scale = factor(unit)
+                label = f"{loop} loop, {gain} [{unit_text(unit)}]"
+                rows.append((label, number(getattr(getattr(moderate, loop), gain) / scale), number(tuned[loop][gain] / scale)))
+    return Table(
+        "Gains of the two PID loops: moderate ones, set by hand, and those found by the optimiser on both wishes at once.",
+        ("gain", "moderate (ours)", "tuned"),
+        rows,
+    )
+
+
+def settings_table(reproduction: Reproduction) -> Table:
+    """What the paper leaves open in its simulations, as it was set here."""
+    scenario = reproduction.tracking.runs[SETTINGS[0].key, Wish.STEP, PID].scenario
+    rows = [
+        ("connectors (Table 2 and ours)", *(s.connectors for s in SETTINGS)),
+        ("desired angle", *(_sine(reproduction, s) for s in SETTINGS)),
+        ("desired stiffness, constant", *(s.constant for s in SETTINGS)),
+        (f"desired stiffness, step at {STEP_TIME}", *(f"{s.before} to {s.after}" for s in SETTINGS)),
+        ("stiffness at rest before the run", *(s.start for s in SETTINGS)),
+        ("learning of BP", *(LEARNING for _ in SETTINGS)),
+        (
+            "duration, control period",
+            *(f"{scenario.duration:g} s, {scenario.control_period * 1e3:g} ms" for _ in SETTINGS),
+        ),
+    ]
+    return Table(
+        "Settings of the simulations. The paper does not print them; they are ours.",
+        ("setting", *(s.name for s in SETTINGS)),
+        [tuple(cell.replace("N*m/rad", "N·m/rad") for cell in row) for row in rows],
+    )
+
+
+def coupling_table(results: Mapping[str, Any]) -> Table:
+    """How position and stiffness disturb each other."""
+    rows = []
+    for setting in SETTINGS:
+        found = results["coupling"][setting.key]
+        rows.append(
+            (
+                setting.name,
+                number(found["angle_by_step_deg"]),
+                number(found["stiffness_by_motion"]),
+                number(found["stiffness_at_rest"]),
+            )
+        )
+    head = ("geometry", "largest angle by a stiffness step [deg]", "stiffness RMS by the motion [N·m/rad]",
+            "stiffness RMS at rest [N·m/rad]")  # fmt: skip
+    return Table("Coupling of position and stiffness under PID with moderate gains.", head, rows)
+
+
+def _sine(reproduction: Reproduction, setting: Setting) -> str:
+    angle = reproduction.tracking.runs[setting.key, Wish.STEP, PID].scenario.reference().angle
+    assert isinstance(angle, Sine)
+    return f"sine of {float(angle.amplitude) / deg:g} deg, {float(angle.frequency):g} Hz"
