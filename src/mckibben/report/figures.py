@@ -1,4 +1,4 @@
-"""All figures of a reproduction, each with its title, a caption that says what to see, and a text for those who cannot."""
+"""All figures of a reproduction, each with a caption that says what to see and a text for those who cannot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.tracking import control_results
 from mckibben.report.tracking_errors import error_curves
-from mckibben.report.words import SECTIONS
+from mckibben.report.words import SECTIONS, name_of
 from mckibben.study.paper import Reproduction
 from mckibben.study.paper.identification import CHOU, EXPERIMENTAL, RIG
 from mckibben.study.paper.settings import FREE, SETTINGS, Setting, Wish
@@ -70,9 +70,9 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "Fig. 3: isobaric characteristic curves",
         f"The paper's test on the virtual rig: {levels} pressures, {rig.protocol.repeats} repeats, "
         f"{rig.samples:,} raw samples behind {len(rig.test)} plateau means. Each pressure has two curves: the upper "
-        f"(solid) while the muscle is stretched, the lower (dashed) while it shortens; the gap is the rig's friction of "
-        f"±{rig.rig.hysteresis:g} N. The curves of high pressure start late because the rig stays below the rated force "
-        f"of {rig.muscle.specimen.rated_force:g} N.",
+        f"(solid) while the muscle is stretched, the lower (dashed) while it shortens; the gap is the rig's friction "
+        f"of ±{rig.rig.hysteresis:g} N. The curves of high pressure start late because the rig stays below the rated "
+        f"force of {rig.muscle.specimen.rated_force:g} N.",
         f"{levels} curves of force over contraction, falling steeply, then more gently, higher for higher pressure; "
         "loading lies slightly above unloading.",
         isobaric_curves(rig.test),
@@ -82,15 +82,15 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "fig4-law-comparison",
         "identification",
         "Fig. 4: measured force, experimental law and Chou's law",
-        "A second test, which no law has seen, at the paper's four pressures, in the paper's colours: loading data blue, "
-        "unloading data red, the law identified from the first test purple, Chou's law of the specimen green. The "
-        "experimental law runs between the two directions; Chou's knows neither the rubber nor the ends of the muscle. "
-        "The errors of both are in the panels. The muscle of the virtual rig follows Eq. 3, so this shows the method at "
-        "work; the next figure has muscles that were measured.",
+        "A second test, which no law has seen, at the paper's four pressures, in the paper's colours: loading data "
+        "blue, unloading data red, the law identified from the first test purple, Chou's law of the specimen green. "
+        "The experimental law runs between the two directions; Chou's knows neither the rubber nor the ends of the "
+        "muscle. The errors of both are in the panels. The muscle of the virtual rig follows Eq. 3, so this shows the "
+        "method at work; the next figure has muscles that were measured.",
         "Panels of force over contraction, one a pressure, with points of both directions and the curves of both laws.",
         law_comparison(rig.retest, laws, found.retested),
     )
-    measured = {name: (found.data[name], found.fits[name]) for name in found.measured}
+    measured = {name_of(name): (found.data[name], found.fits[name]) for name in found.measured}
     yield ReportFigure(
         "measured-muscles",
         "identification",
@@ -98,7 +98,8 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "Independent data of two other 10 mm muscles: points are measured, curves are Eq. 2 fitted to all taut points "
         "together; what is left over is below, on its own scale. Slack points say only that the force is zero, and are "
         "left out.",
-        "Force over contraction at many pressures for two muscles with fitted curves through the points; residuals below.",
+        "Force over contraction at many pressures for two muscles with fitted curves through the points; residuals "
+        "below.",
         measured_muscles(measured),
     )
 
@@ -113,9 +114,10 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "attainable-stiffness",
         "joint",
         "Stiffness that the knee can hold",
-        "The shaded band is all the stiffness that pressures within limits can give at an angle while the muscles carry "
-        "the load and stay within their range of contraction; outside the dotted lines no pressures hold the joint. The "
-        "wishes of the simulations are drawn over it: where one leaves the band, no controller can follow it for long.",
+        "The shaded band is all the stiffness that pressures within limits can give at an angle while the muscles "
+        "carry the load and stay within their range of contraction; outside the dotted lines no pressures hold the "
+        "joint. The wishes of the simulations are drawn over it: where one leaves the band, no controller can follow "
+        "it for long.",
         "A band of attainable stiffness over the joint angle for each geometry; "
         + "; ".join(f"{n}: {m.at(0.0)[0]:.1f} to {m.at(0.0)[1]:.1f} N·m/rad at 0 degrees" for n, m in maps.items()),
         attainable_stiffness(maps, wishes),
@@ -146,8 +148,8 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
         "tracking",
         f"Fig. 7: control results, geometry {setting.name}",
         f"Desired (black, dashed) and actual angle and stiffness under PID and under BP on the same moderate gains; a "
-        f"sine of {setting.amplitude}, stiffness {constant} or stepping from {step}. The grey band is the stiffness that "
-        "is attainable at the desired angle: where the wish lies outside it, the error is not the controller's.",
+        f"sine of {setting.amplitude}, stiffness {constant} or stepping from {step}. The grey band is the stiffness "
+        "that is attainable at the desired angle: where the wish lies outside it, the error is not the controller's.",
         "Four panels, each with the angle above and the stiffness below, desired and actual over ten seconds.",
         control_results(panels),
     )
@@ -160,10 +162,11 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
         "tracking",
         f"Fig. 8: errors, geometry {setting.name}",
         f"Actual minus desired. In (a) the angle error is {rmse[PID]:.2f}° RMS under PID and {rmse[BP]:.2f}° under BP. "
-        "The last row zooms in on the stiffness after its wish was set or changed; grey is the settling band, and dotted "
-        "lines mark when each controller has entered it for good. A peak of the stiffness error that is only the step "
-        "of the wish is cut off, and said so.",
-        "Error curves of PID and BP over time: angle above, stiffness in the middle, the settling of the stiffness below.",
+        "The last row zooms in on the stiffness after its wish was set or changed; grey is the settling band, and "
+        "dotted lines mark when each controller has entered it for good. A peak that is only the jump of the wish is "
+        "cut off, and said so.",
+        "Error curves of PID and BP over time: angle above, stiffness in the middle, the settling of the stiffness "
+        "below.",
         error_curves(columns),
     )
 
@@ -180,8 +183,9 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "controller-comparison",
         "tracking",
         "PID and BP, on moderate and on tuned gains",
-        f"Median over {seeds} seeds of BP's network (dot) and the worst of them (end of the line), on logarithmic axes; "
-        "left is better. PID has no seeds. What BP changes on moderate gains is to be seen beside what tuning changes.",
+        f"Median over {seeds} seeds of BP's network (dot) and the worst of them (end of the line), on logarithmic "
+        "axes; left is better. PID has no seeds. What BP changes on moderate gains is to be seen beside what tuning "
+        "changes.",
         "Dot plots of angle error, stiffness error and settling time for five controllers in two geometries.",
         controller_comparison(found),
     )

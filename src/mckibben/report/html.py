@@ -16,7 +16,7 @@ from mckibben import catalog
 from mckibben.report import tables
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
-from mckibben.report.words import SECTIONS, decisions
+from mckibben.report.words import SECTIONS, decisions, name_of
 from mckibben.study.paper import Reproduction
 from mckibben.study.paper.settings import PRE_CONTRACTED, SETTINGS, Wish
 from mckibben.study.paper.tracking import PID
@@ -98,7 +98,7 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
         figures=drawn,
         fit=tables.fit_table(results),
         parameters=tables.parameter_table(results),
-        warnings={tables.NAMES.get(n, n): f["warnings"] for n, f in results["identification"].items() if f["warnings"]},
+        warnings={name_of(n): f["warnings"] for n, f in results["identification"].items() if f["warnings"]},
         validation=tables.validation_tables(results),
         joint=tables.joint_table(results),
         tracking=tables.tracking_tables(results),
@@ -123,7 +123,7 @@ def typeset(text: str) -> markupsafe.Markup:
     """Text with powers of ten as superscripts, +- as one sign, units with a dot, and files of figures as code."""
     safe = str(markupsafe.escape(text))
     safe = re.sub(r"\^([−-]?\d+)", r"<sup>\1</sup>", safe)
-    safe = safe.replace("+-", "±").replace("N*m/rad", "N·m/rad")
+    safe = safe.replace("+-", "±").replace("N*m/rad", "N·m/rad").replace(" %", "\u00a0%")
     safe = re.sub(r"(\d)\.\.(−?\d|-)", r"\1 to \2", safe)
     safe = re.sub(r"(?<![\w.])-(?=\d)", "−", safe)
     return markupsafe.Markup(safe)

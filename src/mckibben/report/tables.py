@@ -9,17 +9,11 @@ from typing import Any
 
 from mckibben import catalog
 from mckibben.control import Sine
+from mckibben.report.words import name_of
 from mckibben.study.paper import Reproduction
-from mckibben.study.paper.identification import FESTO, MARTENS, RIG
 from mckibben.study.paper.settings import LEARNING, SETTINGS, STEP_TIME, Setting, Wish
 from mckibben.study.paper.tracking import CONTROLLERS, PID
 from mckibben.units import deg, factor
-
-NAMES = {
-    RIG: "virtual rig (follows Eq. 3, with friction)",
-    MARTENS: "DMSP-10-250, measured",
-    FESTO: "10 mm muscle, maker's chart",
-}
 
 
 @dataclass(frozen=True)
@@ -57,6 +51,18 @@ def number(value: Any, digits: int = 3) -> str:
     return text.replace("-", "−")
 
 
+def with_error(estimate: float, error: float | None) -> str:
+    """An estimate and its standard error, both to the second digit of the error; an absent one is said to be so.
+
+    >>> with_error(-237.362, 3.81)
+    '−237.4 ± 3.8'
+    """
+    if error is None or not error > 0:
+        return f"{number(estimate, 4)} (at its bound)" if error is None else number(estimate, 5)
+    places = max(1 - math.floor(math.log10(error)), 0)
+    return f"{estimate:.{places}f} ± {error:.{places}f}".replace("-", "−")
+
+
 def unit_text(unit: str) -> str:
     """A unit as it is printed."""
     return unit.replace("percent", "%").replace("*", "·")
@@ -68,7 +74,7 @@ def fit_table(results: Mapping[str, Any]) -> Table:
     for name, fit in results["identification"].items():
         rows.append(
             (
-                NAMES.get(name, name),
+                name_of(name),
                 number(fit["decay_per_percent"], 4),
                 number(fit["rmse_N"]),
                 number(fit["max_N"]),
@@ -81,7 +87,8 @@ def fit_table(results: Mapping[str, Any]) -> Table:
     head = ("dataset", "decay μ [1/%]", "RMSE [N]", "maximum [N]", "RMSE, unseen pressure [N]",
             "maximum, unseen pressure [N]", "points", "slack, left out")  # fmt: skip
     return Table(
-        "Eq. 2 fitted to each dataset. “Unseen pressure”: the law is fitted without one pressure and asked for it, in turn.",
+        "Eq. 2 fitted to each dataset. “Unseen pressure”: the law is fitted without one pressure and asked for it, in "
+        "turn.",
         head,
         rows,
     )
@@ -95,15 +102,16 @@ def parameter_table(results: Mapping[str, Any]) -> Table:
     rows = []
     for name, unit in shown.items():
         published = float(getattr(law, name)) / factor(unit)
-        cells = [f"{name.replace('decay', 'μ')} [{unit_text(unit)}]", number(published, 5)]
+        symbol = name.replace("decay", "μ").translate(str.maketrans("12", "₁₂"))
+        cells = [f"{symbol} [{unit_text(unit)}]", f"{published:g}".replace("-", "−")]
         for fit in fits.values():
             found = fit["parameters"][name]
-            cells.append(f"{number(found['estimate'], 5)} ± {number(found['standard_error'], 2)}")
+            cells.append(with_error(found["estimate"], found["standard_error"]))
         rows.append(cells)
     return Table(
-        "Parameters of Eq. 2: estimate ± standard error, in the units of Eq. 3. They are strongly correlated: sets that "
-        "look different can describe nearly the same force.",
-        ("parameter", "Eq. 3, published", *(NAMES.get(name, name) for name in fits)),
+        "Parameters of Eq. 2: estimate ± standard error, in the units of Eq. 3. They are strongly correlated: sets "
+        "that look different can describe nearly the same force.",
+        ("parameter", "Eq. 3, published", *(name_of(name) for name in fits)),
         rows,
     )
 
@@ -128,7 +136,7 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
     overall = Table(
         "Measured muscles, RMSE [N] over all taut points: laws fitted to these points, and laws that do not know them.",
         ("dataset", *(f"{law} [N]" for law in laws)),
-        [(NAMES.get(name, name), *(number(values[law]) for law in laws)) for name, values in measured.items()],
+        [(name_of(name), *(number(values[law]) for law in laws)) for name, values in measured.items()],
     )
     return [by_pressure, overall]
 
@@ -202,8 +210,8 @@ def gains_table(reproduction: Reproduction, results: Mapping[str, Any]) -> Table
         bounds = f"; at the bound of the search: {', '.join(tuned['at_bound'])}" if tuned["at_bound"] else ""
         rows.append(
             (
-                f"{setting.name}: cost {number(tuned['cost_before'])} with moderate gains, {number(tuned['cost'])} tuned, "
-                f"{tuned['evaluated']:,} sets of gains tried{bounds}",
+                f"{setting.name}: cost {number(tuned['cost_before'])} with moderate gains, {number(tuned['cost'])} "
+                f"tuned, {tuned['evaluated']:,} sets of gains tried{bounds}",
             )
         )
         moderate = reproduction.tracking.runs[setting.key, Wish.CONSTANT, PID].scenario.control()
@@ -211,9 +219,11 @@ def gains_table(reproduction: Reproduction, results: Mapping[str, Any]) -> Table
             for gain, unit in zip(("kp", "ki", "kd"), names, strict=True):
                 scale = factor(unit)
                 label = f"{loop} loop, {gain} [{unit_text(unit)}]"
-                rows.append((label, number(getattr(getattr(moderate, loop), gain) / scale), number(tuned[loop][gain] / scale)))
+                before = getattr(getattr(moderate, loop), gain)
+                rows.append((label, number(before / scale), number(tuned[loop][gain] / scale)))
     return Table(
-        "Gains of the two PID loops: moderate ones, set by hand, and those found by the optimiser on both wishes at once.",
+        "Gains of the two PID loops: moderate ones, set by hand, and those found by the optimiser on both wishes at "
+        "once.",
         ("gain", "moderate (ours)", "tuned"),
         rows,
     )

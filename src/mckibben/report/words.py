@@ -7,10 +7,17 @@ from dataclasses import dataclass
 from mckibben import catalog
 from mckibben.plant import FirstOrderValve
 from mckibben.study.paper import Reproduction
-from mckibben.study.paper.identification import TEST_PRESSURES
+from mckibben.study.paper.identification import FESTO, MARTENS, RIG, TEST_PRESSURES
 from mckibben.study.paper.joint import plant_of
 from mckibben.study.paper.settings import AS_PRINTED, BOUND, FREE, PRE_CONTRACTED, SETTINGS
 from mckibben.units import bar, deg, mm, ms, percent
+
+NAMES = {
+    RIG: "virtual rig (follows Eq. 3, with friction)",
+    MARTENS: "DMSP-10-250, measured",
+    FESTO: "10 mm muscle, maker's chart",
+}
+"""What the datasets are called, by key."""
 
 SECTIONS = {
     "identification": "Muscle: test, identification, validation",
@@ -18,6 +25,11 @@ SECTIONS = {
     "tracking": "Control of position and stiffness",
 }
 """The parts that have figures, by key."""
+
+
+def name_of(dataset: str) -> str:
+    """What a dataset is called; its key where it has no name."""
+    return NAMES.get(dataset, dataset)
 
 
 @dataclass(frozen=True)
@@ -69,9 +81,9 @@ def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
         ),
         Decision(
             "Sign of gravity",
-            "Eqs. 6 and 7 have it on opposite sides; equated literally it cancels. Here the muscles' torque and that of "
-            f"gravity, G sin(π/6 − θ), are kept apart, and {hanging:.0f}° is the stable hanging position. At 0° gravity gives "
-            f"{gravity:.2f} N·m.",
+            "Eqs. 6 and 7 have it on opposite sides; equated literally it cancels. Here the muscles' torque and that "
+            f"of gravity, G sin(π/6 − θ), are kept apart, and {hanging:.0f}° is the stable hanging position. At 0° "
+            f"gravity gives {gravity:.2f} N·m.",
         ),
         Decision(
             "Sign of the stiffness",
@@ -93,9 +105,9 @@ def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
         Decision(
             "BP",
             "The paper does not say what it is. Here, as is usual: one small network a loop whose outputs multiply the "
-            "gains of a PID, trained while it runs on the tracking error, with the plant's Jacobian replaced by its sign. "
-            f"It starts at the PID's gains and may move them by a factor of {FREE:g} about moderate gains and {BOUND:g} "
-            "about tuned ones.",
+            "gains of a PID, trained while it runs on the tracking error, with the plant's Jacobian replaced by its "
+            f"sign. It starts at the PID's gains and may move them by a factor of {FREE:g} about moderate gains and "
+            f"{BOUND:g} about tuned ones.",
         ),
         Decision(
             "Stiffness feedback",
@@ -105,7 +117,8 @@ def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
         Decision(
             "Test pressures",
             f"The paper validates at {', '.join(f'{p / bar:g}' for p in TEST_PRESSURES)} bar, all of them among the "
-            "pressures that it identified from. The same pressures are therefore also held out, and so is a whole repeat.",
+            "pressures that it identified from. The same pressures are therefore also held out, and so is a whole "
+            "repeat.",
         ),
         Decision(
             "The muscle of the test",

@@ -1,0 +1,82 @@
+"""A small reproduction: real parts, few of them. Tuned gains are moderate ones doubled, the seeds' spread invented."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben import control
+from mckibben.simulation import Metrics
+from mckibben.study.paper import Reproduction
+from mckibben.study.paper.claims import judge
+from mckibben.study.paper.identification import run_identification
+from mckibben.study.paper.joint import run_joint
+from mckibben.study.paper.settings import SETTINGS, Wish, bp_scenario, gains_of, pid_scenario
+from mckibben.study.paper.tracking import (
+    BP,
+    FREE_TUNED_BP,
+    PID,
+    TUNED_BP,
+    TUNED_PID,
+    Coupling,
+    Run,
+    Tracking,
+    _quiet,
+)
+from mckibben.study.tuning import Tuned
+
+SEEDS = 3
+
+
+def _spread(run):
+    """Metrics over seeds: the run's own, some larger, and one that never settles."""
+    measured = run.result.metrics()
+    spread = {name: jnp.asarray(value * np.array([1.0, 1.1, 1.3])) for name, value in measured.items()}
+    spread["stiffness_settling"] = spread["stiffness_settling"].at[-1].set(jnp.nan)
+    return Metrics(**spread)
+
+
+def _doubled(loop: control.PID) -> control.PID:
+    return dataclasses.replace(loop, kp=2 * loop.kp, ki=1.5 * loop.ki)
+
+
+@pytest.fixture(scope="session")
+def reproduction():
+    runs, tuned, coupling = {}, {}, {}
+    for setting in SETTINGS:
+        moderate = pid_scenario(setting, Wish.CONSTANT).control()
+        position, stiffness = _doubled(moderate.position), _doubled(moderate.stiffness)
+        tuned[setting.key] = Tuned(position, stiffness, 5.0, 80.0, 100, ("position ki",))
+        coupling[setting.key] = Coupling(1e-3, 0.1, 1e-14)
+        gains = gains_of(position, stiffness)
+        for wish in Wish:
+            for name, given in ((PID, None), (TUNED_PID, gains)):
+                scenario = pid_scenario(setting, wish, given, name=name)
+                runs[setting.key, wish, name] = Run(scenario, _quiet(scenario), None)
+            for name, given, ratio in ((BP, None, 2.0), (TUNED_BP, gains, 1.1), (FREE_TUNED_BP, gains, 2.0)):
+                scenario = bp_scenario(setting, wish, given, gain_ratio=ratio, name=name)
+                run = Run(scenario, _quiet(scenario), None)
+                runs[setting.key, wish, name] = dataclasses.replace(run, seeds=_spread(run))
+    identification, joint = run_identification(repeats=2), run_joint(resolution=81)
+    tracking = Tracking(runs, tuned, coupling, SEEDS)
+    claims = judge(identification, joint, tracking)
+    return Reproduction(identification, joint, tracking, claims, True, 12.3)
+
+
+@pytest.fixture(scope="session")
+def drawn(reproduction):
+    """All figures of the report, by name."""
+    from mckibben.report import figures
+
+    return {figure.name: figure for figure in figures(reproduction)}
+
+
+@pytest.fixture(scope="session")
+def page(reproduction, tmp_path_factory):
+    """The folder of a written report."""
+    from mckibben.report import write_report
+
+    folder = tmp_path_factory.mktemp("report")
+    write_report(reproduction, folder)
+    return folder

@@ -1,0 +1,169 @@
+"""What every figure has to have, and what the drawing functions promise."""
+
+import re
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from mckibben import catalog
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import RangeError
+from mckibben.identification import identify
+from mckibben.muscle import ExponentialLaw
+from mckibben.report import isobaric, law_comparison, save, tracking
+from mckibben.report.panels import robust_limits
+from mckibben.report.style import CONTROLLERS, house_style, looks_of
+from mckibben.study.paper.settings import SETTINGS, Wish
+
+NAMES = (
+    "fig3-isobaric-curves",
+    "fig4-law-comparison",
+    "measured-muscles",
+    "attainable-stiffness",
+    "torque-stiffness-map",
+    "fig7-control-results-as-printed",
+    "fig8-errors-as-printed",
+    "fig7-control-results-pre-contracted",
+    "fig8-errors-pre-contracted",
+    "controller-comparison",
+    "bp-gains",
+)
+
+
+def panels(figure):
+    return [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
+
+
+def texts(figure):
+    legends = figure.legends + [axes.get_legend() for axes in figure.axes if axes.get_legend()]
+    return [text.get_text() for legend in legends for text in legend.get_texts()]
+
+
+def check(figure):
+    """Every panel shows something, every axis that has numbers has a name with its unit, names of lines are given."""
+    assert isinstance(figure, Figure)
+    labels = []
+    for axes in panels(figure):
+        assert axes.lines or axes.collections or axes.images, "an empty panel"
+        labels += [axes.get_xlabel(), axes.get_ylabel()]
+        if len({line.get_color() for line in axes.lines if line.get_label()[0] != "_"}) > 1:
+            assert texts(figure), "lines without a legend"
+    labels = [label for label in labels if label]
+    assert labels
+    assert all(re.search(r"\[.+\]$", label) for label in labels), labels
+    for axes in figure.axes:
+        if axes.get_label() == "<colorbar>":
+            assert re.search(r"\[.+\]$", axes.get_ylabel())
+
+
+def test_the_report_has_the_figures_of_the_paper_and_ours(drawn):
+    assert tuple(drawn) == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_figure_is_complete(drawn, name):
+    found = drawn[name]
+    check(found.figure)
+    assert found.title and found.caption and found.alternative
+    assert found.figure.get_figwidth() <= 7.5
+
+
+def test_drawing_leaves_matplotlib_as_it_was(reproduction):
+    before = dict(mpl.rcParams)
+    isobaric(reproduction.identification.rig.settled)
+    with house_style():
+        assert mpl.rcParams["svg.hashsalt"] == "mckibben"
+    assert dict(mpl.rcParams) == before
+
+
+def test_a_users_settings_do_not_change_the_house_style(reproduction, tmp_path):
+    result = next(iter(reproduction.tracking.runs.values())).result
+    plain = save(tracking({"PID": result}), tmp_path / "a", "same")
+    with mpl.rc_context({"font.size": 30, "axes.grid": False, "svg.hashsalt": "mine"}):
+        other = save(tracking({"PID": result}), tmp_path / "b", "same")
+    assert [p.read_bytes() for p in plain] == [p.read_bytes() for p in other]
+
+
+def test_svg_files_are_self_contained_and_have_no_date(drawn, tmp_path):
+    _, svg = save(drawn["bp-gains"].figure, tmp_path, "gains")
+    text = svg.read_text()
+    assert "<dc:date>" not in text
+    assert "<text" not in text  # letters are outlines
+    assert not re.search(r"(?:xlink:)?href=\"(?!#)", text)
+
+
+def test_the_drawings_are_not_heavy(drawn, tmp_path):
+    for name in ("fig7-control-results-pre-contracted", "torque-stiffness-map"):
+        png, svg = save(drawn[name].figure, tmp_path, name)
+        assert png.stat().st_size < 1e6
+        assert svg.stat().st_size < 1e6
+
+
+def test_any_number_of_results_of_one_reference_can_be_drawn(reproduction):
+    runs = reproduction.tracking.runs
+    key = SETTINGS[1].key
+    one = tracking({"mine": runs[key, Wish.STEP, "PID"].result})
+    check(one)
+    assert "pressure [bar]" in [axes.get_ylabel() for axes in one.axes]
+    many = tracking({name: runs[key, Wish.STEP, name].result for name in CONTROLLERS})
+    check(many)
+    assert set(texts(many)) >= {"desired", "attainable stiffness", *CONTROLLERS}
+
+
+def test_the_attainable_band_is_behind_the_desired_stiffness(reproduction):
+    figure = tracking({"PID": next(iter(reproduction.tracking.runs.values())).result})
+    axes = next(axes for axes in figure.axes if axes.get_ylabel().startswith("stiffness"))
+    assert axes.collections[0].get_zorder() < min(line.get_zorder() for line in axes.lines)
+
+
+def test_results_of_different_references_are_refused(reproduction):
+    runs = reproduction.tracking.runs
+    first, second = (runs[SETTINGS[0].key, wish, "PID"].result for wish in Wish)
+    with pytest.raises(RangeError, match="b follows another desired stiffness than a"):
+        tracking({"a": first, "b": second})
+    with pytest.raises(RangeError, match="no result"):
+        tracking({})
+
+
+@pytest.mark.parametrize("name", ["dmsp-10-250-martens2017", "festo-tool-10mm"])
+def test_a_dataset_is_drawn_with_and_without_a_fit(name):
+    data = catalog.dataset(name)
+    alone, fitted = isobaric(data), isobaric(data, identify(ExponentialLaw, data))
+    check(alone)
+    check(fitted)
+    assert len(panels(fitted)) == len(panels(alone)) + 1
+    assert "fitted Eq. 2" in texts(fitted)
+
+
+def test_a_dataset_of_one_pressure_or_of_many_measured_ones_is_drawn():
+    rng = np.random.default_rng(1)
+    eps = np.linspace(0, 0.2, 60)
+    for pressure in (np.full(60, 3e5), rng.uniform(1e5, 5e5, 60)):
+        force = np.asarray(catalog.law("lei-mas-10-180n").force(eps, pressure)).clip(0)
+        check(isobaric(IsobaricDataset.of(pressure=pressure, contraction=eps, force=force)))
+
+
+def test_one_pressure_can_be_compared_alone(reproduction):
+    found = reproduction.identification
+    points = found.rig.retest.at(6e5)
+    check(law_comparison(points, {"experimental": found.fits["virtual-rig"].law}))
+
+
+def test_a_spike_does_not_set_the_limits_but_is_said(reproduction):
+    low, high = robust_limits([np.append(np.sin(np.linspace(0, 6, 999)), 50.0)])
+    assert -1.5 < low < -1 < 1 < high < 1.5
+    assert robust_limits([np.array([np.nan])]) == (0.0, 1.0)
+
+
+def test_off_scale_values_are_written_into_the_panel(drawn):
+    axes = drawn["fig8-errors-pre-contracted"].figure.axes
+    notes = [text.get_text() for a in axes for text in a.texts if text.get_text().startswith("off the scale")]
+    assert any("at 5.00 s" in note for note in notes)
+
+
+def test_a_controller_looks_the_same_everywhere_and_others_get_their_own_look():
+    looks = looks_of(["mine", "BP", "yours"])
+    assert looks["BP"]["color"] == CONTROLLERS["BP"]["color"]
+    assert len({look["color"] for look in looks.values()}) == 3

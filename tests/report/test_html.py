@@ -1,0 +1,172 @@
+"""The page: complete, alone, and of the same numbers as results.json."""
+
+import html
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from mckibben.report.html import SOURCES, scenario_file, typeset
+from mckibben.report.tables import number, with_error
+from mckibben.report.words import NAMES, decisions
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, and the cells of every table."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.open, self.cells, self._cell = [], [], [], None
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("meta", "img", "br", "link"):
+            self.open.append(tag)
+        if tag in ("td", "th"):
+            self._cell = ""
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+        if tag in ("td", "th"):
+            self.cells.append(" ".join(self._cell.split()))
+            self._cell = None
+
+    def handle_data(self, data):
+        if self._cell is not None:
+            self._cell += data
+
+
+@pytest.fixture(scope="module")
+def text(page):
+    return (page / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def parsed(text):
+    return Page(text)
+
+
+def plain(text):
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", "", text)).split())
+
+
+def test_every_tag_is_closed(parsed):
+    assert parsed.open == []
+
+
+def test_the_page_needs_nothing_else(parsed, text):
+    for tag, attributes in parsed.tags:
+        assert tag not in ("script", "link", "iframe", "object")
+        for name in ("src", "href"):
+            if name in attributes:
+                assert attributes[name].startswith("data:image/" if name == "src" else "#")
+    assert "@import" not in text
+    assert "url(" not in text
+    assert len(text.encode()) < 8e6
+
+
+def test_pictures_have_a_text_and_tables_a_caption_and_heads(parsed, drawn):
+    pictures = [attributes for tag, attributes in parsed.tags if tag == "img"]
+    assert len(pictures) == len(drawn)
+    assert all(len(picture["alt"]) > 30 for picture in pictures)
+    count = [tag for tag, _ in parsed.tags].count
+    assert count("table") == count("caption") == count("thead") > 8
+    assert all("scope" in attributes for tag, attributes in parsed.tags if tag == "th")
+    assert count("figcaption") == len(drawn)
+
+
+def test_identifiers_are_unique_and_links_lead_somewhere(parsed):
+    found = [attributes["id"] for _, attributes in parsed.tags if "id" in attributes]
+    assert len(found) == len(set(found))
+    assert {a["href"][1:] for tag, a in parsed.tags if tag == "a"} <= set(found)
+
+
+def test_figures_lie_beside_the_page(page, drawn):
+    for name in drawn:
+        for kind in ("png", "svg"):
+            assert (page / "figures" / f"{name}.{kind}").stat().st_size > 5000
+    assert not list(page.glob(".*"))
+
+
+def test_every_claim_dataset_source_and_decision_is_there(text, reproduction):
+    words = plain(text)
+    for claim in reproduction.claims:
+        assert plain(str(typeset(claim.claim))) in words
+        assert plain(str(typeset(claim.evidence))) in words
+    holding = sum(claim.holds for claim in reproduction.claims)
+    assert f"{holding} of {len(reproduction.claims)} claims hold" in words
+    assert words.count("✗ does not hold") == len(reproduction.claims) - holding
+    for name in reproduction.identification.fits:
+        assert NAMES[name] in words
+    for decision in decisions(reproduction):
+        assert plain(str(typeset(decision.answer))) in words
+    assert len(SOURCES) == 3
+
+
+def test_the_numbers_are_those_of_the_results(parsed, reproduction):
+    results, cells = reproduction.results(), set(parsed.cells)
+    for fit in results["identification"].values():
+        assert number(fit["rmse_N"]) in cells
+        assert number(fit["decay_per_percent"], 4) in cells
+        for found in fit["parameters"].values():
+            assert with_error(found["estimate"], found["standard_error"]) in cells
+    for laws in results["validation"]["measured_rmse_N"].values():
+        assert {number(value) for value in laws.values()} <= cells
+    for joint in results["joint"].values():
+        assert {number(value) for value in joint["holdable_angles_deg"]} <= cells
+    for wishes in results["tracking"].values():
+        for controllers in wishes.values():
+            for run in controllers.values():
+                worst = f" ({number(run['worst']['angle_rmse_deg'])})" if "worst" in run else ""
+                assert number(run["angle_rmse_deg"]) + worst in cells
+    for tuned in results["tuning"].values():
+        assert number(tuned["position"]["ki"] / 1e5) in cells
+
+
+def test_other_numbers_make_another_page(reproduction, text):
+    import dataclasses
+
+    from mckibben.report.html import render
+    from mckibben.report.words import SECTIONS
+
+    claims = tuple(dataclasses.replace(c, holds=False, evidence="seventeen") for c in reproduction.claims)
+    other = render(dataclasses.replace(reproduction, claims=claims, quick=False), {key: [] for key in SECTIONS})
+    assert "✓ holds" not in other
+    assert other.count("seventeen") == len(claims)
+    assert "quick (" in text
+    assert "quick (" not in other
+
+
+def test_a_run_that_never_settles_is_said_so(text):
+    assert "(never)" in text
+
+
+def test_the_scenarios_named_are_those_that_are_saved(reproduction, tmp_path, text):
+    reproduction.save(tmp_path)
+    for key in reproduction.tracking.runs:
+        name = scenario_file(*key)
+        assert (tmp_path / name).is_file()
+        assert name in text
+
+
+def test_the_page_is_the_same_every_time(reproduction, page, tmp_path):
+    from mckibben.report import write_report
+
+    again = write_report(reproduction, tmp_path)
+    assert again.read_bytes() == (page / "report.html").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(0.0, "0"), (-12.345, "−12.3"), (1659.0, "1659"), (3.3e-14, "3.30·10^-14"), (None, "–"), (float("nan"), "–"),
+     (3182, "3,182"), (0.0043, "0.00430")],
+)  # fmt: skip
+def test_numbers_as_text(value, shown):
+    assert number(value).replace("−14", "-14") == shown
+
+
+def test_markup_in_texts_is_shown_and_not_obeyed():
+    assert "<b>" not in typeset("<b>bold</b> 10^-3 +-12")
+    assert typeset("10^-3") == "10<sup>−3</sup>"
+    assert "±12" in typeset("+-12 N")
