@@ -6,9 +6,10 @@ from html.parser import HTMLParser
 
 import pytest
 
-from mckibben.report.html import SOURCES, scenario_file, typeset
+from mckibben.report.html import SOURCES, typeset
 from mckibben.report.tables import number, with_error
 from mckibben.report.words import NAMES, decisions
+from mckibben.study.paper import file_stem
 
 
 class Page(HTMLParser):
@@ -145,7 +146,7 @@ def test_a_run_that_never_settles_is_said_so(text):
 def test_the_scenarios_named_are_those_that_are_saved(reproduction, tmp_path, text):
     reproduction.save(tmp_path)
     for key in reproduction.tracking.runs:
-        name = scenario_file(*key)
+        name = f"scenarios/{file_stem(*key)}.yaml"
         assert (tmp_path / name).is_file()
         assert name in text
 

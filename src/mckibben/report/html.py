@@ -17,7 +17,7 @@ from mckibben.report import tables
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
 from mckibben.report.words import SECTIONS, decisions, name_of
-from mckibben.study.paper import Reproduction
+from mckibben.study.paper import Reproduction, file_stem
 from mckibben.study.paper.settings import PRE_CONTRACTED, SETTINGS, Wish
 from mckibben.study.paper.tracking import PID
 
@@ -109,14 +109,8 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
         decisions=decisions(reproduction),
         sources=[_source(name) for name in SOURCES],
         example=example.dumps(),
-        scenarios=[scenario_file(*key) for key in reproduction.tracking.runs],
+        scenarios=[f"scenarios/{file_stem(*key)}.yaml" for key in reproduction.tracking.runs],
     )
-
-
-def scenario_file(key: str, wish: Wish, controller: str) -> str:
-    """The file of a run's scenario, as `Reproduction.save` names it."""
-    name = "-".join((key, wish.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
-    return f"scenarios/{name}.yaml"
 
 
 def typeset(text: str) -> markupsafe.Markup:

@@ -26,14 +26,20 @@ _LOST = 1e6  # the cost of a run that did not stay finite
 class Cost(NamedTuple):
     """What a set of gains costs: RMS errors of angle and stiffness, each by its scale, summed over references.
 
+    Errors alone would drive the gains to the brink of instability. So the cost is the larger of that of the gains as they
+    are, and of all of them multiplied by the margin.
+
     Attributes
     ----------
     angle_scale, stiffness_scale
         The errors [rad], [N*m/rad] that cost 1.
+    gain_margin
+        The factor by which the gains may rise without harm; at 1 there is no margin.
     """
 
     angle_scale: float
     stiffness_scale: float
+    gain_margin: float = 1.5
 
 
 @dataclass(frozen=True)
@@ -198,10 +204,11 @@ def _costs(
         return rms(angle_error) / scales.angle_scale + rms(stiffness_error) / scales.stiffness_scale
 
     # One flat axis of lanes, every candidate with every wish: nested axes would vectorise along the short one.
-    references, many = wishes.angle.shape[0], candidates.shape[0]
+    both = jnp.concatenate([candidates, candidates * scales.gain_margin])
+    references, many = wishes.angle.shape[0], both.shape[0]
     lanes = jax.tree.map(lambda wish: jnp.repeat(wish, many, axis=0), wishes)
-    cost = jax.vmap(errors)(jnp.tile(candidates, (references, 1)), lanes)
-    total = jnp.sum(cost.reshape(references, many), axis=0)
+    cost = jax.vmap(errors)(jnp.tile(both, (references, 1)), lanes)
+    total = jnp.max(jnp.sum(cost.reshape(references, 2, -1), axis=0), axis=0)
     return jnp.where(jnp.isfinite(total), total, _LOST)
 
 

@@ -172,7 +172,7 @@ def _coupled(tracking: Tracking) -> Claim:
         parts.append(
             f"{setting.name}: the stiffness step moves the angle by up to {found.angle_by_step / deg:.3g} deg; the "
             f"motion disturbs the stiffness by {found.stiffness_by_motion:.3g} N*m/rad RMS "
-            f"(at rest {found.stiffness_at_rest:.1g})"
+            f"(at rest {found.stiffness_at_rest + 0.0:.3f})"
         )
     return Claim("Position and stiffness are coupled with each other", "Results and analysis", holds, "; ".join(parts))
 

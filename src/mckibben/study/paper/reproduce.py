@@ -15,8 +15,8 @@ from mckibben.study.numbers import METRICS, fit_numbers, plain, write_json
 from mckibben.study.paper.claims import Claim, judge
 from mckibben.study.paper.identification import CHOU, EXPERIMENTAL, TEST_PRESSURES, Identification, run_identification
 from mckibben.study.paper.joint import JointMap, run_joint
-from mckibben.study.paper.settings import SETTINGS
-from mckibben.study.paper.tracking import LOST_ANGLE, Run, Tracking, run_tracking
+from mckibben.study.paper.settings import SETTINGS, Wish
+from mckibben.study.paper.tracking import Run, Tracking, run_tracking
 from mckibben.units import bar, deg
 
 Progress = Callable[[str, float], None]
@@ -80,10 +80,19 @@ class Reproduction:
         self.identification.rig.test.to_netcdf(folder / "data" / "virtual-rig-test.nc")
         self.identification.rig.retest.to_netcdf(folder / "data" / "virtual-rig-retest.nc")
         for (key, wish, controller), run in self.tracking.runs.items():
-            name = "-".join((key, wish.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
+            name = file_stem(key, wish, controller)
             run.scenario.to_yaml(folder / "scenarios" / f"{name}.yaml")
             run.result.to_netcdf(folder / "trajectories" / f"{name}.nc")
         write_json(folder / "results.json", self.results())
+
+
+def file_stem(key: str, wish: Wish, controller: str) -> str:
+    """What the files of a run are called.
+
+    >>> file_stem("as_printed", Wish.STEP, "BP on tuned gains, free")
+    'as-printed-step-bp-on-tuned-gains-free'
+    """
+    return "-".join((key, wish.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
 
 
 def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Reproduction:
@@ -110,7 +119,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     report(what, 0.15)
     tracking = run_tracking(
         seeds=5 if quick else 20,
-        generations=8 if quick else 40,
+        generations=8 if quick else 30,
         progress=lambda part: report(what, 0.15 + 0.85 * part),
     )
     claims = judge(identification, joint, tracking)
@@ -155,7 +164,7 @@ def _run(run: Run) -> dict[str, Any]:
     if run.seeds is not None:
         found["worst"] = {name: run.worst(metric) / unit for name, (metric, _, unit) in METRICS.items()}
         found["lost"] = run.lost
-    return found | {"outcome": run.result.describe(), "lost_above_deg": LOST_ANGLE / deg}
+    return found | {"outcome": run.result.describe()}
 
 
 def _tuned(tuned: Any) -> dict[str, Any]:

@@ -25,14 +25,11 @@ from mckibben.study.paper.settings import BOUND, FREE, SETTINGS, Setting, Wish, 
 from mckibben.study.running import run_scenario
 from mckibben.study.scenario import Scenario
 from mckibben.study.tuning import Cost, Tuned, tune_pid
-from mckibben.units import deg, quantity
+from mckibben.units import quantity
 
 PID, BP, TUNED_PID = "PID", "BP", "PID tuned"
 TUNED_BP, FREE_TUNED_BP = "BP on tuned gains", "BP on tuned gains, free"
 CONTROLLERS = (PID, BP, TUNED_PID, TUNED_BP, FREE_TUNED_BP)
-
-LOST_ANGLE = 90 * deg
-"""An angle error from which on a run counts as lost: the joint has swung over."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +58,9 @@ class Run:
 
     @property
     def lost(self) -> int:
-        """How many runs were lost: not finite, or the joint swung over."""
-        largest = self._values("angle_max")
-        return int(np.sum(~(largest < LOST_ANGLE)))
+        """How many runs were lost: not finite, or worse than not moving at all (an RMSE above the RMS of the wish)."""
+        wish = float(rms(self.result.trajectory.desired_angle))
+        return int(np.sum(~(self._values("angle_rmse") < wish)))
 
     def _values(self, metric: str) -> np.ndarray:
         if self.seeds is None:
@@ -138,7 +135,7 @@ def run_tracking(*, seeds: int, generations: int, progress: Callable[[float], No
         for j, wish in enumerate(Wish):
             for name, given in ((PID, None), (TUNED_PID, gains)):
                 scenario = pid_scenario(setting, wish, given, name=name)
-                runs[setting.key, wish, name] = Run(scenario, _quiet(scenario), None)
+                runs[setting.key, wish, name] = Run(scenario, run_quietly(scenario), None)
             for name, given, ratio in ((BP, None, FREE), (TUNED_BP, gains, BOUND), (FREE_TUNED_BP, gains, FREE)):
                 scenario = bp_scenario(setting, wish, given, gain_ratio=ratio, name=name)
                 runs[setting.key, wish, name] = _run_bp(scenario, seeds)
@@ -171,7 +168,7 @@ def _run_bp(scenario: Scenario, seeds: int) -> Run:
     control, initial = scenario.control(), scenario.initial(plant)
     plant, control, initial, period = numeric((plant, control, initial, scenario.control_period))
     measured = _over_seeds(plant, control, wishes, initial, period, jnp.arange(seeds), scenario.substeps)
-    return Run(scenario, _quiet(scenario), measured)
+    return Run(scenario, run_quietly(scenario), measured)
 
 
 @eqx.filter_jit
@@ -217,8 +214,8 @@ def _coupling(setting: Setting) -> Coupling:
     )
 
 
-def _quiet(scenario: Scenario) -> Result:
-    """Run it; the report says itself where a wish is out of reach."""
+def run_quietly(scenario: Scenario) -> Result:
+    """Run it without a warning; the report says itself where a wish is out of reach."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ReachabilityWarning)
         return run_scenario(scenario)

@@ -1,0 +1,167 @@
+"""Metrics of trajectories made by hand, whose answers are known without the code."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.simulation import Metrics, Trajectory, measure
+
+PERIOD = 1e-3
+FLAGS = ("saturated", "slack", "outside_domain")
+
+
+def moved(size: int, **given) -> Trajectory:
+    """A trajectory that is zero but for what is given."""
+    columns = {name: jnp.zeros(size, bool if name in FLAGS else float) for name in Trajectory._fields}
+    return Trajectory(**{**columns, **{name: jnp.asarray(value) for name, value in given.items()}})
+
+
+def answer(desired, stiffness, **options) -> float:
+    run = moved(len(desired), desired_stiffness=desired, stiffness=stiffness)
+    return float(measure(run, PERIOD, **options).stiffness_settling)
+
+
+def lag(tau: float, *, at: float = 2.0, before: float = 13.0, after: float = 17.0, duration: float = 6.0):
+    """A wish that steps and a stiffness that follows it to first order."""
+    times = np.arange(round(duration / PERIOD)) * PERIOD
+    done = -np.expm1(-np.maximum(times - at, 0.0) / tau)
+    return times, np.where(times < at - PERIOD / 2, before, after), before + (after - before) * done
+
+
+def test_root_mean_square_and_largest_error_of_angle_and_stiffness():
+    run = moved(
+        4,
+        angle=[1.0, 2.0, 3.0, 4.0],
+        desired_angle=[1.0, 2.0, 6.0, 0.0],  # errors 0, 0, -3, 4
+        stiffness=[10.0, 10.0, 10.0, 10.0],
+        desired_stiffness=[10.0, 10.0, 10.0, 18.0],  # errors 0, 0, 0, -8
+        stiffness_estimate=[10.0, 12.0, 10.0, 10.0],  # errors 0, 2, 0, 0
+    )
+    found = measure(run, PERIOD)
+    assert float(found.angle_rmse) == pytest.approx(2.5, rel=1e-15)
+    assert float(found.angle_max) == 4.0
+    assert float(found.stiffness_rmse) == pytest.approx(4.0, rel=1e-15)
+    assert float(found.stiffness_max) == 8.0
+    assert float(found.estimate_rmse) == pytest.approx(1.0, rel=1e-15)
+
+
+def test_times_are_counts_of_periods():
+    flags = {name: np.arange(50) < count for name, count in zip(FLAGS, (3, 7, 11), strict=True)}
+    found = measure(moved(50, **flags), 0.02)
+    assert [float(found.time_saturated), float(found.time_slack), float(found.time_outside_domain)] == pytest.approx(
+        [0.06, 0.14, 0.22]
+    )
+
+
+@pytest.mark.parametrize("band", [0.02, 0.1, 0.5])
+@pytest.mark.parametrize(("before", "after"), [(13.0, 17.0), (17.0, 13.0)])
+def test_a_first_order_lag_settles_when_its_exponential_has_died_down_to_the_band(band, before, after):
+    tau = 0.1
+    _, desired, stiffness = lag(tau, before=before, after=after)
+    found = answer(desired, stiffness, settling_band=band)
+    assert 0 <= found - tau * np.log(1 / band) <= PERIOD * 1.001
+
+
+def test_the_band_is_a_part_of_the_change_and_not_of_the_wish():
+    _, desired, _ = lag(0.1)
+    stiffness = np.where(desired == 17.0, 17.0 - 0.39, 13.0)  # within 10 % of the change of 4, at once
+    stiffness[2000] = 13.0  # but for the very start
+    assert answer(desired, stiffness) == pytest.approx(PERIOD)
+    assert np.isnan(answer(desired, np.where(desired == 17.0, 17.0 - 0.41, 13.0)))  # 0.41 of 17 would be 2.4 %
+
+
+def test_settled_means_for_good():
+    times, desired, stiffness = lag(0.1)
+    stiffness = np.where((times > 3.9995) & (times < 4.0995), 16.0, stiffness)  # out again from 4 s to 4.1 s
+    assert answer(desired, stiffness) == pytest.approx(2.1)
+
+
+def test_what_is_outside_at_the_end_has_never_settled():
+    _, desired, stiffness = lag(0.1)
+    stiffness[-1] = 16.0
+    assert np.isnan(answer(desired, stiffness))
+    assert np.isnan(answer(desired, np.full_like(stiffness, 13.0)))
+
+
+def test_errors_before_the_change_do_not_count():
+    times, desired, stiffness = lag(0.1)
+    assert answer(desired, np.where(times < 1.9995, 99.0, stiffness)) == answer(desired, stiffness)
+
+
+def test_the_last_change_counts():
+    times, desired, stiffness = lag(0.1)
+    earlier = np.where(times < 0.9995, 20.0, desired)
+    assert answer(earlier, stiffness) == answer(desired, stiffness)
+
+
+def test_a_constant_wish_is_settled_from_the_start():
+    times = np.arange(3000) * PERIOD
+    found = answer(np.full(3000, 15.0), 15.0 - 3.0 * np.exp(-times / 0.2))
+    assert 0 <= found - 0.2 * np.log(10) <= PERIOD * 1.001
+    assert answer(np.full(3000, 15.0), np.full(3000, 15.0)) == 0.0
+
+
+def test_where_nothing_had_to_change_the_band_is_a_thousandth_of_the_wish():
+    disturbed = lambda size: np.where((np.arange(3000) > 999) & (np.arange(3000) < 2000), 15.0 + size, 15.0)  # noqa: E731
+    assert answer(np.full(3000, 15.0), disturbed(0.014)) == 0.0
+    assert answer(np.full(3000, 15.0), disturbed(0.016)) == pytest.approx(2.0)
+
+
+def test_a_stiffness_that_is_not_a_number_is_not_settled():
+    times, desired, stiffness = lag(0.1)
+    gap = np.where((times > 2.9995) & (times < 3.4995), np.nan, stiffness)
+    assert answer(desired, gap) == pytest.approx(1.5)
+    assert np.isnan(answer(desired, np.where(times > 5, np.nan, stiffness)))
+
+
+def test_errors_that_are_not_numbers_are_not_hidden():
+    found = measure(moved(10, angle=[0.0] * 9 + [np.nan], stiffness=[np.nan] + [0.0] * 9), PERIOD)
+    for name in ("angle_rmse", "angle_max", "stiffness_rmse", "stiffness_max"):
+        assert np.isnan(float(getattr(found, name))), name
+
+
+def coupled(spikes: dict[float, float], at: float | None = 3.0) -> float:
+    """The coupling where the angle's error is zero but for spikes at given times."""
+    times = np.arange(6000) * PERIOD
+    angle = np.zeros(6000)
+    for when, size in spikes.items():
+        angle[round(when / PERIOD)] = size
+    desired = np.full(6000, 15.0) if at is None else np.where(times < at - PERIOD / 2, 13.0, 17.0)
+    return float(measure(moved(6000, angle=angle, desired_stiffness=desired), PERIOD).coupling)
+
+
+def test_coupling_compares_a_second_before_with_a_second_after():
+    assert coupled({2.5: 0.02, 3.5: -0.05}) == pytest.approx(0.03)
+    assert coupled({2.5: -0.05, 3.5: 0.02}) == pytest.approx(-0.03)
+    assert coupled({}) == 0.0
+    assert np.isnan(coupled({2.5: 0.02, 3.5: -0.05}, at=None))
+
+
+@pytest.mark.parametrize(("when", "counts"), [(1.999, 0), (2.0, -1), (2.999, -1), (3.0, 1), (3.999, 1), (4.0, 0)])
+def test_the_windows_of_coupling_end_where_they_should(when, counts):
+    assert coupled({when: 0.1}) == pytest.approx(counts * 0.1)
+
+
+def test_a_step_in_the_first_second_is_compared_with_what_there_is():
+    assert coupled({0.1: 0.01, 0.6: 0.04}, at=0.5) == pytest.approx(0.03)
+
+
+def test_errors_can_be_differentiated():
+    shape = jnp.asarray([3.0, 4.0, 0.0, 0.0])
+
+    def measured(size, name):
+        return getattr(measure(moved(4, angle=size * shape, stiffness=size * shape), PERIOD), name)
+
+    for name, expected in (("angle_rmse", 2.5), ("stiffness_rmse", 2.5), ("angle_max", 4.0), ("stiffness_max", 4.0)):
+        assert float(jax.grad(measured)(2.0, name)) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_batch_is_its_single_trajectories():
+    _, desired, stiffness = lag(0.1)
+    both = jnp.stack([jnp.asarray(stiffness), jnp.full(6000, 13.0)])
+    together = jax.vmap(lambda k: measure(moved(6000, desired_stiffness=desired, stiffness=k), PERIOD))(both)
+    for row in range(2):
+        alone = measure(moved(6000, desired_stiffness=desired, stiffness=both[row]), PERIOD)
+        for name in Metrics._fields:
+            np.testing.assert_allclose(getattr(together, name)[row], getattr(alone, name), rtol=1e-12, err_msg=name)

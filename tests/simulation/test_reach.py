@@ -1,0 +1,124 @@
+"""Is a wish within reach: against plain NumPy on the paper's equations, and in words."""
+
+import re
+
+import numpy as np
+import pytest
+
+from mckibben.control import Constant, Reference, Sine, Step
+from mckibben.plant import IdealValve, JointPlant
+from mckibben.simulation import check_reference
+from mckibben.units import deg
+
+
+def wish(amplitude: float, stiffness: float) -> Reference:
+    return Reference(angle=Sine(amplitude * deg, 0.5), stiffness=Constant(stiffness))
+
+
+@pytest.fixture(scope="module")
+def printed_plant(as_printed, load):
+    return JointPlant(as_printed, load, IdealValve())
+
+
+def scanned(paper, angle: float) -> tuple[float, float]:
+    """The stiffness band at an angle by trying very many pressures, 0..6 bar, both muscles taut and in their domain."""
+    eps = paper.contractions(angle)
+    if not all(-0.03 <= e <= 0.25 for e in eps):
+        return np.nan, np.nan
+    arm1, arm2 = paper.eq5(angle)
+    holding = -paper.G * np.sin(np.pi / 6 - angle)
+    p1 = np.linspace(0, 6e5, 60_001)
+    force2 = (holding + paper.eq3(eps[0], p1) * arm1) / arm2
+    at0, at1 = paper.eq3(eps[1], 0.0), paper.eq3(eps[1], 1e5)
+    p2 = (force2 - at0) / (at1 - at0) * 1e5
+    held = (paper.eq3(eps[0], p1) >= 0) & (force2 >= 0) & (p2 >= 0) & (p2 <= 6e5)
+    if not held.any():
+        return np.nan, np.nan
+    stiffness = paper.stiffness(angle, (p1[held], p2[held]))
+    return stiffness.min(), stiffness.max()
+
+
+@pytest.mark.parametrize("geometry", ["as printed", "pre-contracted"])
+def test_the_band_is_that_of_trying_all_pressures(geometry, printed_plant, plant, paper, paper_precontracted):
+    chosen, reference = (printed_plant, paper) if geometry == "as printed" else (plant, paper_precontracted)
+    reach = check_reference(chosen, wish(20.0, 15.0), duration=2.0, control_period=0.05)
+    assert reach.times.shape == (40,)
+    for k in range(40):
+        angle = 20 * deg * np.sin(np.pi * 0.05 * k)
+        assert reach.desired_angle[k] == pytest.approx(angle, abs=1e-12)
+        low, high = scanned(reference, angle)
+        np.testing.assert_allclose([reach.lowest[k], reach.highest[k]], [low, high], rtol=0, atol=2e-3)
+
+
+def test_it_is_the_joints_own_attainable_stiffness(plant):
+    reach = check_reference(plant, wish(10.0, 15.0), duration=2.0, control_period=0.1)
+    for k in (0, 5, 13):
+        angle = float(reach.desired_angle[k])
+        band = plant.joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle))
+        assert [reach.lowest[k], reach.highest[k]] == pytest.approx([float(x) for x in band], rel=1e-9)
+
+
+def test_as_printed_20_deg_cannot_be_held_and_it_says_when_and_by_how_much(printed_plant, paper):
+    reach = check_reference(printed_plant, wish(20.0, 72.5))
+    assert not reach.reachable
+    beyond = 10.4 * deg  # where one muscle is stretched past 3 %
+    np.testing.assert_array_equal(np.isnan(reach.shortfall), np.isnan(reach.lowest))
+    lost = np.isnan(reach.shortfall)
+    assert lost[np.abs(reach.desired_angle) > beyond].all()
+    assert not lost[np.abs(reach.desired_angle) < 10.3 * deg].any()
+
+    text = reach.describe()
+    first = np.arcsin(10.38 / 20) / np.pi
+    assert re.search(r"no pressures within limits hold the desired angle for 65% of the run", text)
+    assert float(re.search(r"first at ([\d.]+) s", text)[1]) == pytest.approx(first, abs=2e-3)
+    assert float(re.search(r"first at [\d.]+ s \(([\d.]+) deg\)", text)[1]) == pytest.approx(10.4, abs=0.05)
+
+    short = np.nan_to_num(reach.shortfall)
+    worst = int(short.argmax())
+    low, high = scanned(paper, float(reach.desired_angle[worst]))
+    assert short[worst] == pytest.approx(max(low - 72.5, 72.5 - high), abs=2e-3)
+    assert f"by up to {short[worst]:.3g} N*m/rad at {reach.times[worst]:.3g} s (wanted 72.5, attainable " in text
+
+
+def test_a_short_stiffness_alone_names_no_angle(printed_plant):
+    reach = check_reference(printed_plant, wish(5.0, 72.5))
+    assert not np.isnan(reach.lowest).any()
+    assert 5.5 < np.max(reach.shortfall) < 6.2
+    assert "no pressures" not in reach.describe()
+    assert "between 0.186 s and 9.84 s" in reach.describe()
+
+
+def test_what_is_out_of_reach_for_a_part_is_so_just_there(plant):
+    stepping = Reference(angle=Constant(0.0), stiffness=Step(before=15.0, after=25.0, at=3.0))
+    reach = check_reference(plant, stepping, duration=4.0)
+    np.testing.assert_array_equal(reach.shortfall > 0, reach.times >= 3.0)
+    assert reach.shortfall[-1] == pytest.approx(25.0 - reach.highest[-1])
+    assert "for 25% of the run, between 3 s and 4 s" in reach.describe()
+
+
+def test_from_below_as_well(plant):
+    reach = check_reference(plant, wish(0.0, 8.0), duration=0.1)
+    np.testing.assert_allclose(reach.shortfall, reach.lowest - 8.0)
+    assert reach.shortfall[0] == pytest.approx(1.96, abs=0.01)
+
+
+def test_pre_contracted_constant_15_is_within_reach(plant):
+    reach = check_reference(plant, wish(10.0, 15.0))
+    assert reach.reachable
+    assert not reach.shortfall.any()
+    assert reach.describe() == "the reference is within reach throughout"
+
+
+def test_the_ends_of_the_band_are_within_reach(plant):
+    low, high = (float(x) for x in plant.joint.attainable_stiffness(0.0, -plant.load.gravity_torque(0.0)))
+    for stiffness, reachable in ((low, True), (high, True), (low - 1e-3, False), (high + 1e-3, False)):
+        assert check_reference(plant, wish(0.0, stiffness), duration=0.01).reachable is reachable
+
+
+@pytest.mark.xfail(strict=True, reason="check_reference takes any times: nothing looked at counts as within reach")
+@pytest.mark.parametrize("times", [{"duration": 0.0}, {"duration": -1.0}, {"duration": 1.0005}, {"control_period": 0}])
+def test_times_that_make_no_sense_are_an_error_as_in_simulate(plant, times):
+    from mckibben.errors import SimulationError
+
+    with pytest.raises(SimulationError):
+        check_reference(plant, wish(0.0, 15.0), **times)
