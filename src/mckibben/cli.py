@@ -247,8 +247,8 @@ def main() -> None:
         if os.environ.get("MCKIBBEN_DEBUG"):
             raise
         typer.echo(
-            f"failed: {type(error).__name__}: {error}\nThis is a fault of mckibben. Please report it, with what the same "
-            "command prints under MCKIBBEN_DEBUG=1.",
+            f"failed: {type(error).__name__}: {error}\n"
+            "This is a fault of mckibben. Please report it, with what the same command prints under MCKIBBEN_DEBUG=1.",
             err=True,
         )
         sys.exit(1)

@@ -26,8 +26,8 @@ _LOST = 1e6  # the cost of a run that did not stay finite
 class Cost(NamedTuple):
     """What a set of gains costs: RMS errors of angle and stiffness, each by its scale, summed over references.
 
-    Errors alone would drive the gains to the brink of instability. So the cost is the larger of that of the gains as they
-    are, and of all of them multiplied by the margin.
+    Errors alone would drive the gains to the brink of instability. So the cost is the larger of that of the gains as
+    they are, and of all of them multiplied by the margin.
 
     Attributes
     ----------

@@ -1,0 +1,80 @@
+"""What users name in commands."""
+
+import pytest
+
+from mckibben import catalog
+from mckibben.errors import FileError, McKibbenError, NotInCatalogError
+from mckibben.identification import identify
+from mckibben.muscle import ChouLaw, ExponentialLaw
+from mckibben.study.inputs import data_named, law_named, law_type_named
+
+
+def test_data_of_the_catalog_by_name_and_of_a_file_by_path(tmp_path):
+    named = data_named("festo-tool-10mm")
+    assert named.table.identical(catalog.dataset("festo-tool-10mm").table)
+    named.to_netcdf(tmp_path / "copy.nc")
+    assert data_named(str(tmp_path / "copy.nc")).table.identical(named.table)
+
+
+def test_a_file_of_the_name_of_an_entry_comes_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "festo-tool-10mm").write_text("pressure_bar,contraction_percent,force_N\n1,0,80\n1,5,40\n")
+    assert len(data_named("festo-tool-10mm")) == 2
+
+
+def test_data_that_is_neither_is_an_error(tmp_path):
+    with pytest.raises(FileError, match="nowhere"):
+        data_named(str(tmp_path / "nowhere.csv"))
+
+
+def test_a_law_by_name_of_a_specimen_and_of_a_fit_file(tmp_path):
+    eq3 = law_named("lei-mas-10-180n")
+    assert float(eq3.force(0.0, 6e5)) == pytest.approx(584.72)
+    chou = law_named("chou", specimen="MAS-10-180N-AA-MC-O")
+    assert isinstance(chou, ChouLaw)
+    assert float(chou.force(0.0, 6e5)) == pytest.approx(386, abs=0.5)
+    fit = identify(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
+    fit.to_yaml(tmp_path / "fit.yaml")
+    assert float(law_named(str(tmp_path / "fit.yaml")).force(0.05, 3e5)) == float(fit.law.force(0.05, 3e5))
+
+
+def test_chou_needs_a_specimen():
+    with pytest.raises(NotInCatalogError, match="--specimen, one of MAS-10-180N-AA-MC-O, DMSP-10-250"):
+        law_named("chou")
+    with pytest.raises(NotInCatalogError, match="nobody"):
+        law_named("chou", specimen="nobody")
+
+
+def test_an_unknown_law_names_the_known():
+    with pytest.raises(NotInCatalogError, match=r"no law 'x'; give a fit file .* lei-mas-10-180n") as caught:
+        law_named("x")
+    assert caught.value.value == "x"
+    with pytest.raises(FileError, match=r"gone\.yaml"):
+        law_named("gone.yaml")
+
+
+@pytest.mark.parametrize("name", ["exponential", "Exponential", "ExponentialLaw", "EXPONENTIALLAW"])
+def test_kinds_of_law_in_any_case(name):
+    assert law_type_named(name) is ExponentialLaw
+
+
+@pytest.mark.parametrize("name", ["", "law", "expo", "chou "])
+def test_no_other_kind_is_guessed(name):
+    with pytest.raises(NotInCatalogError, match="known are chou, exponential"):
+        law_type_named(name)
+
+
+@pytest.mark.xfail(strict=True, reason="for an entry of the catalog the options are dropped without a word")
+def test_options_are_followed_or_refused_for_catalog_entries_too():
+    try:
+        found = data_named("festo-tool-10mm", slack_force=100.0)
+    except McKibbenError:
+        return
+    assert found.taut.force.min() > 100.0
+
+
+@pytest.mark.xfail(strict=True, raises=FileError, reason="a folder of that name is taken for a fit file")
+def test_a_folder_of_the_name_of_a_law_is_no_fit_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lei-mas-10-180n").mkdir()
+    assert isinstance(law_named("lei-mas-10-180n"), ExponentialLaw)
