@@ -7,7 +7,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.control import PID, Constant, PositionStiffnessControl, Reference, Sine
-from mckibben.errors import ReachabilityWarning, SimulationError, UnreachableError
+from mckibben.errors import RangeError, ReachabilityWarning, SimulationError, UnreachableError
 from mckibben.muscle import Muscle
 from mckibben.plant import PlantState
 from mckibben.simulation import simulate
@@ -68,8 +68,11 @@ def test_substeps_are_at_least_one(plant, control, substeps):
 
 
 def test_a_start_that_cannot_be_held_is_an_error(plant, control):
+    heavy = eqx.tree_at(lambda p: p.load.mass2, plant, 50.0)
+    with pytest.raises(UnreachableError, match="0 deg"):
+        simulate(heavy, control, WISH, duration=0.1)
     far = Reference(angle=Constant(60 * deg), stiffness=Constant(15.0))
-    with pytest.raises(UnreachableError, match="60 deg"):
+    with pytest.raises(RangeError, match=r"contraction -4\.6 % is outside -3\.\.25 % of MAS-10-180N"):
         simulate(plant, control, far, duration=0.1)
 
 

@@ -104,7 +104,7 @@ def test_negative_gains_stay_negative_and_a_narrow_search_says_that_it_ends_at_i
         lambda c: (c.stiffness.kp, c.stiffness.ki, c.position.ki), control, (-0.001 * bar, -0.01 * bar, 0.0)
     )
     found = tune_pid(
-        plant, reverse, WISHES, SCALES, initial=initial, seed=0, decades=1e-3, **(SMALL | {"generations": 10})
+        plant, reverse, WISHES, SCALES, initial=initial, seed=0, decades=1e-3, **(SMALL | {"generations": 60})
     )
     assert found.stiffness.kp < 0
     assert found.stiffness.ki < 0

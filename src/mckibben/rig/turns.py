@@ -10,14 +10,18 @@ from mckibben.units import mm
 
 
 def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> IsobaricDataset:
-    """The points of a dataset that lie at least a travel beyond the start of their stroke.
+    """The points of a dataset that lie at least a travel from both ends of their stroke, in both directions.
+
+    Friction adds to the force in one direction and takes from it in the other, so that a law fitted to both runs between
+    them. Near a turn that balance is missing: just after it friction still has the sign of before, and where those points
+    alone were left out the other direction would stand there alone. So both are left out.
 
     Parameters
     ----------
     dataset
         Its points need a direction, and its specimen an initial length.
     travel
-        How far the muscle has to have moved since it turned [m].
+        How far from the turns the points have to be [m].
 
     Raises
     ------
@@ -31,11 +35,11 @@ def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> Isob
             remedy="give both, or keep all points",
         )
     levels, contraction = dataset.levels, dataset.contraction
-    directions = table["direction"].to_numpy()
     repeats = table["repeat"].to_numpy() if "repeat" in table else np.zeros(len(dataset), int)
+    margin = travel / table.attrs["initial_length"] - 1e-9
     keep = np.ones(len(dataset), bool)
-    for level, repeat, direction in {*zip(levels, repeats, directions, strict=True)}:
-        stroke = (levels == level) & (repeats == repeat) & (directions == direction)
-        start = contraction[stroke].max() if direction == "loading" else contraction[stroke].min()
-        keep[stroke] = np.abs(contraction[stroke] - start) * table.attrs["initial_length"] >= travel - 1e-9
+    for level, repeat in {*zip(levels, repeats, strict=True)}:
+        stroke = (levels == level) & (repeats == repeat)
+        ends = contraction[stroke].min(), contraction[stroke].max()
+        keep[stroke] = (contraction[stroke] - ends[0] >= margin) & (ends[1] - contraction[stroke] >= margin)
     return dataset.select(keep)
