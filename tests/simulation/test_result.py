@@ -29,7 +29,7 @@ def completed(plant, knee):
 def saturated(plant, knee):
     wish = Reference(angle=Constant(0.0), stiffness=Constant(30.0))
     with pytest.warns(ReachabilityWarning):
-        return simulate(plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), wish, duration=0.3)
+        return simulate(plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), wish, duration=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def left_domain(as_printed, load, playback):
     """All pressure on one side, from rest: the joint swings over to where the other muscle is stretched too far."""
     wish = Reference(angle=Constant(0.0), stiffness=Constant(6 * bar))  # playback: p1 = 0, p2 = 6 bar
     with pytest.warns(ReachabilityWarning):
-        return simulate(JointPlant(as_printed, load, IdealValve()), playback, wish, duration=0.3)
+        return simulate(JointPlant(as_printed, load, IdealValve()), playback, wish, duration=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_diverged(diverged):
 def test_slack_is_said_of_a_run_that_completed(plant, knee, playback):
     wish = Reference(angle=Constant(0.0), stiffness=Constant(3e5))  # playback: p1 = 0, p2 = 3 bar
     with pytest.warns(ReachabilityWarning):
-        result = simulate(plant, playback, wish, duration=0.3, initial=PlantState(0.0, 0.0, 0.0, 1e5))
+        result = simulate(plant, playback, wish, duration=0.2, initial=PlantState(0.0, 0.0, 0.0, 1e5))
     slack = (result.table["force1"] <= 0) | (result.table["force2"] <= 0)
     assert slack.any()
     np.testing.assert_array_equal(result.table["slack"], slack)
@@ -134,7 +134,7 @@ def test_what_a_learning_controller_reports_has_units_too(plant, knee):
 
     scenario = Scenario.read("examples/pre-contracted-step-backprop.yaml")
     wish = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
-    table = simulate(scenario.plant(), scenario.control(), wish, duration=0.01).table
+    table = simulate(scenario.plant(), scenario.control(), wish, duration=0.2).table
     assert "position_kp" in table
     assert all(table[name].attrs["units"] for name in table.variables)
 
@@ -217,7 +217,7 @@ def test_a_file_that_is_nearly_a_result_is_an_error_of_ours(completed, tmp_path,
     raise AssertionError("it was taken for a result")
 
 
-@pytest.mark.xfail(strict=True, reason="h5netcdf raises KeyError and RuntimeError too; only OSError, ValueError are met")
+@pytest.mark.xfail(strict=True, reason="h5netcdf raises KeyError and RuntimeError too")
 def test_a_damaged_file_is_an_error_of_ours_whatever_the_damage(completed, tmp_path):
     completed.to_netcdf(tmp_path / "run.nc")
     whole = (tmp_path / "run.nc").read_bytes()
@@ -239,7 +239,7 @@ def test_a_damaged_file_is_an_error_of_ours_whatever_the_damage(completed, tmp_p
 @pytest.mark.xfail(strict=True, raises=IndexError, reason="describe looks for a last finite sample where there is none")
 def test_a_run_that_never_was_finite_can_be_described(plant, knee, playback):
     wish = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
-    result = simulate(plant, playback, wish, duration=0.01, initial=PlantState(np.nan, 0.0, 1e5, 1e5))
+    result = simulate(plant, playback, wish, duration=0.2, initial=PlantState(np.nan, 0.0, 1e5, 1e5))
     assert result.outcome is Outcome.DIVERGED
     assert "diverged" in result.describe()
 
@@ -248,6 +248,6 @@ def test_a_run_that_never_was_finite_can_be_described(plant, knee, playback):
 def test_a_pressure_outside_the_domain_is_not_silent(plant, knee):
     wish = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
     control = PositionStiffnessControl(POSITION, STIFFNESS, model=knee)
-    result = simulate(plant, control, wish, duration=0.1, initial=PlantState(0.0, 0.0, 9 * bar, 9 * bar))
+    result = simulate(plant, control, wish, duration=0.2, initial=PlantState(0.0, 0.0, 9 * bar, 9 * bar))
     assert float(result.table["pressure1"][0]) > float(eqx.filter(knee, True).muscle1.domain.pressure_max)
     assert result.outcome is Outcome.LEFT_DOMAIN

@@ -70,10 +70,10 @@ def test_substeps_are_at_least_one(plant, control, substeps):
 def test_a_start_that_cannot_be_held_is_an_error(plant, control):
     heavy = eqx.tree_at(lambda p: p.load.mass2, plant, 50.0)
     with pytest.raises(UnreachableError, match="0 deg"):
-        simulate(heavy, control, WISH, duration=0.1)
+        simulate(heavy, control, WISH, duration=0.2)
     far = Reference(angle=Constant(60 * deg), stiffness=Constant(15.0))
     with pytest.raises(RangeError, match=r"contraction -4\.6 % is outside -3\.\.25 % of MAS-10-180N"):
-        simulate(plant, control, far, duration=0.1)
+        simulate(plant, control, far, duration=0.2)
 
 
 def test_the_same_inputs_give_the_same_run_and_stay_as_they_were(plant, control):
@@ -88,19 +88,19 @@ def test_the_same_inputs_give_the_same_run_and_stay_as_they_were(plant, control)
 
 def test_it_starts_at_rest_on_the_wish_unless_told(plant, control):
     shifted = Reference(angle=Constant(5 * deg), stiffness=Constant(15.0))
-    table = simulate(plant, control, shifted, duration=0.05).table
+    table = simulate(plant, control, shifted, duration=0.2).table
     assert float(table["angle"][0]) == pytest.approx(5 * deg)
     assert float(table["velocity"][0]) == 0.0
     low, high = float(table["lowest_stiffness"][0]), float(table["highest_stiffness"][0])
     assert float(table["stiffness"][0]) == pytest.approx((low + high) / 2, rel=1e-6)  # affine: amid the co-contractions
-    given = simulate(plant, control, shifted, duration=0.05, initial=PlantState(0.02, 0.3, 2e5, 2.5e5)).table
+    given = simulate(plant, control, shifted, duration=0.2, initial=PlantState(0.02, 0.3, 2e5, 2.5e5)).table
     for name, value in (("angle", 0.02), ("velocity", 0.3), ("pressure1", 2e5), ("pressure2", 2.5e5)):
         assert float(given[name][0]) == value
 
 
 def test_a_start_in_whole_numbers_is_a_start(plant, control):
-    whole = simulate(plant, control, WISH, duration=0.05, initial=PlantState(0, 0, 200_000, 200_000))
-    real = simulate(plant, control, WISH, duration=0.05, initial=PlantState(0.0, 0.0, 2e5, 2e5))
+    whole = simulate(plant, control, WISH, duration=0.2, initial=PlantState(0, 0, 200_000, 200_000))
+    real = simulate(plant, control, WISH, duration=0.2, initial=PlantState(0.0, 0.0, 2e5, 2e5))
     assert whole.table.identical(real.table)
 
 
@@ -109,15 +109,15 @@ def test_out_of_reach_is_a_warning_in_words(as_printed, load, plant, control):
 
     far = Reference(angle=Sine(20 * deg, 0.5), stiffness=Constant(72.5))
     with pytest.warns(ReachabilityWarning, match="no pressures within limits hold the desired angle") as caught:
-        simulate(JointPlant(as_printed, load, IdealValve()), control_of(as_printed), far, duration=0.5)
+        simulate(JointPlant(as_printed, load, IdealValve()), control_of(as_printed), far, duration=0.2)
     assert len([w for w in caught if w.category is ReachabilityWarning]) == 1
     assert caught[0].filename == __file__  # it points to the caller
-    simulate(plant, control, WISH, duration=0.1)  # silent; a warning of ours would be an error here
+    simulate(plant, control, WISH, duration=0.2)  # silent; a warning of ours would be an error here
 
 
 def test_a_true_model_estimates_truly_and_a_wrong_one_wrongly(plant, knee, other_knee):
     true, wrong = (
-        simulate(plant, control_of(model), WISH, duration=0.5, initial=PlantState(0.0, 0.0, 2.5e5, 2.5e5))
+        simulate(plant, control_of(model), WISH, duration=0.2, initial=PlantState(0.0, 0.0, 2.5e5, 2.5e5))
         for model in (knee, other_knee)
     )
     assert true.metrics()["estimate_rmse"] < 1e-9
@@ -152,4 +152,4 @@ def test_the_numbers_in_the_error_tell_the_two_apart(plant, control):
 @pytest.mark.xfail(strict=True, raises=TypeError, reason="a fraction of a substep reaches JAX")
 def test_substeps_are_whole(plant, control):
     with pytest.raises(SimulationError):
-        simulate(plant, control, WISH, duration=0.1, substeps=2.5)
+        simulate(plant, control, WISH, duration=0.2, substeps=2.5)

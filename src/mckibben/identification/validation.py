@@ -12,7 +12,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
-from mckibben.muscle import ForceLaw
+from mckibben.muscle import ForceLaw, forces
 from mckibben.units import bar
 
 
@@ -189,7 +189,7 @@ def validate(laws: Sequence[ForceLaw] | Mapping[str, ForceLaw], dataset: Isobari
     groups = list(_groups(points))
     errors: list[Errors] = []
     for name, law in named.items():
-        difference = np.asarray(law.force(points.contraction, points.pressure)) - points.force
+        difference = forces(law, points.contraction, points.pressure) - points.force
         outside = ~np.asarray(law.domain.contains(points.contraction, points.levels))
         for pressure, direction, mask in groups:
             part = difference[mask]

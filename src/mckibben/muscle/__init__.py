@@ -4,7 +4,7 @@ from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
 from mckibben.muscle.chou import ChouLaw
 from mckibben.muscle.domain import Domain
 from mckibben.muscle.exponential import ExponentialLaw
-from mckibben.muscle.muscle import Muscle
+from mckibben.muscle.muscle import Muscle, forces
 from mckibben.muscle.specimen import Specimen
 
 LAWS: dict[str, type[ForceLaw]] = {law.__name__: law for law in (ChouLaw, ExponentialLaw)}
@@ -20,4 +20,5 @@ __all__ = [
     "Parameter",
     "PressureAffineLaw",
     "Specimen",
+    "forces",
 ]

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
+from numpy.typing import NDArray
 
 from mckibben.muscle.base import ForceLaw
 from mckibben.muscle.domain import Domain
 from mckibben.muscle.specimen import Specimen
+from mckibben.numerics.compiled import compiled
 from mckibben.numerics.derivative import derivative
 
 
@@ -46,3 +49,13 @@ class Muscle(eqx.Module):
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         """The gauge pressure [Pa] that gives a force [N] at a contraction [-]; it may lie outside the domain."""
         return self.law.pressure_for(force, contraction)
+
+
+def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:
+    """The force [N] of a muscle or law at measured points, as NumPy has it: for analysis, compiled as one piece."""
+    return np.asarray(_force(of, jnp.asarray(contraction), jnp.asarray(pressure)))
+
+
+@compiled
+def _force(of: Muscle | ForceLaw, contraction: Array, pressure: Array) -> Array:
+    return of.force(contraction, pressure)

@@ -10,6 +10,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from mckibben.numerics.runtime import batch_options
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -38,5 +40,22 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         args, kwargs = numeric((args, kwargs))
         return traced(*args, **kwargs)
+
+    return call
+
+
+def compiled_batch(function: Callable[P, R]) -> Callable[P, R]:
+    """`equinox.filter_jit` for functions over many lanes, with the options that suit the processor.
+
+    Arrays are traced, everything else is static; pass trees through `numeric` first.
+    """
+
+    @functools.cache
+    def traced() -> Callable[P, R]:  # not before the first call: the options depend on the device
+        return eqx.filter_jit(function, compiler_options=batch_options() or None)  # type: ignore[call-overload]
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        return traced()(*args, **kwargs)
 
     return call

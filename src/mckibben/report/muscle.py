@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit, Validation
-from mckibben.muscle import ForceLaw
+from mckibben.muscle import ForceLaw, forces
 from mckibben.report.panels import beside, legend_above, letter
 from mckibben.report.style import (
     DOUBLE,
@@ -104,7 +104,7 @@ def law_comparison(
         points = dataset.at(level)
         _points(axes, points)
         for (name, law), look in zip(laws.items(), (EXPERIMENTAL, THEORETICAL), strict=False):
-            axes.plot(contraction / percent, np.asarray(law.force(contraction, level)), label=name, zorder=4, **look)
+            axes.plot(contraction / percent, forces(law, contraction, level), label=name, zorder=4, **look)
         letter(axes, "abcdefghijkl"[i % 12], f"{level / bar:g} bar")
         if validation:
             lines = [f"RMSE {name.split(' (')[0]}: {validation.of(name, pressure=level).rmse:.1f} N" for name in laws]
@@ -162,7 +162,7 @@ def _fitted(found: Mapping[str, tuple[IsobaricDataset, Fit | None]]) -> Figure:
             axes.plot(slack.contraction / percent, slack.force, "x", color="#999999", markersize=3)
         if fit:
             _curves(axes, data, fit.law, scale)
-            difference = taut.force - np.asarray(fit.law.force(taut.contraction, taut.pressure))
+            difference = taut.force - forces(fit.law, taut.contraction, taut.pressure)
             _coloured(grid[1, i], taut, difference, scale)
             grid[1, i].axhline(0, color="#444444", linewidth=0.7)
             grid[1, i].set(xlabel=_CONTRACTION, ylabel="measured − fitted [N]" if i == 0 else "")
@@ -232,7 +232,7 @@ def _curves(axes: Axes, data: IsobaricDataset, law: ForceLaw, scale: Normalize) 
     for level in levels:
         there = data.contraction[data.levels == level]
         contraction = np.linspace(float(there.min()) if there.size else first, last, 300)
-        force = np.asarray(law.force(contraction, level))
+        force = forces(law, contraction, level)
         # A muscle cannot push: the curve ends where it goes slack.
         taut = np.where(force > 0, force, np.nan)
         axes.plot(contraction / percent, taut, color=pressure_colours()(scale(level / bar)), linewidth=0.9, zorder=2)

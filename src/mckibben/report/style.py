@@ -119,6 +119,10 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str) -> tuple[Pat
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)  # once, not at every draw: it takes as long as the drawing
+        figure.set_layout_engine("none")
     figure.savefig(svg, format="svg", metadata={"Date": None, "Creator": None})
     figure.savefig(png, format="png", metadata={"Software": None})
     return png, svg

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
-from mckibben.muscle import Muscle, Specimen
+from mckibben.muscle import Muscle, Specimen, forces
 from mckibben.units import bar
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def boundaries(of: Muscle | Specimen, protocol: IsobaricProtocol) -> Boundaries:
     if isinstance(of, Specimen):
         ends = (np.full(len(pressures), end) for end in (stroke[0], stroke[-1]))
         return Boundaries(pressures, *ends)
-    force = np.asarray(of.force(stroke, pressures[:, None]))
+    force = forces(of, stroke, pressures[:, None])
     limit = float(of.specimen.rated_force) * (1 - protocol.force_reserve)
     first = _after_last(force > limit)
     last = np.minimum(np.maximum(_after_last(force > 0), first) + protocol.slack_steps, len(stroke)) - 1

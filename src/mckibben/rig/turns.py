@@ -12,9 +12,9 @@ from mckibben.units import mm
 def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> IsobaricDataset:
     """The points of a dataset that lie at least a travel from both ends of their stroke, in both directions.
 
-    Friction adds to the force in one direction and takes from it in the other, so that a law fitted to both runs between
-    them. Near a turn that balance is missing: just after it friction still has the sign of before, and where those points
-    alone were left out the other direction would stand there alone. So both are left out.
+    Friction adds to the force in one direction and takes from it in the other, so that a law fitted to both runs
+    between them. Near a turn that balance is missing: just after it friction still has the sign of before, and where
+    those points alone were left out the other direction would stand there alone. So both are left out.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError
-from mckibben.muscle import Muscle
+from mckibben.muscle import Muscle, forces
 from mckibben.rig.friction import presliding
 from mckibben.rig.protocol import IsobaricProtocol, Plateaus
 from mckibben.units import N, bar, kPa, mm, percent
@@ -127,7 +127,7 @@ class VirtualRig:
         set_pressure = np.array(protocol.pressures)[rows.level]
         offsets = regulator.uniform(-1, 1, (len(protocol.pressures), protocol.repeats)) * self.regulator_offset
         pressure = np.maximum(set_pressure + offsets[rows.level, rows.repeat], np.minimum(set_pressure, 0.0))
-        tension = np.asarray(self.muscle.force(rows.contraction, pressure))
+        tension = forces(self.muscle, rows.contraction, pressure)
         force = tension + self._shares(rows) * self._friction(tension)
 
         force_samples = _sampled(force, self.force_noise, protocol.samples, force_sensor)
@@ -165,7 +165,7 @@ class VirtualRig:
 
     def _check_rating(self, protocol: IsobaricProtocol, rows: Plateaus) -> None:
         pressures = np.array(protocol.pressures)[rows.level]
-        tension = np.asarray(self.muscle.force(rows.contraction, pressures + self.regulator_offset))
+        tension = forces(self.muscle, rows.contraction, pressures + self.regulator_offset)
         highest = tension + self._friction(tension)
         at, rated = int(np.argmax(highest)), float(self.muscle.specimen.rated_force)
         if highest[at] > rated:

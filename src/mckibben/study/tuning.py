@@ -14,7 +14,7 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint
-from mckibben.numerics.compiled import numeric
+from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import episode
 from mckibben.simulation.loop import sampled
@@ -181,7 +181,7 @@ def _initial_population(start: NDArray, decades: float, population: int, seed: i
     return start + spread
 
 
-@eqx.filter_jit
+@compiled_batch
 def _costs(
     plant: JointPlant,
     controller: PositionStiffnessControl,

@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from mckibben.control import PositionStiffnessControl, Setpoint
 from mckibben.errors import ReachabilityWarning
-from mckibben.numerics.compiled import numeric
+from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import Metrics, Result, Trajectory, episode, measure, trajectory
 from mckibben.simulation.loop import compiled_episode, sampled
@@ -171,7 +171,7 @@ def _run_bp(scenario: Scenario, seeds: int) -> Run:
     return Run(scenario, run_quietly(scenario), measured)
 
 
-@eqx.filter_jit
+@compiled_batch
 def _over_seeds(
     plant: JointPlant,
     control: PositionStiffnessControl,

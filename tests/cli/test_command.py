@@ -1,0 +1,130 @@
+"""The command as a whole: exit codes, what goes where, what is imported."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+import mckibben
+from mckibben import catalog
+from mckibben.muscle import LAWS
+
+
+def run(*arguments: str, cwd=None, **environment: str) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "mckibben.cli", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env={k: v for k, v in os.environ.items() if k != "MCKIBBEN_DEBUG"} | environment,
+        timeout=120,
+    )
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["simulate", "--help"], ["--version"]])
+def test_help_is_had_without_heavy_imports(arguments):
+    code = (
+        "import sys; sys.argv = ['mckibben', *sys.argv[1:]]\n"
+        "from mckibben.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code, end.code\n"
+        "print([m for m in ('jax', 'equinox', 'matplotlib', 'scipy', 'xarray', 'numpy')\n"
+        "       if m in sys.modules], file=sys.stderr)\n"
+    )
+    found = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60)
+    assert found.returncode == 0, found.stderr
+    assert found.stderr.strip() == "[]"
+    assert "mckibben" in found.stdout
+
+
+def test_help_names_every_command_and_the_exit_codes(cli):
+    text = cli("--help").out
+    for command in ("reproduce", "identify", "validate", "simulate", "laws", "specimens"):
+        assert re.search(rf"\b{command}\b", text), command
+        assert cli(command, "--help").code == 0
+    assert "0 done, 1 failed, 2 bad input" in text
+
+
+def test_a_process_that_is_done_ends_with_0(tmp_path):
+    found = run("identify", "festo-tool-10mm", "--json", cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path))
+    assert (found.returncode, found.stderr) == (0, "")
+    assert json.loads(found.stdout)["decay_per_percent"] == pytest.approx(0.340, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["identify", "nowhere.csv"], "error: nowhere.csv: 1 problem\n  there is no such file\n"),
+        (["identify", "festo-tool-10mm", "--law", "x"], "error: there is no law 'x'; known are chou, exponential\n"),
+    ],
+)
+def test_bad_input_ends_with_2_and_nothing_but_the_message(tmp_path, arguments, said):
+    found = run(*arguments, cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path))
+    assert (found.returncode, found.stdout, found.stderr) == (2, "", said)
+
+
+@pytest.mark.parametrize("arguments", [["identify"], ["simulat"], ["identify", "x", "--lw", "y"]])
+def test_bad_usage_ends_with_2(cli, arguments):
+    found = cli(*arguments)
+    assert found.code == 2
+    assert found.out == ""
+    assert "Usage" in found.err
+
+
+def test_a_fault_of_ours_ends_with_1_and_says_what_to_do(cli, monkeypatch):
+    import mckibben.study.inputs
+
+    def faulty(*_, **__):
+        raise ZeroDivisionError("deep inside")
+
+    monkeypatch.setattr(mckibben.study.inputs, "data_named", faulty)
+    found = cli("identify", "festo-tool-10mm")
+    assert (found.code, found.out) == (1, "")
+    assert found.err.startswith("failed: ZeroDivisionError: deep inside\n")
+    assert "MCKIBBEN_DEBUG=1" in found.err
+    assert "Traceback" not in found.err
+    monkeypatch.setenv("MCKIBBEN_DEBUG", "1")
+    with pytest.raises(ZeroDivisionError):
+        cli("identify", "festo-tool-10mm")
+
+
+def test_version(cli):
+    assert cli("--version") == (0, f"mckibben {mckibben.__version__}\n", "")
+
+
+def test_laws(cli):
+    found = cli("laws")
+    assert (found.code, found.err) == (0, "")
+    for name, law in LAWS.items():
+        assert name in found.out
+        assert law.equation in found.out
+    assert "contraction -3..25 %, pressure 0..6 bar" in found.out
+    numbers = json.loads(cli("laws", "--json").out)
+    assert set(numbers["laws"]) == set(LAWS)
+    assert numbers["published"]["lei-mas-10-180n"]["law"] == "ExponentialLaw"
+
+
+def test_specimens(cli):
+    found = cli("specimens")
+    assert (found.code, found.err) == (0, "")
+    numbers = json.loads(cli("specimens", "--json").out)
+    assert set(numbers["specimens"]) == set(catalog.names("specimens"))
+    assert set(numbers["datasets"]) == set(catalog.names("datasets"))
+    for name in (*numbers["specimens"], *numbers["datasets"]):
+        assert name in found.out
+    paper = numbers["specimens"]["MAS-10-180N-AA-MC-O"]
+    assert (paper["initial_length_mm"], paper["initial_diameter_mm"], paper["rated_force_N"]) == pytest.approx(
+        (180, 10, 630)
+    )
+
+
+def test_names_survive_the_width_of_a_pipe(cli, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    found = cli("specimens").out
+    for kind in ("specimens", "datasets"):
+        for name in catalog.names(kind):
+            assert name in found
