@@ -49,7 +49,7 @@ def main() -> int:
     control = PositionStiffnessControl(POSITION, STIFFNESS, model=joint)
     reference = Reference(Sine(10 * deg, 0.5), Step(13.0, 17.0, 5.0))
     start = plant.at_rest(0.0, stiffness=12.0)
-    _, wishes = sampled(reference, PERIODS, PERIOD)
+    _, wishes = sampled(reference, PERIODS * PERIOD, PERIOD)
 
     traced = numeric((plant, control, wishes, start, PERIOD))
 

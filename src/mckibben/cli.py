@@ -14,6 +14,7 @@ import typer
 
 import mckibben
 from mckibben.errors import McKibbenError, McKibbenWarning, UnitError
+from mckibben.files import folder
 
 if TYPE_CHECKING:
     from mckibben.simulation import Result
@@ -28,6 +29,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+_PIPED_WIDTH = 240  # columns of a table that goes into a file or a pipe
 
 Json = Annotated[bool, typer.Option("--json", help="Print machine-readable results instead of a table.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Keep results, figures and data here.")]
@@ -50,7 +53,7 @@ def reproduce(
     json: Json = False,
 ) -> None:
     """Run the paper end to end: test, identification, knee, control; to a report with figures."""
-    out.mkdir(parents=True, exist_ok=True)  # before the work, so that nothing is lost
+    folder(out)  # before the work, so that nothing is lost
     from mckibben.study.numbers import to_json
 
     with _progress() as report:
@@ -86,6 +89,8 @@ def identify(
     out: Out = None,
 ) -> None:
     """Fit a force law to measured points: estimates with standard errors, and errors at unseen pressures."""
+    if out:
+        folder(out)
     from mckibben.study.inputs import data_named, law_type_named
 
     law_type = law_type_named(law)
@@ -99,7 +104,6 @@ def identify(
     if out:
         from mckibben import report
 
-        out.mkdir(parents=True, exist_ok=True)
         fit.to_yaml(out / "fit.yaml")
         measured.to_netcdf(out / "data.nc")
         write_json(out / "results.json", numbers)
@@ -119,6 +123,8 @@ def validate(
     out: Out = None,
 ) -> None:
     """Hold a force law against measured points: errors by pressure and direction."""
+    if out:
+        folder(out)
     from mckibben.study.inputs import data_named, law_named
 
     known = law_named(law, specimen=specimen)
@@ -130,7 +136,6 @@ def validate(
     numbers = {"slack": validation.slack, "errors": validation.records()}
     typer.echo(to_json(numbers) if json else validation.report())
     if out:
-        out.mkdir(parents=True, exist_ok=True)
         write_json(out / "results.json", numbers)
         _said(f"kept results.json in {out}", json)
 
@@ -142,28 +147,28 @@ def simulate(
     out: Out = None,
 ) -> None:
     """Run a controller on a joint, from a scenario file."""
+    if out:
+        folder(out)
     from mckibben.study.scenario import Scenario
 
     read = Scenario.read(scenario)
     from mckibben.study.numbers import METRICS, shown, to_json, write_json
     from mckibben.study.running import run_scenario
 
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", McKibbenWarning)
-        result = run_scenario(read)
-    reach = "; ".join(str(w.message) for w in caught if issubclass(w.category, McKibbenWarning))
+    result, reach = run_scenario(read)
+    out_of_reach = "" if reach.reachable else reach.describe()
     numbers = {
         "scenario": read.name,
         "outcome": result.outcome.name.lower(),
         "described": result.describe(),
-        "out_of_reach": reach,
+        "out_of_reach": out_of_reach,
         "metrics": shown(result.metrics()),
     }
     if json:
         typer.echo(to_json(numbers))
     else:
-        if reach:
-            typer.echo(f"warning: {reach}", err=True)
+        if out_of_reach:
+            typer.echo(f"warning: {out_of_reach}", err=True)
         rows = [
             (METRICS[name][0].replace("_", " "), "never" if value != value else f"{value:.4g}", METRICS[name][1])
             for name, value in numbers["metrics"].items()
@@ -271,25 +276,25 @@ def _reading(columns: list[str] | None, initial_length: str, slack_force: str) -
     }
 
 
-def _keep_run(folder: Path, scenario: Scenario, result: Result) -> None:
+def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:
     from mckibben import report
 
-    folder.mkdir(parents=True, exist_ok=True)
-    scenario.to_yaml(folder / "scenario.yaml")
-    result.to_netcdf(folder / "result.nc")
-    report.save(report.tracking({scenario.name: result}), folder, "tracking")
+    scenario.to_yaml(out / "scenario.yaml")
+    result.to_netcdf(out / "result.nc")
+    report.save(report.tracking({scenario.name: result}), out, "tracking")
 
 
 def _table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(*headers, box=box.SIMPLE_HEAD)
     for row in rows:
-        table.add_row(*row)
-    console = Console(highlight=False)
-    console.print(title)
+        table.add_row(*map(Text, row))
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else _PIPED_WIDTH)
+    console.print(Text(title))
     console.print(table)
 
 

@@ -168,13 +168,11 @@ def test_validate_with_what_does_not_exist(cli):
     assert cli("validate", "lei-mas-10-180n", "nobody.csv").code == 2
 
 
-@pytest.mark.xfail(strict=True, reason="for a dataset of the catalog --slack-force is dropped without a word")
 def test_options_are_not_ignored_silently(cli):
     found = cli("identify", "festo-tool-10mm", "--slack-force", "100 N", "--json")
     assert found.code == 2 or found.err or json.loads(found.out)["points_slack"] > 1
 
 
-@pytest.mark.xfail(strict=True, reason="the folder is made after the work: a file in its place is noticed too late")
 def test_a_folder_that_cannot_be_made_is_said_before_the_work(cli, tmp_path):
     (tmp_path / "taken").write_text("a file")
     found = cli("identify", FESTO, "--out", "taken")

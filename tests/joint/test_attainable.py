@@ -157,9 +157,7 @@ def test_an_angle_that_stretches_a_muscle_too_far_is_refused_with_the_contractio
         as_printed.pressures_for(math.radians(11), -0.5, 112.0)
 
 
-@pytest.mark.parametrize(
-    "end", [0, 1]
-)
+@pytest.mark.parametrize("end", [0, 1])
 def test_the_ends_of_the_band_belong_to_it(knee, end):
     stiffness = float(attainable(knee, 0.0, -0.7)[end])
     held = knee.pressures_for(0.0, -0.7, stiffness)

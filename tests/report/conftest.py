@@ -22,8 +22,8 @@ from mckibben.study.paper.tracking import (
     Coupling,
     Run,
     Tracking,
-    run_quietly,
 )
+from mckibben.study.running import run_scenario
 from mckibben.study.tuning import Tuned
 
 SEEDS = 3
@@ -53,10 +53,10 @@ def reproduction():
         for wish in Wish:
             for name, given in ((PID, None), (TUNED_PID, gains)):
                 scenario = pid_scenario(setting, wish, given, name=name)
-                runs[setting.key, wish, name] = Run(scenario, run_quietly(scenario), None)
+                runs[setting.key, wish, name] = Run(scenario, run_scenario(scenario).result, None)
             for name, given, ratio in ((BP, None, 2.0), (TUNED_BP, gains, 1.1), (FREE_TUNED_BP, gains, 2.0)):
                 scenario = bp_scenario(setting, wish, given, gain_ratio=ratio, name=name)
-                run = Run(scenario, run_quietly(scenario), None)
+                run = Run(scenario, run_scenario(scenario).result, None)
                 runs[setting.key, wish, name] = dataclasses.replace(run, seeds=_spread(run))
     identification, joint = run_identification(repeats=2), run_joint(resolution=81)
     tracking = Tracking(runs, tuned, coupling, SEEDS)

@@ -26,7 +26,7 @@ def control(knee):
 def run(request, plant, ideal_plant, control):
     """Ten seconds in closed loop, with either valve."""
     chosen = plant if request.param == "first order" else ideal_plant
-    setpoints = sampled(REFERENCE, 10_000, PERIOD)[1]
+    setpoints = sampled(REFERENCE, 10_000 * PERIOD, PERIOD)[1]
     record = compiled_episode(chosen, control, setpoints, numeric(chosen.at_rest(0.0)), jnp.asarray(PERIOD), 4)
     return request.param, setpoints, *record
 
@@ -109,7 +109,7 @@ def test_halving_the_step_divides_the_error_by_sixteen(plant, playback):
 
 
 def test_a_batch_is_its_single_runs(plant, control):
-    setpoints = sampled(REFERENCE, 300, PERIOD)[1]
+    setpoints = sampled(REFERENCE, 300 * PERIOD, PERIOD)[1]
     start = numeric(plant.at_rest(0.0))
     masses, gains = jnp.asarray([0.3, 0.5, 0.8]), jnp.asarray([1e5, 1.5e5, 2e5])
 
@@ -127,14 +127,14 @@ def test_a_batch_is_its_single_runs(plant, control):
 
 
 def test_the_same_run_twice_is_the_same_to_the_last_bit(plant, control):
-    setpoints = sampled(REFERENCE, 300, PERIOD)[1]
+    setpoints = sampled(REFERENCE, 300 * PERIOD, PERIOD)[1]
     start = numeric(plant.at_rest(0.0))
     one, two = (compiled_episode(plant, control, setpoints, start, jnp.asarray(PERIOD), 4)[1] for _ in range(2))
     np.testing.assert_array_equal(one.state.angle, two.state.angle)
 
 
 def test_its_derivative_is_that_of_finite_differences(plant, control):
-    setpoints = sampled(REFERENCE, 100, PERIOD)[1]
+    setpoints = sampled(REFERENCE, 100 * PERIOD, PERIOD)[1]
     start = numeric(plant.at_rest(0.0))
 
     def cost(gain):
@@ -152,7 +152,7 @@ def test_in_single_precision_it_runs_and_stays_single(plant, control):
     single = lambda tree: jax.tree.map(  # noqa: E731
         lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, numeric(tree)
     )
-    setpoints = sampled(REFERENCE, 300, PERIOD)[1]
+    setpoints = sampled(REFERENCE, 300 * PERIOD, PERIOD)[1]
     start = plant.at_rest(0.0)
     exact = compiled_episode(plant, control, setpoints, numeric(start), jnp.asarray(PERIOD), 4)[1]
     _, record = compiled_episode(*(single(x) for x in (plant, control, setpoints, start)), jnp.float32(PERIOD), 4)
@@ -161,7 +161,7 @@ def test_in_single_precision_it_runs_and_stays_single(plant, control):
 
 
 def test_setpoints_are_sampled_at_the_start_of_each_period():
-    times, wish = sampled(REFERENCE, 6000, PERIOD)
+    times, wish = sampled(REFERENCE, 6000 * PERIOD, PERIOD)
     assert times.shape == (6000,)
     assert float(times[1234]) == pytest.approx(1.234, rel=1e-15)
     assert float(wish.stiffness[4999]) == 13.0

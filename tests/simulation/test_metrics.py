@@ -167,7 +167,6 @@ def test_a_batch_is_its_single_trajectories():
             np.testing.assert_allclose(getattr(together, name)[row], getattr(alone, name), rtol=1e-12, err_msg=name)
 
 
-@pytest.mark.xfail(strict=True, reason="each sample of a sine is a change, so the last sample alone is looked at: 0 s")
 def test_a_wish_that_never_stops_changing_has_no_settling_time():
     times = np.arange(5000) * PERIOD
     desired = 15 + np.sin(times)

@@ -7,7 +7,7 @@ import pytest
 from mckibben.study.paper.claims import judge
 from mckibben.study.paper.identification import run_identification
 from mckibben.study.paper.joint import run_joint
-from mckibben.study.paper.reproduce import Reproduction
+from mckibben.study.paper.reproduction import Reproduction
 from mckibben.study.paper.tracking import run_tracking
 
 

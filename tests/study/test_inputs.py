@@ -64,7 +64,6 @@ def test_no_other_kind_is_guessed(name):
         law_type_named(name)
 
 
-@pytest.mark.xfail(strict=True, reason="for an entry of the catalog the options are dropped without a word")
 def test_options_are_followed_or_refused_for_catalog_entries_too():
     try:
         found = data_named("festo-tool-10mm", slack_force=100.0)
@@ -73,7 +72,6 @@ def test_options_are_followed_or_refused_for_catalog_entries_too():
     assert found.taut.force.min() > 100.0
 
 
-@pytest.mark.xfail(strict=True, raises=FileError, reason="a folder of that name is taken for a fit file")
 def test_a_folder_of_the_name_of_a_law_is_no_fit_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lei-mas-10-180n").mkdir()

@@ -1,22 +1,20 @@
 """The paper's study as a whole: its numbers as JSON, its files, and that each run can be had again."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
-import mckibben.study.paper.reproduce  # noqa: F401  # the module; its package has the function under the same name
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit
 from mckibben.simulation import Result
 from mckibben.study import paper
+from mckibben.study.paper import reproduction as MODULE  # noqa: N812
 from mckibben.study.paper.settings import SETTINGS, Wish
 from mckibben.study.paper.tracking import BP, CONTROLLERS, PID, TUNED_BP, TUNED_PID
 from mckibben.study.running import run_scenario
 from mckibben.study.scenario import Scenario
 
-MODULE = sys.modules["mckibben.study.paper.reproduce"]
 NAMES = {
     f"{s.key.replace('_', '-')}-{w.value}-{c.lower().replace(',', '').replace(' ', '-')}"
     for s in SETTINGS
@@ -109,7 +107,7 @@ def test_saved_files_read_back(folder, results, reproduction):
 def test_a_scenario_run_alone_gives_its_trajectory_to_the_last_bit(folder, name):
     kept = Result.from_netcdf(folder / "trajectories" / f"{name}.nc")
     scenario = Scenario.read(folder / "scenarios" / f"{name}.yaml")
-    again = run_scenario(scenario)
+    again = run_scenario(scenario).result
     assert again.table.identical(kept.table.assign_attrs(scenario=again.table.attrs["scenario"]))
     assert Scenario.parse(kept.table.attrs["scenario"]) == scenario  # the trajectory carries what made it
 

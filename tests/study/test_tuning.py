@@ -135,7 +135,6 @@ def test_it_takes_two_pids(plant, knee, control, initial):
         tune_pid(plant, learning, WISHES, SCALES, initial=initial, **SMALL)
 
 
-@pytest.mark.xfail(strict=True, reason="the duration is rounded to whole periods without a word; simulate refuses it")
 def test_times_that_simulate_refuses_are_refused_here(plant, control, initial):
     from mckibben.errors import SimulationError
 
@@ -143,7 +142,6 @@ def test_times_that_simulate_refuses_are_refused_here(plant, control, initial):
         tune_pid(plant, control, WISHES, SCALES, initial=initial, **(SMALL | {"duration": 0.201}))
 
 
-@pytest.mark.xfail(strict=True, reason="SciPy's complaint about an empty search comes through as it is")
 def test_gains_that_are_all_zero_are_nothing_to_tune(plant, knee, initial):
     from mckibben.errors import McKibbenError
 
@@ -152,7 +150,6 @@ def test_gains_that_are_all_zero_are_nothing_to_tune(plant, knee, initial):
         tune_pid(plant, nothing, WISHES, SCALES, initial=initial, **SMALL)
 
 
-@pytest.mark.xfail(strict=True, reason="differential_evolution has `rng` since SciPy 1.15; pyproject.toml allows 1.12")
 def test_the_declared_scipy_knows_the_argument_rng():
     import re
     import tomllib

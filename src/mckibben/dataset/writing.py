@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
+
+from mckibben.files import whole
 
 CSV_COLUMNS = {
     "pressure": "pressure_Pa",
@@ -20,17 +19,6 @@ CSV_COLUMNS = {
     "time": "time_s",
     "set_pressure": "set_pressure_Pa",
 }
-
-
-@contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """A sibling to write to, which takes the place of `path` when the block ends, and goes if it fails."""
-    sibling = path.with_name(f".{uuid.uuid4().hex}.part")
-    try:
-        yield sibling
-        sibling.replace(path)
-    finally:
-        sibling.unlink(missing_ok=True)
 
 
 def write_netcdf(table: xr.Dataset, path: Path) -> None:

@@ -27,3 +27,9 @@ def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: 
                 unit=unit,
                 remedy=f"it has to be finite and {kind}",
             )
+
+
+def whole_periods(duration: float, period: float) -> int | None:
+    """How many periods make a duration; None where it is no whole number of them (to a part in a billion)."""
+    count = round(duration / period)
+    return count if count >= 1 and abs(count * period - duration) <= 1e-9 * duration else None

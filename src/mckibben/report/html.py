@@ -13,6 +13,7 @@ import jinja2
 import markupsafe
 
 from mckibben import catalog
+from mckibben.files import whole
 from mckibben.report import tables
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
@@ -69,9 +70,8 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
         drawn[figure.section].append(EmbeddedFigure(figure, _address(png, svg)))
     text = render(reproduction, drawn)
     page = folder / _PAGE
-    part = folder / f".{_PAGE}.part"
-    part.write_text(text, encoding="utf-8")
-    part.replace(page)
+    with whole(page) as part:
+        part.write_text(text, encoding="utf-8")
     return page
 
 

@@ -26,7 +26,7 @@ def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> Isob
     Raises
     ------
     RangeError
-        If directions or the initial length are not known.
+        If directions or the initial length are not known, or no point would be left.
     """
     table = dataset.table
     if "direction" not in table or "initial_length" not in table.attrs:
@@ -42,4 +42,9 @@ def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> Isob
         stroke = (levels == level) & (repeats == repeat)
         ends = contraction[stroke].min(), contraction[stroke].max()
         keep[stroke] = (contraction[stroke] - ends[0] >= margin) & (ends[1] - contraction[stroke] >= margin)
+    if not keep.any():
+        raise RangeError(
+            f"no point lies {travel / mm:g} mm from both ends of its stroke, which is all the points of one pressure",
+            remedy="give a shorter travel, or the nominal pressures (set_pressure) where measured ones scatter",
+        )
     return dataset.select(keep)

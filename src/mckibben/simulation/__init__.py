@@ -1,21 +1,27 @@
 """The sampled-data loop, its result and metrics, and the check of a wish before the run."""
 
-from mckibben.simulation.loop import episode
-from mckibben.simulation.metrics import Metrics, measure
+from mckibben.simulation.loop import compiled_episode, episode, sampled
+from mckibben.simulation.metrics import Metrics, measure, rms
 from mckibben.simulation.reach import Reach, check_reference
 from mckibben.simulation.result import Outcome, Result
-from mckibben.simulation.simulate import simulate
-from mckibben.simulation.trajectory import Trajectory, trajectory
+from mckibben.simulation.simulate import CheckedRun, checked_run, simulate
+from mckibben.simulation.trajectory import Trajectory, compiled_trajectory, trajectory
 
 __all__ = [
+    "CheckedRun",
     "Metrics",
     "Outcome",
     "Reach",
     "Result",
     "Trajectory",
     "check_reference",
+    "checked_run",
+    "compiled_episode",
+    "compiled_trajectory",
     "episode",
     "measure",
+    "rms",
+    "sampled",
     "simulate",
     "trajectory",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,6 +11,8 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.base import Controller, Measurement, Reference, Setpoint
+from mckibben.errors import SimulationError
+from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.integrate import rk4
 from mckibben.plant import JointPlant, PlantState
 
@@ -82,8 +85,25 @@ def compiled_episode(
     return episode(plant, controller, setpoints, initial, period, substeps)
 
 
-def sampled(reference: Reference, periods: int, period: float) -> tuple[Float[Array, " periods"], Setpoint]:
-    """The start times [s] of the control periods, and the wishes at them."""
+def sampled(reference: Reference, duration: float, period: float) -> tuple[Float[Array, " periods"], Setpoint]:
+    """The start times [s] of the control periods in a duration, and the wishes at them.
+
+    Raises
+    ------
+    SimulationError
+        If a time is not positive, or the duration no whole number of periods.
+    """
+    for name, value in (("duration", duration), ("control period", period)):
+        if not (math.isfinite(value) and value > 0):
+            raise SimulationError(f"the {name} is {value:g} s", value=value, unit="s", remedy="give a positive time")
+    periods = whole_periods(duration, period)
+    if periods is None:
+        raise SimulationError(
+            f"a duration of {duration:.12g} s is no whole number of control periods of {period:.12g} s",
+            value=duration,
+            unit="s",
+            remedy=f"{max(round(duration / period), 1) * period:.12g} s would be",
+        )
     times = jnp.arange(periods) * period
     # With an explicit type: a weakly typed wish would compile everything anew.
     return times, Setpoint(*(jnp.asarray(wish, float) for wish in reference(times)))

@@ -25,14 +25,15 @@ class Metrics(NamedTuple):
         The same of the stiffness [N*m/rad].
     stiffness_settling
         From the last change of the desired stiffness (or from the start, if it never changes) until the stiffness
-        stays within the band [s]; NaN if it does not by the end of the run. The band is a part of the change.
+        stays within the band [s]; NaN if it does not by the end of the run, or if the wish never stops changing. The
+        band is a part of the change.
     coupling
         By how much the largest angle error in the second after the last change of the desired stiffness exceeds that in
-        the second before it [rad]; NaN if the desired stiffness never changes.
+        the second before it [rad]; NaN if the desired stiffness never changes, or never stops changing.
     estimate_rmse
         Root mean square error of the controller's estimate of the stiffness [N*m/rad].
     time_saturated, time_slack, time_outside_domain
-        For how long a command was at a pressure limit, a muscle slack, a muscle's contraction outside its domain [s].
+        For how long a command was at a pressure limit, a muscle slack, a muscle outside its domain [s].
     """
 
     angle_rmse: Array
@@ -81,8 +82,9 @@ compiled_measure = compiled(measure)
 
 
 def rms(error: ArrayLike) -> Array:
-    """The root of the mean square."""
-    return jnp.sqrt(jnp.mean(jnp.square(jnp.asarray(error))))
+    """The root of the mean square; its derivative at no error at all is 0."""
+    mean = jnp.mean(jnp.square(jnp.asarray(error)))
+    return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), mean)
 
 
 def last_change(desired: ArrayLike) -> Array:
@@ -99,7 +101,8 @@ def _settling(moved: Trajectory, error: Array, change: Array, period: ArrayLike,
     index = jnp.arange(error.size)
     outside = (index >= change) & ~(jnp.abs(error) <= band)
     last = jnp.max(jnp.where(outside, index, change - 1))
-    return jnp.where(last >= error.size - 1, jnp.nan, (last + 1 - change) * period)
+    never = (last >= error.size - 1) | _still_changing(change, error)
+    return jnp.where(never, jnp.nan, (last + 1 - change) * period)
 
 
 def _coupling(error: Array, change: Array, period: ArrayLike) -> Array:
@@ -108,4 +111,9 @@ def _coupling(error: Array, change: Array, period: ArrayLike) -> Array:
     size = jnp.abs(error)
     after = jnp.max(jnp.where((index >= change) & (index < change + width), size, 0.0))
     before = jnp.max(jnp.where((index < change) & (index >= change - width), size, 0.0))
-    return jnp.where(change > 0, after - before, jnp.nan)
+    return jnp.where((change > 0) & ~_still_changing(change, error), after - before, jnp.nan)
+
+
+def _still_changing(change: Array, error: Array) -> Array:
+    """Whether the wish changes to the very end, as a sine does."""
+    return (change > 0) & (change == error.size - 1)

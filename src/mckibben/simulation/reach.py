@@ -57,10 +57,10 @@ class Reach:
         sentences = []
         lost = np.isnan(missing)
         if lost.any():
-            worst = np.flatnonzero(lost)[0]
+            first = np.flatnonzero(lost)[0]
             sentences.append(
                 f"no pressures within limits hold the desired angle {_when(self.times, lost)}, "
-                f"first at {self.times[worst]:.3g} s ({self.desired_angle[worst] / deg:.3g} deg)"
+                f"first at {self.times[first]:.3g} s ({self.desired_angle[first] / deg:.3g} deg)"
             )
         short = np.nan_to_num(missing) > 0
         if short.any():
@@ -88,8 +88,13 @@ def check_reference(
         The wish.
     duration, control_period
         The times to look at [s].
+
+    Raises
+    ------
+    SimulationError
+        If the times make no sense together.
     """
-    times, setpoints = sampled(reference, round(duration / control_period), control_period)
+    times, setpoints = sampled(reference, duration, control_period)
     lowest, highest = _band(plant, setpoints.angle)
     return Reach(*(np.asarray(x, float) for x in (times, setpoints.angle, setpoints.stiffness, lowest, highest)))
 

@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from mckibben.errors import FileError, Problem
+from mckibben.files import whole
 from mckibben.simulation.metrics import compiled_measure
 from mckibben.simulation.trajectory import Trajectory
 
@@ -35,7 +36,13 @@ _UNITS = {
     "contraction2": ("1", "contraction of muscle 2"),
     "saturated": ("1", "a command is at a pressure limit"),
     "slack": ("1", "a muscle is slack"),
-    "outside_domain": ("1", "a muscle's contraction is outside its domain"),
+    "outside_domain": ("1", "a muscle's contraction or pressure is outside its domain"),
+    "position_kp": ("Pa/rad", "proportional gain of the position loop"),
+    "position_ki": ("Pa/(rad*s)", "integral gain of the position loop"),
+    "position_kd": ("Pa*s/rad", "derivative gain of the position loop"),
+    "stiffness_kp": ("Pa/(N*m/rad)", "proportional gain of the stiffness loop"),
+    "stiffness_ki": ("Pa/(N*m*s/rad)", "integral gain of the stiffness loop"),
+    "stiffness_kd": ("Pa*s/(N*m/rad)", "derivative gain of the stiffness loop"),
     "lowest_stiffness": (_STIFFNESS, "lowest attainable stiffness at the desired angle"),
     "highest_stiffness": (_STIFFNESS, "highest attainable stiffness at the desired angle"),
 }
@@ -108,8 +115,8 @@ class Result:
         """The outcome as a sentence, with how long the run was saturated, slack or outside the domain."""
         table, sentence = self.table, self.outcome.value
         if self.outcome is Outcome.DIVERGED:
-            last = int(np.flatnonzero(np.isfinite(table["angle"].to_numpy()))[-1])
-            return f"{sentence} after {float(table['time'][last]):.4g} s"
+            whole_until = np.flatnonzero(np.isfinite(table["angle"].to_numpy()))
+            return f"{sentence} after {float(table['time'][whole_until[-1]]) if whole_until.size else 0.0:.4g} s"
         times = table["time"].to_numpy()
         spans = [
             f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"
@@ -128,13 +135,8 @@ class Result:
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write everything to a NetCDF file; an existing one is replaced only when the new one is whole."""
-        path = Path(path)
-        part = path.with_name(f".{path.name}.part")
-        try:
+        with whole(path) as part:
             self.to_xarray().to_netcdf(part, engine="h5netcdf")
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
@@ -145,17 +147,30 @@ class Result:
         FileError
             If the file is missing, is no NetCDF file, or lacks something.
         """
+        source = str(path)
+        if not Path(path).is_file():
+            raise FileError(source, [Problem("there is no such file")])
         try:
             table = xr.load_dataset(path, engine="h5netcdf")
-        except (OSError, ValueError) as error:
-            raise FileError(str(path), [Problem(f"it cannot be read as NetCDF: {error}")]) from error
-        missing = [name for name in Trajectory._fields if name not in table] + [
-            name for name in ("control_period", "outcome") if name not in table.attrs
-        ]
+        except Exception as error:  # HDF5 has many ways to say that a file is damaged
+            raise FileError(source, [Problem(f"it cannot be read as NetCDF: {error}")]) from error
+        columns = (*Trajectory._fields, "lowest_stiffness", "highest_stiffness")
+        missing = [name for name in columns if name not in table]
         if missing:
-            raise FileError(str(path), [Problem(f"it is no simulation result: {', '.join(missing)} not in it")])
-        outcome = Outcome[table.attrs.pop("outcome")]
-        return cls(table, outcome)
+            raise FileError(source, [Problem(f"it is no simulation result: {', '.join(missing)} are not in it")])
+        problems = [
+            Problem("it is no number over time", field=name)
+            for name in columns
+            if table[name].dims != ("time",) or table[name].dtype.kind not in "fb"
+        ]
+        outcome, period = table.attrs.pop("outcome", None), table.attrs.get("control_period")
+        if outcome not in Outcome.__members__:
+            problems.append(Problem(f"{outcome!r} is no outcome", field="outcome"))
+        if not isinstance(period, float | np.floating) or not period > 0:
+            problems.append(Problem(f"{period!r} is no time", field="control_period"))
+        if problems:
+            raise FileError(source, problems)
+        return cls(table, Outcome[outcome])
 
 
 def _attributes(name: str) -> dict[str, str]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import warnings
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,9 +12,16 @@ from mckibben.errors import ReachabilityWarning, SimulationError
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import compiled_episode, sampled
-from mckibben.simulation.reach import check_reference
+from mckibben.simulation.reach import Reach, check_reference
 from mckibben.simulation.result import Result
 from mckibben.simulation.trajectory import compiled_trajectory
+
+
+class CheckedRun(NamedTuple):
+    """A result, and what was known before the run of the reach of its reference."""
+
+    result: Result
+    reach: Reach
 
 
 def simulate(
@@ -44,8 +51,7 @@ def simulate(
     substeps
         Integration steps a control period.
     initial
-        The state at the start; at rest at the first desired angle, in the middle of the attainable stiffness, unless
-        given.
+        The state at the start; at rest at the first desired angle, amid the attainable stiffness, unless given.
     scenario
         Text to keep with the result: what made it.
 
@@ -58,43 +64,47 @@ def simulate(
     ------
     SimulationError
         If the times make no sense together.
-    UnreachableError
-        If no pressures hold the joint at the start.
+    UnreachableError, RangeError
+        If no pressures hold the joint at the start, or a muscle would leave its domain there.
     """
-    periods = whole_periods(duration, control_period, substeps)
-    _, setpoints = sampled(reference, periods, control_period)
-    start = plant.at_rest(float(setpoints.angle[0])) if initial is None else initial
-
-    reach = check_reference(plant, reference, duration=duration, control_period=control_period)
+    result, reach = checked_run(
+        plant,
+        controller,
+        reference,
+        duration=duration,
+        control_period=control_period,
+        substeps=substeps,
+        initial=initial,
+        scenario=scenario,
+    )
     if not reach.reachable:
         warnings.warn(reach.describe(), ReachabilityWarning, stacklevel=2)
+    return result
 
-    plant, controller, start = numeric((plant, controller, start))
-    _, record = compiled_episode(plant, controller, setpoints, start, numeric(control_period), substeps)
+
+def checked_run(
+    plant: JointPlant,
+    controller: Controller,
+    reference: Reference,
+    *,
+    duration: float,
+    control_period: float,
+    substeps: int,
+    initial: PlantState | None,
+    scenario: str,
+) -> CheckedRun:
+    """`simulate`, with the check of the reference as an answer instead of a warning."""
+    if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
+        raise SimulationError(
+            f"{substeps} integration steps a control period", value=substeps, remedy="give a whole number from 1 up"
+        )
+    _, setpoints = sampled(reference, duration, control_period)
+    start = plant.at_rest(float(setpoints.angle[0])) if initial is None else initial
+    reach = check_reference(plant, reference, duration=duration, control_period=control_period)
+
+    plant, controller, start, period = numeric((plant, controller, start, control_period))
+    _, record = compiled_episode(plant, controller, setpoints, start, period, substeps)
     moved = compiled_trajectory(plant, setpoints, record)
     telemetry = {name: np.asarray(value) for name, value in record.telemetry.items()}
-    return Result.of(moved, control_period, band=(reach.lowest, reach.highest), telemetry=telemetry, scenario=scenario)
-
-
-def whole_periods(duration: float, control_period: float, substeps: int) -> int:
-    """The number of control periods in a duration.
-
-    Raises
-    ------
-    SimulationError
-        If it is no whole number, or a number is not positive.
-    """
-    for name, value in (("duration", duration), ("control period", control_period)):
-        if not (math.isfinite(value) and value > 0):
-            raise SimulationError(f"the {name} is {value:g} s", value=value, unit="s", remedy="give a positive time")
-    if substeps < 1:
-        raise SimulationError(f"{substeps} integration steps a control period", value=substeps, remedy="give 1 or more")
-    periods = round(duration / control_period)
-    if periods < 1 or abs(periods * control_period - duration) > 1e-9 * duration:
-        raise SimulationError(
-            f"a duration of {duration:g} s is no whole number of control periods of {control_period:g} s",
-            value=duration,
-            unit="s",
-            remedy=f"{max(periods, 1) * control_period:g} s would be",
-        )
-    return periods
+    band = (reach.lowest, reach.highest)
+    return CheckedRun(Result.of(moved, control_period, band=band, telemetry=telemetry, scenario=scenario), reach)

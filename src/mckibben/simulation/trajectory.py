@@ -55,8 +55,8 @@ def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record) -> Trajec
         | (record.command2 <= lowest[1] + _AT_LIMIT)
         | (record.command2 >= highest[1] - _AT_LIMIT)
     )
-    inside = joint.muscle1.domain.contains_contraction(contraction1) & joint.muscle2.domain.contains_contraction(
-        contraction2
+    inside = joint.muscle1.domain.contains(contraction1, state.pressure1) & joint.muscle2.domain.contains(
+        contraction2, state.pressure2
     )
     return Trajectory(
         angle=state.angle,

@@ -33,7 +33,13 @@ def data_named(
     """
     from mckibben.dataset import read_dataset
 
-    if name in catalog.names("datasets") and not Path(name).exists():
+    if name in catalog.names("datasets") and not Path(name).is_file():
+        if columns or initial_length is not None or specimen or slack_force is not None:
+            raise NotInCatalogError(
+                f"{name} is a dataset of the catalog, and read as it is",
+                value=name,
+                remedy="columns, initial length, specimen and slack force are for files",
+            )
         return catalog.dataset(name)
     return read_dataset(
         name, columns=columns, initial_length=initial_length, specimen=specimen, slack_force=slack_force
@@ -51,7 +57,7 @@ def law_named(name: str, *, specimen: str = "") -> ForceLaw:
     from mckibben.identification import read_law
     from mckibben.muscle import ChouLaw
 
-    if Path(name).exists() or Path(name).suffix in (".yaml", ".yml"):
+    if Path(name).is_file() or Path(name).suffix in (".yaml", ".yml"):
         return read_law(name)
     if name == "chou":
         if not specimen:

@@ -8,6 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from mckibben.files import whole
 from mckibben.units import deg, factor
 
 if TYPE_CHECKING:
@@ -65,6 +68,8 @@ def plain(value: Any) -> Any:
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value
@@ -77,6 +82,6 @@ def to_json(value: Any) -> str:
 
 def write_json(path: Path, value: Any) -> None:
     """To a file; an existing one is replaced only when the new one is whole."""
-    part = path.with_name(f".{path.name}.part")
-    part.write_text(to_json(value) + "\n", encoding="utf-8")
-    part.replace(path)
+    text = to_json(value)
+    with whole(path) as part:
+        part.write_text(text + "\n", encoding="utf-8")

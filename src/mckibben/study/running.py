@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from mckibben.simulation import Result, simulate
+from mckibben.simulation import CheckedRun, checked_run
 from mckibben.study.scenario import Scenario
 
 
-def run_scenario(scenario: Scenario) -> Result:
-    """Simulate a scenario; the result carries its text.
+def run_scenario(scenario: Scenario) -> CheckedRun:
+    """Simulate a scenario.
 
-    Warns
-    -----
-    ReachabilityWarning
-        If the joint cannot hold all of the reference.
+    Returns
+    -------
+    CheckedRun
+        The result, which carries the scenario's text, and the reach of its reference.
     """
     plant = scenario.plant()
-    return simulate(
+    return checked_run(
         plant,
         scenario.control(),
         scenario.reference(),

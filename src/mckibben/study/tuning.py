@@ -1,4 +1,4 @@
-"""Tune the gains of two PID loops on the cost by which they are judged: many candidates at once, compiled together."""
+"""Tune the gains of two PID loops by their errors, with a margin: many candidates at once, compiled together."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint
+from mckibben.errors import RangeError
 from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation import episode
-from mckibben.simulation.loop import sampled
-from mckibben.simulation.metrics import rms
+from mckibben.simulation import episode, rms, sampled
 
 _LOST = 1e6  # the cost of a run that did not stay finite
 
@@ -115,10 +114,11 @@ def tune_pid(
     loops = position, stiffness = _pid_loops(controller)
     gains = np.array([getattr(loop, name) for loop in loops for name in _GAINS])
     searched = np.flatnonzero(gains)
+    if searched.size == 0:
+        raise RangeError("all gains are zero", remedy="start the search from gains above (or below) zero")
     start = np.log10(np.abs(gains[searched]))
 
-    periods = round(duration / control_period)
-    sampled_wishes = [sampled(reference, periods, control_period)[1] for reference in references]
+    sampled_wishes = [sampled(reference, duration, control_period)[1] for reference in references]
     wishes = jax.tree.map(lambda *each: jnp.stack(each), *sampled_wishes)
     plant, controller, initial, period, scales = numeric((plant, controller, initial, control_period, cost))
 

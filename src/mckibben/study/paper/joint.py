@@ -45,9 +45,14 @@ class JointMap:
 
     @property
     def holdable(self) -> tuple[float, float]:
-        """The range of angle around 0 that can be held [rad]."""
-        held = self.angles[~np.isnan(self.lowest)]
-        return float(held.min()), float(held.max())
+        """The range of angle around 0 that can be held without a gap [rad]; both NaN if 0 cannot."""
+        lost = np.flatnonzero(np.isnan(self.lowest))
+        zero = int(np.argmin(np.abs(self.angles)))
+        if zero in lost:
+            return float("nan"), float("nan")
+        first = lost[lost < zero].max(initial=-1) + 1
+        last = lost[lost > zero].min(initial=len(self.angles)) - 1
+        return float(self.angles[first]), float(self.angles[last])
 
     def at(self, angle: float) -> tuple[float, float]:
         """The attainable stiffness [N*m/rad] at the tabulated angle nearest to one [rad]."""
@@ -61,7 +66,7 @@ def run_joint(*, resolution: int = 241) -> dict[str, JointMap]:
 
 
 def _map(setting: Setting, resolution: int) -> JointMap:
-    plant = pid_scenario(setting, Wish.CONSTANT).plant()
+    plant = plant_of(setting)
     angles = jnp.linspace(-40 * deg, 40 * deg, resolution)
     holding = -plant.load.gravity_torque(angles)
     torques = jnp.linspace(-8.0, 8.0, resolution)

@@ -175,8 +175,9 @@ substeps: 4
 
 def gains_of(position: PID, stiffness: PID) -> Gains:
     """Gains as text that reads back to the last bit."""
+    kp, ki, kd = (repr(float(gain)) for gain in (position.kp, position.ki, position.kd))
+    firm_kp, firm_ki, firm_kd = (repr(float(gain)) for gain in (stiffness.kp, stiffness.ki, stiffness.kd))
     return Gains(
-        position=f"kp: {position.kp!r} Pa/rad, ki: {position.ki!r} Pa/(rad*s), kd: {position.kd!r} Pa*s/rad",
-        stiffness=f"kp: {stiffness.kp!r} Pa/(N*m/rad), ki: {stiffness.ki!r} Pa*rad/(N*m*s), "
-        f"kd: {stiffness.kd!r} Pa*s/(N*m/rad)",
+        position=f"kp: {kp} Pa/rad, ki: {ki} Pa/(rad*s), kd: {kd} Pa*s/rad",
+        stiffness=f"kp: {firm_kp} Pa/(N*m/rad), ki: {firm_ki} Pa*rad/(N*m*s), kd: {firm_kd} Pa*s/(N*m/rad)",
     )

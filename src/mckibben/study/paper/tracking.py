@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,14 +12,20 @@ import numpy as np
 from jaxtyping import Array
 
 from mckibben.control import PositionStiffnessControl, Setpoint
-from mckibben.errors import ReachabilityWarning
 from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation import Metrics, Result, Trajectory, episode, measure, trajectory
-from mckibben.simulation.loop import compiled_episode, sampled
-from mckibben.simulation.metrics import rms
-from mckibben.simulation.simulate import whole_periods
-from mckibben.simulation.trajectory import compiled_trajectory
+from mckibben.simulation import (
+    Metrics,
+    Result,
+    Trajectory,
+    compiled_episode,
+    compiled_trajectory,
+    episode,
+    measure,
+    rms,
+    sampled,
+    trajectory,
+)
 from mckibben.study.paper.settings import BOUND, FREE, SETTINGS, Setting, Wish, bp_scenario, gains_of, pid_scenario
 from mckibben.study.running import run_scenario
 from mckibben.study.scenario import Scenario
@@ -50,17 +55,22 @@ class Run:
 
     def median(self, metric: str) -> float:
         """The median over the seeds, a run that never settles being the longest; without seeds the value itself."""
-        return _quantile(self._values(metric), 0.5)
+        return _finite(np.median(self._ranked(metric)))
 
     def worst(self, metric: str) -> float:
         """The largest over the seeds."""
-        return _quantile(self._values(metric), 1.0)
+        return _finite(np.max(self._ranked(metric)))
 
     @property
     def lost(self) -> int:
         """How many runs were lost: not finite, or worse than not moving at all (an RMSE above the RMS of the wish)."""
         wish = float(rms(self.result.trajectory.desired_angle))
         return int(np.sum(~(self._values("angle_rmse") < wish)))
+
+    def _ranked(self, metric: str) -> np.ndarray:
+        """The values, with NaN (never settled, lost) as the largest of all."""
+        values = self._values(metric)
+        return np.where(np.isnan(values), np.inf, values)
 
     def _values(self, metric: str) -> np.ndarray:
         if self.seeds is None:
@@ -135,7 +145,7 @@ def run_tracking(*, seeds: int, generations: int, progress: Callable[[float], No
         for j, wish in enumerate(Wish):
             for name, given in ((PID, None), (TUNED_PID, gains)):
                 scenario = pid_scenario(setting, wish, given, name=name)
-                runs[setting.key, wish, name] = Run(scenario, run_quietly(scenario), None)
+                runs[setting.key, wish, name] = Run(scenario, run_scenario(scenario).result, None)
             for name, given, ratio in ((BP, None, FREE), (TUNED_BP, gains, BOUND), (FREE_TUNED_BP, gains, FREE)):
                 scenario = bp_scenario(setting, wish, given, gain_ratio=ratio, name=name)
                 runs[setting.key, wish, name] = _run_bp(scenario, seeds)
@@ -163,12 +173,11 @@ def _tune(setting: Setting, generations: int, progress: Callable[[float], None])
 
 def _run_bp(scenario: Scenario, seeds: int) -> Run:
     plant = scenario.plant()
-    periods = whole_periods(scenario.duration, scenario.control_period, scenario.substeps)
-    _, wishes = sampled(scenario.reference(), periods, scenario.control_period)
+    _, wishes = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     control, initial = scenario.control(), scenario.initial(plant)
     plant, control, initial, period = numeric((plant, control, initial, scenario.control_period))
     measured = _over_seeds(plant, control, wishes, initial, period, jnp.arange(seeds), scenario.substeps)
-    return Run(scenario, run_quietly(scenario), measured)
+    return Run(scenario, run_scenario(scenario).result, measured)
 
 
 @compiled_batch
@@ -193,10 +202,9 @@ def _coupling(setting: Setting) -> Coupling:
     """Two more runs: the step's run without the step, and the constant wish with the angle held."""
     stepping = pid_scenario(setting, Wish.STEP)
     plant, control, initial = stepping.plant(), stepping.control(), stepping.initial(stepping.plant())
-    periods = whole_periods(stepping.duration, stepping.control_period, stepping.substeps)
-    _, stepped = sampled(stepping.reference(), periods, stepping.control_period)
+    _, stepped = sampled(stepping.reference(), stepping.duration, stepping.control_period)
     level = stepped._replace(stiffness=jnp.full_like(stepped.stiffness, stepped.stiffness[0]))
-    _, moving = sampled(pid_scenario(setting, Wish.CONSTANT).reference(), periods, stepping.control_period)
+    _, moving = sampled(pid_scenario(setting, Wish.CONSTANT).reference(), stepping.duration, stepping.control_period)
     held = moving._replace(angle=jnp.zeros_like(moving.angle))
 
     plant, control, initial, period = numeric((plant, control, initial, stepping.control_period))
@@ -205,7 +213,7 @@ def _coupling(setting: Setting) -> Coupling:
         _, record = compiled_episode(plant, control, wishes, initial, period, stepping.substeps)
         return compiled_trajectory(plant, wishes, record)
 
-    half = periods // 2
+    half = stepped.angle.size // 2
     with_step, without, moving_run, held_run = (moved(wishes) for wishes in (stepped, level, moving, held))
     return Coupling(
         angle_by_step=float(jnp.max(jnp.abs(with_step.angle - without.angle)[half:])),
@@ -214,15 +222,5 @@ def _coupling(setting: Setting) -> Coupling:
     )
 
 
-def run_quietly(scenario: Scenario) -> Result:
-    """Run it without a warning; the report says itself where a wish is out of reach."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ReachabilityWarning)
-        return run_scenario(scenario)
-
-
-def _quantile(values: np.ndarray, part: float) -> float:
-    """A quantile in which NaN (never settled, lost) counts as the largest of all."""
-    ordered = np.sort(np.where(np.isnan(values), np.inf, values))
-    found = float(ordered[round(part * (len(ordered) - 1))])
-    return found if np.isfinite(found) else float("nan")
+def _finite(value: np.floating) -> float:
+    return float(value) if np.isfinite(value) else float("nan")

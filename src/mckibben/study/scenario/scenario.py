@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_serializer
 
 from mckibben.errors import Problem, ScenarioError
+from mckibben.numerics.checks import whole_periods
 from mckibben.study.scenario.controller import ControllerSpec
 from mckibben.study.scenario.document import LONGEST, read_document
 from mckibben.study.scenario.fields import Duration, PositiveTime, Title
@@ -87,15 +88,15 @@ class Scenario(Part):
         periods = duration / value
         if periods > _MOST_PERIODS:
             refuse(
-                f"{value * 1e3:g} ms divides the duration {duration:g} s into more than {_MOST_PERIODS} periods",
+                f"{value * 1e3:g} ms divides the duration {duration:.12g} s into more than {_MOST_PERIODS} periods",
                 "choose a longer period or a shorter duration",
             )
-        if round(periods) < 1 or abs(periods - round(periods)) > 1e-6:
+        if whole_periods(duration, value) is None:
             near = max(round(periods), 1) * value
             refuse(
-                f"the duration {duration:g} s is no whole number of control periods of {value * 1e3:g} ms "
-                f"({periods:.6g})",
-                f"choose a duration of {near:.9g} s, or a period that divides {duration:g} s",
+                f"the duration {duration:.12g} s is no whole number of control periods of {value * 1e3:g} ms "
+                f"({periods:.10g})",
+                f"choose a duration of {near:.12g} s, or a period that divides {duration:.12g} s",
             )
         return value
 

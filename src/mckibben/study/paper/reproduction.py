@@ -118,10 +118,17 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
         knee = beside.submit(run_joint)
         what = "isobaric test and identification; control of position and stiffness"
         report(what, 0.0)
+
+        def tracked(part: float) -> None:
+            report(what, 0.95 * part)
+            for other in (muscle, knee):
+                if other.done():
+                    other.result()  # an error there ends the run here and now
+
         tracking = run_tracking(
             seeds=5 if quick else 20,
             generations=6 if quick else 30,
-            progress=lambda part: report(what, 0.95 * part),
+            progress=tracked,
         )
         identification, joint = muscle.result(), knee.result()
     report("claims", 0.95)
