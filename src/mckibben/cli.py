@@ -73,7 +73,10 @@ def reproduce(
     _table(
         "The paper's claims",
         ("verdict", "claim", "source"),
-        [("holds" if claim.holds else "does not hold", claim.claim, claim.source) for claim in done.claims],
+        [
+            ("holds" if claim.holds else "does not hold", claim.claim, claim.source if claim.of_paper else "(ours)")
+            for claim in done.claims
+        ],
     )
     typer.echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
 

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.identification import identify
+from mckibben.muscle import ExponentialLaw
 from mckibben.study.numbers import fit_numbers
 from mckibben.study.paper.identification import (
     CHOU,
@@ -99,14 +101,17 @@ def test_the_retest_is_another_test(identification):
 
 
 def test_held_out_means_not_seen(identification):
-    pressures = identification.held_out_pressures
-    seen = pressures.fit.dataset.pressures
-    for pressure in TEST_PRESSURES:
-        assert not np.isclose(seen, pressure).any()
-        assert pressures.validation.of("ExponentialLaw", pressure=pressure).rmse < 15
-    repeat = identification.held_out_repeat
-    assert repeat.fit.points_used < identification.fits[RIG].points_used
-    assert repeat.fit.points_used == pytest.approx(identification.fits[RIG].points_used / 2, rel=0.02)
+    settled = identification.rig.settled
+    for found, (train, unseen) in (
+        (identification.held_out_pressures, settled.split(pressures=list(TEST_PRESSURES))),
+        (identification.held_out_repeat, settled.split(repeats=[1])),
+    ):
+        law = identify(ExponentialLaw, train).law
+        taut = unseen.taut
+        error = np.asarray(law.force(taut.contraction, taut.pressure)) - taut.force
+        assert found.of(EXPERIMENTAL).rmse == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
+        assert found.of(EXPERIMENTAL).rmse < found.of(CHOU).rmse
+    assert {e.pressure for e in identification.held_out_pressures.errors} == {None, *TEST_PRESSURES}
 
 
 def test_eq_3_reads_64_n_too_high_on_another_muscle(identification):

@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Float, Int
 from mckibben.control.base import Loop
 from mckibben.control.pid import PID, PIDState
 from mckibben.numerics.arrays import floating
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.checks import check_positive, check_within
 
 Scalar = Float[Array, ""]
 
@@ -75,11 +75,12 @@ class BackpropPID(Loop):
     momentum
         alpha, 0 to below 1.
     gain_ratio
-        R, above 1.
+        R, 1 (no freedom) or above.
     hidden
         The number of hidden neurons.
     jacobian
-        See `Jacobian`.
+        See `Jacobian`. With `Jacobian.MODEL` the learning rate has to be chosen anew: J is then the change of the
+        controlled quantity, in error scales, by a second at the usual rate of the output.
     seed
         Of the hidden layer's weights.
 
@@ -106,10 +107,11 @@ class BackpropPID(Loop):
             signal_scale=self.signal_scale,
             error_scale=self.error_scale,
             output_scale=self.output_scale,
-            gain_ratio=self.gain_ratio,
             hidden=self.hidden,
         )
-        check_positive("BackpropPID", zero=True, learning_rate=self.learning_rate, momentum=self.momentum)
+        check_positive("BackpropPID", zero=True, learning_rate=self.learning_rate)
+        check_within("BackpropPID", 0.0, 0.999999, momentum=self.momentum)
+        check_within("BackpropPID", 1.0, 1e6, gain_ratio=self.gain_ratio)
 
     def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> BackpropState:
         weights = jax.random.uniform(jax.random.key(self.seed), (self.hidden, 4), minval=-1.0, maxval=1.0)

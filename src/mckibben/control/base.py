@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.control.signal import Signal
+from mckibben.control.signal import Signal, as_signal
 
 Scalar = Float[Array, ""]
 
@@ -28,10 +28,13 @@ class Measurement(NamedTuple):
 
 
 class Reference(eqx.Module):
-    """What is wanted over time: the joint's angle [rad] and its stiffness [N*m/rad] at once."""
+    """What is wanted over time: the joint's angle [rad] and its stiffness [N*m/rad] at once.
 
-    angle: Signal
-    stiffness: Signal
+    A plain number is a constant.
+    """
+
+    angle: Signal = eqx.field(converter=as_signal)
+    stiffness: Signal = eqx.field(converter=as_signal)
 
     def __call__(self, time: ArrayLike) -> Setpoint:
         """The wish at each time [s]."""
@@ -56,7 +59,10 @@ class Controller(eqx.Module):
 
     @abc.abstractmethod
     def telemetry(self, state: Any) -> dict[str, Scalar]:
-        """What is worth recording each period, by name; at least ``stiffness_estimate`` [N*m/rad]."""
+        """What is worth recording each period, by name.
+
+        At least ``stiffness_estimate`` [N*m/rad] and ``saturated``, whether a command was cut off at a limit.
+        """
 
 
 class Loop(eqx.Module):

@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.base import Loop
 from mckibben.numerics.arrays import floating
+from mckibben.numerics.checks import check_positive
 
 Scalar = Float[Array, ""]
 
@@ -51,6 +52,9 @@ class PID(Loop):
     filter_time: float = 0.005
     tracking_time: float = 0.05
     derivative_on_error: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        check_positive("PID", "s", zero=True, filter_time=self.filter_time, tracking_time=self.tracking_time)
 
     def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> PIDState:
         return PIDState(

@@ -17,11 +17,12 @@ Scalar = Float[Array, ""]
 
 
 class PositionStiffnessState(NamedTuple):
-    """The state of both loops and the last estimate of the stiffness [N*m/rad]."""
+    """The state of both loops, the last estimate of the stiffness [N*m/rad], whether a command was at a limit."""
 
     position: Any
     stiffness: Any
     estimate: Scalar
+    saturated: Array
 
 
 class PositionStiffnessControl(Controller):
@@ -56,6 +57,7 @@ class PositionStiffnessControl(Controller):
             position=self.position.init(measurement.angle, measurement.angle, (pressure2 - pressure1) / 2),
             stiffness=self.stiffness.init(estimate, estimate, (pressure1 + pressure2) / 2),
             estimate=estimate,
+            saturated=jnp.asarray(False),
         )
 
     def step(
@@ -70,12 +72,14 @@ class PositionStiffnessControl(Controller):
         )
 
         lowest, highest = pressure_limits_of(self.model)
-        command1 = jnp.clip(cocontraction - differential, lowest[0], highest[0])
-        command2 = jnp.clip(cocontraction + differential, lowest[1], highest[1])
+        wanted1, wanted2 = cocontraction - differential, cocontraction + differential
+        command1 = jnp.clip(wanted1, lowest[0], highest[0])
+        command2 = jnp.clip(wanted2, lowest[1], highest[1])
+        saturated = (command1 != wanted1) | (command2 != wanted2)
 
         position = self.position.realised(position, differential, (command2 - command1) / 2, period)
         stiffness = self.stiffness.realised(stiffness, cocontraction, (command1 + command2) / 2, period)
-        return PositionStiffnessState(position, stiffness, estimate), (command1, command2)
+        return PositionStiffnessState(position, stiffness, estimate, saturated), (command1, command2)
 
     def telemetry(self, state: PositionStiffnessState) -> dict[str, Scalar]:
         loops = {
@@ -86,10 +90,13 @@ class PositionStiffnessControl(Controller):
             )
             for key, value in loop.telemetry(part).items()
         }
-        return {"stiffness_estimate": state.estimate, **loops}
+        return {"stiffness_estimate": state.estimate, "saturated": state.saturated, **loops}
 
     def _sensitivities(self, measurement: Measurement, stiffness: Scalar) -> tuple[Scalar, Scalar]:
-        """Static change of the angle per differential pressure, and of the stiffness per co-contraction."""
+        """Static change of the angle per differential pressure, and of the stiffness per co-contraction.
+
+        Of the muscles alone: the controller knows no load, so gravity's part of the stiffness is left out.
+        """
         angle, (pressure1, pressure2) = measurement
         zero = jnp.zeros_like(pressure1)
         torque_slope = derivative(lambda pd: self.model.torque(angle, (pressure1 - pd, pressure2 + pd)), zero)

@@ -99,3 +99,8 @@ class Samples(Signal):
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         return jnp.interp(floating(time), self.times, self.values)
+
+
+def as_signal(wish: Signal | float) -> Signal:
+    """A signal as it is, a plain number as a constant."""
+    return Constant(wish) if isinstance(wish, int | float) else wish

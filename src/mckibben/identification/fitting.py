@@ -19,6 +19,7 @@ from mckibben.muscle import Domain, ForceLaw
 from mckibben.units import show
 
 _STRONG_CORRELATION = 0.999
+_FRICTION = 1.0  # a gap between the directions above this part of the RMSE is what the residuals consist of
 _MOST_LEVELS = 200
 
 Solver = Callable[[Problem, NDArray[np.float64]], Solution]
@@ -74,6 +75,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
 
     warnings = _bound_warnings(law_type, solution, held)
     warnings += _correlation_warnings(problem.names, spread.correlations)
+    warnings += _direction_warnings(points, solution.residuals)
     unseen, reason = _leave_one_pressure_out(problem, solution, points.levels, solver)
     warnings += [reason] if reason else []
     return Fit(
@@ -93,6 +95,21 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
         ),
         residuals=solution.residuals,
     )
+
+
+def _direction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64]) -> list[str]:
+    """Friction shows in residuals that differ by direction: then they are not independent of each other."""
+    if "direction" not in points.table:
+        return []
+    directions = points.table["direction"].to_numpy()
+    means = [float(np.mean(residuals[directions == name])) for name in points.directions]
+    gap, rms = max(means) - min(means), float(np.sqrt(np.mean(residuals**2)))
+    if len(means) < 2 or gap < _FRICTION * rms:
+        return []
+    return [
+        f"loading and unloading differ by {gap:.3g} N on average: most of the residual is friction, which is no "
+        "independent error, so the standard errors are not to be relied on"
+    ]
 
 
 def _leave_one_pressure_out(

@@ -216,8 +216,8 @@ class AntagonisticJoint(eqx.Module):
         Returns
         -------
         lowest, highest
-            NaN where the torque cannot be held at that angle, be it for the pressures or because a muscle would leave
-            the contractions of its domain.
+            NaN where the torque cannot be held at that angle: for the pressures, because a muscle would leave the
+            contractions of its domain, or because its tension would exceed its specimen's rating.
         """
         return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension)
 
@@ -256,7 +256,7 @@ class AntagonisticJoint(eqx.Module):
                     remedy="give the joint a series spring or a longer connector",
                 )
             raise UnreachableError(
-                f"no pressures within limits hold the joint {where}",
+                f"no pressures and tensions within limits hold the joint {where}",
                 value=angle,
                 unit="rad",
                 remedy="choose a smaller angle, a longer connector or a series spring",

@@ -155,7 +155,10 @@ def _tension_ranges(
     pressure_limits: tuple[float, float] | None,
     minimum_tension: float,
 ) -> tuple[Pair, Pair]:
-    """The lowest and the highest tension of each muscle: pressures within limits, contractions within the domain."""
+    """The lowest and the highest tension of each muscle.
+
+    Pressures are within limits, contractions within the domain, tensions below the specimen's rating.
+    """
     if pressure_limits is None:
         lowest, highest = pressure_limits_of(joint)
     else:
@@ -165,7 +168,8 @@ def _tension_ranges(
     def tension_range(muscle: Muscle, path: Array, low: ArrayLike, high: ArrayLike) -> Pair:
         least, most = joint.tendon.permitted(muscle, path)
         slackest = jnp.maximum(joint.tendon.tension(muscle, path, low), minimum_tension)
-        return jnp.maximum(slackest, least), jnp.minimum(joint.tendon.tension(muscle, path, high), most)
+        tightest = jnp.minimum(joint.tendon.tension(muscle, path, high), muscle.specimen.rated_force)
+        return jnp.maximum(slackest, least), jnp.minimum(tightest, most)
 
     low1, high1 = tension_range(joint.muscle1, paths[0], lowest[0], highest[0])
     low2, high2 = tension_range(joint.muscle2, paths[1], lowest[1], highest[1])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.derivative import value_and_derivative
 from mckibben.numerics.elementary import sincos
 
@@ -49,7 +51,9 @@ class KneeGeometry(eqx.Module):
 
     def __check_init__(self) -> None:
         check_positive("KneeGeometry", "m", joint_length=self.joint_length, joint_radius=self.joint_radius)
-        check_positive("KneeGeometry", "m", zero=True, connector_length=self.connector_length)
+        plain = all(isinstance(x, int | float) for x in (self.joint_length, self.joint_radius))
+        longest = self.joint_length - self.joint_radius if plain else math.inf
+        check_within("KneeGeometry", 0.0, longest, "m", connector_length=self.connector_length)
 
     def path_lengths(self, angle: ArrayLike) -> Pair:
         """What is left for each muscle (and its series spring) [m] at an angle [rad]."""

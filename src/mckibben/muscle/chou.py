@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import Parameter, PressureAffineLaw
 from mckibben.muscle.domain import Domain
+from mckibben.numerics.checks import check_positive, check_within
 from mckibben.units import deg, mm
 
 if TYPE_CHECKING:
@@ -50,6 +51,10 @@ class ChouLaw(PressureAffineLaw):
     braid_angle: float
     initial_diameter: float
     domain: Domain = Domain()
+
+    def __check_init__(self) -> None:
+        check_within("ChouLaw", 0.01, 1.56, "rad", braid_angle=self.braid_angle)
+        check_positive("ChouLaw", "m", initial_diameter=self.initial_diameter)
 
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - eps)^2 - 1/sin^2(alpha0))"
     source = "Chou and Hannaford 1996; Eq. 1"

@@ -18,6 +18,14 @@ class Domain(eqx.Module):
     pressure_min: float | Array = -jnp.inf
     pressure_max: float | Array = jnp.inf
 
+    def __check_init__(self) -> None:
+        for what, low, high in (
+            ("contraction", self.contraction_min, self.contraction_max),
+            ("pressure", self.pressure_min, self.pressure_max),
+        ):
+            if isinstance(low, int | float) and isinstance(high, int | float) and not low <= high:
+                raise RangeError(f"Domain: {what} from {low:g} to {high:g}", lower=low, upper=high, remedy="swap them")
+
     def contains(self, contraction: ArrayLike, pressure: ArrayLike) -> Bool[Array, "..."]:
         """Whether each point lies inside, the edges included (to rounding)."""
         return self.contains_contraction(contraction) & (

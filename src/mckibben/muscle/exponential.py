@@ -7,6 +7,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import Parameter, PressureAffineLaw
 from mckibben.muscle.domain import Domain
+from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import exp
 
 
@@ -53,6 +54,9 @@ class ExponentialLaw(PressureAffineLaw):
     c2: float
     decay: float
     domain: Domain = Domain()
+
+    def __check_init__(self) -> None:
+        check_positive("ExponentialLaw", "per unit of contraction", decay=self.decay)
 
     equation = "F = (a1 + a2 p) + (b1 + b2 p) eps + (c1 + c2 p) exp(-mu eps)"
     source = "Eq. 2 of the paper (improved Tondu-Lopez)"

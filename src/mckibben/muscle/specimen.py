@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.domain import Domain
+from mckibben.numerics.checks import check_positive, check_within
 
 
 class Specimen(eqx.Module):
@@ -32,6 +33,11 @@ class Specimen(eqx.Module):
     braid_angle: float
     rated_force: float
     domain: Domain
+
+    def __check_init__(self) -> None:
+        check_positive(self.name, "m", initial_length=self.initial_length, initial_diameter=self.initial_diameter)
+        check_positive(self.name, "N", rated_force=self.rated_force)
+        check_within(self.name, 0.01, 1.56, "rad", braid_angle=self.braid_angle)
 
     def contraction_at(self, length: ArrayLike) -> Float[Array, "..."]:
         """(l0 - l)/l0 [-] at a length [m]; positive = shorter."""

@@ -33,3 +33,22 @@ def whole_periods(duration: float, period: float) -> int | None:
     """How many periods make a duration; None where it is no whole number of them (to a part in a billion)."""
     count = round(duration / period)
     return count if count >= 1 and abs(count * period - duration) <= 1e-9 * duration else None
+
+
+def check_within(owner: str, lower: float, upper: float, unit: str = "", **values: object) -> None:
+    """Raise unless every plain number lies in a range, the edges included.
+
+    Raises
+    ------
+    RangeError
+        It names the owner, the field, the value and the range.
+    """
+    for name, value in values.items():
+        if isinstance(value, int | float) and not lower <= value <= upper:
+            raise RangeError(
+                f"{owner}: {name} is {value:g}, outside {lower:g}..{upper:g} {unit}".rstrip(),
+                value=value,
+                lower=lower,
+                upper=upper,
+                unit=unit,
+            )

@@ -9,11 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.joint import AntagonisticJoint
-from mckibben.joint.attainable import pressure_limits_of
 from mckibben.numerics.arrays import floating
 from mckibben.plant.load import Load
 from mckibben.plant.valve import Valve
-from mckibben.units import bar
 
 Scalar = Float[Array, ""]
 
@@ -50,12 +48,19 @@ class JointPlant(eqx.Module):
     valve: Valve
 
     def limited(self, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Scalar, Scalar]:
-        """The commands [Pa] that the valves accept: within the pressures of the muscles' domains."""
-        lowest, highest = pressure_limits_of(self.joint)
+        """The commands [Pa] that the valves let through: within the pressures that the specimens are rated for.
+
+        A law may hold for less; whoever commands more than it was fitted to leaves its domain, and the result says so.
+        """
+        rated1, rated2 = self.joint.muscle1.specimen.domain, self.joint.muscle2.specimen.domain
         return (
-            jnp.clip(jnp.asarray(commands[0]), lowest[0], highest[0]),
-            jnp.clip(jnp.asarray(commands[1]), lowest[1], highest[1]),
+            jnp.clip(jnp.asarray(commands[0]), rated1.pressure_min, rated1.pressure_max),
+            jnp.clip(jnp.asarray(commands[1]), rated2.pressure_min, rated2.pressure_max),
         )
+
+    def stiffness(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
+        """The stiffness against a push from outside [N*m/rad]: that of the muscles and that of gravity."""
+        return self.joint.stiffness(angle, pressures) + self.load.gravity_stiffness(angle)
 
     def switched(self, state: PlantState, commands: tuple[ArrayLike, ArrayLike]) -> PlantState:
         """The state right after new commands [Pa] reached the valves."""
@@ -94,7 +99,3 @@ class JointPlant(eqx.Module):
         holding = -self.load.gravity_torque(angle)
         pressure1, pressure2 = self.joint.pressures_for(angle, float(holding), stiffness)
         return PlantState(floating(angle), floating(0.0), pressure1, pressure2)
-
-    def __str__(self) -> str:
-        (low, _), (high, _) = pressure_limits_of(self.joint)
-        return f"JointPlant({type(self.valve).__name__}, {float(low) / bar:g}..{float(high) / bar:g} bar)"

@@ -121,9 +121,12 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
     found = results["validation"]
     retest = found["retest_rmse_N"]
     columns = {f"second test: {law}": values for law, values in retest.items()}
-    columns["pressures held out: Eq. 2"] = found["held_out_pressures_rmse_N"]
-    columns["repeat held out: Eq. 2"] = found["held_out_repeat_rmse_N"]
-    pressures = list(next(iter(columns.values())))
+    columns |= {f"pressures held out: {law}": values for law, values in found["held_out_pressures_rmse_N"].items()}
+    columns |= {f"repeat held out: {law}": values for law, values in found["held_out_repeat_rmse_N"].items()}
+    rows = [
+        place for place in next(iter(columns.values())) if place[0].isdigit()
+    ]  # a pressure, or one in one direction
+    pressures = sorted(rows, key=lambda place: float(place.split()[0]))
     by_pressure = Table(
         "Virtual rig, RMSE [N] at the paper's four pressures: on a second test with other noise and offsets, and at "
         "points that were kept from the fit. Half of the friction band is in every one of them, since a law has one "
@@ -136,7 +139,7 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
     overall = Table(
         "Measured muscles, RMSE [N] over all taut points: laws fitted to these points, and laws that do not know them.",
         ("dataset", *(f"{law} [N]" for law in laws)),
-        [(name_of(name), *(number(values[law]) for law in laws)) for name, values in measured.items()],
+        [(name_of(name), *(number(values[law]["all"]) for law in laws)) for name, values in measured.items()],
     )
     return [by_pressure, overall]
 
@@ -173,8 +176,7 @@ def tracking_tables(results: Mapping[str, Any]) -> list[Table]:
         tables.append(
             Table(
                 f"Geometry {setting.name}. For BP the median over {results['seeds']} seeds and in brackets the worst; "
-                "settling is into 10 % of the change asked for. Lost: the joint swung over, or the state was no longer "
-                "finite.",
+                "settling is into 10 % of the change asked for. Lost: worse than not moving at all, or no longer finite.",
                 ("controller", *columns, "lost"),
                 rows,
             )

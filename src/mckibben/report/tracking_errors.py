@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mckibben.report.panels import legend_above, letter, note_off_scale, robust_limits
 from mckibben.report.style import DOUBLE, blank, looks_of, styled
 from mckibben.simulation import Result
-from mckibben.simulation.metrics import last_change
+from mckibben.simulation.metrics import SETTLING_PART, last_change, settling_band
 from mckibben.units import deg
 
 _BEFORE = 0.05  # s shown before a change of the wish
@@ -77,8 +77,8 @@ def _settling(axes: Axes, runs: Mapping[str, Result], times: NDArray[np.float64]
     desired = first.table["desired_stiffness"].to_numpy()
     change = int(last_change(desired))
     start = float(times[change])
-    asked = abs(desired[-1] - float(first.table["stiffness"].to_numpy()[change]))
-    axes.axhspan(-0.1 * asked, 0.1 * asked, color="#E8E8E8", zorder=0, label="10 % of the change asked for")
+    band = float(settling_band(first.trajectory, SETTLING_PART))
+    axes.axhspan(-band, band, color="#E8E8E8", zorder=0, label=f"{SETTLING_PART * 100:g} % of the change asked for")
     settled = {name: result.metrics()["stiffness_settling"] for name, result in runs.items()}
     finite = [value for value in settled.values() if np.isfinite(value)]
     length = float(np.clip(2.5 * max(finite, default=_ZOOM[1]), *_ZOOM))

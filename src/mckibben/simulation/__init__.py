@@ -1,13 +1,14 @@
 """The sampled-data loop, its result and metrics, and the check of a wish before the run."""
 
-from mckibben.simulation.loop import compiled_episode, episode, sampled
-from mckibben.simulation.metrics import Metrics, measure, rms
+from mckibben.simulation.loop import compiled_episode, episode, sampled, without_last_change
+from mckibben.simulation.metrics import SETTLING_PART, Metrics, measure, rms, settling_band
 from mckibben.simulation.reach import Reach, check_reference
 from mckibben.simulation.result import Outcome, Result
 from mckibben.simulation.simulate import CheckedRun, checked_run, simulate
 from mckibben.simulation.trajectory import Trajectory, compiled_trajectory, trajectory
 
 __all__ = [
+    "SETTLING_PART",
     "CheckedRun",
     "Metrics",
     "Outcome",
@@ -22,6 +23,8 @@ __all__ = [
     "measure",
     "rms",
     "sampled",
+    "settling_band",
     "simulate",
     "trajectory",
+    "without_last_change",
 ]

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
@@ -83,6 +84,16 @@ def compiled_episode(
 ) -> tuple[PlantState, Record]:
     """`episode`, compiled once for each structure of its arguments; give it `numeric` ones."""
     return episode(plant, controller, setpoints, initial, period, substeps)
+
+
+def without_last_change(setpoints: Setpoint) -> Setpoint | None:
+    """The same wishes without the last change of stiffness; None if it never changes, or never stops changing."""
+    stiffness = np.asarray(setpoints.stiffness)
+    changes = np.flatnonzero(stiffness[1:] != stiffness[:-1]) + 1
+    if changes.size == 0 or changes[-1] == stiffness.size - 1:
+        return None
+    held = np.where(np.arange(stiffness.size) >= changes[-1], stiffness[changes[-1] - 1], stiffness)
+    return setpoints._replace(stiffness=jnp.asarray(held))
 
 
 def sampled(reference: Reference, duration: float, period: float) -> tuple[Float[Array, " periods"], Setpoint]:

@@ -10,7 +10,8 @@ from jaxtyping import Array, ArrayLike
 from mckibben.numerics.compiled import compiled
 from mckibben.simulation.trajectory import Trajectory
 
-_WINDOW = 1.0  # s before and after a change of stiffness, for the coupling
+SETTLING_PART = 0.1
+"""Half the width of the settling band, as a part of the change of stiffness that was asked for."""
 _BAND_FLOOR = 1e-3  # of the wish: a band narrower than this is no band
 
 
@@ -28,12 +29,16 @@ class Metrics(NamedTuple):
         stays within the band [s]; NaN if it does not by the end of the run, or if the wish never stops changing. The
         band is a part of the change.
     coupling
-        By how much the largest angle error in the second after the last change of the desired stiffness exceeds that in
-        the second before it [rad]; NaN if the desired stiffness never changes, or never stops changing.
+        By how much the last change of the desired stiffness moves the angle at most, against the same run without that
+        change [rad]; NaN if the desired stiffness never changes, or never stops changing.
     estimate_rmse
         Root mean square error of the controller's estimate of the stiffness [N*m/rad].
-    time_saturated, time_slack, time_outside_domain
-        For how long a command was at a pressure limit, a muscle slack, a muscle outside its domain [s].
+    time_saturated, time_slack, time_outside_domain, time_overloaded
+        For how long a command was at a pressure limit, a muscle slack, outside its domain, above its rated force [s].
+    excursion_max
+        How far a contraction was outside its domain at most [-].
+    force_max
+        The largest tension [N].
     """
 
     angle_rmse: Array
@@ -46,9 +51,12 @@ class Metrics(NamedTuple):
     time_saturated: Array
     time_slack: Array
     time_outside_domain: Array
+    time_overloaded: Array
+    excursion_max: Array
+    force_max: Array
 
 
-def measure(moved: Trajectory, period: ArrayLike, *, settling_band: float = 0.1) -> Metrics:
+def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETTLING_PART) -> Metrics:
     """The metrics of a trajectory.
 
     Parameters
@@ -57,7 +65,7 @@ def measure(moved: Trajectory, period: ArrayLike, *, settling_band: float = 0.1)
         The trajectory.
     period
         Its control period [s].
-    settling_band
+    settling_part
         Half the width of the settling band, as a part of the change of stiffness that was asked for.
     """
     angle_error = jnp.asarray(moved.angle) - moved.desired_angle
@@ -69,12 +77,15 @@ def measure(moved: Trajectory, period: ArrayLike, *, settling_band: float = 0.1)
         angle_max=jnp.max(jnp.abs(angle_error)),
         stiffness_rmse=rms(stiffness_error),
         stiffness_max=jnp.max(jnp.abs(stiffness_error)),
-        stiffness_settling=_settling(moved, stiffness_error, change, period, settling_band),
-        coupling=_coupling(angle_error, change, period),
+        stiffness_settling=_settling(moved, stiffness_error, change, period, settling_part),
+        coupling=_coupling(moved, change),
         estimate_rmse=rms(estimate_error),
         time_saturated=jnp.sum(moved.saturated) * period,
         time_slack=jnp.sum(moved.slack) * period,
         time_outside_domain=jnp.sum(moved.outside_domain) * period,
+        time_overloaded=jnp.sum(moved.overloaded) * period,
+        excursion_max=jnp.max(moved.excursion),
+        force_max=jnp.maximum(jnp.max(moved.force1), jnp.max(moved.force2)),
     )
 
 
@@ -94,24 +105,25 @@ def last_change(desired: ArrayLike) -> Array:
     return jnp.max(jnp.where(changed, jnp.arange(desired.size), 0))
 
 
-def _settling(moved: Trajectory, error: Array, change: Array, period: ArrayLike, part: float) -> Array:
+def settling_band(moved: Trajectory, part: float) -> Array:
+    """Half the width of the band into which the stiffness has to settle [N*m/rad]: a part of the change asked for."""
     wanted = jnp.asarray(moved.desired_stiffness)[-1]
-    asked = jnp.abs(wanted - jnp.asarray(moved.stiffness)[change])
-    band = jnp.maximum(part * asked, _BAND_FLOOR * jnp.abs(wanted))
+    asked = jnp.abs(wanted - jnp.asarray(moved.stiffness)[last_change(moved.desired_stiffness)])
+    return jnp.maximum(part * asked, _BAND_FLOOR * jnp.abs(wanted))
+
+
+def _settling(moved: Trajectory, error: Array, change: Array, period: ArrayLike, part: float) -> Array:
     index = jnp.arange(error.size)
-    outside = (index >= change) & ~(jnp.abs(error) <= band)
+    outside = (index >= change) & ~(jnp.abs(error) <= settling_band(moved, part))
     last = jnp.max(jnp.where(outside, index, change - 1))
     never = (last >= error.size - 1) | _still_changing(change, error)
     return jnp.where(never, jnp.nan, (last + 1 - change) * period)
 
 
-def _coupling(error: Array, change: Array, period: ArrayLike) -> Array:
-    index = jnp.arange(error.size)
-    width = _WINDOW / period
-    size = jnp.abs(error)
-    after = jnp.max(jnp.where((index >= change) & (index < change + width), size, 0.0))
-    before = jnp.max(jnp.where((index < change) & (index >= change - width), size, 0.0))
-    return jnp.where((change > 0) & ~_still_changing(change, error), after - before, jnp.nan)
+def _coupling(moved: Trajectory, change: Array) -> Array:
+    difference = jnp.abs(jnp.asarray(moved.angle) - moved.undisturbed_angle)
+    after = jnp.arange(difference.size) >= change
+    return jnp.max(jnp.where(after, difference, 0.0))
 
 
 def _still_changing(change: Array, error: Array) -> Array:

@@ -14,16 +14,19 @@ import xarray as xr
 
 from mckibben.errors import FileError, Problem
 from mckibben.files import whole
-from mckibben.simulation.metrics import compiled_measure
+from mckibben.simulation.metrics import SETTLING_PART, compiled_measure
 from mckibben.simulation.trajectory import Trajectory
+from mckibben.units import percent
 
 _ANGLE, _STIFFNESS, _PRESSURE = "rad", "N*m/rad", "Pa"
 _UNITS = {
     "angle": (_ANGLE, "joint angle"),
     "velocity": ("rad/s", "angular velocity"),
     "desired_angle": (_ANGLE, "desired joint angle"),
+    "undisturbed_angle": (_ANGLE, "joint angle without the last change of the desired stiffness"),
     "desired_stiffness": (_STIFFNESS, "desired joint stiffness"),
     "stiffness": (_STIFFNESS, "isobaric joint stiffness of the plant's muscles"),
+    "total_stiffness": (_STIFFNESS, "joint stiffness of the plant's muscles and of gravity"),
     "stiffness_estimate": (_STIFFNESS, "joint stiffness as the controller's model has it"),
     "torque": ("N*m", "torque of the muscles"),
     "pressure1": (_PRESSURE, "gauge pressure in muscle 1"),
@@ -37,6 +40,8 @@ _UNITS = {
     "saturated": ("1", "a command is at a pressure limit"),
     "slack": ("1", "a muscle is slack"),
     "outside_domain": ("1", "a muscle's contraction or pressure is outside its domain"),
+    "overloaded": ("1", "a muscle's tension is above its rating"),
+    "excursion": ("1", "how far a contraction is outside its domain"),
     "position_kp": ("Pa/rad", "proportional gain of the position loop"),
     "position_ki": ("Pa/(rad*s)", "integral gain of the position loop"),
     "position_kd": ("Pa*s/rad", "derivative gain of the position loop"),
@@ -53,7 +58,7 @@ class Outcome(enum.Enum):
 
     COMPLETED = "completed"
     SATURATED = "completed, with a pressure at its limit part of the time"
-    LEFT_DOMAIN = "completed, but a muscle left the domain of its law: what happened there is extrapolation"
+    LEFT_DOMAIN = "completed, but a muscle left its domain or its rating: what happened there is extrapolation"
     DIVERGED = "diverged: the state is no longer finite"
 
 
@@ -106,9 +111,9 @@ class Result:
         """The arrays of the table, as the metrics take them."""
         return Trajectory(*(jnp.asarray(self.table[name].to_numpy()) for name in Trajectory._fields))
 
-    def metrics(self, *, settling_band: float = 0.1) -> dict[str, float]:
+    def metrics(self, *, settling_part: float = SETTLING_PART) -> dict[str, float]:
         """The numbers of `mckibben.simulation.metrics.Metrics`, by name, in SI."""
-        measured = compiled_measure(self.trajectory, self.control_period, settling_band=settling_band)
+        measured = compiled_measure(self.trajectory, self.control_period, settling_part=settling_part)
         return {name: float(value) for name, value in measured._asdict().items()}
 
     def describe(self) -> str:
@@ -121,7 +126,8 @@ class Result:
         spans = [
             f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"
             for what, mask in (
-                ("outside the domain", table["outside_domain"].to_numpy()),
+                (_outside(table), table["outside_domain"].to_numpy()),
+                (f"above the rated force (up to {_peak(table):.4g} N)", table["overloaded"].to_numpy()),
                 ("saturated", table["saturated"].to_numpy()),
                 ("slack", table["slack"].to_numpy()),
             )
@@ -173,6 +179,19 @@ class Result:
         return cls(table, Outcome[outcome])
 
 
+def _outside(table: xr.Dataset) -> str:
+    furthest = float(table["excursion"].max())
+    return (
+        f"outside the domain (contraction by up to {furthest / percent:.3g} %)"
+        if furthest > 0
+        else "outside the domain"
+    )
+
+
+def _peak(table: xr.Dataset) -> float:
+    return float(max(table["force1"].max(), table["force2"].max()))
+
+
 def _attributes(name: str) -> dict[str, str]:
     units, meaning = _UNITS.get(name, ("", name.replace("_", " ")))
     return {"units": units, "long_name": meaning} if units else {"long_name": meaning}
@@ -181,6 +200,6 @@ def _attributes(name: str) -> dict[str, str]:
 def _outcome(table: xr.Dataset) -> Outcome:
     if not (np.isfinite(table["angle"][-1]) and np.isfinite(table["velocity"][-1])):
         return Outcome.DIVERGED
-    if table["outside_domain"].any():
+    if table["outside_domain"].any() or table["overloaded"].any():
         return Outcome.LEFT_DOMAIN
     return Outcome.SATURATED if table["saturated"].any() else Outcome.COMPLETED

@@ -11,7 +11,7 @@ from mckibben.control.base import Controller, Reference
 from mckibben.errors import ReachabilityWarning, SimulationError
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.loop import compiled_episode, sampled
+from mckibben.simulation.loop import compiled_episode, sampled, without_last_change
 from mckibben.simulation.reach import Reach, check_reference
 from mckibben.simulation.result import Result
 from mckibben.simulation.trajectory import compiled_trajectory
@@ -104,7 +104,9 @@ def checked_run(
 
     plant, controller, start, period = numeric((plant, controller, start, control_period))
     _, record = compiled_episode(plant, controller, setpoints, start, period, substeps)
-    moved = compiled_trajectory(plant, setpoints, record)
+    held = without_last_change(setpoints)
+    undisturbed = None if held is None else compiled_episode(plant, controller, held, start, period, substeps)[1]
+    moved = compiled_trajectory(plant, setpoints, record, undisturbed)
     telemetry = {name: np.asarray(value) for name, value in record.telemetry.items()}
     band = (reach.lowest, reach.highest)
     return CheckedRun(Result.of(moved, control_period, band=band, telemetry=telemetry, scenario=scenario), reach)

@@ -4,28 +4,31 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 from jaxtyping import Array
 
 from mckibben.control.base import Setpoint
-from mckibben.joint.attainable import pressure_limits_of
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import JointPlant
 from mckibben.simulation.loop import Record
-
-_AT_LIMIT = 1.0  # Pa: a command this close to a limit is at it
 
 
 class Trajectory(NamedTuple):
     """An episode over time; every leaf has shape (periods,), SI units.
 
-    Stiffness, torque, forces and contractions are the plant's own, not the controller's belief.
+    Stiffness, torque, forces and contractions are the plant's own, not the controller's belief. ``stiffness`` is that
+    of the muscles, ``total_stiffness`` that and gravity's. ``undisturbed_angle`` is the angle of the same run without
+    the last change of the desired stiffness; NaN where that has no meaning. ``excursion`` is how far the worse of the two
+    contractions lies outside its domain.
     """
 
     angle: Array
     velocity: Array
     desired_angle: Array
+    undisturbed_angle: Array
     desired_stiffness: Array
     stiffness: Array
+    total_stiffness: Array
     stiffness_estimate: Array
     torque: Array
     pressure1: Array
@@ -39,31 +42,40 @@ class Trajectory(NamedTuple):
     saturated: Array
     slack: Array
     outside_domain: Array
+    overloaded: Array
+    excursion: Array
 
 
-def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record) -> Trajectory:
-    """Work out the trajectory of a record. Pure: it may be compiled, vmapped and differentiated."""
+def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, undisturbed: Record | None = None) -> Trajectory:
+    """Work out the trajectory of a record. Pure: it may be compiled, vmapped and differentiated.
+
+    Parameters
+    ----------
+    plant, setpoints, record
+        As `episode` took and gave them.
+    undisturbed
+        The record of a run to the same wishes `without_last_change`.
+    """
     state, joint = record.state, plant.joint
     torque, stiffness = joint.torque_and_stiffness(state.angle, state.pressures)
     contraction1, contraction2 = joint.contractions(state.angle, state.pressures)
     force1 = joint.muscle1.force(contraction1, state.pressure1)
     force2 = joint.muscle2.force(contraction2, state.pressure2)
-    lowest, highest = pressure_limits_of(joint)
-    saturated = (
-        (record.command1 <= lowest[0] + _AT_LIMIT)
-        | (record.command1 >= highest[0] - _AT_LIMIT)
-        | (record.command2 <= lowest[1] + _AT_LIMIT)
-        | (record.command2 >= highest[1] - _AT_LIMIT)
-    )
-    inside = joint.muscle1.domain.contains(contraction1, state.pressure1) & joint.muscle2.domain.contains(
-        contraction2, state.pressure2
-    )
+    muscles = ((joint.muscle1, contraction1, state.pressure1), (joint.muscle2, contraction2, state.pressure2))
+    inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in muscles]
+    beyond = [
+        jnp.maximum(muscle.domain.contraction_min - contraction, contraction - muscle.domain.contraction_max)
+        for muscle, contraction, _ in muscles
+    ]
+    rated1, rated2 = joint.muscle1.specimen.rated_force, joint.muscle2.specimen.rated_force
     return Trajectory(
         angle=state.angle,
         velocity=state.velocity,
         desired_angle=setpoints.angle,
+        undisturbed_angle=jnp.full_like(state.angle, jnp.nan) if undisturbed is None else undisturbed.state.angle,
         desired_stiffness=setpoints.stiffness,
         stiffness=stiffness,
+        total_stiffness=stiffness + plant.load.gravity_stiffness(state.angle),
         stiffness_estimate=record.telemetry["stiffness_estimate"],
         torque=torque,
         pressure1=state.pressure1,
@@ -74,9 +86,11 @@ def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record) -> Trajec
         force2=force2,
         contraction1=contraction1,
         contraction2=contraction2,
-        saturated=saturated,
+        saturated=record.telemetry["saturated"],
         slack=(force1 <= 0) | (force2 <= 0),
-        outside_domain=~inside,
+        outside_domain=~(inside[0] & inside[1]),
+        overloaded=(force1 > rated1) | (force2 > rated2),
+        excursion=jnp.maximum(jnp.maximum(beyond[0], beyond[1]), 0.0),
     )
 
 

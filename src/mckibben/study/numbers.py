@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mckibben.files import whole
-from mckibben.units import deg, factor
+from mckibben.units import deg, factor, percent
 
 if TYPE_CHECKING:
     from mckibben.identification import Fit
@@ -27,6 +27,9 @@ METRICS: dict[str, tuple[str, str, float]] = {
     "time_saturated_s": ("time_saturated", "s", 1.0),
     "time_slack_s": ("time_slack", "s", 1.0),
     "time_outside_domain_s": ("time_outside_domain", "s", 1.0),
+    "time_overloaded_s": ("time_overloaded", "s", 1.0),
+    "excursion_max_percent": ("excursion_max", "%", percent),
+    "force_max_N": ("force_max", "N", 1.0),
 }
 """From the name under which a metric is shown to that of `Metrics`, the unit as text and as a factor to SI."""
 

@@ -45,7 +45,10 @@ class JointMap:
 
     @property
     def holdable(self) -> tuple[float, float]:
-        """The range of angle around 0 that can be held without a gap [rad]; both NaN if 0 cannot."""
+        """The range of angle around 0 that can be held without a gap [rad]; both NaN if 0 cannot.
+
+        To the resolution of the table.
+        """
         lost = np.flatnonzero(np.isnan(self.lowest))
         zero = int(np.argmin(np.abs(self.angles)))
         if zero in lost:
@@ -60,7 +63,7 @@ class JointMap:
         return float(self.lowest[index]), float(self.highest[index])
 
 
-def run_joint(*, resolution: int = 241) -> dict[str, JointMap]:
+def run_joint(*, resolution: int = 481) -> dict[str, JointMap]:
     """The maps of both geometries, by setting key, with `resolution` angles (odd, so that 0 is one of them)."""
     return {setting.key: _map(setting, resolution) for setting in SETTINGS}
 

@@ -14,11 +14,11 @@ from typing import Any
 from mckibben.identification import Validation
 from mckibben.study.numbers import METRICS, fit_numbers, plain, write_json
 from mckibben.study.paper.claims import Claim, judge
-from mckibben.study.paper.identification import CHOU, EXPERIMENTAL, TEST_PRESSURES, Identification, run_identification
+from mckibben.study.paper.identification import Identification, run_identification
 from mckibben.study.paper.joint import JointMap, run_joint
 from mckibben.study.paper.settings import SETTINGS, Wish
 from mckibben.study.paper.tracking import Run, Tracking, run_tracking
-from mckibben.units import bar, deg
+from mckibben.units import bar, deg, factor
 
 Progress = Callable[[str, float], None]
 
@@ -54,7 +54,10 @@ class Reproduction:
                 "versions": {name: version(name) for name in ("jax", "numpy", "equinox")},
                 "python": platform.python_version(),
                 "quick": self.quick,
+                "seconds": self.seconds,
                 "seeds": self.tracking.seeds,
+                "settings": {setting.key: asdict(setting) for setting in SETTINGS},
+                "rig": _rig(self.identification),
                 "identification": {name: fit_numbers(fit) for name, fit in self.identification.fits.items()},
                 "validation": _validation(self.identification),
                 "joint": {setting.key: _joint(self.joint[setting.key]) for setting in SETTINGS},
@@ -136,21 +139,39 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     return Reproduction(identification, joint, tracking, claims, quick, time.perf_counter() - start)
 
 
-def _validation(found: Identification) -> dict[str, Any]:
-    def by_pressure(validation: Validation, law: str) -> dict[str, float]:
-        return {f"{p / bar:g} bar": validation.of(law, pressure=p).rmse for p in TEST_PRESSURES}
-
-    held_out = found.held_out_pressures.validation
-    repeat = found.held_out_repeat.validation
+def _rig(found: Identification) -> dict[str, Any]:
+    test = found.rig
     return {
-        "retest_rmse_N": {law: by_pressure(found.retested, law) for law in (EXPERIMENTAL, CHOU)},
-        "held_out_pressures_rmse_N": by_pressure(held_out, held_out.laws[0]),
-        "held_out_repeat_rmse_N": by_pressure(repeat, repeat.laws[0]),
-        "measured_rmse_N": {
-            name: {law: validation.of(law).rmse for law in validation.laws}
-            for name, validation in found.measured.items()
+        "plateaus": len(test.test),
+        "samples": test.samples,
+        "points_away_from_turns": len(test.settled),
+        "repeats": test.protocol.repeats,
+        "hysteresis_N": test.rig.hysteresis,
+        "published": {
+            p.name: getattr(test.muscle.law, p.name) / factor(p.shown, p.unit) for p in test.muscle.law.parameters()
         },
     }
+
+
+def _validation(found: Identification) -> dict[str, Any]:
+    on_rig = {
+        "retest": found.retested,
+        "held_out_pressures": found.held_out_pressures,
+        "held_out_repeat": found.held_out_repeat,
+    }
+    return {f"{name}_rmse_N": _errors(validation) for name, validation in on_rig.items()} | {
+        "measured_rmse_N": {name: _errors(validation) for name, validation in found.measured.items()}
+    }
+
+
+def _errors(validation: Validation) -> dict[str, dict[str, float]]:
+    """RMSE of each law: over all points, by direction, by pressure, and by both."""
+    table: dict[str, dict[str, float]] = {}
+    for errors in validation.errors:
+        place = [] if errors.pressure is None else [f"{errors.pressure / bar:g} bar"]
+        place += [errors.direction] if errors.direction else []
+        table.setdefault(errors.law, {})[", ".join(place) or "all"] = errors.rmse
+    return table
 
 
 def _joint(found: JointMap) -> dict[str, Any]:

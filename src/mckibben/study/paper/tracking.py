@@ -17,7 +17,6 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import (
     Metrics,
     Result,
-    Trajectory,
     compiled_episode,
     compiled_trajectory,
     episode,
@@ -25,6 +24,7 @@ from mckibben.simulation import (
     rms,
     sampled,
     trajectory,
+    without_last_change,
 )
 from mckibben.study.paper.settings import BOUND, FREE, SETTINGS, Setting, Wish, bp_scenario, gains_of, pid_scenario
 from mckibben.study.running import run_scenario
@@ -150,7 +150,7 @@ def run_tracking(*, seeds: int, generations: int, progress: Callable[[float], No
                 scenario = bp_scenario(setting, wish, given, gain_ratio=ratio, name=name)
                 runs[setting.key, wish, name] = _run_bp(scenario, seeds)
             report(0.6 + 0.2 * (j + 1))
-        coupling[setting.key] = _coupling(setting)
+        coupling[setting.key] = _coupling(setting, runs[setting.key, Wish.STEP, PID])
     return Tracking(runs, tuned, coupling, seeds)
 
 
@@ -176,7 +176,8 @@ def _run_bp(scenario: Scenario, seeds: int) -> Run:
     _, wishes = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     control, initial = scenario.control(), scenario.initial(plant)
     plant, control, initial, period = numeric((plant, control, initial, scenario.control_period))
-    measured = _over_seeds(plant, control, wishes, initial, period, jnp.arange(seeds), scenario.substeps)
+    held = without_last_change(wishes)
+    measured = _over_seeds(plant, control, wishes, held, initial, period, jnp.arange(seeds), scenario.substeps)
     return Run(scenario, run_scenario(scenario).result, measured)
 
 
@@ -185,6 +186,7 @@ def _over_seeds(
     plant: JointPlant,
     control: PositionStiffnessControl,
     wishes: Setpoint,
+    held: Setpoint | None,
     initial: PlantState,
     period: Array,
     seeds: Array,
@@ -193,32 +195,31 @@ def _over_seeds(
     def one(seed: Array) -> Metrics:
         seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, (seed, seed))
         _, record = episode(plant, seeded, wishes, initial, period, substeps)
-        return measure(trajectory(plant, wishes, record), period)
+        undisturbed = None if held is None else episode(plant, seeded, held, initial, period, substeps)[1]
+        return measure(trajectory(plant, wishes, record, undisturbed), period)
 
     return jax.vmap(one)(seeds)
 
 
-def _coupling(setting: Setting) -> Coupling:
-    """Two more runs: the step's run without the step, and the constant wish with the angle held."""
-    stepping = pid_scenario(setting, Wish.STEP)
-    plant, control, initial = stepping.plant(), stepping.control(), stepping.initial(stepping.plant())
-    _, stepped = sampled(stepping.reference(), stepping.duration, stepping.control_period)
-    level = stepped._replace(stiffness=jnp.full_like(stepped.stiffness, stepped.stiffness[0]))
-    _, moving = sampled(pid_scenario(setting, Wish.CONSTANT).reference(), stepping.duration, stepping.control_period)
+def _coupling(setting: Setting, stepping: Run) -> Coupling:
+    """From the run with the step, and two more with the constant wish: the angle moving, and held."""
+    scenario = pid_scenario(setting, Wish.CONSTANT)
+    plant = scenario.plant()
+    _, moving = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     held = moving._replace(angle=jnp.zeros_like(moving.angle))
+    control, start = scenario.control(), scenario.initial(plant)
+    plant, control, start, period = numeric((plant, control, start, scenario.control_period))
 
-    plant, control, initial, period = numeric((plant, control, initial, stepping.control_period))
+    def late_error(wishes: Setpoint) -> float:
+        _, record = compiled_episode(plant, control, wishes, start, period, scenario.substeps)
+        moved = compiled_trajectory(plant, wishes, record)
+        late = moved.angle.size // 2
+        return float(rms((moved.stiffness - moved.desired_stiffness)[late:]))
 
-    def moved(wishes: Setpoint) -> Trajectory:
-        _, record = compiled_episode(plant, control, wishes, initial, period, stepping.substeps)
-        return compiled_trajectory(plant, wishes, record)
-
-    half = stepped.angle.size // 2
-    with_step, without, moving_run, held_run = (moved(wishes) for wishes in (stepped, level, moving, held))
     return Coupling(
-        angle_by_step=float(jnp.max(jnp.abs(with_step.angle - without.angle)[half:])),
-        stiffness_by_motion=float(rms((moving_run.stiffness - moving_run.desired_stiffness)[half:])),
-        stiffness_at_rest=float(rms((held_run.stiffness - held_run.desired_stiffness)[half:])),
+        angle_by_step=stepping.result.metrics()["coupling"],
+        stiffness_by_motion=late_error(moving),
+        stiffness_at_rest=late_error(held),
     )
 
 
