@@ -130,7 +130,7 @@ def test_telemetry_names_the_estimate_and_the_gains_of_learning_loops(knee):
     control = numeric(PositionStiffnessControl(learner, STIFFNESS, model=knee))
     state, _ = once(control, wish(), seen())
     telemetry = control.telemetry(state)
-    assert set(telemetry) == {"stiffness_estimate", "position_kp", "position_ki", "position_kd"}
+    assert set(telemetry) == {"stiffness_estimate", "saturated", "position_kp", "position_ki", "position_kd"}
     assert float(telemetry["position_kp"]) == pytest.approx(1.5e5)
 
 

@@ -44,16 +44,21 @@ anything = st.text(st.characters(blacklist_categories=("Cs", "Cc", "Cn")), max_s
 
 
 @given(
-    numbers=st.lists(finite, min_size=9, max_size=9),
-    limit=st.floats(allow_nan=False),
+    angle=st.floats(0.01, 1.56),
+    diameter=st.floats(1e-300, 1e300),
+    contraction=st.tuples(finite, st.floats(allow_nan=False)).map(sorted),
+    pressure=st.tuples(finite, finite).map(sorted),
+    numbers=st.lists(finite, min_size=4, max_size=4),
     texts=st.lists(anything, min_size=3, max_size=3),
     lopo=st.booleans(),
 )
-def test_whatever_is_in_a_fit_comes_back(numbers, limit, texts, lopo, fit, tmp_path_factory):
+def test_whatever_is_in_a_fit_comes_back(
+    angle, diameter, contraction, pressure, numbers, texts, lopo, fit, tmp_path_factory
+):
     path = tmp_path_factory.mktemp("fits") / "fit.yaml"
-    angle, diameter, low, e1, rho, rmse, largest, p1, p2 = numbers
+    e1, rho, rmse, largest = numbers
     odd = Fit(
-        law=ChouLaw(angle, diameter, Domain(low, limit, p1, p2)),
+        law=ChouLaw(angle, diameter, Domain(*contraction, *pressure)),
         standard_errors={"braid_angle": np.nan, "initial_diameter": e1},
         correlations=np.array([[np.nan, np.nan], [np.nan, rho]]),
         rmse=rmse,
@@ -62,7 +67,7 @@ def test_whatever_is_in_a_fit_comes_back(numbers, limit, texts, lopo, fit, tmp_p
         points_slack=0,
         leave_one_pressure_out=fit.leave_one_pressure_out if lopo else None,
         warnings=tuple(texts[:1]),
-        dataset=DatasetSummary(texts[1], texts[2], (p1, p2)),
+        dataset=DatasetSummary(texts[1], texts[2], tuple(pressure)),
     )
     odd.to_yaml(path)
     same(odd, Fit.from_yaml(path))

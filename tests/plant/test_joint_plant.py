@@ -55,8 +55,9 @@ def test_the_rate_is_equation_6(plant, paper_precontracted):
     assert float(got.pressure2) == pytest.approx((1e5 - 4.1e5) / 0.02)
 
 
-def test_commands_beyond_the_muscles_are_limited(plant):
-    assert [float(c) for c in plant.limited((-1e5, 7e5))] == [0.0, 6e5]
+def test_commands_beyond_the_rating_of_the_muscles_are_limited(plant):
+    assert [float(c) for c in plant.limited((-1e5, 9e5))] == [0.0, 8e5]
+    assert [float(c) for c in plant.limited((0.0, 7e5))] == [0.0, 7e5]  # beyond the law's 6 bar, within the rating
     assert [float(c) for c in plant.limited((1e5, 5e5))] == [1e5, 5e5]
 
 
@@ -66,8 +67,10 @@ def test_a_switch_moves_pressures_only_through_an_ideal_valve(plant, ideal_plant
     assert rates(ideal_plant.switched(state, (3e5, 4e5))) == [0.1, 0.2, 3e5, 4e5]
 
 
-def test_it_prints_its_valve_and_pressures(plant):
-    assert str(plant) == "JointPlant(FirstOrderValve, 0..6 bar)"
+def test_its_stiffness_is_that_of_the_muscles_and_gravity(plant):
+    pressures = (3e5, 4e5)
+    added = float(plant.stiffness(0.1, pressures) - plant.joint.stiffness(0.1, pressures))
+    assert added == pytest.approx(0.15 * 9.81 * np.cos(np.pi / 6 - 0.1), rel=1e-12)
 
 
 @pytest.fixture(scope="module")

@@ -51,7 +51,7 @@ def diverged(knee, load):
 
 def said(text: str, what: str) -> tuple[float, float]:
     """For how long and from when on."""
-    return tuple(float(x) for x in re.search(rf"{what} for ([\d.e-]+) s, first at ([\d.e-]+) s", text).groups())
+    return tuple(float(x) for x in re.search(rf"{what}[^;]*? for ([\d.e-]+) s, first at ([\d.e-]+) s", text).groups())
 
 
 def test_completed(completed):

@@ -59,7 +59,7 @@ def test_the_results_have_what_the_issue_asks_for(results):
                     assert run[name] > 0
                 assert run["stiffness_settling_s"] is None or run["stiffness_settling_s"] >= 0
     for claim in results["claims"]:
-        assert set(claim) == {"claim", "source", "holds", "evidence"}
+        assert set(claim) == {"claim", "source", "holds", "evidence", "of_paper"}
 
 
 def test_the_numbers_of_a_run_are_those_of_its_trajectory(results, reproduction):

@@ -61,7 +61,7 @@ class Controller(eqx.Module):
     def telemetry(self, state: Any) -> dict[str, Scalar]:
         """What is worth recording each period, by name.
 
-        At least ``stiffness_estimate`` [N*m/rad] and ``saturated``, whether a command was cut off at a limit.
+        At least ``stiffness_estimate`` [N*m/rad]; ``saturated`` where it cuts its own commands off at a limit.
         """
 
 

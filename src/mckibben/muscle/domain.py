@@ -23,7 +23,7 @@ class Domain(eqx.Module):
             ("contraction", self.contraction_min, self.contraction_max),
             ("pressure", self.pressure_min, self.pressure_max),
         ):
-            if isinstance(low, int | float) and isinstance(high, int | float) and not low <= high:
+            if isinstance(low, int | float) and isinstance(high, int | float) and low > high:
                 raise RangeError(f"Domain: {what} from {low:g} to {high:g}", lower=low, upper=high, remedy="swap them")
 
     def contains(self, contraction: ArrayLike, pressure: ArrayLike) -> Bool[Array, "..."]:

@@ -176,7 +176,7 @@ def tracking_tables(results: Mapping[str, Any]) -> list[Table]:
         tables.append(
             Table(
                 f"Geometry {setting.name}. For BP the median over {results['seeds']} seeds and in brackets the worst; "
-                "settling is into 10 % of the change asked for. Lost: worse than not moving at all, or no longer finite.",
+                "settling is into 10 % of the change asked for. Lost: worse than not moving, or no longer finite.",
                 ("controller", *columns, "lost"),
                 rows,
             )

@@ -26,6 +26,7 @@ class Record(NamedTuple):
     state: PlantState
     command1: Array
     command2: Array
+    limited: Array  # whether the plant had to limit a command
     telemetry: dict[str, Array]
 
 
@@ -62,11 +63,12 @@ def episode(
 
     def control_period(carry: tuple[PlantState, Any], setpoint: Setpoint) -> tuple[tuple[PlantState, Any], Record]:
         state, memory = carry
-        memory, commands = controller.step(memory, setpoint, Measurement(state.angle, state.pressures), period)
-        commands = plant.limited(commands)
+        memory, wanted = controller.step(memory, setpoint, Measurement(state.angle, state.pressures), period)
+        commands = plant.limited(wanted)
+        limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
         switched = plant.switched(state, commands)
         following = lax.fori_loop(0, substeps, lambda _, x: rk4(lambda s: plant.rate(s, commands), x, step), switched)
-        return (following, memory), Record(state, *commands, controller.telemetry(memory))
+        return (following, memory), Record(state, *commands, limited, controller.telemetry(memory))
 
     memory = controller.init(Measurement(initial.angle, initial.pressures))
     (final, _), record = lax.scan(control_period, (initial, memory), setpoints)

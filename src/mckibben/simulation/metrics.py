@@ -74,9 +74,9 @@ def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETT
     change = last_change(moved.desired_stiffness)
     return Metrics(
         angle_rmse=rms(angle_error),
-        angle_max=jnp.max(jnp.abs(angle_error)),
+        angle_max=_largest(jnp.abs(angle_error)),
         stiffness_rmse=rms(stiffness_error),
-        stiffness_max=jnp.max(jnp.abs(stiffness_error)),
+        stiffness_max=_largest(jnp.abs(stiffness_error)),
         stiffness_settling=_settling(moved, stiffness_error, change, period, settling_part),
         coupling=_coupling(moved, change),
         estimate_rmse=rms(estimate_error),
@@ -84,8 +84,8 @@ def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETT
         time_slack=jnp.sum(moved.slack) * period,
         time_outside_domain=jnp.sum(moved.outside_domain) * period,
         time_overloaded=jnp.sum(moved.overloaded) * period,
-        excursion_max=jnp.max(moved.excursion),
-        force_max=jnp.maximum(jnp.max(moved.force1), jnp.max(moved.force2)),
+        excursion_max=_largest(moved.excursion),
+        force_max=jnp.maximum(_largest(moved.force1), _largest(moved.force2)),
     )
 
 
@@ -120,10 +120,15 @@ def _settling(moved: Trajectory, error: Array, change: Array, period: ArrayLike,
     return jnp.where(never, jnp.nan, (last + 1 - change) * period)
 
 
+def _largest(values: Array) -> Array:
+    """The maximum, NaN if there is one: XLA's own maximum does not always pass it on."""
+    return jnp.where(jnp.any(jnp.isnan(values)), jnp.nan, jnp.max(values))
+
+
 def _coupling(moved: Trajectory, change: Array) -> Array:
     difference = jnp.abs(jnp.asarray(moved.angle) - moved.undisturbed_angle)
     after = jnp.arange(difference.size) >= change
-    return jnp.max(jnp.where(after, difference, 0.0))
+    return _largest(jnp.where(after, difference, 0.0))
 
 
 def _still_changing(change: Array, error: Array) -> Array:

@@ -18,8 +18,8 @@ class Trajectory(NamedTuple):
 
     Stiffness, torque, forces and contractions are the plant's own, not the controller's belief. ``stiffness`` is that
     of the muscles, ``total_stiffness`` that and gravity's. ``undisturbed_angle`` is the angle of the same run without
-    the last change of the desired stiffness; NaN where that has no meaning. ``excursion`` is how far the worse of the two
-    contractions lies outside its domain.
+    the last change of the desired stiffness; NaN where that has no meaning. ``excursion`` is how far the worse of the
+    two contractions lies outside its domain.
     """
 
     angle: Array
@@ -86,7 +86,7 @@ def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, undisturb
         force2=force2,
         contraction1=contraction1,
         contraction2=contraction2,
-        saturated=record.telemetry["saturated"],
+        saturated=record.limited | record.telemetry.get("saturated", False),
         slack=(force1 <= 0) | (force2 <= 0),
         outside_domain=~(inside[0] & inside[1]),
         overloaded=(force1 > rated1) | (force2 > rated2),
