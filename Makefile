@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 OUT    ?= build/report
 WORKERS ?= 2
 
-.PHONY: reproduce test lint format bench docs clean help
+.PHONY: reproduce test lint format bench clean help
 .DEFAULT_GOAL := help
 
 help:

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load
     from mckibben.rig import IsobaricProtocol, VirtualRig
     from mckibben.simulation import Result, check_reference, simulate
+    from mckibben.study.paper import reproduce
+    from mckibben.study.scenario import Scenario
 
 _MODULES = ("catalog", "report", "units")
 _HOMES = {
@@ -50,6 +52,8 @@ _HOMES = {
     "plant": "FirstOrderValve IdealValve JointPlant Load",
     "rig": "IsobaricProtocol VirtualRig",
     "simulation": "Result check_reference simulate",
+    "study.paper": "reproduce",
+    "study.scenario": "Scenario",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 
@@ -78,6 +82,7 @@ __all__ = [
     "Result",
     "RigidTendon",
     "Samples",
+    "Scenario",
     "SeriesSpring",
     "Sine",
     "Specimen",
@@ -88,6 +93,7 @@ __all__ = [
     "identify",
     "read_dataset",
     "report",
+    "reproduce",
     "simulate",
     "units",
     "validate",

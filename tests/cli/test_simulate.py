@@ -113,7 +113,7 @@ def test_what_is_out_of_reach_is_a_warning_beside_the_result(cli, tmp_path, shor
 
 def test_a_start_that_cannot_be_held_is_bad_input(cli, tmp_path, shortened):
     text = shortened("pre-contracted-step-pid")
-    start = "angle: 0 deg, stiffness: 13 N*m/rad"
+    start = "angle: 0 deg, stiffness: 12 N*m/rad"
     assert start in text
     text = text.replace(start, "angle: 0 deg, stiffness: 99 N*m/rad")
     (tmp_path / "far.yaml").write_text(text, encoding="utf-8")

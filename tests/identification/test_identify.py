@@ -11,7 +11,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify
-from mckibben.identification.problem import Problem
+from mckibben.identification.problem import FitProblem
 from mckibben.identification.projection import search, solve_by_projection
 from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw
@@ -171,7 +171,7 @@ def test_standard_errors_cover_the_truth():
         data = grid(ExponentialLaw(50.0, 1e-3, 200.0, -2e-3, 250.0, 1e-4, 30.0))
         noisy = data.force + np.random.default_rng(seed).normal(size=len(data))
         points = IsobaricDataset.of(pressure=data.pressure, contraction=data.contraction, force=noisy, slack_force=-1e9)
-        problem = Problem.of(ExponentialLaw, points)
+        problem = FitProblem.of(ExponentialLaw, points)
         solution = solve_by_projection(problem, search(problem))
         found = uncertainty(solution.jacobian, solution.residuals, np.zeros(7, bool))
         truth = np.array([50.0, 1e-3, 200.0, -2e-3, 250.0, 1e-4, 30.0])

@@ -12,7 +12,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.nonlinear import solve_by_optimistix
-from mckibben.identification.problem import Problem, Solution
+from mckibben.identification.problem import FitProblem, Solution
 from mckibben.identification.projection import search, solve_by_projection
 from mckibben.identification.uncertainty import CONDITION_LIMIT, condition, uncertainty, undetermined
 from mckibben.muscle import Domain, ForceLaw
@@ -22,7 +22,7 @@ _STRONG_CORRELATION = 0.999
 _FRICTION = 1.0  # a gap between the directions above this part of the RMSE is what the residuals consist of
 _MOST_LEVELS = 200
 
-Solver = Callable[[Problem, NDArray[np.float64]], Solution]
+Solver = Callable[[FitProblem, NDArray[np.float64]], Solution]
 
 
 def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Domain | None = None) -> Fit:
@@ -64,7 +64,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     points = means.taut
     parameters = law_type.parameters()
     _check_count(law_type, points, slack=len(means) - len(points))
-    problem = Problem.of(law_type, points)
+    problem = FitProblem.of(law_type, points)
     solver = solve_by_projection if law_type.linear_parameters else solve_by_optimistix
 
     start = search(problem)
@@ -113,7 +113,7 @@ def _direction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64])
 
 
 def _leave_one_pressure_out(
-    problem: Problem, full: Solution, levels: NDArray[np.float64], solver: Solver
+    problem: FitProblem, full: Solution, levels: NDArray[np.float64], solver: Solver
 ) -> tuple[LeaveOnePressureOut | None, str]:
     """The errors at unseen pressures, or why there are none.
 
@@ -152,7 +152,7 @@ def _leave_one_pressure_out(
 _NO_UNSEEN = "no error at unseen pressures can be given"
 
 
-def _held(problem: Problem, solution: Solution) -> NDArray[np.bool_]:
+def _held(problem: FitProblem, solution: Solution) -> NDArray[np.bool_]:
     """Which parameters lie at a bound of their range, shape (parameters,)."""
     return np.concatenate([np.zeros(problem.linear, bool), problem.cube.at_bound(solution.position)])
 
@@ -174,7 +174,9 @@ def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) 
         )
 
 
-def _check_determined(problem: Problem, solution: Solution, held: NDArray[np.bool_], points: IsobaricDataset) -> None:
+def _check_determined(
+    problem: FitProblem, solution: Solution, held: NDArray[np.bool_], points: IsobaricDataset
+) -> None:
     free = solution.jacobian[:, ~held]
     number = condition(free)
     if not number < CONDITION_LIMIT:

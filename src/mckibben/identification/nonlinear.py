@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.identification.problem import Problem, Solution
+from mckibben.identification.problem import FitProblem, Solution
 from mckibben.identification.ranges import UnitCube
 from mckibben.muscle import ForceLaw
 
@@ -17,7 +17,7 @@ _TOLERANCE = 1e-11  # of the position in the unit cube, and of the residuals in 
 _MAX_STEPS = 256
 
 
-def solve_by_optimistix(problem: Problem, start: NDArray[np.float64]) -> Solution:
+def solve_by_optimistix(problem: FitProblem, start: NDArray[np.float64]) -> Solution:
     """Refine a position in the unit cube by Levenberg-Marquardt; it stays in the cube."""
     solve = _compiled(problem.law_type)
     scale = float(np.sqrt(np.mean(problem.measured**2)))

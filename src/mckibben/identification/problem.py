@@ -15,7 +15,7 @@ from mckibben.muscle import ForceLaw
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class FitProblem:
     """Find the parameters of a law for which the sum of squared force errors over the kept points is least.
 
     Parameters
@@ -36,7 +36,7 @@ class Problem:
     kept: NDArray[np.bool_] = field(repr=False)
 
     @classmethod
-    def of(cls, law_type: type[ForceLaw], points: IsobaricDataset) -> Problem:
+    def of(cls, law_type: type[ForceLaw], points: IsobaricDataset) -> FitProblem:
         """All points of a dataset, and then some that do not count, up to the next power of two.
 
         So datasets of similar size, such as the parts of one, share compiled code.
@@ -48,7 +48,7 @@ class Problem:
         )
         return cls(law_type, contraction, pressure, force, np.arange(count + pad[1]) < count)
 
-    def keeping(self, kept: NDArray[np.bool_]) -> Problem:
+    def keeping(self, kept: NDArray[np.bool_]) -> FitProblem:
         """The same with only those points kept; shape (m,) with m <= n, in the order of the points."""
         return replace(self, kept=np.pad(kept, (0, len(self.kept) - len(kept))))
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.identification.factors import tall_qr
-from mckibben.identification.problem import Problem, Solution
+from mckibben.identification.problem import FitProblem, Solution
 
 _MAX_STEPS = 100
 _MAX_HALVINGS = 30
@@ -42,7 +42,7 @@ class Projected:
         return float(self.residuals @ self.residuals)
 
 
-def project(problem: Problem, position: NDArray[np.float64]) -> Projected:
+def project(problem: FitProblem, position: NDArray[np.float64]) -> Projected:
     """Solve for the linear parameters, columns scaled to length one (pressures are in Pa)."""
     values = np.concatenate([np.zeros(problem.linear), problem.cube.values(position)])
     offset, design = problem.response(values)
@@ -56,12 +56,12 @@ def project(problem: Problem, position: NDArray[np.float64]) -> Projected:
     return Projected(position, values, basis, rest - columns @ values[: problem.linear])
 
 
-def search(problem: Problem) -> NDArray[np.float64]:
+def search(problem: FitProblem) -> NDArray[np.float64]:
     """The best position of a grid over the range of the shape."""
     return min((project(problem, position) for position in problem.cube.grid()), key=lambda p: p.cost).position
 
 
-def solve_by_projection(problem: Problem, start: NDArray[np.float64]) -> Solution:
+def solve_by_projection(problem: FitProblem, start: NDArray[np.float64]) -> Solution:
     """Refine a position by Gauss-Newton with step halving, inside the unit cube."""
     best = project(problem, start)
     size = float(np.linalg.norm(problem.measured))
@@ -86,7 +86,7 @@ def solve_by_projection(problem: Problem, start: NDArray[np.float64]) -> Solutio
     return Solution(best.values, best.position, best.residuals, jacobian, converged)
 
 
-def _projected_derivative(problem: Problem, at: Projected) -> NDArray[np.float64]:
+def _projected_derivative(problem: FitProblem, at: Projected) -> NDArray[np.float64]:
     """The derivative of the force with respect to the position, less what the linear parameters undo."""
     _, design = problem.response(at.values)
     columns = design[:, problem.linear :] * problem.cube.rates(at.position)
@@ -99,7 +99,7 @@ def _free(at: Projected, derivative: NDArray[np.float64]) -> NDArray[np.bool_]:
     return ~(((at.position <= 0) & (push < 0)) | ((at.position >= 1) & (push > 0)))
 
 
-def _descend(problem: Problem, at: Projected, step: NDArray[np.float64]) -> Projected | None:
+def _descend(problem: FitProblem, at: Projected, step: NDArray[np.float64]) -> Projected | None:
     """The first of the step, its half, its quarter ... that does not raise the cost."""
     for _ in range(_MAX_HALVINGS):
         trial = project(problem, np.clip(at.position + step, 0.0, 1.0))

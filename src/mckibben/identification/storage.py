@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.dataset.writing import whole
 from mckibben.errors import Problem, ScenarioError, UnitError
+from mckibben.files import whole
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.muscle import LAWS, Domain, ForceLaw
 from mckibben.units import factor, quantity, show

@@ -1,15 +1,15 @@
 """The joint: geometry (Eqs. 4-5), torque and stiffness (Eqs. 7-8), and what can be attained."""
 
-from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, JointMap
+from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.geometry import KneeGeometry
 from mckibben.joint.tendon import RigidTendon, SeriesSpring, Tendon
 
 __all__ = [
     "AffineMap",
     "AntagonisticJoint",
-    "JointMap",
     "KneeGeometry",
     "RigidTendon",
     "SeriesSpring",
     "Tendon",
+    "TorqueStiffnessMap",
 ]

@@ -31,7 +31,7 @@ class AffineMap(NamedTuple):
         return self.offset + self.slope1 * pressures[0] + self.slope2 * pressures[1]
 
 
-class JointMap(NamedTuple):
+class TorqueStiffnessMap(NamedTuple):
     """Torque [N*m] and stiffness [N*m/rad] at one angle, over the pressures of two taut muscles."""
 
     torque: AffineMap
@@ -157,7 +157,7 @@ class AntagonisticJoint(eqx.Module):
         slope2 = tension_slope(self.muscle2, path2, path_slope2, pressures[1])
         return slope1 * arm1 + tension1 * arm_slope1 - slope2 * arm2 - tension2 * arm_slope2
 
-    def affine_map(self, angle: ArrayLike) -> JointMap:
+    def affine_map(self, angle: ArrayLike) -> TorqueStiffnessMap:
         """Torque and stiffness at an angle as affine functions of the two pressures, while both muscles are taut.
 
         Raises
@@ -179,7 +179,7 @@ class AntagonisticJoint(eqx.Module):
             return offset2 * arm2 - offset1 * arm1, -gain1 * arm1, gain2 * arm2
 
         torque, slopes = value_and_derivative(torque_terms, angle)
-        return JointMap(AffineMap(*torque), AffineMap(*(-slope for slope in slopes)))
+        return TorqueStiffnessMap(AffineMap(*torque), AffineMap(*(-slope for slope in slopes)))
 
     def attainable_torque(
         self,

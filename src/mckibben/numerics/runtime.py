@@ -6,8 +6,10 @@ Nothing here imports JAX before it is used, so that `import mckibben` and `mckib
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib.metadata
 import os
+import platform
 import sys
 from pathlib import Path
 
@@ -47,10 +49,27 @@ def with_loop_option(flags: str) -> str:
 
 def use_compile_cache() -> None:
     """Keep compiled programs in the user's cache folder, so that the next process need not compile them again."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(base) / "mckibben" / "jax"))
+    try:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    except RuntimeError:  # no home: then nothing is kept
+        return
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(base) / "mckibben" / f"jax-{_processor()}"))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+
+
+def _processor() -> str:
+    """A short name for what the processor can do: programs compiled for one do not run on every other."""
+    return hashlib.sha256(" ".join([platform.machine(), *sorted(_cpu_flags())]).encode()).hexdigest()[:8]
+
+
+@functools.cache
+def _cpu_flags() -> frozenset[str]:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return frozenset()
+    return frozenset(next((line for line in lines if line.startswith("flags")), "").split())
 
 
 @functools.cache
@@ -60,11 +79,7 @@ def batch_options() -> dict[str, int]:
 
     if jax.default_backend() != "cpu":
         return {}
-    try:
-        wide = "avx512f" in Path("/proc/cpuinfo").read_text(encoding="utf-8")
-    except OSError:
-        wide = False
-    return {"xla_cpu_prefer_vector_width": 512} if wide else {}
+    return {"xla_cpu_prefer_vector_width": 512} if "avx512f" in _cpu_flags() else {}
 
 
 def _dispatches_loop_bodies() -> bool:

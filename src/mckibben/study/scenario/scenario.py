@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_serializer
 
 from mckibben.errors import Problem, ScenarioError
+from mckibben.files import whole
 from mckibben.numerics.checks import whole_periods
 from mckibben.study.scenario.controller import ControllerSpec
 from mckibben.study.scenario.document import LONGEST, read_document
@@ -162,7 +163,8 @@ class Scenario(Part):
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write the scenario to a file that `read` reads back to the last bit."""
-        Path(path).write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
+        with whole(path) as part:
+            part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
 
     def plant(self) -> JointPlant:
         """What is simulated."""
