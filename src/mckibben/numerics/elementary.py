@@ -3,7 +3,7 @@ r"""`exp`, `sin` and `cos` that vectorise on the CPU, for the inner loops.
 XLA's own 64-bit versions are not vectorised on the CPU, which makes batches of simulations 6 to 12 times slower.
 These are polynomials after a Cody-Waite range reduction, good to about 1 ulp: `exp` wherever its result is a normal
 number (smaller ones are 0), `sin` and `cos` for :math:`|x| < 10^5` in 64 bits and :math:`|x| < 100` in 32 bits. On
-other devices the native functions are used.
+other devices, where they are the default, the native functions are used.
 
 The polynomial of `exp` is a Chebyshev-economised series of :math:`(e^r - 1 - r)/r^2`; those of `sin` and `cos` are the
 minimax polynomials of fdlibm (Sun Microsystems, 1993; 64 bits) and Cephes (Moshier, 1989; 32 bits).
@@ -134,7 +134,7 @@ def sincos(x: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
 
 @jax.custom_jvp
 def _exp_rule(x: Array) -> Array:
-    return lax.platform_dependent(x, cpu=_exp_polynomial, default=jnp.exp)
+    return _exp_polynomial(x) if _on_cpu() else jnp.exp(x)
 
 
 @_exp_rule.defjvp
@@ -145,13 +145,18 @@ def _exp_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Arra
 
 @jax.custom_jvp
 def _sincos_rule(x: Array) -> tuple[Array, Array]:
-    return lax.platform_dependent(x, cpu=_sincos_polynomial, default=lambda y: (jnp.sin(y), jnp.cos(y)))
+    return _sincos_polynomial(x) if _on_cpu() else (jnp.sin(x), jnp.cos(x))
 
 
 @_sincos_rule.defjvp
 def _sincos_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     sine, cosine = _sincos(primals[0])
     return (sine, cosine), (cosine * tangents[0], -sine * tangents[0])
+
+
+def _on_cpu() -> bool:
+    """Asked when a program is traced; `lax.platform_dependent` would ask later, and trace everything twice."""
+    return jax.default_backend() == "cpu"
 
 
 # Outside of compiled code each is compiled as one piece; inside they are inlined.

@@ -128,7 +128,8 @@ def _largest(values: Array) -> Array:
 def _coupling(moved: Trajectory, change: Array) -> Array:
     difference = jnp.abs(jnp.asarray(moved.angle) - moved.undisturbed_angle)
     after = jnp.arange(difference.size) >= change
-    return _largest(jnp.where(after, difference, 0.0))
+    largest = _largest(jnp.where(after, difference, 0.0))
+    return jnp.where((change > 0) & ~_still_changing(change, difference), largest, jnp.nan)
 
 
 def _still_changing(change: Array, error: Array) -> Array:

@@ -105,7 +105,7 @@ def checked_run(
     plant, controller, start, period = numeric((plant, controller, start, control_period))
     _, record = compiled_episode(plant, controller, setpoints, start, period, substeps)
     held = without_last_change(setpoints)
-    undisturbed = None if held is None else compiled_episode(plant, controller, held, start, period, substeps)[1]
+    undisturbed = record if held is None else compiled_episode(plant, controller, held, start, period, substeps)[1]
     moved = compiled_trajectory(plant, setpoints, record, undisturbed)
     telemetry = {name: np.asarray(value) for name, value in record.telemetry.items()}
     band = (reach.lowest, reach.highest)

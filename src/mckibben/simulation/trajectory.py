@@ -18,7 +18,7 @@ class Trajectory(NamedTuple):
 
     Stiffness, torque, forces and contractions are the plant's own, not the controller's belief. ``stiffness`` is that
     of the muscles, ``total_stiffness`` that and gravity's. ``undisturbed_angle`` is the angle of the same run without
-    the last change of the desired stiffness; NaN where that has no meaning. ``excursion`` is how far the worse of the
+    the last change of the desired stiffness, where there is one to leave out. ``excursion`` is how far the worse of the
     two contractions lies outside its domain.
     """
 
@@ -46,7 +46,7 @@ class Trajectory(NamedTuple):
     excursion: Array
 
 
-def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, undisturbed: Record | None = None) -> Trajectory:
+def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, undisturbed: Record) -> Trajectory:
     """Work out the trajectory of a record. Pure: it may be compiled, vmapped and differentiated.
 
     Parameters
@@ -54,7 +54,7 @@ def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, undisturb
     plant, setpoints, record
         As `episode` took and gave them.
     undisturbed
-        The record of a run to the same wishes `without_last_change`.
+        The record of a run to the same wishes `without_last_change`; the same record where there is none.
     """
     state, joint = record.state, plant.joint
     torque, stiffness = joint.torque_and_stiffness(state.angle, state.pressures)
@@ -72,7 +72,7 @@ def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, undisturb
         angle=state.angle,
         velocity=state.velocity,
         desired_angle=setpoints.angle,
-        undisturbed_angle=jnp.full_like(state.angle, jnp.nan) if undisturbed is None else undisturbed.state.angle,
+        undisturbed_angle=undisturbed.state.angle,
         desired_stiffness=setpoints.stiffness,
         stiffness=stiffness,
         total_stiffness=stiffness + plant.load.gravity_stiffness(state.angle),

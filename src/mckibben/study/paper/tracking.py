@@ -119,14 +119,16 @@ class Tracking:
     seeds: int
 
 
-def run_tracking(*, seeds: int, generations: int, progress: Callable[[float], None] | None = None) -> Tracking:
+def run_tracking(
+    *, seeds: int, generations: int, population: int = 32, progress: Callable[[float], None] | None = None
+) -> Tracking:
     """Run everything.
 
     Parameters
     ----------
     seeds
         How many initial networks BP is run with.
-    generations
+    generations, population
         Of the tuning.
     progress
         Called with the part that is done, 0 to 1.
@@ -140,7 +142,7 @@ def run_tracking(*, seeds: int, generations: int, progress: Callable[[float], No
             if progress:
                 progress(start + part / len(SETTINGS))
 
-        tuned[setting.key] = _tune(setting, generations, lambda part: report(0.6 * part))
+        tuned[setting.key] = _tune(setting, generations, population, lambda part: report(0.6 * part))
         gains = gains_of(tuned[setting.key].position, tuned[setting.key].stiffness)
         for j, wish in enumerate(Wish):
             for name, given in ((PID, None), (TUNED_PID, gains)):
@@ -154,7 +156,7 @@ def run_tracking(*, seeds: int, generations: int, progress: Callable[[float], No
     return Tracking(runs, tuned, coupling, seeds)
 
 
-def _tune(setting: Setting, generations: int, progress: Callable[[float], None]) -> Tuned:
+def _tune(setting: Setting, generations: int, population: int, progress: Callable[[float], None]) -> Tuned:
     scenario = pid_scenario(setting, Wish.CONSTANT)
     plant = scenario.plant()
     return tune_pid(
@@ -167,6 +169,7 @@ def _tune(setting: Setting, generations: int, progress: Callable[[float], None])
         control_period=scenario.control_period,
         substeps=scenario.substeps,
         generations=generations,
+        population=population,
         progress=progress,
     )
 
@@ -176,7 +179,7 @@ def _run_bp(scenario: Scenario, seeds: int) -> Run:
     _, wishes = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     control, initial = scenario.control(), scenario.initial(plant)
     plant, control, initial, period = numeric((plant, control, initial, scenario.control_period))
-    held = without_last_change(wishes)
+    held = without_last_change(wishes) or wishes
     measured = _over_seeds(plant, control, wishes, held, initial, period, jnp.arange(seeds), scenario.substeps)
     return Run(scenario, run_scenario(scenario).result, measured)
 
@@ -186,7 +189,7 @@ def _over_seeds(
     plant: JointPlant,
     control: PositionStiffnessControl,
     wishes: Setpoint,
-    held: Setpoint | None,
+    held: Setpoint,
     initial: PlantState,
     period: Array,
     seeds: Array,
@@ -195,7 +198,7 @@ def _over_seeds(
     def one(seed: Array) -> Metrics:
         seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, (seed, seed))
         _, record = episode(plant, seeded, wishes, initial, period, substeps)
-        undisturbed = None if held is None else episode(plant, seeded, held, initial, period, substeps)[1]
+        _, undisturbed = episode(plant, seeded, held, initial, period, substeps)
         return measure(trajectory(plant, wishes, record, undisturbed), period)
 
     return jax.vmap(one)(seeds)
@@ -212,7 +215,7 @@ def _coupling(setting: Setting, stepping: Run) -> Coupling:
 
     def late_error(wishes: Setpoint) -> float:
         _, record = compiled_episode(plant, control, wishes, start, period, scenario.substeps)
-        moved = compiled_trajectory(plant, wishes, record)
+        moved = compiled_trajectory(plant, wishes, record, record)
         late = moved.angle.size // 2
         return float(rms((moved.stiffness - moved.desired_stiffness)[late:]))
 
