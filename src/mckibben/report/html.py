@@ -66,7 +66,7 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
     folder.mkdir(parents=True, exist_ok=True)
     drawn: dict[str, list[EmbeddedFigure]] = {section: [] for section in SECTIONS}
     for figure in figures(reproduction):
-        png, svg = save(figure.figure, folder / "figures", figure.name)
+        png, svg = save(figure.figure, folder / "figures", figure.name, vector=not reproduction.quick)
         drawn[figure.section].append(EmbeddedFigure(figure, _address(png, svg)))
     text = render(reproduction, drawn)
     page = folder / _PAGE
@@ -134,7 +134,7 @@ def _outcomes(reproduction: Reproduction) -> list[tuple[str, str]]:
 
 
 def _address(png: Path, svg: Path) -> str:
-    kind, path = ("svg+xml", svg) if svg.stat().st_size <= _LARGEST_SVG else ("png", png)
+    kind, path = ("svg+xml", svg) if svg.is_file() and svg.stat().st_size <= _LARGEST_SVG else ("png", png)
     return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
 

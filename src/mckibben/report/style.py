@@ -107,8 +107,8 @@ def pressure_colours() -> ListedColormap:
 
 
 @styled
-def save(figure: Figure, folder: str | os.PathLike[str], name: str) -> tuple[Path, Path]:
-    """Keep a figure as `name`.png (200 dpi) and `name`.svg in a folder, which is made if need be.
+def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, vector: bool = True) -> tuple[Path, Path]:
+    """Keep a figure as `name`.png (200 dpi) and, unless `vector` is false, `name`.svg in a folder made if need be.
 
     The same figure gives the same bytes: no date, no random identifiers; letters are kept as outlines, so that the
     SVG needs no font.
@@ -116,7 +116,7 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str) -> tuple[Pat
     Returns
     -------
     png, svg
-        The two files.
+        The two files; the second may not exist.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -126,7 +126,8 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str) -> tuple[Pat
         engine.execute(figure)  # once, not at every draw: it takes as long as the drawing
         figure.set_layout_engine("none")
     # Straight to the canvases: `Figure.savefig` draws everything twice.
-    FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None, "Creator": None})
+    if vector:
+        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None, "Creator": None})
     figure.set_dpi(mpl.rcParams["savefig.dpi"])
     FigureCanvasAgg(figure).print_png(png, metadata={"Software": None})
     return png, svg

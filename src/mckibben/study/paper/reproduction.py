@@ -130,7 +130,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
 
         tracking = run_tracking(
             seeds=5 if quick else 20,
-            generations=6 if quick else 30,
+            generations=4 if quick else 30,
             population=16 if quick else 32,
             progress=tracked,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -133,27 +134,44 @@ def run_tracking(
     progress
         Called with the part that is done, 0 to 1.
     """
-    runs: dict[tuple[str, Wish, str], Run] = {}
-    tuned: dict[str, Tuned] = {}
-    coupling: dict[str, Coupling] = {}
+    # The runs on moderate gains do not wait for the tuning: what takes time in both is their compilation.
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        moderate = beside.submit(_moderate_runs, seeds)
+        tuned: dict[str, Tuned] = {}
+        for i, setting in enumerate(SETTINGS):
+
+            def report(part: float, start: float = i / len(SETTINGS)) -> None:
+                if progress:
+                    progress(0.7 * (start + part / len(SETTINGS)))
+
+            tuned[setting.key] = _tune(setting, generations, population, report)
+        runs = moderate.result()
     for i, setting in enumerate(SETTINGS):
-
-        def report(part: float, start: float = i / len(SETTINGS)) -> None:
-            if progress:
-                progress(start + part / len(SETTINGS))
-
-        tuned[setting.key] = _tune(setting, generations, population, lambda part: report(0.6 * part))
-        gains = gains_of(tuned[setting.key].position, tuned[setting.key].stiffness)
-        for j, wish in enumerate(Wish):
-            for name, given in ((PID, None), (TUNED_PID, gains)):
-                scenario = pid_scenario(setting, wish, given, name=name)
-                runs[setting.key, wish, name] = Run(scenario, run_scenario(scenario).result, None)
-            for name, given, ratio in ((BP, None, FREE), (TUNED_BP, gains, BOUND), (FREE_TUNED_BP, gains, FREE)):
-                scenario = bp_scenario(setting, wish, given, gain_ratio=ratio, name=name)
-                runs[setting.key, wish, name] = _run_bp(scenario, seeds)
-            report(0.6 + 0.2 * (j + 1))
-        coupling[setting.key] = _coupling(setting, runs[setting.key, Wish.STEP, PID])
+        runs |= _tuned_runs(setting, tuned[setting.key], seeds)
+        if progress:
+            progress(0.7 + 0.3 * (i + 1) / len(SETTINGS))
+    coupling = {setting.key: _coupling(setting, runs[setting.key, Wish.STEP, PID]) for setting in SETTINGS}
     return Tracking(runs, tuned, coupling, seeds)
+
+
+def _moderate_runs(seeds: int) -> dict[tuple[str, Wish, str], Run]:
+    runs: dict[tuple[str, Wish, str], Run] = {}
+    for setting in SETTINGS:
+        for wish in Wish:
+            runs[setting.key, wish, PID] = _run_pid(pid_scenario(setting, wish, name=PID))
+            runs[setting.key, wish, BP] = _run_bp(bp_scenario(setting, wish, gain_ratio=FREE, name=BP), seeds)
+    return runs
+
+
+def _tuned_runs(setting: Setting, tuned: Tuned, seeds: int) -> dict[tuple[str, Wish, str], Run]:
+    gains = gains_of(tuned.position, tuned.stiffness)
+    runs: dict[tuple[str, Wish, str], Run] = {}
+    for wish in Wish:
+        runs[setting.key, wish, TUNED_PID] = _run_pid(pid_scenario(setting, wish, gains, name=TUNED_PID))
+        for name, ratio in ((TUNED_BP, BOUND), (FREE_TUNED_BP, FREE)):
+            scenario = bp_scenario(setting, wish, gains, gain_ratio=ratio, name=name)
+            runs[setting.key, wish, name] = _run_bp(scenario, seeds)
+    return runs
 
 
 def _tune(setting: Setting, generations: int, population: int, progress: Callable[[float], None]) -> Tuned:
@@ -172,6 +190,10 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
         population=population,
         progress=progress,
     )
+
+
+def _run_pid(scenario: Scenario) -> Run:
+    return Run(scenario, run_scenario(scenario).result, None)
 
 
 def _run_bp(scenario: Scenario, seeds: int) -> Run:
