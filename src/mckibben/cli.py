@@ -6,7 +6,6 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -61,13 +60,12 @@ def reproduce(
         from mckibben.study.paper import reproduce as run
 
         done = run(quick=quick, progress=lambda what, part: report(what, 0.8 * part))
-        report("numbers, figures and report", 0.8)
-        with ThreadPoolExecutor(max_workers=1) as beside:
-            kept = beside.submit(done.save, out)
-            from mckibben.report import write_report
+        report("keeping the numbers", 0.8)
+        done.save(out)  # before anything is drawn
+        from mckibben.report import write_report
 
-            page = write_report(done, out)
-            kept.result()
+        report("figures and report", 0.85)
+        page = write_report(done, out)
         report("done", 1.0)
     if json:
         typer.echo(to_json(done.results()))
