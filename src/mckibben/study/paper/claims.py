@@ -170,6 +170,7 @@ def _learning_is_safe(tracking: Tracking) -> Claim:
         holds,
         "; ".join(parts)
         + ". Learning raises the gains as long as an error is left, whatever the stability of the loop",
+        of_paper=False,
     )
 
 

@@ -15,6 +15,8 @@ from mckibben.plant import JointPlant
 from mckibben.study.paper.settings import SETTINGS, Setting, Wish, pid_scenario
 from mckibben.units import deg
 
+_CLOSER = 201  # angles between the last that is held and the first that is lost
+
 
 @dataclass(frozen=True)
 class JointMap:
@@ -33,6 +35,8 @@ class JointMap:
         Stiffness attainable at each torque of the muscles, shape (torques, angles) [N*m/rad].
     gravity_torque
         What the muscles have to give, shape (angles,) [N*m].
+    holdable
+        The range of angle around 0 that can be held without a gap [rad]; both NaN if 0 cannot.
     """
 
     angles: NDArray[np.float64]
@@ -42,20 +46,7 @@ class JointMap:
     lowest_at: NDArray[np.float64]
     highest_at: NDArray[np.float64]
     gravity_torque: NDArray[np.float64]
-
-    @property
-    def holdable(self) -> tuple[float, float]:
-        """The range of angle around 0 that can be held without a gap [rad]; both NaN if 0 cannot.
-
-        To the resolution of the table.
-        """
-        lost = np.flatnonzero(np.isnan(self.lowest))
-        zero = int(np.argmin(np.abs(self.angles)))
-        if zero in lost:
-            return float("nan"), float("nan")
-        first = lost[lost < zero].max(initial=-1) + 1
-        last = lost[lost > zero].min(initial=len(self.angles)) - 1
-        return float(self.angles[first]), float(self.angles[last])
+    holdable: tuple[float, float]
 
     def at(self, angle: float) -> tuple[float, float]:
         """The attainable stiffness [N*m/rad] at the tabulated angle nearest to one [rad]."""
@@ -63,7 +54,7 @@ class JointMap:
         return float(self.lowest[index]), float(self.highest[index])
 
 
-def run_joint(*, resolution: int = 481) -> dict[str, JointMap]:
+def run_joint(*, resolution: int = 241) -> dict[str, JointMap]:
     """The maps of both geometries, by setting key, with `resolution` angles (odd, so that 0 is one of them)."""
     return {setting.key: _map(setting, resolution) for setting in SETTINGS}
 
@@ -75,7 +66,25 @@ def _map(setting: Setting, resolution: int) -> JointMap:
     torques = jnp.linspace(-8.0, 8.0, resolution)
     lowest, highest = _attainable(plant.joint, angles, holding)
     lowest_at, highest_at = _attainable(plant.joint, angles[None, :], torques[:, None])
-    return JointMap(*(np.asarray(x) for x in (angles, lowest, highest, torques, lowest_at, highest_at, holding)))
+    maps = (np.asarray(x) for x in (angles, lowest, highest, torques, lowest_at, highest_at, holding))
+    return JointMap(*maps, holdable=_holdable(plant, np.asarray(angles), np.isnan(np.asarray(lowest))))
+
+
+def _holdable(plant: JointPlant, angles: NDArray[np.float64], lost: NDArray[np.bool_]) -> tuple[float, float]:
+    """From 0 outwards to the first angle that is lost on either side, and closer between it and the one before."""
+    zero = int(np.argmin(np.abs(angles)))
+    if lost[zero]:
+        return float("nan"), float("nan")
+
+    def edge(outwards: NDArray[np.float64], gone: NDArray[np.bool_]) -> float:
+        if not gone.any():
+            return float(outwards[-1])
+        first = int(np.argmax(gone))
+        between = jnp.linspace(outwards[first - 1], outwards[first], _CLOSER)
+        lowest, _ = _attainable(plant.joint, between, -plant.load.gravity_torque(between))
+        return float(between[int(jnp.argmax(jnp.isnan(lowest))) - 1])
+
+    return edge(angles[zero::-1], lost[zero::-1]), edge(angles[zero:], lost[zero:])
 
 
 @compiled
