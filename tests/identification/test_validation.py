@@ -91,7 +91,7 @@ def test_records_are_json(campaign):
 def test_a_direction_that_is_not_recorded_makes_no_groups():
     validation = validate([EQ_3], catalog.dataset("dmsp-10-250-martens2017"))
     assert {e.direction for e in validation.errors} == {None}
-    assert validation.of("ExponentialLaw").bias == pytest.approx(64, abs=1)  # another specimen: PHYSICS.md 12
+    assert validation.of("ExponentialLaw").bias == pytest.approx(64, abs=1)  # another specimen: docs/decisions.md 14
 
 
 def test_hold_out_by_pressure_and_by_repeat(campaign):

@@ -1,4 +1,4 @@
-"""PHYSICS.md 3 to 5: what pressures within limits can hold."""
+"""docs/decisions.md 3 and 4: what pressures within limits can hold."""
 
 import dataclasses
 import math

@@ -29,7 +29,7 @@ def rms(x) -> float:
 @pytest.mark.parametrize(
     ("name", "decay", "rmse", "unseen", "used"), [(MARTENS, 0.400, 1.07, 1.34, 40), (FESTO, 0.340, 2.76, 3.42, 119)]
 )
-def test_measured_muscles_give_the_numbers_of_the_design(identification, name, decay, rmse, unseen, used):
+def test_measured_muscles_give_the_known_numbers(identification, name, decay, rmse, unseen, used):
     found = fit_numbers(identification.fits[name])
     assert round(found["decay_per_percent"], 3) == decay
     assert round(found["rmse_N"], 2) == rmse

@@ -39,7 +39,7 @@ def test_the_results_are_json_without_nan(results):
     assert json.loads(json.dumps(results, allow_nan=False)) == results
 
 
-def test_the_results_have_what_the_issue_asks_for(results):
+def test_the_results_have_every_number_of_the_report(results):
     assert set(results["identification"]) == {"virtual-rig", "dmsp-10-250-martens2017", "festo-tool-10mm"}
     for fit in results["identification"].values():
         for name in ("decay_per_percent", "rmse_N", "max_N", "leave_one_pressure_out_rmse_N"):
