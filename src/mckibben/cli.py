@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,8 +13,10 @@ import typer
 import mckibben
 from mckibben.errors import McKibbenError, McKibbenWarning, UnitError
 from mckibben.files import folder
+from mckibben.terminal import metric, progress, table
 
 if TYPE_CHECKING:
+    from mckibben.dataset import IsobaricDataset
     from mckibben.simulation import Result
     from mckibben.study.scenario import Scenario
 
@@ -29,8 +29,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-_PIPED_WIDTH = 240  # columns of a table that goes into a file or a pipe
 
 Json = Annotated[bool, typer.Option("--json", help="Print machine-readable results instead of a table.")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Keep results, figures and data here.")]
@@ -56,7 +54,7 @@ def reproduce(
     folder(out)  # before the work, so that nothing is lost
     from mckibben.study.numbers import to_json
 
-    with _progress() as report:
+    with progress() as report:
         from mckibben.study.paper import reproduce as run
 
         done = run(quick=quick, progress=lambda what, part: report(what, 0.8 * part))
@@ -70,7 +68,7 @@ def reproduce(
     if json:
         typer.echo(to_json(done.results()))
         return
-    _table(
+    table(
         "The paper's claims",
         ("verdict", "claim", "source"),
         [
@@ -98,6 +96,7 @@ def identify(
 
     law_type = law_type_named(law)
     measured = data_named(data, **_reading(column, initial_length, slack_force))
+    _name_ignored(measured)
     from mckibben.identification import identify as run
     from mckibben.study.numbers import fit_numbers, to_json, write_json
 
@@ -111,7 +110,7 @@ def identify(
         measured.to_netcdf(out / "data.nc")
         write_json(out / "results.json", numbers)
         report.save(report.isobaric(measured, fit), out, "fit")
-        _said(f"kept fit.yaml, data.nc, results.json and fit.png in {out}", json)
+        _said(f"kept fit.yaml, data.nc, results.json and fit.png and .svg in {out}", json)
 
 
 @app.command()
@@ -132,6 +131,7 @@ def validate(
 
     known = law_named(law, specimen=specimen)
     measured = data_named(data, **_reading(column, initial_length, slack_force))
+    _name_ignored(measured)
     from mckibben.identification import validate as run
     from mckibben.study.numbers import to_json, write_json
 
@@ -158,7 +158,7 @@ def simulate(
     from mckibben.study.numbers import METRICS, shown, to_json, write_json
     from mckibben.study.running import run_scenario
 
-    result, reach = run_scenario(read)
+    result, reach = run_scenario(read, source=str(scenario))
     out_of_reach = "" if reach.reachable else reach.describe()
     numbers = {
         "scenario": read.name,
@@ -173,15 +173,17 @@ def simulate(
         if out_of_reach:
             typer.echo(f"warning: {out_of_reach}", err=True)
         rows = [
-            (METRICS[name][0].replace("_", " "), "never" if value != value else f"{value:.4g}", METRICS[name][1])
+            (METRICS[name][0].replace("_", " "), metric(name, value), METRICS[name][1])
             for name, value in numbers["metrics"].items()
         ]
-        _table(read.name, ("metric", "value", "unit"), rows)
+        table(read.name, ("metric", "value", "unit"), rows)
         typer.echo(result.describe())
     if out:
         _keep_run(out, read, result)
         write_json(out / "results.json", numbers)
-        _said(f"kept result.nc, results.json, scenario.yaml and tracking.png in {out}", json)
+        _said(f"kept result.nc, results.json, scenario.yaml and tracking.png and .svg in {out}", json)
+    if result.outcome.lost:
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -198,9 +200,9 @@ def laws(json: Json = False) -> None:
         typer.echo(to_json({"laws": numbers, "published": sets}))
         return
     rows = [(name, law.equation, law.source) for name, law in LAWS.items()]
-    _table("Laws", ("law", "equation", "source"), rows)
+    table("Laws", ("law", "equation", "source"), rows)
     sets = [(name, type(law).__name__, str(law.domain)) for name, law in published.items()]
-    _table("Published parameter sets", ("name", "law", "domain"), sets)
+    table("Published parameter sets", ("name", "law", "domain"), sets)
 
 
 @app.command()
@@ -229,8 +231,8 @@ def specimens(json: Json = False) -> None:
         (name, f"{s.initial_length / mm:g} x {s.initial_diameter / mm:g} mm", f"{s.rated_force:g} N", str(s.domain))
         for name, s in known.items()
     ]
-    _table("Specimens", ("name", "length x diameter", "rated", "domain"), rows)
-    _table("Datasets", ("name", "source"), list(data.items()))
+    table("Specimens", ("name", "length x diameter", "rated", "domain"), rows)
+    table("Datasets", ("name", "source"), list(data.items()))
 
 
 @app.callback(invoke_without_command=True)
@@ -272,11 +274,24 @@ def _reading(columns: list[str] | None, initial_length: str, slack_force: str) -
         if not equals:
             raise UnitError(f"--column {text!r} names no column", remedy="write --column 'Druck [bar]=pressure_bar'")
         named[header] = name
+
+    def option(name: str, text: str, unit: str) -> float | None:
+        try:
+            return quantity(text, unit) if text else None
+        except UnitError as error:
+            raise UnitError(f"{name}: {error}", value=text, unit=unit) from None
+
     return {
         "columns": named or None,
-        "initial_length": quantity(initial_length, "m") if initial_length else None,
-        "slack_force": quantity(slack_force, "N") if slack_force else None,
+        "initial_length": option("--initial-length", initial_length, "m"),
+        "slack_force": option("--slack-force", slack_force, "N"),
     }
+
+
+def _name_ignored(data: IsobaricDataset) -> None:
+    ignored = data.table.attrs.get("ignored_columns")
+    if ignored:
+        typer.echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
 
 
 def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:
@@ -285,37 +300,6 @@ def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:
     scenario.to_yaml(out / "scenario.yaml")
     result.to_netcdf(out / "result.nc")
     report.save(report.tracking({scenario.name: result}), out, "tracking")
-
-
-def _table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(*headers, box=box.SIMPLE_HEAD)
-    for row in rows:
-        table.add_row(*map(Text, row))
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else _PIPED_WIDTH)
-    console.print(Text(title))
-    console.print(table)
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on standard error."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}"),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda what, part: bar.update(task, description=what, completed=part)
 
 
 def _said(text: str, json: bool) -> None:

@@ -25,7 +25,7 @@ def test_equation_3_by_hand(law, contraction, pressure, force):
 
 @pytest.mark.parametrize(
     ("contraction", "pressure", "force", "tolerance"),
-    [(0, 6, 584.72, 0.005), (10, 6, 242.6, 0.05), (-8, 6, 2494, 1), (5, 0, -173, 0.5), (23.4, 6, 0, 1)],
+    [(0, 6, 584.72, 0.005), (10, 6, 242.6, 0.05), (-8, 6, 2493.5, 0.05), (5, 0, -173, 0.5), (23.4, 6, 0, 1)],
 )
 def test_equation_3_gives_the_numbers_that_we_publish(law, contraction, pressure, force, tolerance):
     assert float(law.force(contraction * percent, pressure * bar)) == pytest.approx(force, abs=tolerance)

@@ -26,7 +26,7 @@ from mckibben.study.paper.tracking import (
 from mckibben.units import deg
 
 CHOU_CLAIM = "The experimental law is closer to the measured force than Chou's"
-REAL_CLAIM = "The same on measured muscles"
+REAL_CLAIM = "Eq. 2 is closer than Chou's law on a measured map"
 SIMILAR_CLAIM = "Loading and unloading are similar"
 SAFE_CLAIM = "BP can be put on any PID"
 COUPLED_CLAIM = "Position and stiffness are coupled"

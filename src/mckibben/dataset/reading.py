@@ -23,6 +23,8 @@ from mckibben.units import factor, quantity
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
 _LENGTH_ROUNDING = 0.5e-3, 0.002  # m and parts of the initial length: a rule's and a printed table's
 
+_PLAUSIBLE = -0.1, 0.5  # contractions of any muscle
+
 _DIRECTIONS = {
     "loading": ("loading", "load", "stretching", "lengthening"),
     "unloading": ("unloading", "unload", "shortening"),
@@ -77,7 +79,8 @@ def read_dataset(
     Warns
     -----
     McKibbenWarning
-        If pressures in Pa never exceed 100, or contractions in percent 0.5: the unit may be wrong.
+        If pressures in Pa never exceed 100, or contractions in percent 0.5: the unit may be wrong. If contractions lie
+        where no muscle gets: the initial length, the unit of the lengths or the sign may be.
 
     Notes
     -----
@@ -100,10 +103,20 @@ def read_dataset(
         dataset = IsobaricDataset.of(**data, direction=direction, initial_length=file.initial_length, **attrs)
     except DatasetError as error:  # what an argument brought in
         raise DatasetError(str(path), error.problems) from None
-    for text in file.suspicions:
+    for text in file.suspicions + _implausible(dataset.contraction):
         warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=2)
     ignored = ", ".join(file.ignored)
     return IsobaricDataset(dataset.table.assign_attrs(ignored_columns=ignored)) if ignored else dataset
+
+
+def _implausible(contraction: NDArray[np.float64]) -> list[str]:
+    low, high = float(contraction.min()), float(contraction.max())
+    if low >= _PLAUSIBLE[0] and high <= _PLAUSIBLE[1]:
+        return []
+    return [
+        f"contractions reach from {low * 100:.3g} to {high * 100:.3g} %, and a muscle stretches by a few percent and "
+        "shortens by 25 to 35; check the initial length, the unit of the lengths, and the sign (positive = shorter)"
+    ]
 
 
 def _from_netcdf(

@@ -60,6 +60,11 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     >>> round(fit.law.decay, 1), round(fit.rmse, 2), round(fit.leave_one_pressure_out.rmse, 2)
     (40.0, 1.07, 1.34)
     """
+    if not (isinstance(law_type, type) and issubclass(law_type, ForceLaw) and isinstance(dataset, IsobaricDataset)):
+        raise IdentificationError(
+            f"identify takes a kind of law and a dataset, not {law_type!r:.60} and {type(dataset).__name__}",
+            remedy="write identify(ExponentialLaw, read_dataset('rig.csv'))",
+        )
     means = dataset.plateau_means()
     points = means.taut
     parameters = law_type.parameters()

@@ -144,7 +144,9 @@ class HoldOut:
     validation: Validation
 
 
-def validate(laws: Sequence[ForceLaw] | Mapping[str, ForceLaw], dataset: IsobaricDataset) -> Validation:
+def validate(
+    laws: Fit | ForceLaw | Sequence[ForceLaw] | Mapping[str, ForceLaw], dataset: IsobaricDataset
+) -> Validation:
     """Compare laws with the plateau means of the taut points.
 
     The laws are taken as they stand, inside and outside their domain; how many points are outside is counted.
@@ -152,7 +154,7 @@ def validate(laws: Sequence[ForceLaw] | Mapping[str, ForceLaw], dataset: Isobari
     Parameters
     ----------
     laws
-        By name, or named by their type (with a number where a type comes twice).
+        One law or fit, or several: by name, or named by their type (with a number where a type comes twice).
     dataset
         Measured points.
 
@@ -177,6 +179,10 @@ def validate(laws: Sequence[ForceLaw] | Mapping[str, ForceLaw], dataset: Isobari
     >>> round(validation.of("Eq. 3").bias)
     64
     """
+    if isinstance(laws, Fit):
+        laws = laws.law
+    if isinstance(laws, ForceLaw):
+        laws = [laws]
     named = dict(laws) if isinstance(laws, Mapping) else _named(laws)
     means = dataset.plateau_means()
     points = means.taut

@@ -15,6 +15,7 @@ from mckibben.joint.geometry import KneeGeometry, Pair
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.arrays import floating
+from mckibben.numerics.checks import check_kind
 from mckibben.numerics.derivative import derivative, value_and_derivative
 from mckibben.units import deg
 
@@ -82,6 +83,15 @@ class AntagonisticJoint(eqx.Module):
     muscle1: Muscle
     muscle2: Muscle
     tendon: Tendon = RigidTendon()
+
+    def __check_init__(self) -> None:
+        check_kind(
+            "AntagonisticJoint",
+            geometry=(self.geometry, KneeGeometry),
+            muscle1=(self.muscle1, Muscle),
+            muscle2=(self.muscle2, Muscle),
+            tendon=(self.tendon, Tendon),
+        )
 
     def contractions(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
         """The contraction [-] of each muscle."""
@@ -250,10 +260,13 @@ class AntagonisticJoint(eqx.Module):
         if not low <= high:
             contractions = self.contractions(angle, attainable.pressure_limits_of(self)[1])
             for muscle, contraction in zip((self.muscle1, self.muscle2), contractions, strict=True):
+                stretched = float(contraction) < float(muscle.domain.contraction_min)
                 muscle.domain.check_contraction(
                     float(contraction),
                     muscle.specimen.name,
-                    remedy="give the joint a series spring or a longer connector",
+                    remedy="give the joint a series spring or a longer connector"
+                    if stretched
+                    else "give the joint a shorter connector or a longer muscle",
                 )
             raise UnreachableError(
                 f"no pressures and tensions within limits hold the joint {where}",

@@ -16,6 +16,9 @@ Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
 """One value for muscle 1 (antagonist: it lengthens as the angle grows) and one for muscle 2 (agonist)."""
 
 
+_LONGEST = 10.0  # m: a longer joint is one in millimetres
+
+
 class KneeGeometry(eqx.Module):
     r"""Two muscles on either side of a round joint.
 
@@ -51,6 +54,7 @@ class KneeGeometry(eqx.Module):
 
     def __check_init__(self) -> None:
         check_positive("KneeGeometry", "m", joint_length=self.joint_length, joint_radius=self.joint_radius)
+        check_within("KneeGeometry", 0.0, _LONGEST, "m", joint_length=self.joint_length)
         plain = all(isinstance(x, int | float) for x in (self.joint_length, self.joint_radius))
         longest = self.joint_length - self.joint_radius if plain else math.inf
         check_within("KneeGeometry", 0.0, longest, "m", connector_length=self.connector_length)

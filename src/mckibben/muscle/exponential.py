@@ -17,7 +17,7 @@ class ExponentialLaw(PressureAffineLaw):
     .. math:: F = (a_1 + a_2 p) + (b_1 + b_2 p)\,\varepsilon + (c_1 + c_2 p)\,e^{-\mu\varepsilon}
 
     Everything is in SI here; the paper's numbers are in bar and percent, and `mckibben.catalog` converts them. Outside
-    the domain of the data that it was fitted to, the exponential explodes (2494 N at -8 % and 6 bar for Eq. 3, whose
+    the domain of the data that it was fitted to, the exponential explodes (2493 N at -8 % and 6 bar for Eq. 3, whose
     muscle is rated 630 N) and the force turns negative at low pressure.
 
     Parameters

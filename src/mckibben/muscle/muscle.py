@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mckibben.muscle.base import ForceLaw
 from mckibben.muscle.domain import Domain
 from mckibben.muscle.specimen import Specimen
+from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.derivative import derivative
 
@@ -31,6 +32,9 @@ class Muscle(eqx.Module):
 
     specimen: Specimen
     law: ForceLaw
+
+    def __check_init__(self) -> None:
+        check_kind("Muscle", specimen=(self.specimen, Specimen), law=(self.law, ForceLaw))
 
     @property
     def domain(self) -> Domain:

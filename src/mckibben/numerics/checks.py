@@ -52,3 +52,22 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", **value
                 upper=upper,
                 unit=unit,
             )
+
+
+def check_kind(owner: str, **fields: tuple[object, type]) -> None:
+    """Raise unless each field is of its kind: arguments are easily swapped.
+
+    Raises
+    ------
+    RangeError
+        It names the owner, the field, and what was given.
+    """
+    for name, (value, kind) in fields.items():
+        if isinstance(value, int | float | str):
+            given = repr(value)
+        elif type(value).__module__.startswith("mckibben"):
+            given = f"a {type(value).__name__}"
+        else:
+            continue  # a placeholder of a transformation
+        if not isinstance(value, kind):
+            raise RangeError(f"{owner}: {name} is {given}", remedy=f"give a {kind.__name__}; are arguments swapped?")

@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.arrays import floating
+from mckibben.numerics.checks import check_kind
 from mckibben.plant.load import Load
 from mckibben.plant.valve import Valve
 
@@ -46,6 +47,11 @@ class JointPlant(eqx.Module):
     joint: AntagonisticJoint
     load: Load
     valve: Valve
+
+    def __check_init__(self) -> None:
+        check_kind(
+            "JointPlant", joint=(self.joint, AntagonisticJoint), load=(self.load, Load), valve=(self.valve, Valve)
+        )
 
     def limited(self, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Scalar, Scalar]:
         """The commands [Pa] that the valves let through: within the pressures that the specimens are rated for.

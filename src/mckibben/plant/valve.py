@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.checks import check_positive, check_within
 
 
 class Valve(eqx.Module):
@@ -33,6 +33,9 @@ class IdealValve(Valve):
         return jnp.zeros_like(jnp.asarray(pressure))
 
 
+_SLOWEST = 10.0  # s: a slower valve is one in milliseconds
+
+
 class FirstOrderValve(Valve):
     """The pressure follows with a lag.
 
@@ -46,6 +49,7 @@ class FirstOrderValve(Valve):
 
     def __check_init__(self) -> None:
         check_positive("FirstOrderValve", "s", time_constant=self.time_constant)
+        check_within("FirstOrderValve", 0.0, _SLOWEST, "s", time_constant=self.time_constant)
 
     def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(pressure)

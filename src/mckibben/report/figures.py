@@ -83,7 +83,7 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "identification",
         "Fig. 4: measured force, experimental law and Chou's law",
         "A second test, which no law has seen, at the paper's four pressures, in the paper's colours: loading data "
-        "blue, unloading data red, the law identified from the first test purple, Chou's law of the specimen green. "
+        "blue, unloading data orange, the law identified from the first test purple, Chou's law of the specimen green. "
         "The experimental law runs between the two directions; Chou's knows neither the rubber nor the ends of the "
         "muscle. The errors of both are in the panels. The muscle of the virtual rig follows Eq. 3, so this shows the "
         "method at work; the next figure has muscles that were measured.",
@@ -95,9 +95,9 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "measured-muscles",
         "identification",
         "Eq. 2 on measured muscles",
-        "Independent data of two other 10 mm muscles: points are measured, curves are Eq. 2 fitted to all taut points "
-        "together; what is left over is below, on its own scale. Slack points say only that the force is zero, and are "
-        "left out.",
+        "Independent data of two other 10 mm muscles: points are those of the tables, curves are Eq. 2 fitted to all "
+        "taut points together; what is left over is below, on its own scale. Slack points say only that the force is "
+        "zero, and are left out.",
         "Force over contraction at many pressures for two muscles with fitted curves through the points; residuals "
         "below.",
         measured_muscles(measured),
@@ -147,9 +147,10 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
         f"fig7-control-results-{key}",
         "tracking",
         f"Fig. 7: control results, geometry {setting.name}",
-        f"Desired (black, dashed) and actual angle and stiffness under PID and under BP on the same moderate gains; a "
-        f"sine of {setting.amplitude}, stiffness {constant} or stepping from {step}. The grey band is the stiffness "
-        "that is attainable at the desired angle: where the wish lies outside it, the error is not the controller's.",
+        f"Desired (black, dashed) and actual angle and stiffness under PID and under BP (its first seed) on the same "
+        f"moderate gains; a sine of {setting.amplitude}, stiffness {constant} or stepping from {step}. The grey band "
+        "is the stiffness that is attainable at the desired angle: where the wish lies outside it, the error is not "
+        "the controller's.",
         "Four panels, each with the angle above and the stiffness below, desired and actual over ten seconds.",
         control_results(panels),
     )

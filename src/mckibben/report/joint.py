@@ -51,7 +51,7 @@ def attainable_stiffness(
                 axes.plot(x, y, label=label, zorder=4, **look)
         first, last = (limit / deg for limit in found.holdable)
         for limit in (first, last):
-            axes.axvline(limit, color="#888888", linewidth=0.7, linestyle=(0, (2, 2)))
+            axes.axvline(limit, color="#888888", linewidth=0.7, linestyle="-.")
         axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS if i == 0 else "")
         room = 0.12 * (last - first)
         axes.set_xlim(first - room, last + room)

@@ -192,7 +192,7 @@ def _handles(data: IsobaricDataset, fit: Fit | None) -> list[Line2D]:
         return Line2D([], [], linestyle="", marker=shape, color=colour, label=label)
 
     known = [str(d) for d in data.directions]
-    handles = [marks(_DIRECTIONS[d]["marker"], d) for d in known] or [marks("o", "measured, taut")]
+    handles = [marks(_DIRECTIONS[d]["marker"], d) for d in known] or [marks("o", "taut")]
     if data.slack.any():
         handles.append(marks("x", "slack (left out)", "#999999"))
     if fit:

@@ -123,7 +123,8 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, vector: b
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
     engine = figure.get_layout_engine()
     if engine is not None:
-        engine.execute(figure)  # once, not at every draw: it takes as long as the drawing
+        for _ in range(2):  # it needs a second look at long labels, but not one at every draw, which takes as long
+            engine.execute(figure)
         figure.set_layout_engine("none")
     # Straight to the canvases: `Figure.savefig` draws everything twice.
     if vector:

@@ -129,8 +129,9 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
     pressures = sorted(rows, key=lambda place: float(place.split()[0]))
     by_pressure = Table(
         "Virtual rig, RMSE [N] at the paper's four pressures: on a second test with other noise and offsets, and at "
-        "points that were kept from the fit. Half of the friction band is in every one of them, since a law has one "
-        "curve for both directions.",
+        "points that were kept from the fit. The second test has all its points, fits and held-out points are those "
+        "away from the turns of the stroke: the two do not compare. Half of the friction band is in every one of them, "
+        "since a law has one curve for both directions.",
         ("pressure", *(f"{name} [N]" for name in columns)),
         [(p, *(number(values[p]) for values in columns.values())) for p in pressures],
     )

@@ -16,7 +16,7 @@ from mckibben.errors import FileError, Problem
 from mckibben.files import whole
 from mckibben.simulation.metrics import SETTLING_PART, compiled_measure
 from mckibben.simulation.trajectory import Trajectory
-from mckibben.units import percent
+from mckibben.units import bar, deg, percent
 
 _ANGLE, _STIFFNESS, _PRESSURE = "rad", "N*m/rad", "Pa"
 _UNITS = {
@@ -53,13 +53,22 @@ _UNITS = {
 }
 
 
+_SWUNG_OVER = 90 * deg
+
+
 class Outcome(enum.Enum):
     """How a run ended; the worst that applies."""
 
     COMPLETED = "completed"
     SATURATED = "completed, with a pressure at its limit part of the time"
     LEFT_DOMAIN = "completed, but a muscle left its domain or its rating: what happened there is extrapolation"
+    SWUNG_OVER = "lost: the joint swung more than 90 deg away from where it should be"
     DIVERGED = "diverged: the state is no longer finite"
+
+    @property
+    def lost(self) -> bool:
+        """Whether the run came to no end that is of use."""
+        return self in (Outcome.SWUNG_OVER, Outcome.DIVERGED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,11 +190,16 @@ class Result:
 
 def _outside(table: xr.Dataset) -> str:
     furthest = float(table["excursion"].max())
-    return (
-        f"outside the domain (contraction by up to {furthest / percent:.3g} %)"
-        if furthest > 0
-        else "outside the domain"
+    low, high = (float(extreme) / bar for extreme in _pressure_range(table))
+    how_far = (
+        f"contraction by up to {furthest / percent:.3g} %" if furthest > 0 else f"pressure {low:.3g}..{high:.3g} bar"
     )
+    return f"outside the domain ({how_far})"
+
+
+def _pressure_range(table: xr.Dataset) -> tuple[np.floating, np.floating]:
+    pressures = np.concatenate([table["pressure1"].to_numpy(), table["pressure2"].to_numpy()])
+    return pressures.min(), pressures.max()
 
 
 def _peak(table: xr.Dataset) -> float:
@@ -200,6 +214,8 @@ def _attributes(name: str) -> dict[str, str]:
 def _outcome(table: xr.Dataset) -> Outcome:
     if not (np.isfinite(table["angle"][-1]) and np.isfinite(table["velocity"][-1])):
         return Outcome.DIVERGED
+    if float(np.abs(table["angle"] - table["desired_angle"]).max()) > _SWUNG_OVER:
+        return Outcome.SWUNG_OVER
     if table["outside_domain"].any() or table["overloaded"].any():
         return Outcome.LEFT_DOMAIN
     return Outcome.SATURATED if table["saturated"].any() else Outcome.COMPLETED

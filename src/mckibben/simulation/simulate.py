@@ -38,7 +38,8 @@ def simulate(
     """Run a controller on a plant.
 
     Commands are held over each control period while the plant is integrated by the classical Runge-Kutta method. The
-    plant limits commands to the pressures of its muscles' domains.
+    plant limits commands to the pressures that its specimens are rated for; where a law holds for less, a result says
+    for how long its domain was left.
 
     Parameters
     ----------

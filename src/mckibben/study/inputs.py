@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,6 +42,11 @@ def data_named(
                 remedy="columns, initial length, specimen and slack force are for files",
             )
         return catalog.dataset(name)
+    close = [] if Path(name).exists() else difflib.get_close_matches(name, catalog.names("datasets"), 1)
+    if close:
+        raise NotInCatalogError(
+            f"there is no file {name!r}, and no dataset of that name", value=name, remedy=f"did you mean {close[0]!r}?"
+        )
     return read_dataset(
         name, columns=columns, initial_length=initial_length, specimen=specimen, slack_force=slack_force
     )

@@ -2,26 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
 from mckibben.simulation import CheckedRun, checked_run
 from mckibben.study.scenario import Scenario
 
 
-def run_scenario(scenario: Scenario) -> CheckedRun:
+def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
     """Simulate a scenario.
+
+    Parameters
+    ----------
+    scenario
+        What to run.
+    source
+        The file that it came from, for messages; its name unless given.
 
     Returns
     -------
     CheckedRun
         The result, which carries the scenario's text, and the reach of its reference.
+
+    Raises
+    ------
+    ScenarioError
+        If its parts make no sense together; it names the part.
     """
-    plant = scenario.plant()
+
+    @contextmanager
+    def building(field: str) -> Iterator[None]:
+        try:
+            yield
+        except FileError:
+            raise  # names a file and a place itself
+        except McKibbenError as error:
+            raise ScenarioError(source or scenario.name, [Problem(str(error), field=field)]) from error
+
+    with building("joint, load or valve"):
+        plant = scenario.plant()
+    with building("controller"):
+        control = scenario.control()
+    with building("start"):
+        initial = scenario.initial(plant)
     return checked_run(
         plant,
-        scenario.control(),
+        control,
         scenario.reference(),
         duration=scenario.duration,
         control_period=scenario.control_period,
         substeps=scenario.substeps,
-        initial=scenario.initial(plant),
+        initial=initial,
         scenario=scenario.dumps(),
     )

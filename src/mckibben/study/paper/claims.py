@@ -81,7 +81,7 @@ def _closer_than_chou(identification: Identification) -> Claim:
         all(law < chou for law, chou in found.values()),
         "RMSE on a second test, Eq. 2 against Chou: "
         + ", ".join(f"{law:.1f} against {chou:.1f} N at {p / bar:g} bar" for p, (law, chou) in found.items())
-        + " (on the virtual rig, whose muscle follows Eq. 3 with friction; see the next claim for real muscles)",
+        + " (on the virtual rig, whose muscle follows Eq. 3 with friction; for real muscles see our question below)",
     )
 
 
@@ -94,7 +94,7 @@ def _closer_on_real_muscles(identification: Identification) -> Claim:
             (name, unseen.rmse if unseen else math.nan, measured.of(CHOU).rmse, measured.of(CHOU_FITTED).rmse)
         )
     return Claim(
-        "The same on measured muscles, at pressures that the fit has not seen",
+        "Eq. 2 is closer than Chou's law on a measured map and a maker's chart, at pressures that the fit has not seen",
         "asked by us, of Fig. 4",
         all(law < min(chou, fitted) for _, law, chou, fitted in numbers),
         "; ".join(
