@@ -13,7 +13,7 @@ from mckibben.errors import IdentificationError
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.nonlinear import solve_by_optimistix
 from mckibben.identification.problem import FitProblem, Solution
-from mckibben.identification.projection import search, solve_by_projection
+from mckibben.identification.projection import project, search, solve_by_projection
 from mckibben.identification.uncertainty import CONDITION_LIMIT, condition, uncertainty, undetermined
 from mckibben.muscle import Domain, ForceLaw
 from mckibben.units import show
@@ -183,9 +183,15 @@ def _check_determined(
     problem: FitProblem, solution: Solution, held: NDArray[np.bool_], points: IsobaricDataset
 ) -> None:
     free = solution.jacobian[:, ~held]
+    names = [name for name, out in zip(problem.names, held, strict=True) if not out]
     number = condition(free)
+    if held.any() and number < CONDITION_LIMIT:
+        # A shape that nothing determines may come to rest at a bound: then it is undetermined amid its range as well.
+        middle = project(problem, np.full_like(solution.position, 0.5))
+        amid = problem.response(middle.values)[1]
+        if not condition(amid) < CONDITION_LIMIT:
+            free, names, number = amid, list(problem.names), condition(amid)
     if not number < CONDITION_LIMIT:
-        names = [name for name, out in zip(problem.names, held, strict=True) if not out]
         contractions = len(np.unique(points.contraction.round(6)))
         raise IdentificationError(
             f"{len(points)} taut points at {len(points.pressures)} pressure(s) and {contractions} contraction(s) "
