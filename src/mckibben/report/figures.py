@@ -115,8 +115,8 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "joint",
         "Stiffness that the knee can hold",
         "The shaded band is all the stiffness that pressures within limits can give at an angle while the muscles "
-        "carry the load and stay within their range of contraction; outside the dotted lines no pressures hold the "
-        "joint. The wishes of the simulations are drawn over it: where one leaves the band, no controller can follow "
+        "carry the load and stay within their range of contraction; outside the dash-dotted lines it cannot be "
+        "held. The wishes of the simulations are drawn over it: where one leaves the band, no controller can follow "
         "it for long.",
         "A band of attainable stiffness over the joint angle for each geometry; "
         + "; ".join(f"{n}: {m.at(0.0)[0]:.1f} to {m.at(0.0)[1]:.1f} N·m/rad at 0 degrees" for n, m in maps.items()),

@@ -121,14 +121,13 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, vector: b
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
+    figure.set_dpi(mpl.rcParams["savefig.dpi"])  # before the layout: letters are wider or narrower at other resolutions
     engine = figure.get_layout_engine()
     if engine is not None:
-        for _ in range(2):  # it needs a second look at long labels, but not one at every draw, which takes as long
-            engine.execute(figure)
+        figure.draw_without_rendering()  # lays out once, with all labels there; doing so at every draw takes as long
         figure.set_layout_engine("none")
     # Straight to the canvases: `Figure.savefig` draws everything twice.
+    FigureCanvasAgg(figure).print_png(png, metadata={"Software": None})
     if vector:
         FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None, "Creator": None})
-    figure.set_dpi(mpl.rcParams["savefig.dpi"])
-    FigureCanvasAgg(figure).print_png(png, metadata={"Software": None})
     return png, svg
