@@ -59,7 +59,7 @@ def tracking(results: Mapping[str, Result]) -> Figure:
             pressure = _column(first, f"pressure{muscle}") / bar
             grid[3].plot(times, pressure, color=colour, linestyle=style, label=f"muscle {muscle}")
         grid[3].set(ylabel="pressure [bar]")
-        grid[3].legend(loc="upper right", ncols=2)
+        grid[3].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
     grid[-1].set(xlabel=TIME)
     figure.align_ylabels(list(grid))
     legend_above(figure, grid[0], grid[2])
