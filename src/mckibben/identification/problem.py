@@ -42,7 +42,7 @@ class FitProblem:
         So datasets of similar size, such as the parts of one, share compiled code.
         """
         count = len(points)
-        pad = (0, max(64, 1 << (count - 1).bit_length()) - count)
+        pad = (0, max(128, 1 << (count - 1).bit_length()) - count)
         contraction, pressure, force = (
             np.pad(column, pad, mode="edge") for column in (points.contraction, points.pressure, points.force)
         )

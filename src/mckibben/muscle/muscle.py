@@ -56,8 +56,17 @@ class Muscle(eqx.Module):
 
 
 def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:
-    """The force [N] of a muscle or law at measured points, as NumPy has it: for analysis, compiled as one piece."""
-    return np.asarray(_force(of, jnp.asarray(contraction), jnp.asarray(pressure)))
+    """The force [N] of a muscle or law at measured points, as NumPy has it: for analysis, compiled as one piece.
+
+    Points are padded to a power of two, so that datasets of different sizes share what is compiled.
+    """
+    contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
+    points = contraction.size
+    pad = (0, max(128, 1 << (points - 1).bit_length()) - points) if points else (0, 0)
+    padded = (np.pad(column.ravel(), pad, mode="edge") if points else column for column in (contraction, pressure))
+    return (
+        np.asarray(_force(of, *(jnp.asarray(column) for column in padded))).ravel()[:points].reshape(contraction.shape)
+    )
 
 
 @compiled

@@ -66,7 +66,7 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
     folder.mkdir(parents=True, exist_ok=True)
     drawn: dict[str, list[EmbeddedFigure]] = {section: [] for section in SECTIONS}
     for figure in figures(reproduction):
-        png, svg = save(figure.figure, folder / "figures", figure.name, vector=not reproduction.quick)
+        png, svg = save(figure.figure, folder / "figures", figure.name, preview=reproduction.quick)
         drawn[figure.section].append(EmbeddedFigure(figure, _address(png, svg)))
     text = render(reproduction, drawn)
     page = folder / _PAGE

@@ -107,8 +107,8 @@ def pressure_colours() -> ListedColormap:
 
 
 @styled
-def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, vector: bool = True) -> tuple[Path, Path]:
-    """Keep a figure as `name`.png (200 dpi) and, unless `vector` is false, `name`.svg in a folder made if need be.
+def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: bool = False) -> tuple[Path, Path]:
+    """Keep a figure as `name`.png (200 dpi) and `name`.svg in a folder made if need be; a preview as PNG of 100 dpi.
 
     The same figure gives the same bytes: no date, no random identifiers; letters are kept as outlines, so that the
     SVG needs no font.
@@ -116,18 +116,21 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, vector: b
     Returns
     -------
     png, svg
-        The two files; the second may not exist.
+        The two files; of a preview the second does not exist.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    figure.set_dpi(mpl.rcParams["savefig.dpi"])  # before the layout: letters are wider or narrower at other resolutions
+    resolution = mpl.rcParams["savefig.dpi"]
+    figure.set_dpi(
+        resolution / 2 if preview else resolution
+    )  # before the layout: letters are wider or narrower at other resolutions
     engine = figure.get_layout_engine()
     if engine is not None:
         figure.draw_without_rendering()  # lays out once, with all labels there; doing so at every draw takes as long
         figure.set_layout_engine("none")
     # Straight to the canvases: `Figure.savefig` draws everything twice.
     FigureCanvasAgg(figure).print_png(png, metadata={"Software": None})
-    if vector:
+    if not preview:
         FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None, "Creator": None})
     return png, svg

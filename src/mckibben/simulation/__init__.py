@@ -1,7 +1,7 @@
 """The sampled-data loop, its result and metrics, and the check of a wish before the run."""
 
 from mckibben.simulation.loop import compiled_episode, episode, sampled, without_last_change
-from mckibben.simulation.metrics import SETTLING_PART, Metrics, measure, rms, settling_band
+from mckibben.simulation.metrics import SETTLING_PART, Metrics, compiled_measure, measure, rms, settling_band
 from mckibben.simulation.reach import Reach, check_reference
 from mckibben.simulation.result import Outcome, Result
 from mckibben.simulation.simulate import CheckedRun, checked_run, simulate
@@ -18,6 +18,7 @@ __all__ = [
     "check_reference",
     "checked_run",
     "compiled_episode",
+    "compiled_measure",
     "compiled_trajectory",
     "episode",
     "measure",

@@ -15,8 +15,6 @@ from mckibben.plant import JointPlant
 from mckibben.study.paper.settings import SETTINGS, Setting, Wish, pid_scenario
 from mckibben.units import deg
 
-_CLOSER = 201  # angles between the last that is held and the first that is lost
-
 
 @dataclass(frozen=True)
 class JointMap:
@@ -80,7 +78,7 @@ def _holdable(plant: JointPlant, angles: NDArray[np.float64], lost: NDArray[np.b
         if not gone.any():
             return float(outwards[-1])
         first = int(np.argmax(gone))
-        between = jnp.linspace(outwards[first - 1], outwards[first], _CLOSER)
+        between = jnp.linspace(outwards[first - 1], outwards[first], len(angles))  # as many: compiled once
         lowest, _ = _attainable(plant.joint, between, -plant.load.gravity_torque(between))
         return float(between[int(jnp.argmax(jnp.isnan(lowest))) - 1])
 

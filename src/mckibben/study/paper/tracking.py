@@ -10,21 +10,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from mckibben.control import PositionStiffnessControl, Setpoint
-from mckibben.numerics.compiled import compiled_batch, numeric
-from mckibben.plant import JointPlant, PlantState
+from mckibben.control import Setpoint
+from mckibben.numerics.compiled import numeric
 from mckibben.simulation import (
+    SETTLING_PART,
     Metrics,
     Result,
     compiled_episode,
+    compiled_measure,
     compiled_trajectory,
-    episode,
-    measure,
     rms,
     sampled,
-    trajectory,
     without_last_change,
 )
 from mckibben.study.paper.settings import BOUND, FREE, SETTINGS, Setting, Wish, bp_scenario, gains_of, pid_scenario
@@ -202,28 +199,17 @@ def _run_bp(scenario: Scenario, seeds: int) -> Run:
     control, initial = scenario.control(), scenario.initial(plant)
     plant, control, initial, period = numeric((plant, control, initial, scenario.control_period))
     held = without_last_change(wishes) or wishes
-    measured = _over_seeds(plant, control, wishes, held, initial, period, jnp.arange(seeds), scenario.substeps)
-    return Run(scenario, run_scenario(scenario).result, measured)
 
+    def measured(seed: int) -> Metrics:
+        seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, numeric((seed, seed)))
+        _, record = compiled_episode(plant, seeded, wishes, initial, period, scenario.substeps)
+        _, undisturbed = compiled_episode(plant, seeded, held, initial, period, scenario.substeps)
+        moved = compiled_trajectory(plant, wishes, record, undisturbed)
+        return compiled_measure(moved, scenario.control_period, settling_part=SETTLING_PART)
 
-@compiled_batch
-def _over_seeds(
-    plant: JointPlant,
-    control: PositionStiffnessControl,
-    wishes: Setpoint,
-    held: Setpoint,
-    initial: PlantState,
-    period: Array,
-    seeds: Array,
-    substeps: int,
-) -> Metrics:
-    def one(seed: Array) -> Metrics:
-        seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, (seed, seed))
-        _, record = episode(plant, seeded, wishes, initial, period, substeps)
-        _, undisturbed = episode(plant, seeded, held, initial, period, substeps)
-        return measure(trajectory(plant, wishes, record, undisturbed), period)
-
-    return jax.vmap(one)(seeds)
+    # One by one: the programs are those of the single run, and a batch would first have to be compiled.
+    over_seeds = [measured(seed) for seed in range(seeds)]
+    return Run(scenario, run_scenario(scenario).result, jax.tree.map(lambda *each: jnp.stack(each), *over_seeds))
 
 
 def _coupling(setting: Setting, stepping: Run) -> Coupling:
