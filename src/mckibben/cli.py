@@ -92,11 +92,10 @@ def identify(
     """Fit a force law to measured points: estimates with standard errors, and errors at unseen pressures."""
     if out:
         folder(out)
-    from mckibben.study.inputs import data_named, law_type_named
+    from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law)
-    measured = data_named(data, **_reading(column, initial_length, slack_force))
-    _name_ignored(measured)
+    measured = _measured(data, column, initial_length, slack_force)
     from mckibben.identification import identify as run
     from mckibben.study.numbers import fit_numbers, to_json, write_json
 
@@ -127,11 +126,10 @@ def validate(
     """Hold a force law against measured points: errors by pressure and direction."""
     if out:
         folder(out)
-    from mckibben.study.inputs import data_named, law_named
+    from mckibben.study.inputs import law_named
 
     known = law_named(law, specimen=specimen)
-    measured = data_named(data, **_reading(column, initial_length, slack_force))
-    _name_ignored(measured)
+    measured = _measured(data, column, initial_length, slack_force)
     from mckibben.identification import validate as run
     from mckibben.study.numbers import to_json, write_json
 
@@ -288,10 +286,15 @@ def _reading(columns: list[str] | None, initial_length: str, slack_force: str) -
     }
 
 
-def _name_ignored(data: IsobaricDataset) -> None:
-    ignored = data.table.attrs.get("ignored_columns")
+def _measured(data: str, columns: list[str] | None, initial_length: str, slack_force: str) -> IsobaricDataset:
+    """The data that a command names; columns of the file that are not read are named on standard error."""
+    from mckibben.study.inputs import data_named
+
+    measured = data_named(data, **_reading(columns, initial_length, slack_force))
+    ignored = measured.table.attrs.get("ignored_columns")
     if ignored:
         typer.echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
+    return measured
 
 
 def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:

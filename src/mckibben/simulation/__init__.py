@@ -4,7 +4,7 @@ from mckibben.simulation.loop import compiled_episode, episode, sampled, without
 from mckibben.simulation.metrics import SETTLING_PART, Metrics, compiled_measure, measure, rms, settling_band
 from mckibben.simulation.reach import Reach, check_reference
 from mckibben.simulation.result import Outcome, Result
-from mckibben.simulation.simulate import CheckedRun, checked_run, simulate
+from mckibben.simulation.simulate import CheckedRun, checked_run, run_episode, simulate
 from mckibben.simulation.trajectory import Trajectory, compiled_trajectory, trajectory
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "episode",
     "measure",
     "rms",
+    "run_episode",
     "sampled",
     "settling_band",
     "simulate",

@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mckibben.control.base import Controller, Reference
+from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ReachabilityWarning, SimulationError
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.loop import compiled_episode, sampled, without_last_change
+from mckibben.simulation.loop import Record, compiled_episode, sampled, without_last_change
 from mckibben.simulation.reach import Reach, check_reference
 from mckibben.simulation.result import Result
-from mckibben.simulation.trajectory import compiled_trajectory
+from mckibben.simulation.trajectory import Trajectory, compiled_trajectory
 
 
 class CheckedRun(NamedTuple):
@@ -103,11 +103,23 @@ def checked_run(
     start = plant.at_rest(float(setpoints.angle[0])) if initial is None else initial
     reach = check_reference(plant, reference, duration=duration, control_period=control_period)
 
+    moved, record = run_episode(plant, controller, setpoints, start, control_period, substeps)
+    telemetry = {name: np.asarray(value) for name, value in record.telemetry.items()}
+    band = (reach.lowest, reach.highest)
+    return CheckedRun(Result.of(moved, control_period, band=band, telemetry=telemetry, scenario=scenario), reach)
+
+
+def run_episode(
+    plant: JointPlant,
+    controller: Controller,
+    setpoints: Setpoint,
+    start: PlantState,
+    control_period: float,
+    substeps: int,
+) -> tuple[Trajectory, Record]:
+    """The trajectory and the record of an episode; where the stiffness steps, against one without the step."""
     plant, controller, start, period = numeric((plant, controller, start, control_period))
     _, record = compiled_episode(plant, controller, setpoints, start, period, substeps)
     held = without_last_change(setpoints)
     undisturbed = record if held is None else compiled_episode(plant, controller, held, start, period, substeps)[1]
-    moved = compiled_trajectory(plant, setpoints, record, undisturbed)
-    telemetry = {name: np.asarray(value) for name, value in record.telemetry.items()}
-    band = (reach.lowest, reach.highest)
-    return CheckedRun(Result.of(moved, control_period, band=band, telemetry=telemetry, scenario=scenario), reach)
+    return compiled_trajectory(plant, setpoints, record, undisturbed), record

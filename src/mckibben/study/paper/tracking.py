@@ -12,17 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from mckibben.control import Setpoint
-from mckibben.numerics.compiled import numeric
 from mckibben.simulation import (
     SETTLING_PART,
     Metrics,
     Result,
-    compiled_episode,
     compiled_measure,
-    compiled_trajectory,
     rms,
+    run_episode,
     sampled,
-    without_last_change,
 )
 from mckibben.study.paper.settings import BOUND, FREE, SETTINGS, Setting, Wish, bp_scenario, gains_of, pid_scenario
 from mckibben.study.running import run_scenario
@@ -197,14 +194,10 @@ def _run_bp(scenario: Scenario, seeds: int) -> Run:
     plant = scenario.plant()
     _, wishes = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     control, initial = scenario.control(), scenario.initial(plant)
-    plant, control, initial, period = numeric((plant, control, initial, scenario.control_period))
-    held = without_last_change(wishes) or wishes
 
     def measured(seed: int) -> Metrics:
-        seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, numeric((seed, seed)))
-        _, record = compiled_episode(plant, seeded, wishes, initial, period, scenario.substeps)
-        _, undisturbed = compiled_episode(plant, seeded, held, initial, period, scenario.substeps)
-        moved = compiled_trajectory(plant, wishes, record, undisturbed)
+        seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, (seed, seed))
+        moved, _ = run_episode(plant, seeded, wishes, initial, scenario.control_period, scenario.substeps)
         return compiled_measure(moved, scenario.control_period, settling_part=SETTLING_PART)
 
     # One by one: the programs are those of the single run, and a batch would first have to be compiled.
@@ -219,11 +212,9 @@ def _coupling(setting: Setting, stepping: Run) -> Coupling:
     _, moving = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     held = moving._replace(angle=jnp.zeros_like(moving.angle))
     control, start = scenario.control(), scenario.initial(plant)
-    plant, control, start, period = numeric((plant, control, start, scenario.control_period))
 
     def late_error(wishes: Setpoint) -> float:
-        _, record = compiled_episode(plant, control, wishes, start, period, scenario.substeps)
-        moved = compiled_trajectory(plant, wishes, record, record)
+        moved, _ = run_episode(plant, control, wishes, start, scenario.control_period, scenario.substeps)
         late = moved.angle.size // 2
         return float(rms((moved.stiffness - moved.desired_stiffness)[late:]))
 
