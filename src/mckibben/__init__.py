@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Muscle, Specimen
     from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load
     from mckibben.rig import IsobaricProtocol, VirtualRig
-    from mckibben.simulation import Result, check_reference, simulate
+    from mckibben.simulation import Result, check_reference, differentiate, simulate, simulate_many
     from mckibben.study.paper import reproduce
     from mckibben.study.scenario import Scenario
 
@@ -51,7 +51,7 @@ _HOMES = {
     "muscle": "ChouLaw Domain ExponentialLaw Muscle Specimen",
     "plant": "FirstOrderValve IdealValve JointPlant Load",
     "rig": "IsobaricProtocol VirtualRig",
-    "simulation": "Result check_reference simulate",
+    "simulation": "Result check_reference differentiate simulate simulate_many",
     "study.paper": "reproduce",
     "study.scenario": "Scenario",
 }
@@ -90,11 +90,13 @@ __all__ = [
     "VirtualRig",
     "catalog",
     "check_reference",
+    "differentiate",
     "identify",
     "read_dataset",
     "report",
     "reproduce",
     "simulate",
+    "simulate_many",
     "units",
     "validate",
 ]

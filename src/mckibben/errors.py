@@ -61,6 +61,10 @@ class NotInCatalogError(McKibbenError, KeyError):
     __str__ = Exception.__str__  # KeyError would print the message quoted
 
 
+class ParameterError(McKibbenError, ValueError):
+    """There is no parameter of that name, or it cannot take such values."""
+
+
 class IdentificationError(McKibbenError, ValueError):
     """The data cannot determine the law."""
 

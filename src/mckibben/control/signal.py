@@ -6,10 +6,13 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError
 from mckibben.numerics.arrays import floating
+from mckibben.numerics.elementary import sin
+from mckibben.numerics.lanes import RANK
 
 
 class Signal(eqx.Module):
@@ -49,7 +52,9 @@ class Sine(Signal):
     phase: float = 0.0
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
-        return self.offset + self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * jnp.asarray(time) + self.phase)
+        cycles = self.frequency * floating(time)
+        part = cycles - jnp.round(cycles)  # a fast sine is good for small angles, and whole cycles change nothing
+        return self.offset + self.amplitude * sin(2 * jnp.pi * part + self.phase)
 
 
 class Multisine(Signal):
@@ -88,11 +93,11 @@ class Samples(Signal):
         One value for each.
     """
 
-    times: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x))
-    values: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x))
+    times: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
+    values: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
 
     def __check_init__(self) -> None:
-        if self.times.shape != self.values.shape or self.times.ndim != 1 or self.times.size == 0:
+        if self.times.shape != self.values.shape[-1:] or self.times.size == 0:
             raise RangeError(f"{self.times.size} times do not go with {self.values.size} values; give one value a time")
         if not bool(jnp.all(jnp.diff(self.times) > 0)):
             raise RangeError("the times of a sampled signal must rise", remedy="sort them and remove repeats")
@@ -101,6 +106,6 @@ class Samples(Signal):
         return jnp.interp(floating(time), self.times, self.values)
 
 
-def as_signal(wish: Signal | float) -> Signal:
-    """A signal as it is, a plain number as a constant."""
-    return Constant(wish) if isinstance(wish, int | float) else wish
+def as_signal(wish: Signal | ArrayLike) -> Signal:
+    """A signal as it is, a number (or one a run) as a constant."""
+    return Constant(wish) if isinstance(wish, int | float | np.ndarray | Array) else wish  # type: ignore[arg-type]

@@ -18,6 +18,7 @@ from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.arrays import floating
 from mckibben.numerics.compiled import compiled
+from mckibben.numerics.derivative import value_and_derivative
 
 if TYPE_CHECKING:
     from mckibben.joint.antagonistic import AntagonisticJoint
@@ -89,7 +90,11 @@ def hold(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffnes
 
     low, high = lax.fori_loop(0, 60, halve, (places[first], places[first + 1]))
     anywhere = jnp.isnan(stiffness)
-    place = jnp.where(anywhere, 0.5, (low + high) / 2)
+    found = lax.stop_gradient((low + high) / 2)
+    # Bisection finds the place but not how it moves with the joint's numbers; one step of Newton's method does.
+    value, slope = value_and_derivative(segment.stiffness, found)
+    newton = (value - wanted) / jnp.where(slope == 0, jnp.inf, lax.stop_gradient(slope))
+    place = jnp.where(anywhere, 0.5, found - (newton - lax.stop_gradient(newton)))
     met = jnp.abs(segment.stiffness(place) - wanted) <= _MET * jnp.abs(wanted)
     return Hold(
         segment.pressures(place),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
+import numpy as np
+from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 
 
 def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
-    """Raise unless every plain number is finite and positive (or zero, where allowed).
+    """Raise unless every number is finite and positive (or zero, where allowed); of an array, each.
 
     Raises
     ------
@@ -16,13 +17,14 @@ def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: 
         It names the owner, the field and the value.
     """
     for name, value in values.items():
-        if not isinstance(value, int | float):
-            continue
-        if not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
+        numbers = _known(value)
+        right = np.isfinite(numbers) & ((numbers > 0) | (zero & (numbers == 0)))
+        if not right.all():
             kind = "0 or above" if zero else "above 0"
+            wrong = float(numbers[~right][0])
             raise RangeError(
-                f"{owner}: {name} is {value:g} {unit}".rstrip(),
-                value=value,
+                f"{owner}: {name} is {wrong:g} {unit}".rstrip(),
+                value=wrong,
                 lower=0.0,
                 unit=unit,
                 remedy=f"it has to be finite and {kind}",
@@ -36,7 +38,7 @@ def whole_periods(duration: float, period: float) -> int | None:
 
 
 def check_within(owner: str, lower: float, upper: float, unit: str = "", **values: object) -> None:
-    """Raise unless every plain number lies in a range, the edges included.
+    """Raise unless every number lies in a range, the edges included; of an array, each.
 
     Raises
     ------
@@ -44,10 +46,13 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", **value
         It names the owner, the field, the value and the range.
     """
     for name, value in values.items():
-        if isinstance(value, int | float) and not lower <= value <= upper:
+        numbers = _known(value)
+        right = (numbers >= lower) & (numbers <= upper)
+        if not right.all():
+            wrong = float(numbers[~right][0])
             raise RangeError(
-                f"{owner}: {name} is {value:g}, outside {lower:g}..{upper:g} {unit}".rstrip(),
-                value=value,
+                f"{owner}: {name} is {wrong:g}, outside {lower:g}..{upper:g} {unit}".rstrip(),
+                value=wrong,
                 lower=lower,
                 upper=upper,
                 unit=unit,
@@ -71,3 +76,14 @@ def check_kind(owner: str, **fields: tuple[object, type]) -> None:
             continue  # a placeholder of a transformation
         if not isinstance(value, kind):
             raise RangeError(f"{owner}: {name} is {given}", remedy=f"give a {kind.__name__}; are arguments swapped?")
+
+
+def _known(value: object) -> NDArray[np.float64]:
+    """The numbers of a value, flat; none where it is traced, or a placeholder of a transformation."""
+    if isinstance(value, int | float | np.ndarray):
+        return np.asarray(value, float).ravel()
+    import jax  # those who check plain numbers only need not wait for it
+    import jax.core
+
+    concrete = isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)
+    return np.asarray(value, float).ravel() if concrete else np.empty(0)

@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from mckibben.joint import AntagonisticJoint
+from mckibben.joint.attainable import hold
 from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_kind
 from mckibben.plant.load import Load
@@ -84,6 +85,14 @@ class JointPlant(eqx.Module):
             pressure1=self.valve.rate(state.pressure1, commands[0]),
             pressure2=self.valve.rate(state.pressure2, commands[1]),
         )
+
+    def resting(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
+        """The state of `at_rest`, and whether there is one: for traced numbers, which cannot raise.
+
+        A stiffness of NaN stands for amid the attainable ones.
+        """
+        found = hold(self.joint, angle, -self.load.gravity_torque(angle), stiffness)
+        return PlantState(floating(angle), jnp.zeros_like(floating(angle)), *found.pressures), found.exists
 
     def at_rest(self, angle: float = 0.0, *, stiffness: float | None = None) -> PlantState:
         """The state that rests at an angle with both muscles taut.

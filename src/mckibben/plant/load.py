@@ -52,7 +52,8 @@ class Load(eqx.Module):
     def __check_init__(self) -> None:
         check_positive("Load", "kg", zero=True, mass1=self.mass1, mass2=self.mass2)
         check_positive("Load", "m", zero=True, distance1=self.distance1, distance2=self.distance2)
-        check_positive("Load", "kg*m^2", inertia=self.inertia)
+        check_positive("Load", "kg*m^2", zero=True, inertia=self.inertia)
+        check_positive("Load", "kg*m^2", total_inertia=self.total_inertia)
         check_positive("Load", "N*m*s/rad", zero=True, damping=self.damping)
 
     @property

@@ -75,7 +75,7 @@ def _settling(axes: Axes, runs: Mapping[str, Result], times: NDArray[np.float64]
     """The moments after the last change of the wish, with the settling band and each settling time marked."""
     first = next(iter(runs.values()))
     desired = first.table["desired_stiffness"].to_numpy()
-    change = int(last_change(desired))
+    change = int(last_change(desired).at)
     start = float(times[change])
     band = float(settling_band(first.trajectory, SETTLING_PART))
     axes.axhspan(-band, band, color="#E8E8E8", zorder=0, label=f"{SETTLING_PART * 100:g} % of the change asked for")

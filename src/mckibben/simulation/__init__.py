@@ -1,16 +1,24 @@
 """The sampled-data loop, its result and metrics, and the check of a wish before the run."""
 
+from mckibben.simulation.batch import Batch, simulate_many
+from mckibben.simulation.differentiate import Derivatives, Mode, differentiate
 from mckibben.simulation.loop import compiled_episode, episode, sampled, without_last_change
 from mckibben.simulation.metrics import SETTLING_PART, Metrics, compiled_measure, measure, rms, settling_band
+from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.reach import Reach, check_reference
-from mckibben.simulation.result import Outcome, Result
+from mckibben.simulation.result import Result
+from mckibben.simulation.run import AtRest
 from mckibben.simulation.simulate import CheckedRun, checked_run, run_episode, simulate
 from mckibben.simulation.trajectory import Trajectory, compiled_trajectory, trajectory
 
 __all__ = [
     "SETTLING_PART",
+    "AtRest",
+    "Batch",
     "CheckedRun",
+    "Derivatives",
     "Metrics",
+    "Mode",
     "Outcome",
     "Reach",
     "Result",
@@ -20,6 +28,7 @@ __all__ = [
     "compiled_episode",
     "compiled_measure",
     "compiled_trajectory",
+    "differentiate",
     "episode",
     "measure",
     "rms",
@@ -27,6 +36,7 @@ __all__ = [
     "sampled",
     "settling_band",
     "simulate",
+    "simulate_many",
     "trajectory",
     "without_last_change",
 ]

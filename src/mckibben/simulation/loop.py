@@ -10,10 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
+from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Measurement, Reference, Setpoint
 from mckibben.errors import SimulationError
 from mckibben.numerics.checks import whole_periods
+from mckibben.numerics.compiled import compiled
 from mckibben.numerics.integrate import rk4
 from mckibben.plant import JointPlant, PlantState
 
@@ -28,6 +30,29 @@ class Record(NamedTuple):
     command2: Array
     limited: Array  # whether the plant had to limit a command
     telemetry: dict[str, Array]
+
+
+Running = tuple[PlantState, Any]
+"""The plant's state and the controller's, at the start of a control period."""
+
+
+def started(controller: Controller, initial: PlantState) -> Running:
+    """The plant at its initial state, and the controller as it takes over."""
+    return initial, controller.init(Measurement(initial.angle, initial.pressures))
+
+
+def control_period(
+    plant: JointPlant, controller: Controller, running: Running, setpoint: Setpoint, period: ArrayLike, substeps: int
+) -> tuple[Running, Record]:
+    """One control period: the controller's step, then the plant under the commands that it holds."""
+    state, memory = running
+    memory, wanted = controller.step(memory, setpoint, Measurement(state.angle, state.pressures), period)
+    commands = plant.limited(wanted)
+    limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
+    switched = plant.switched(state, commands)
+    step = period / substeps
+    following = lax.fori_loop(0, substeps, lambda _, x: rk4(lambda s: plant.rate(s, commands), x, step), switched)
+    return (following, memory), Record(state, *commands, limited, controller.telemetry(memory))
 
 
 def episode(
@@ -59,19 +84,11 @@ def episode(
         The state after the last period, and the record of shape (periods,): the state at the start of each period and
         the commands held over it.
     """
-    step = period / substeps
 
-    def control_period(carry: tuple[PlantState, Any], setpoint: Setpoint) -> tuple[tuple[PlantState, Any], Record]:
-        state, memory = carry
-        memory, wanted = controller.step(memory, setpoint, Measurement(state.angle, state.pressures), period)
-        commands = plant.limited(wanted)
-        limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
-        switched = plant.switched(state, commands)
-        following = lax.fori_loop(0, substeps, lambda _, x: rk4(lambda s: plant.rate(s, commands), x, step), switched)
-        return (following, memory), Record(state, *commands, limited, controller.telemetry(memory))
+    def following(running: Running, setpoint: Setpoint) -> tuple[Running, Record]:
+        return control_period(plant, controller, running, setpoint, period, substeps)
 
-    memory = controller.init(Measurement(initial.angle, initial.pressures))
-    (final, _), record = lax.scan(control_period, (initial, memory), setpoints)
+    (final, _), record = lax.scan(following, started(controller, initial), setpoints)
     return final, record
 
 
@@ -95,10 +112,10 @@ def without_last_change(setpoints: Setpoint) -> Setpoint | None:
     if changes.size == 0 or changes[-1] == stiffness.size - 1:
         return None
     held = np.where(np.arange(stiffness.size) >= changes[-1], stiffness[changes[-1] - 1], stiffness)
-    return setpoints._replace(stiffness=jnp.asarray(held))
+    return setpoints._replace(stiffness=held)  # type: ignore[arg-type]  # compiled code takes it as it is
 
 
-def sampled(reference: Reference, duration: float, period: float) -> tuple[Float[Array, " periods"], Setpoint]:
+def sampled(reference: Reference, duration: float, period: float) -> tuple[NDArray[np.float64], Setpoint]:
     """The start times [s] of the control periods in a duration, and the wishes at them.
 
     Raises
@@ -106,6 +123,20 @@ def sampled(reference: Reference, duration: float, period: float) -> tuple[Float
     SimulationError
         If a time is not positive, or the duration no whole number of periods.
     """
+    times = sampling_times(duration, period)
+    return times, compiled_wishes(reference, times)
+
+
+def wishes_at(reference: Reference, times: ArrayLike) -> Setpoint:
+    """The wishes at times [s], with an explicit type: a weakly typed wish would compile everything anew."""
+    return Setpoint(*(jnp.asarray(wish, float) for wish in reference(times)))
+
+
+compiled_wishes = compiled(wishes_at)
+
+
+def sampling_times(duration: float, period: float) -> NDArray[np.float64]:
+    """The start times [s] of the control periods in a duration; raises as `sampled` does."""
     for name, value in (("duration", duration), ("control period", period)):
         if not (math.isfinite(value) and value > 0):
             raise SimulationError(f"the {name} is {value:g} s", value=value, unit="s", remedy="give a positive time")
@@ -117,6 +148,12 @@ def sampled(reference: Reference, duration: float, period: float) -> tuple[Float
             unit="s",
             remedy=f"{max(round(duration / period), 1) * period:.12g} s would be",
         )
-    times = jnp.arange(periods) * period
-    # With an explicit type: a weakly typed wish would compile everything anew.
-    return times, Setpoint(*(jnp.asarray(wish, float) for wish in reference(times)))
+    return np.arange(periods, dtype=float) * period
+
+
+def check_substeps(substeps: int) -> None:
+    """Raise unless it is a whole number from 1 up."""
+    if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
+        raise SimulationError(
+            f"{substeps} integration steps a control period", value=substeps, remedy="give a whole number from 1 up"
+        )

@@ -68,70 +68,174 @@ def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETT
     settling_part
         Half the width of the settling band, as a part of the change of stiffness that was asked for.
     """
-    angle_error = jnp.asarray(moved.angle) - moved.desired_angle
-    stiffness_error = jnp.asarray(moved.stiffness) - moved.desired_stiffness
-    estimate_error = jnp.asarray(moved.stiffness_estimate) - moved.stiffness
+    stiffness = jnp.asarray(moved.stiffness)
     change = last_change(moved.desired_stiffness)
-    return Metrics(
-        angle_rmse=rms(angle_error),
-        angle_max=_largest(jnp.abs(angle_error)),
-        stiffness_rmse=rms(stiffness_error),
-        stiffness_max=_largest(jnp.abs(stiffness_error)),
-        stiffness_settling=_settling(moved, stiffness_error, change, period, settling_part),
-        coupling=_coupling(moved, change),
-        estimate_rmse=rms(estimate_error),
-        time_saturated=jnp.sum(moved.saturated) * period,
-        time_slack=jnp.sum(moved.slack) * period,
-        time_outside_domain=jnp.sum(moved.outside_domain) * period,
-        time_overloaded=jnp.sum(moved.overloaded) * period,
-        excursion_max=_largest(moved.excursion),
-        force_max=jnp.maximum(_largest(moved.force1), _largest(moved.force2)),
-    )
+    parts = tally(moved, jnp.arange(stiffness.size), change, stiffness[change.at], settling_part)
+    sums = Sums(*(jnp.sum(part) for part in parts.sums))
+    peaks = Peaks(*(_largest(part) for part in parts.peaks))
+    return metrics_of(Tally(sums, peaks, jnp.max(parts.unsettled)), change, stiffness.size, period)
 
 
 compiled_measure = compiled(measure)
 
 
-def rms(error: ArrayLike) -> Array:
-    """The root of the mean square; its derivative at no error at all is 0."""
-    mean = jnp.mean(jnp.square(jnp.asarray(error)))
-    return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), mean)
+class Change(NamedTuple):
+    """The last change of the desired stiffness; known before the run.
+
+    Attributes
+    ----------
+    at
+        The control period from which on the new value is wished for; 0 if the wish never changes.
+    before, after
+        The wish right before, and at the end of the run [N*m/rad].
+    ends
+        Whether there is a change, and a time after it without one (a sine changes to the very end).
+    """
+
+    at: Array
+    before: Array
+    after: Array
+    ends: Array
 
 
-def last_change(desired: ArrayLike) -> Array:
-    """The index at which a wish last changed; 0 if it never did."""
+def last_change(desired: ArrayLike) -> Change:
+    """The last change of a wish of shape (periods,)."""
     desired = jnp.asarray(desired)
     changed = jnp.concatenate([jnp.zeros(1, bool), desired[1:] != desired[:-1]])
-    return jnp.max(jnp.where(changed, jnp.arange(desired.size), 0))
+    index = jnp.max(jnp.where(changed, jnp.arange(desired.size), 0))
+    ends = (index > 0) & (index < desired.size - 1)
+    return Change(index, desired[jnp.maximum(index - 1, 0)], desired[-1], ends)
+
+
+class Sums(NamedTuple):
+    """What is summed over the control periods: squared errors, and how often something was so."""
+
+    angle: Array
+    stiffness: Array
+    estimate: Array
+    saturated: Array
+    slack: Array
+    outside_domain: Array
+    overloaded: Array
+
+
+class Peaks(NamedTuple):
+    """What the largest value is looked for of."""
+
+    angle: Array
+    stiffness: Array
+    coupling: Array
+    excursion: Array
+    force: Array
+
+
+class Tally(NamedTuple):
+    """All that the metrics need of a run; of one control period, of some, or of all."""
+
+    sums: Sums
+    peaks: Peaks
+    unsettled: Array  # the last period in which the stiffness was outside its band; -1 if it never was
+
+    @classmethod
+    def nothing(cls, like: Array) -> Tally:
+        """Of no period at all; floats are of the type of `like`."""
+        zero = jnp.zeros_like(like)
+        return cls(Sums(*[zero] * len(Sums._fields)), Peaks(*[zero] * len(Peaks._fields)), jnp.asarray(-1))
+
+    def with_next(self, after: Tally) -> Tally:
+        """Of both."""
+        return Tally(
+            Sums(*(a + b for a, b in zip(self.sums, after.sums, strict=True))),
+            Peaks(*(_larger(a, b) for a, b in zip(self.peaks, after.peaks, strict=True))),
+            jnp.maximum(self.unsettled, after.unsettled),
+        )
+
+
+def tally(
+    moved: Trajectory, index: ArrayLike, change: Change, stiffness_at_change: ArrayLike, settling_part: ArrayLike
+) -> Tally:
+    """What single control periods add to the metrics; elementwise, for scalars and for shape (periods,)."""
+    angle_error = jnp.asarray(moved.angle) - moved.desired_angle
+    stiffness_error = jnp.asarray(moved.stiffness) - moved.desired_stiffness
+    estimate_error = jnp.asarray(moved.stiffness_estimate) - moved.stiffness
+    since = jnp.asarray(index) >= change.at
+    settled = jnp.abs(stiffness_error) <= _band(change, stiffness_at_change, settling_part)
+    moved_by_change = jnp.abs(jnp.asarray(moved.angle) - moved.undisturbed_angle)
+    kind = stiffness_error.dtype
+
+    def count(flag: Array) -> Array:
+        return jnp.asarray(flag).astype(kind)
+
+    return Tally(
+        Sums(
+            angle=jnp.square(angle_error),
+            stiffness=jnp.square(stiffness_error),
+            estimate=jnp.square(estimate_error),
+            saturated=count(moved.saturated),
+            slack=count(moved.slack),
+            outside_domain=count(moved.outside_domain),
+            overloaded=count(moved.overloaded),
+        ),
+        Peaks(
+            angle=jnp.abs(angle_error),
+            stiffness=jnp.abs(stiffness_error),
+            coupling=jnp.where(since, moved_by_change, 0.0),
+            excursion=jnp.asarray(moved.excursion),
+            force=_larger(moved.force1, moved.force2),
+        ),
+        jnp.where(since & ~settled, index, -1),
+    )
+
+
+def metrics_of(total: Tally, change: Change, periods: int, period: ArrayLike) -> Metrics:
+    """The metrics from the tally of a whole run of so many control periods [s]."""
+    sums, peaks = total.sums, total.peaks
+    unsettled = jnp.maximum(total.unsettled, change.at - 1)
+    never = (unsettled >= periods - 1) | ((change.at > 0) & ~change.ends)
+    return Metrics(
+        angle_rmse=_root(sums.angle / periods),
+        angle_max=peaks.angle,
+        stiffness_rmse=_root(sums.stiffness / periods),
+        stiffness_max=peaks.stiffness,
+        stiffness_settling=jnp.where(never, jnp.nan, (unsettled + 1 - change.at) * period),
+        coupling=jnp.where(change.ends, peaks.coupling, jnp.nan),
+        estimate_rmse=_root(sums.estimate / periods),
+        time_saturated=sums.saturated * period,
+        time_slack=sums.slack * period,
+        time_outside_domain=sums.outside_domain * period,
+        time_overloaded=sums.overloaded * period,
+        excursion_max=peaks.excursion,
+        force_max=peaks.force,
+    )
+
+
+def rms(error: ArrayLike) -> Array:
+    """The root of the mean square; its derivative at no error at all is 0."""
+    return _root(jnp.mean(jnp.square(jnp.asarray(error))))
 
 
 def settling_band(moved: Trajectory, part: float) -> Array:
     """Half the width of the band into which the stiffness has to settle [N*m/rad]: a part of the change asked for."""
-    wanted = jnp.asarray(moved.desired_stiffness)[-1]
-    asked = jnp.abs(wanted - jnp.asarray(moved.stiffness)[last_change(moved.desired_stiffness)])
-    return jnp.maximum(part * asked, _BAND_FLOOR * jnp.abs(wanted))
+    change = last_change(moved.desired_stiffness)
+    return _band(change, jnp.asarray(moved.stiffness)[change.at], part)
 
 
-def _settling(moved: Trajectory, error: Array, change: Array, period: ArrayLike, part: float) -> Array:
-    index = jnp.arange(error.size)
-    outside = (index >= change) & ~(jnp.abs(error) <= settling_band(moved, part))
-    last = jnp.max(jnp.where(outside, index, change - 1))
-    never = (last >= error.size - 1) | _still_changing(change, error)
-    return jnp.where(never, jnp.nan, (last + 1 - change) * period)
+def _band(change: Change, stiffness_at_change: ArrayLike, part: ArrayLike) -> Array:
+    asked = jnp.abs(change.after - stiffness_at_change)
+    return jnp.maximum(part * asked, _BAND_FLOOR * jnp.abs(change.after))
+
+
+def _root(mean: Array) -> Array:
+    """The square root; its derivative at 0 is 0."""
+    return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), mean)
+
+
+def _larger(one: ArrayLike, other: ArrayLike) -> Array:
+    """The larger of two, NaN if one of them is: XLA's own maximum does not always pass it on."""
+    one, other = jnp.asarray(one), jnp.asarray(other)
+    return jnp.where((one >= other) | jnp.isnan(one), one, other)
 
 
 def _largest(values: Array) -> Array:
-    """The maximum, NaN if there is one: XLA's own maximum does not always pass it on."""
+    """The maximum along time, NaN if there is one."""
     return jnp.where(jnp.any(jnp.isnan(values)), jnp.nan, jnp.max(values))
-
-
-def _coupling(moved: Trajectory, change: Array) -> Array:
-    difference = jnp.abs(jnp.asarray(moved.angle) - moved.undisturbed_angle)
-    after = jnp.arange(difference.size) >= change
-    largest = _largest(jnp.where(after, difference, 0.0))
-    return jnp.where((change > 0) & ~_still_changing(change, difference), largest, jnp.nan)
-
-
-def _still_changing(change: Array, error: Array) -> Array:
-    """Whether the wish changes to the very end, as a sine does."""
-    return (change > 0) & (change == error.size - 1)

@@ -99,9 +99,12 @@ def check_reference(
     return Reach(*(np.asarray(x, float) for x in (times, setpoints.angle, setpoints.stiffness, lowest, highest)))
 
 
-@compiled
-def _band(plant: JointPlant, angle: Array) -> tuple[Array, Array]:
+def attainable_band(plant: JointPlant, angle: Array) -> tuple[Array, Array]:
+    """The lowest and highest stiffness [N*m/rad] at which the joint can hold angles [rad] against gravity."""
     return plant.joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle))
+
+
+_band = compiled(attainable_band)
 
 
 def _when(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-import enum
+import functools
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Any, Self
 
-import jax.numpy as jnp
 import numpy as np
-import xarray as xr
 
 from mckibben.errors import FileError, Problem
 from mckibben.files import whole
 from mckibben.simulation.metrics import SETTLING_PART, compiled_measure
+from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
 from mckibben.simulation.trajectory import Trajectory
-from mckibben.units import bar, deg, percent
+from mckibben.units import bar, percent
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _ANGLE, _STIFFNESS, _PRESSURE = "rad", "N*m/rad", "Pa"
-_UNITS = {
+UNITS = {
     "angle": (_ANGLE, "joint angle"),
     "velocity": ("rad/s", "angular velocity"),
     "desired_angle": (_ANGLE, "desired joint angle"),
@@ -42,6 +44,19 @@ _UNITS = {
     "outside_domain": ("1", "a muscle's contraction or pressure is outside its domain"),
     "overloaded": ("1", "a muscle's tension is above its rating"),
     "excursion": ("1", "how far a contraction is outside its domain"),
+    "angle_rmse": (_ANGLE, "root mean square error of the angle"),
+    "angle_max": (_ANGLE, "largest error of the angle"),
+    "stiffness_rmse": (_STIFFNESS, "root mean square error of the stiffness"),
+    "stiffness_max": (_STIFFNESS, "largest error of the stiffness"),
+    "stiffness_settling": ("s", "time until the stiffness has settled"),
+    "coupling": (_ANGLE, "angle that the last change of the desired stiffness makes"),
+    "estimate_rmse": (_STIFFNESS, "root mean square error of the estimated stiffness"),
+    "time_saturated": ("s", "time with a command at a pressure limit"),
+    "time_slack": ("s", "time with a muscle slack"),
+    "time_outside_domain": ("s", "time with a muscle outside its domain"),
+    "time_overloaded": ("s", "time with a muscle above its rated force"),
+    "excursion_max": ("1", "how far a contraction was outside its domain at most"),
+    "force_max": ("N", "largest tension"),
     "position_kp": ("Pa/rad", "proportional gain of the position loop"),
     "position_ki": ("Pa/(rad*s)", "integral gain of the position loop"),
     "position_kd": ("Pa*s/rad", "derivative gain of the position loop"),
@@ -53,40 +68,28 @@ _UNITS = {
 }
 
 
-_SWUNG_OVER = 90 * deg
-
-
-class Outcome(enum.Enum):
-    """How a run ended; the worst that applies."""
-
-    COMPLETED = "completed"
-    SATURATED = "completed, with a pressure at its limit part of the time"
-    LEFT_DOMAIN = "completed, but a muscle left its domain or its rating: what happened there is extrapolation"
-    SWUNG_OVER = "lost: the joint swung more than 90 deg away from where it should be"
-    DIVERGED = "diverged: the state is no longer finite"
-
-    @property
-    def lost(self) -> bool:
-        """Whether the run came to no end that is of use."""
-        return self in (Outcome.SWUNG_OVER, Outcome.DIVERGED)
-
-
 @dataclass(frozen=True, eq=False)
 class Result:
     """A simulated run.
 
     Attributes
     ----------
-    table
-        Along ``time`` [s], one row a control period: what `Trajectory` lists, each with ``units`` and ``long_name``;
-        the attainable band (``lowest_stiffness``, ``highest_stiffness``), and what the controller reports of itself
-        (such as ``position_kp``). Attributes: ``control_period`` [s], ``scenario`` (text, may be empty).
+    columns
+        Arrays of shape (periods,), one value a control period, by name: what `Trajectory` lists, the attainable band
+        (``lowest_stiffness``, ``highest_stiffness``), and what the controller reports of itself (such as
+        ``position_kp``).
+    control_period
+        The time between two values [s].
     outcome
         How it ended.
+    scenario
+        Text: what made it; may be empty.
     """
 
-    table: xr.Dataset
+    columns: dict[str, np.ndarray]
+    control_period: float
     outcome: Outcome
+    scenario: str = ""
 
     @classmethod
     def of(
@@ -102,23 +105,31 @@ class Result:
         columns = {name: np.asarray(value) for name, value in moved._asdict().items()}
         columns |= {"lowest_stiffness": band[0], "highest_stiffness": band[1]}
         columns |= {name: np.asarray(value) for name, value in telemetry.items() if name not in columns}
-        times = np.arange(columns["angle"].size) * control_period
-        table = xr.Dataset(
-            {name: ("time", value, _attributes(name)) for name, value in columns.items()},
-            coords={"time": ("time", times, {"units": "s", "long_name": "time"})},
-            attrs={"control_period": control_period, "scenario": scenario},
+        return cls(columns, control_period, _outcome(columns), scenario)
+
+    @functools.cached_property
+    def table(self) -> xr.Dataset:
+        """The columns along ``time`` [s], each with ``units`` and ``long_name``.
+
+        Attributes: ``control_period`` [s] and ``scenario``.
+        """
+        import xarray as xr  # 0.15 s at import, which a run that is only measured need not wait for
+
+        return xr.Dataset(
+            {name: ("time", value, attributes(name)) for name, value in self.columns.items()},
+            coords={"time": ("time", self.times, {"units": "s", "long_name": "time"})},
+            attrs={"control_period": self.control_period, "scenario": self.scenario},
         )
-        return cls(table, _outcome(table))
 
     @property
-    def control_period(self) -> float:
-        """The control period [s]."""
-        return float(self.table.attrs["control_period"])
+    def times(self) -> np.ndarray:
+        """The start of each control period [s], shape (periods,)."""
+        return np.arange(self.columns["angle"].size) * self.control_period
 
     @property
     def trajectory(self) -> Trajectory:
-        """The arrays of the table, as the metrics take them."""
-        return Trajectory(*(jnp.asarray(self.table[name].to_numpy()) for name in Trajectory._fields))
+        """The columns as the metrics take them."""
+        return Trajectory(*(self.columns[name] for name in Trajectory._fields))  # type: ignore[arg-type]
 
     def metrics(self, *, settling_part: float = SETTLING_PART) -> dict[str, float]:
         """The numbers of `mckibben.simulation.metrics.Metrics`, by name, in SI."""
@@ -127,18 +138,17 @@ class Result:
 
     def describe(self) -> str:
         """The outcome as a sentence, with how long the run was saturated, slack or outside the domain."""
-        table, sentence = self.table, self.outcome.value
+        columns, sentence, times = self.columns, self.outcome.value, self.times
         if self.outcome is Outcome.DIVERGED:
-            whole_until = np.flatnonzero(np.isfinite(table["angle"].to_numpy()))
-            return f"{sentence} after {float(table['time'][whole_until[-1]]) if whole_until.size else 0.0:.4g} s"
-        times = table["time"].to_numpy()
+            whole_until = np.flatnonzero(np.isfinite(columns["angle"]))
+            return f"{sentence} after {times[whole_until[-1]] if whole_until.size else 0.0:.4g} s"
         spans = [
             f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"
             for what, mask in (
-                (_outside(table), table["outside_domain"].to_numpy()),
-                (f"above the rated force (up to {_peak(table):.4g} N)", table["overloaded"].to_numpy()),
-                ("saturated", table["saturated"].to_numpy()),
-                ("slack", table["slack"].to_numpy()),
+                (_outside(columns), columns["outside_domain"]),
+                (f"above the rated force (up to {_peak(columns):.4g} N)", columns["overloaded"]),
+                ("saturated", columns["saturated"]),
+                ("slack", columns["slack"]),
             )
             if mask.any()
         ]
@@ -162,6 +172,8 @@ class Result:
         FileError
             If the file is missing, is no NetCDF file, or lacks something.
         """
+        import xarray as xr
+
         source = str(path)
         if not Path(path).is_file():
             raise FileError(source, [Problem("there is no such file")])
@@ -178,44 +190,44 @@ class Result:
             for name in columns
             if table[name].dims != ("time",) or table[name].dtype.kind not in "fb"
         ]
-        outcome, period = table.attrs.pop("outcome", None), table.attrs.get("control_period")
+        outcome = table.attrs.pop("outcome", None)
+        period: Any = table.attrs.get("control_period")
         if outcome not in Outcome.__members__:
             problems.append(Problem(f"{outcome!r} is no outcome", field="outcome"))
         if not isinstance(period, float | np.floating) or not period > 0:
             problems.append(Problem(f"{period!r} is no time", field="control_period"))
         if problems:
             raise FileError(source, problems)
-        return cls(table, Outcome[outcome])
+        values = {str(name): variable.to_numpy() for name, variable in table.data_vars.items()}
+        return cls(values, float(period), Outcome[outcome], str(table.attrs.get("scenario", "")))
 
 
-def _outside(table: xr.Dataset) -> str:
-    furthest = float(table["excursion"].max())
-    low, high = (float(extreme) / bar for extreme in _pressure_range(table))
+def _outside(columns: dict[str, np.ndarray]) -> str:
+    furthest = float(columns["excursion"].max())
+    pressures = np.concatenate([columns["pressure1"], columns["pressure2"]]) / bar
     how_far = (
-        f"contraction by up to {furthest / percent:.3g} %" if furthest > 0 else f"pressure {low:.3g}..{high:.3g} bar"
+        f"contraction by up to {furthest / percent:.3g} %"
+        if furthest > 0
+        else f"pressure {pressures.min():.3g}..{pressures.max():.3g} bar"
     )
     return f"outside the domain ({how_far})"
 
 
-def _pressure_range(table: xr.Dataset) -> tuple[np.floating, np.floating]:
-    pressures = np.concatenate([table["pressure1"].to_numpy(), table["pressure2"].to_numpy()])
-    return pressures.min(), pressures.max()
+def _peak(columns: dict[str, np.ndarray]) -> float:
+    return float(max(columns["force1"].max(), columns["force2"].max()))
 
 
-def _peak(table: xr.Dataset) -> float:
-    return float(max(table["force1"].max(), table["force2"].max()))
-
-
-def _attributes(name: str) -> dict[str, str]:
-    units, meaning = _UNITS.get(name, ("", name.replace("_", " ")))
+def attributes(name: str) -> dict[str, str]:
+    """The unit and the meaning of a variable, as NetCDF has them."""
+    units, meaning = UNITS.get(name, ("", name.replace("_", " ")))
     return {"units": units, "long_name": meaning} if units else {"long_name": meaning}
 
 
-def _outcome(table: xr.Dataset) -> Outcome:
-    if not (np.isfinite(table["angle"][-1]) and np.isfinite(table["velocity"][-1])):
-        return Outcome.DIVERGED
-    if float(np.abs(table["angle"] - table["desired_angle"]).max()) > _SWUNG_OVER:
-        return Outcome.SWUNG_OVER
-    if table["outside_domain"].any() or table["overloaded"].any():
-        return Outcome.LEFT_DOMAIN
-    return Outcome.SATURATED if table["saturated"].any() else Outcome.COMPLETED
+def _outcome(columns: dict[str, np.ndarray]) -> Outcome:
+    ended = np.isfinite(columns["velocity"][-1])
+    code = outcomes(
+        angle_max=np.abs(columns["angle"] - columns["desired_angle"]).max() if ended else np.inf,
+        left_domain=columns["outside_domain"].any() or columns["overloaded"].any(),
+        saturated=columns["saturated"].any(),
+    )
+    return OUTCOMES[int(code)]

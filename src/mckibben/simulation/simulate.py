@@ -6,14 +6,24 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import ReachabilityWarning, SimulationError
-from mckibben.numerics.compiled import numeric
+from mckibben.errors import ParameterError, ReachabilityWarning, SimulationError
+from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.lanes import by_name
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.loop import Record, compiled_episode, sampled, without_last_change
-from mckibben.simulation.reach import Reach, check_reference
+from mckibben.simulation.loop import (
+    Record,
+    check_substeps,
+    compiled_episode,
+    sampling_times,
+    wishes_at,
+    without_last_change,
+)
+from mckibben.simulation.reach import Reach, attainable_band
 from mckibben.simulation.result import Result
+from mckibben.simulation.run import AtRest, Run, described
 from mckibben.simulation.trajectory import Trajectory, compiled_trajectory
 
 
@@ -32,7 +42,7 @@ def simulate(
     duration: float = 10.0,
     control_period: float = 1e-3,
     substeps: int = 4,
-    initial: PlantState | None = None,
+    initial: PlantState | AtRest | None = None,
     scenario: str = "",
 ) -> Result:
     """Run a controller on a plant.
@@ -52,7 +62,8 @@ def simulate(
     substeps
         Integration steps a control period.
     initial
-        The state at the start; at rest at the first desired angle, amid the attainable stiffness, unless given.
+        The state at the start, or `AtRest`; at rest at the first desired angle, amid the attainable stiffness, unless
+        given.
     scenario
         Text to keep with the result: what made it.
 
@@ -91,22 +102,48 @@ def checked_run(
     duration: float,
     control_period: float,
     substeps: int,
-    initial: PlantState | None,
+    initial: PlantState | AtRest | None,
     scenario: str,
 ) -> CheckedRun:
     """`simulate`, with the check of the reference as an answer instead of a warning."""
-    if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
-        raise SimulationError(
-            f"{substeps} integration steps a control period", value=substeps, remedy="give a whole number from 1 up"
-        )
-    _, setpoints = sampled(reference, duration, control_period)
-    start = plant.at_rest(float(setpoints.angle[0])) if initial is None else initial
-    reach = check_reference(plant, reference, duration=duration, control_period=control_period)
+    check_substeps(substeps)
+    times = sampling_times(duration, control_period)
+    lanes, run, count = described(plant, controller, reference, initial, {})
+    if count is not None:
+        varying = ", ".join(by_name(lanes._asdict()))
+        raise ParameterError(f"{varying}: an array in place of a number", remedy="use `simulate_many` for many runs")
+    before = _before(run, times)
+    if not before.exists:
+        _tell_why(plant, initial, float(before.wishes.angle[0]))
+    reach = Reach(times, *(np.asarray(x) for x in (*before.wishes, *before.band)))
 
-    moved, record = run_episode(plant, controller, setpoints, start, control_period, substeps)
+    moved, record = run_episode(run.plant, run.controller, before.wishes, before.start, control_period, substeps)
     telemetry = {name: np.asarray(value) for name, value in record.telemetry.items()}
     band = (reach.lowest, reach.highest)
     return CheckedRun(Result.of(moved, control_period, band=band, telemetry=telemetry, scenario=scenario), reach)
+
+
+class _Before(NamedTuple):
+    """What is known before a run: the wishes, the start and whether it exists, and the attainable stiffness."""
+
+    wishes: Setpoint
+    start: PlantState
+    exists: Array
+    band: tuple[Array, Array]
+
+
+@compiled
+def _before(run: Run, times: ArrayLike) -> _Before:
+    wishes = wishes_at(run.reference, times)
+    return _Before(wishes, *run.start(wishes), attainable_band(run.plant, wishes.angle))
+
+
+def _tell_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:
+    """Raise what `JointPlant.at_rest` has to say of a start that does not exist."""
+    angle, stiffness = map(np.asarray, initial if isinstance(initial, AtRest) else AtRest(first_angle))
+    angle = first_angle if np.isnan(angle) else float(angle)
+    plant.at_rest(angle, stiffness=None if np.isnan(stiffness) else float(stiffness))
+    raise SimulationError(f"the joint cannot start at {angle:g} rad", value=angle, unit="rad")
 
 
 def run_episode(
@@ -122,4 +159,4 @@ def run_episode(
     _, record = compiled_episode(plant, controller, setpoints, start, period, substeps)
     held = without_last_change(setpoints)
     undisturbed = record if held is None else compiled_episode(plant, controller, held, start, period, substeps)[1]
-    return compiled_trajectory(plant, setpoints, record, undisturbed), record
+    return compiled_trajectory(plant, setpoints, record, undisturbed.state.angle), record

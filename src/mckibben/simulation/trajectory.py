@@ -46,15 +46,15 @@ class Trajectory(NamedTuple):
     excursion: Array
 
 
-def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, undisturbed: Record) -> Trajectory:
-    """Work out the trajectory of a record. Pure: it may be compiled, vmapped and differentiated.
+def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, undisturbed_angle: Array) -> Trajectory:
+    """Work out the trajectory of a record. Pure and elementwise: of one control period or of all of them.
 
     Parameters
     ----------
     plant, setpoints, record
         As `episode` took and gave them.
-    undisturbed
-        The record of a run to the same wishes `without_last_change`; the same record where there is none.
+    undisturbed_angle
+        The angle [rad] of a run to the same wishes `without_last_change`; the same angle where there is none.
     """
     state, joint = record.state, plant.joint
     torque, stiffness = joint.torque_and_stiffness(state.angle, state.pressures)
@@ -72,7 +72,7 @@ def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, undisturb
         angle=state.angle,
         velocity=state.velocity,
         desired_angle=setpoints.angle,
-        undisturbed_angle=undisturbed.state.angle,
+        undisturbed_angle=undisturbed_angle,
         desired_stiffness=setpoints.stiffness,
         stiffness=stiffness,
         total_stiffness=stiffness + plant.load.gravity_stiffness(state.angle),

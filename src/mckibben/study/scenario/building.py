@@ -22,42 +22,89 @@ from mckibben.control import (
 )
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
 from mckibben.muscle import ChouLaw, Muscle
-from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load, PlantState
+from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load, PlantState, Valve
 from mckibben.study.scenario.controller import BackpropSpec, ControllerSpec, LoopSpec, PIDSpec
-from mckibben.study.scenario.joint import GeometrySpec, JointSpec, MuscleSpec
+from mckibben.study.scenario.joint import GeometrySpec, JointSpec, MuscleSpec, SpringSpec
 from mckibben.study.scenario.part import Part
 from mckibben.study.scenario.plant import LoadSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
 from mckibben.study.scenario.samples import read_samples
 
+_UNITS = {"angle": "rad", "stiffness": "N*m/rad"}
+
 
 def build_plant(joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> JointPlant:
     """What is simulated."""
-    valves = IdealValve() if valve is None else FirstOrderValve(valve.time_constant)
-    return JointPlant(build_joint(joint), _load(load), valves)
+    return JointPlant(build_joint(joint), build_load(load), build_valve(valve))
 
 
 def build_joint(spec: JointSpec) -> AntagonisticJoint:
     """The joint, as it is or as a controller believes it to be."""
-    geometry = _geometry(spec.geometry)
-    if spec.connector_length is not None:
-        geometry = dataclasses.replace(geometry, connector_length=spec.connector_length)
     muscle1, muscle2 = spec.muscle1 or spec.muscle, spec.muscle2 or spec.muscle
     assert muscle1 is not None and muscle2 is not None  # the model of the joint sees to it
-    tendon = RigidTendon() if spec.spring is None else SeriesSpring(**_given(spec.spring))
-    return AntagonisticJoint(geometry, _muscle(muscle1), _muscle(muscle2), tendon)
+    return AntagonisticJoint(build_geometry(spec), _muscle(muscle1), _muscle(muscle2), build_tendon(spec.spring))
+
+
+def build_geometry(spec: JointSpec) -> KneeGeometry:
+    """Where the muscles of a joint run, its own connectors in place of the geometry's."""
+    geometry = _geometry(spec.geometry)
+    if spec.connector_length is None:
+        return geometry
+    return dataclasses.replace(geometry, connector_length=spec.connector_length)
+
+
+def build_tendon(spec: SpringSpec | None) -> RigidTendon | SeriesSpring:
+    """What lies between muscle and path."""
+    return RigidTendon() if spec is None else SeriesSpring(**_given(spec))
+
+
+def build_load(spec: LoadSpec) -> Load:
+    """What is moved."""
+    numbers = _given(spec, "base")
+    return Load(**numbers) if spec.base is None else dataclasses.replace(catalog.load(spec.base), **numbers)
+
+
+def build_valve(spec: ValveSpec | None) -> Valve:
+    """One kind of valve for both muscles."""
+    return IdealValve() if spec is None else FirstOrderValve(spec.time_constant)
 
 
 def build_control(spec: ControllerSpec, plant: JointSpec) -> PositionStiffnessControl:
     """The controller; its model is an object of its own even where it is that of the plant."""
-    return PositionStiffnessControl(_loop(spec.position), _loop(spec.stiffness), model=build_joint(spec.model or plant))
+    return PositionStiffnessControl(
+        build_loop(spec.position), build_loop(spec.stiffness), model=build_joint(spec.model or plant)
+    )
+
+
+def build_loop(spec: LoopSpec[Any, Any, Any, Any]) -> PID | BackpropPID:
+    """One of the controller's loops."""
+    if spec.backprop is None:
+        assert spec.pid is not None  # the model of the loop sees to it
+        return PID(**_given(spec.pid))
+    network = _given(spec.backprop, *PIDSpec.model_fields)
+    if "jacobian" in network:
+        network["jacobian"] = Jacobian[network["jacobian"].upper()]
+    return BackpropPID(_base(spec.backprop), **network)
 
 
 def build_reference(spec: ReferenceSpec) -> Reference:
     """What is wanted over time."""
-    return Reference(
-        angle=_signal(spec.angle, "angle", "rad"), stiffness=_signal(spec.stiffness, "stiffness", "N*m/rad")
-    )
+    return Reference(angle=build_signal(spec.angle, "angle"), stiffness=build_signal(spec.stiffness, "stiffness"))
+
+
+def build_signal(spec: SignalSpec[Any], quantity: str) -> Signal:
+    """What is wanted over time of "angle" or of "stiffness"."""
+    if spec.step is not None:
+        return Step(**_given(spec.step))
+    if spec.sine is not None:
+        return Sine(**_given(spec.sine))
+    if spec.multisine is not None:
+        return Multisine(**_given(spec.multisine))
+    if spec.samples is not None:
+        file = spec.samples.file
+        return Samples(*read_samples(file, quantity, _UNITS[quantity])) if file else Samples(**_given(spec.samples))
+    assert spec.constant is not None  # the model of the signal sees to it
+    return Constant(spec.constant)
 
 
 def build_start(plant: JointPlant, spec: StartSpec) -> PlantState:
@@ -79,37 +126,8 @@ def _muscle(spec: MuscleSpec) -> Muscle:
     return Muscle(specimen, ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law))
 
 
-def _load(spec: LoadSpec) -> Load:
-    numbers = _given(spec, "base")
-    return Load(**numbers) if spec.base is None else dataclasses.replace(catalog.load(spec.base), **numbers)
-
-
-def _loop(spec: LoopSpec[Any, Any, Any, Any]) -> PID | BackpropPID:
-    if spec.backprop is None:
-        assert spec.pid is not None  # the model of the loop sees to it
-        return PID(**_given(spec.pid))
-    network = _given(spec.backprop, *PIDSpec.model_fields)
-    if "jacobian" in network:
-        network["jacobian"] = Jacobian[network["jacobian"].upper()]
-    return BackpropPID(_base(spec.backprop), **network)
-
-
 def _base(spec: BackpropSpec[Any, Any, Any, Any]) -> PID:
     return PID(**{key: value for key, value in _given(spec).items() if key in PIDSpec.model_fields})
-
-
-def _signal(spec: SignalSpec[Any], quantity: str, unit: str) -> Signal:
-    if spec.step is not None:
-        return Step(**_given(spec.step))
-    if spec.sine is not None:
-        return Sine(**_given(spec.sine))
-    if spec.multisine is not None:
-        return Multisine(**_given(spec.multisine))
-    if spec.samples is not None:
-        file = spec.samples.file
-        return Samples(*read_samples(file, quantity, unit)) if file else Samples(**_given(spec.samples))
-    assert spec.constant is not None  # the model of the signal sees to it
-    return Constant(spec.constant)
 
 
 def _given(spec: Part, *without: str) -> dict[str, Any]:

@@ -5,6 +5,7 @@ A Python number passes too, as SI: the parts of a scenario can be made in code.
 
 from __future__ import annotations
 
+import functools
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -57,7 +58,7 @@ class Quantity:
             number = float(value)
         else:
             refuse(f"{quoted(value)} is not a quantity", f"write it like {self.example}")
-        if not self._holds(number):
+        if not self.holds(number):
             refuse(f"{quoted(value)} is outside {self.range}", "choose a value inside")
         return number
 
@@ -70,6 +71,18 @@ class Quantity:
             if quantity(text, self.unit) == value:
                 return text
         return show(value, self.unit, 17)  # some floats are no float times a factor; in SI the factor is 1
+
+    @functools.cached_property
+    def limits(self) -> tuple[float, float]:
+        """Both ends of the range in SI, whether they belong to it or not."""
+        scale = factor(self.shown, self.unit)
+        return self.lower * scale, self.upper * scale
+
+    def holds(self, number: Any) -> Any:
+        """Whether a number in SI, or each of an array, is in the range."""
+        lower, upper = self.limits
+        above = number > lower if self.open_lower else number >= lower
+        return above & (number < upper if self.open_upper else number <= upper)
 
     @property
     def example(self) -> str:
@@ -103,9 +116,3 @@ class Quantity:
         except UnitError as error:
             message = str(error).removesuffix(f"; {error.remedy}") if error.remedy else str(error)
             refuse(message, error.remedy)
-
-    def _holds(self, number: float) -> bool:
-        scale = factor(self.shown, self.unit)
-        lower, upper = self.lower * scale, self.upper * scale
-        above = number > lower if self.open_lower else number >= lower
-        return above and (number < upper if self.open_upper else number <= upper)

@@ -1,0 +1,177 @@
+"""Derivatives of metrics: exact, through the whole simulation, with respect to any of its numbers."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
+
+from mckibben.control.base import Controller, Reference
+from mckibben.errors import ParameterError
+from mckibben.numerics.compiled import compiled_batch
+from mckibben.numerics.lanes import by_name, leaves_named, replaced
+from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation.loop import check_substeps, sampling_times, wishes_at
+from mckibben.simulation.measured import measured_episode
+from mckibben.simulation.metrics import Metrics, last_change
+from mckibben.simulation.run import AtRest, Run, check_names, described
+
+_FEW = 10  # numbers: up to here forward differentiation is the faster one
+
+
+class Mode(enum.Enum):
+    """How the chain rule is carried through a run; both give the same derivatives, to rounding."""
+
+    FORWARD = "beside the run, once for each number"
+    REVERSE = "backwards after the run, once for each metric, computing each control period again"
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """Metrics and their derivatives.
+
+    Attributes
+    ----------
+    values
+        The metrics by name, SI; shape (runs,) where runs differ.
+    gradients
+        By metric, then by parameter: the derivative in SI, in the shape of the parameter, after that of the runs.
+    """
+
+    values: dict[str, NDArray[np.float64]]
+    gradients: dict[str, dict[str, NDArray[np.float64]]]
+
+
+def differentiate(
+    plant: JointPlant,
+    controller: Controller,
+    reference: Reference,
+    parameters: Sequence[str],
+    *,
+    metrics: Sequence[str] = ("angle_rmse", "stiffness_rmse"),
+    over: Mapping[str, ArrayLike] | None = None,
+    duration: float = 10.0,
+    control_period: float = 1e-3,
+    substeps: int = 4,
+    initial: PlantState | AtRest | None = None,
+    mode: Mode | None = None,
+) -> Derivatives:
+    """The derivatives of metrics with respect to named numbers: sensitivities, or gradients for tuning.
+
+    A state at rest to start from moves with the parameters, and the derivatives contain that. Metrics that count or
+    search (times, settling) have derivatives that are zero or jump; the largest error has that of the moment of the
+    largest error.
+
+    Parameters
+    ----------
+    plant, controller, reference, duration, control_period, substeps, initial
+        As for `simulate_many`; arrays in place of numbers, or `over`, give derivatives at many points at once.
+    parameters
+        Dotted names of floats such as "plant.load.mass2", "controller.position.kp", "reference.angle.amplitude".
+    metrics
+        Names of `Metrics`.
+    mode
+        Forward up to ten numbers, reverse beyond, unless given.
+
+    Raises
+    ------
+    ParameterError
+        If there is no such number, or it is whole.
+    SimulationError
+        If the times make no sense together, or a metric is not known.
+
+    Examples
+    --------
+    >>> from mckibben import catalog, PID, FirstOrderValve, JointPlant, PositionStiffnessControl, Reference, Sine
+    >>> knee = catalog.joint("knee-table-2")
+    >>> plant = JointPlant(knee, catalog.load("knee-table-2"), FirstOrderValve(0.02))
+    >>> control = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=knee)
+    >>> wish = Reference(angle=Sine(0.03, 1.0), stiffness=72.5)
+    >>> found = differentiate(plant, control, wish, ["controller.position.ki"], duration=1.0)
+    >>> bool(found.gradients["angle_rmse"]["controller.position.ki"] < 0)  # more integral action, less error
+    True
+    """
+    check_substeps(substeps)
+    check_names("metric", metrics, Metrics._fields)
+    times = sampling_times(duration, control_period)
+    lanes, shared, count = described(plant, controller, reference, initial, over or {})
+    numbers = leaves_named(eqx.combine(lanes, shared)._asdict(), parameters)
+    for name, leaf in numbers.items():
+        if not eqx.is_inexact_array(leaf):
+            raise ParameterError(f"{name} is a whole number: it has no derivative", value=name)
+    varying = by_name(lanes._asdict())
+    size = sum(leaf[0].size if name in varying else leaf.size for name, leaf in numbers.items())
+    if mode is None:
+        mode = Mode.FORWARD if size <= _FEW else Mode.REVERSE
+    asked = _Asked(substeps, tuple(metrics), tuple(parameters), mode, count is not None)
+    # A single run has no lanes to fill wide vectors with, unless derivatives are carried beside it.
+    program = _alone if mode is Mode.REVERSE and count is None else _beside
+    values, gradients = program(lanes, shared, times, jnp.asarray(control_period, float), asked)
+    return Derivatives(
+        {name: np.asarray(value) for name, value in values.items()},
+        {name: {p: np.asarray(g) for p, g in row.items()} for name, row in gradients.items()},
+    )
+
+
+class _Asked(NamedTuple):
+    """What shapes the program."""
+
+    substeps: int
+    metrics: tuple[str, ...]
+    parameters: tuple[str, ...]
+    mode: Mode
+    many: bool
+
+
+def _derivatives(
+    lanes: Run, shared: Run, times: ArrayLike, period: ArrayLike, asked: _Asked
+) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
+    def one(lane: Run) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
+        run = eqx.combine(lane, shared)
+        flat, restored = ravel_pytree(leaves_named(run._asdict(), asked.parameters))
+
+        def measured(flat: Array) -> dict[str, Array]:
+            return _metrics(Run(**replaced(run._asdict(), restored(flat))), times, period, asked)
+
+        if asked.mode is Mode.FORWARD:
+            along = jax.vmap(lambda tangent: jax.jvp(measured, (flat,), (tangent,)), out_axes=(None, 0))
+            values, slopes = along(jnp.eye(flat.size, dtype=flat.dtype))
+        else:
+            values, back = jax.vjp(measured, flat)
+            nothing = jax.tree.map(jnp.zeros_like, values)
+            slopes = {name: back({**nothing, name: jnp.ones_like(values[name])})[0] for name in asked.metrics}
+        return values, {name: restored(slope) for name, slope in slopes.items()}
+
+    return jax.vmap(one)(lanes) if asked.many else one(lanes)
+
+
+_beside, _alone = compiled_batch(_derivatives), eqx.filter_jit(_derivatives)
+
+
+def _metrics(run: Run, times: ArrayLike, period: ArrayLike, asked: _Asked) -> dict[str, Array]:
+    wishes = wishes_at(run.reference, times)
+    start, exists = run.start(wishes)
+    split = None
+    if "coupling" in asked.metrics:
+        change = last_change(wishes.stiffness)
+        split = jnp.where(change.ends, change.at, jnp.size(times))
+    found = measured_episode(
+        run.plant,
+        run.controller,
+        wishes,
+        start,
+        period,
+        asked.substeps,
+        split=split,
+        checkpoint=asked.mode is Mode.REVERSE,
+    )
+    return {name: jnp.where(exists, getattr(found.metrics, name), jnp.nan) for name in asked.metrics}

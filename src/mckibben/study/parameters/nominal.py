@@ -1,0 +1,41 @@
+"""What a number is that the file leaves to the catalog or to a default: looked up where it is built."""
+
+from __future__ import annotations
+
+from mckibben.study.scenario import PIDSpec, Scenario
+
+
+def default_of(scenario: Scenario, place: tuple[str, ...]) -> float | int | None:
+    """The value, in SI, of a number that the scenario does not give.
+
+    Parameters
+    ----------
+    scenario
+        Without the number.
+    place
+        All keys on the way to it.
+
+    Returns
+    -------
+    value
+        None for a starting stiffness: it is then amid what the plant can hold.
+    """
+    from mckibben.study.scenario import building
+
+    key = place[-1]
+    match place[:-1]:
+        case ("load",):
+            return getattr(building.build_load(scenario.load), key)
+        case ("joint", *_):
+            return getattr(building.build_geometry(scenario.joint), key)
+        case ("controller", "model", *_):
+            model = scenario.controller.model or scenario.joint
+            return getattr(building.build_geometry(model), key)
+        case ("controller", name, _):
+            loop = building.build_loop(getattr(scenario.controller, name))
+            owner = getattr(loop, "base", loop) if key in PIDSpec.model_fields else loop
+            return getattr(owner, key)
+        case ("reference", name, _):
+            return getattr(building.build_signal(getattr(scenario.signals, name), name), key)
+        case _:
+            return None

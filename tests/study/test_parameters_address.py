@@ -1,0 +1,202 @@
+"""The numbers of a scenario by name: which there are, how they are spelt, what is refused and why."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mckibben.errors import ParameterError
+from mckibben.study.parameters import addresses, find, find_all
+from mckibben.study.scenario import Scenario
+from mckibben.units import bar, deg, mm
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PID = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml")
+BACKPROP = Scenario.read(EXAMPLES / "pre-contracted-step-backprop.yaml")
+PRINTED = Scenario.read(EXAMPLES / "as-printed-constant-pid.yaml")
+
+FULL = """\
+name: full
+joint:
+  geometry: {joint_length: 370 mm, joint_radius: 3 cm, connector_length: 0.208 m}
+  muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+  spring: {stiffness: 20 N/mm, preload: 50 N, travel: 18 mm}
+load: {from: knee-table-2, mass2: 0.8 kg}
+controller:
+  position: {pid: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}}
+  stiffness: {pid: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}}
+  model: {geometry: knee-table-2, muscle: {specimen: DMSP-10-250, law: chou}}
+reference:
+  angle: {multisine: {amplitudes: [3 deg, 1 deg], frequencies: [0.5 Hz, 1.25 Hz]}}
+  stiffness: {samples: {times: [0 s, 1 s], values: [13 N*m/rad, 14 N*m/rad]}}
+duration: 2 s
+control_period: 2 ms
+"""
+
+
+@pytest.fixture
+def full():
+    return Scenario.parse(FULL)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "name", "nominal", "shown"),
+    [
+        (PID, "load.mass2", 0.5, "kg"),  # of the catalog
+        (PID, "load.hanging_angle", 30 * deg, "deg"),
+        (PID, "load.gravity", 9.81, "m/s^2"),
+        (PID, "valve.time_constant", 0.02, "ms"),
+        (PID, "joint.connector_length", 208 * mm, "mm"),  # as written
+        (PRINTED, "joint.connector_length", 190 * mm, "mm"),  # of the catalog
+        (PID, "joint.geometry.joint_radius", 30 * mm, "mm"),
+        (PID, "controller.position.kp", 2 * bar, "bar/rad"),
+        (PID, "controller.position.filter_time", 0.005, "ms"),  # of the class
+        (PID, "controller.stiffness.ki", 5 * bar, "bar/(N*m*s/rad)"),
+        (BACKPROP, "controller.position.kp", 2 * bar, "bar/rad"),
+        (BACKPROP, "controller.position.tracking_time", 0.05, "ms"),
+        (BACKPROP, "controller.position.momentum", 0.5, "1"),
+        (BACKPROP, "controller.position.seed", 0, "1"),
+        (PID, "reference.angle.amplitude", 10 * deg, "deg"),
+        (PID, "reference.angle.phase", 0.0, "deg"),
+        (PID, "reference.stiffness.after", 17.0, "N*m/rad"),
+        (PRINTED, "reference.stiffness", 72.5, "N*m/rad"),
+        (PID, "start.angle", 0.0, "deg"),
+        (PID, "start.stiffness", 12.0, "N*m/rad"),
+    ],
+)
+def test_a_number_has_its_unit_and_its_nominal_value(scenario, name, nominal, shown):
+    address = find(scenario, name)
+    assert address.name == name
+    assert address.shown == shown
+    assert address.nominal == pytest.approx(nominal, rel=1e-12)
+    assert type(address.nominal) is (int if address.whole else float)
+    assert address.whole == name.endswith("seed")
+
+
+def test_parts_that_are_given_have_their_numbers(full):
+    names = {address.name: address.nominal for address in addresses(full)}
+    assert names["joint.spring.stiffness"] == 20e3
+    assert names["joint.geometry.connector_length"] == 0.208
+    assert "joint.connector_length" not in names
+    assert names["controller.model.connector_length"] == pytest.approx(0.19)
+    assert names["controller.model.geometry.joint_length"] == pytest.approx(0.37)
+    assert names["reference.angle.offset"] == 0.0
+    assert names["load.mass2"] == 0.8
+    assert names["load.mass1"] == 0.5
+    assert names["start.stiffness"] is None
+    assert names["start.angle"] == 0.0
+    assert not {name for name in names if name.startswith(("valve", "reference.stiffness"))}
+
+
+@pytest.mark.parametrize("scenario", [PID, BACKPROP, PRINTED, Scenario.parse(FULL)])
+def test_every_listed_name_finds_itself_and_nominal_values_are_allowed(scenario):
+    listed = addresses(scenario)
+    assert len({address.name for address in listed}) == len({address.place for address in listed}) == len(listed) > 20
+    for address in listed:
+        assert find(scenario, address.name) == address
+        assert find(scenario, ".".join(address.place)) == address
+        if address.nominal is not None:
+            assert address.holds(address.nominal)
+            assert address.mark.read(address.write(address.nominal)) == address.nominal
+
+
+@pytest.mark.parametrize(
+    ("scenario", "spelling", "name"),
+    [
+        (PID, "load.m1", "load.mass1"),
+        (PID, "load.m2", "load.mass2"),
+        (PID, "load.l1", "load.distance1"),
+        (PID, "load.l2", "load.distance2"),
+        (PID, "controller.position.pid.kp", "controller.position.kp"),
+        (BACKPROP, "controller.position.backprop.seed", "controller.position.seed"),
+        (PID, "reference.angle.sine.amplitude", "reference.angle.amplitude"),
+        (PRINTED, "reference.stiffness.constant", "reference.stiffness"),
+        (PID, "joint.geometry.connector_length", "joint.connector_length"),
+        (Scenario.parse(FULL), "joint.connector_length", "joint.geometry.connector_length"),
+        (Scenario.parse(FULL), "controller.model.geometry.connector_length", "controller.model.connector_length"),
+        (PID, " load.mass2 ", "load.mass2"),
+    ],
+)
+def test_other_spellings(scenario, spelling, name):
+    assert find(scenario, spelling).name == name
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("duration", "one number for all runs"),
+        ("control_period", "one number for all runs"),
+        ("substeps", "one number for all runs"),
+        ("name", "a text"),
+        ("load.from", "an entry of the catalog"),
+        ("joint.muscle.specimen", "an entry of the catalog"),
+        ("joint.muscle.law", "an entry of the catalog"),
+        ("load.hanging", "true or false"),
+        ("controller.position.derivative_on_error", "true or false"),
+        ("controller.position.hidden", "size of what is compiled"),
+        ("controller.stiffness.jacobian", "a choice of words"),
+        ("joint.spring", "has no spring"),
+        ("joint.spring.stiffness", "has no spring"),
+        ("controller.model.connector_length", "the joint of the plant itself"),
+        ("controller.position.pid.kp", "given as backprop, not as pid"),
+        ("reference.angle.after", "given as sine, not as step"),
+        ("reference.angle.step.after", "given as sine, not as step"),
+        ("reference.angle.constant", "given as sine, not as constant"),
+        ("reference.stiffness.amplitude", "given as step, not as sine"),
+        ("load", "a group of numbers"),
+        ("controller.position", "a group of numbers"),
+    ],
+)
+def test_what_is_refused_says_why_and_what_to_do(name, why):
+    with pytest.raises(ParameterError, match=why) as caught:
+        find(BACKPROP, name)
+    assert repr(name) in str(caught.value)
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("valve.time_constant", "the valve is ideal"),
+        ("reference.angle.amplitudes", "a list"),
+        ("reference.angle.multisine.phases", "a list"),
+        ("reference.stiffness.values", "a list"),
+        ("reference.stiffness.file", "a file"),
+        ("reference.stiffness", "no number"),
+        ("controller.model.spring.travel", "has no spring"),
+        ("controller.position.seed", "given as pid, not as backprop"),
+    ],
+)
+def test_what_is_refused_in_another_scenario(full, name, why):
+    with pytest.raises(ParameterError, match=why):
+        find(full, name)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [("load.mas2", "load.mass2"), ("mass2", "load.mass2"), ("valve.time_konstant", "valve.time_constant")],
+)
+def test_an_unknown_name_is_answered_with_a_close_one_and_the_way_to_all(name, meant):
+    with pytest.raises(ParameterError, match=f"did you mean '{meant}'.*--list"):
+        find(PID, name)
+
+
+def test_a_name_like_no_other_is_answered_with_the_way_to_all():
+    with pytest.raises(ParameterError, match=r"'xyzzy'; .*--list"):
+        find(PID, "xyzzy")
+
+
+def test_one_number_by_two_spellings_is_an_error():
+    with pytest.raises(ParameterError, match=r"'load\.m2' and 'load\.mass2' are the same number"):
+        find_all(PID, ["load.m2", "start.angle", "load.mass2"])
+    with pytest.raises(ParameterError, match="same number"):
+        find_all(PID, ["joint.connector_length", "joint.geometry.connector_length"])
+
+
+@given(st.text(max_size=200) | st.text("load.ms12controlpsin_", max_size=40))
+def test_any_name_is_found_or_a_parameter_error(name):
+    try:
+        assert find(PID, name) in addresses(PID)
+    except ParameterError as error:
+        assert len(str(error)) < 400

@@ -1,0 +1,348 @@
+"""What numbers are varied over: as text, and as Python types."""
+
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from mckibben.errors import McKibbenError, ParameterError
+from mckibben.study.parameters import (
+    LogUniform,
+    Normal,
+    Over,
+    Uniform,
+    Values,
+    Wholes,
+    addresses,
+    find,
+    over,
+    read_over,
+    read_overs,
+)
+from mckibben.study.scenario import Scenario
+from mckibben.units import bar, deg
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PID = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml")
+BACKPROP = Scenario.read(EXAMPLES / "pre-contracted-step-backprop.yaml")
+PRINTED = Scenario.read(EXAMPLES / "as-printed-constant-pid.yaml")
+NUMBERS = [(scenario, address) for scenario in (PID, BACKPROP, PRINTED) for address in addresses(scenario)]
+
+
+def spread(text, scenario=BACKPROP):
+    return read_over(text, scenario).spread
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("load.mass2=0.2 kg..1.0 kg", Uniform(0.2, 1.0)),
+        ("load.mass2=0.2..1.0 kg", Uniform(0.2, 1.0)),
+        ("load.m2 = 200 g .. 1 kg", Uniform(0.2, 1.0)),
+        ("load.mass2=200..1000g", Uniform(0.2, 1.0)),
+        ("load.mass2=0.2..1.0 kg in 9", Uniform(0.2, 1.0, 9)),
+        ("load.mass2=1.0 kg", Values((1.0,))),
+        ("load.mass2=1 kg, 2 kg,4 kg", Values((1.0, 2.0, 4.0))),
+        ("load.mass2=4 kg, 1 kg", Values((4.0, 1.0))),
+        ("load.mass2=+-10 %", Uniform(0.45, 0.55)),
+        ("load.mass2=±10%", Uniform(0.45, 0.55)),
+        ("load.mass2=+- 100 g", Uniform(0.4, 0.6)),
+        ("controller.position.kp=1..100 bar/rad log", LogUniform(1 * bar, 100 * bar)),
+        ("controller.position.kp=1..100 bar/rad log in 3", LogUniform(1 * bar, 100 * bar, 3)),
+        ("controller.position.kp=-100 bar/rad..-1 bar/rad log", LogUniform(-100 * bar, -1 * bar)),
+        ("controller.position.seed=0..19", Wholes(0, 19)),
+        ("controller.position.seed=3", Values((3,))),
+        ("controller.position.seed=0,5, 1", Values((0, 5, 1))),
+        ("controller.position.momentum=0..0.9", Uniform(0.0, 0.9)),
+        ("controller.position.momentum=10..50 %", Uniform(0.1, 0.5)),
+        ("controller.position.momentum=0.1, 0.2", Values((0.1, 0.2))),
+        ("controller.position.momentum=+-10 %", Uniform(0.45, 0.55)),  # a percentage is one of the nominal value
+        ("controller.position.momentum=+-0.1", Uniform(0.4, 0.6)),
+        ("start.angle=-5..5 deg", Uniform(-5 * deg, 5 * deg)),
+        ("start.angle=+-5 deg", Uniform(-5 * deg, 5 * deg)),
+    ],
+)
+def test_texts_that_mean_something(text, expected):
+    read = spread(text)
+    assert type(read) is type(expected)
+    for name, value in vars(expected).items():
+        assert vars(read)[name] == (value if value is None else pytest.approx(value, rel=1e-12)), name
+
+
+def test_a_range_around_a_negative_nominal_value_is_not_upside_down():
+    nominal = find(PRINTED, "controller.stiffness.kp").nominal
+    assert spread("controller.stiffness.kp=+-10 %", PRINTED).ends == pytest.approx((1.1 * nominal, 0.9 * nominal))
+
+
+def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
+    relative, absolute = spread("load.mass2=normal 10 %"), spread("load.mass2=normal 0.05 kg")
+    assert relative == absolute == Normal(0.5, 0.05, 0.0, 1e4)
+    wide = spread("valve.time_constant=normal 100 %")
+    assert wide.ends[0] > 0  # a valve of no time is none
+    assert np.all(wide.at(np.linspace(0, 1, 1001)) > 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("load.mass2", ["is no name and what it is varied over", "load.mass2=0.2 kg..1.0 kg"]),
+        ("load.mass2=", ["says nothing after '='", "a range"]),
+        ("=1 kg", ["no number ''", "--list"]),
+        ("load.mas2=1 kg", ["did you mean 'load.mass2'"]),
+        ("load.mass2=1 kg..0.2 kg", ["empty", "1 kg is not below 0.2 kg", "lower end first"]),
+        ("load.mass2=1 kg..1 kg", ["empty"]),
+        ("load.mass2=1 N..2 N", ["'N'", "'kg'"]),
+        ("load.mass2=1..2 N", ["kg"]),
+        ("load.mass2=1 kg..2", ["'2' has no unit", "2 kg"]),
+        ("load.mass2=1..2", ["has no unit"]),
+        ("load.mass2=1, 2 kg", ["'1' has no unit"]),
+        ("load.mass2=4,5 kg", ["comma between digits", "point"]),
+        ("load.mass2=0,2..1,0 kg", ["'1,0 kg' is not a number and a unit"]),
+        ("controller.position.gain_ratio=2,5", ["comma between digits"]),
+        ("load.mass2=-1 kg..2 kg", ["outside 0 to 10000 kg"]),
+        ("load.mass2=0 kg..20000 kg", ["outside 0 to 10000 kg"]),
+        ("valve.time_constant=0 ms, 1 ms", ["outside above 0 to"]),
+        ("load.mass2=nan kg", ["not a number and a unit"]),
+        ("load.mass2=0 kg..inf kg", ["not a number and a unit"]),
+        ("load.mass2=0 kg..1e999 kg", ["not a finite number"]),
+        ("load.mass2=1 kg, 1 kg", ["listed twice"]),
+        ("load.mass2=1 kg,", ["has no value"]),
+        ("load.mass2=0 kg..1 kg log", ["0 kg to 1 kg has no even logarithm", "log"]),
+        ("start.angle=-5 deg..5 deg log", ["-5 deg to 5 deg has no even logarithm"]),
+        ("load.mass2=0..1 kg in 1", ["1 points"]),
+        ("load.mass2=0..1 kg in 9.5", ["no number of points", "in 9"]),
+        ("load.mass2=0..1 kg in 999999999", ["points"]),
+        ("load.mass2=+-200 %", ["reaches -0.5 kg", "outside 0 to 10000 kg"]),
+        ("load.mass2=+-0 %", ["no amount"]),
+        ("load.mass2=+--10 %", ["no amount"]),
+        ("load.mass2=+-0 kg", ["outside above 0"]),
+        ("load.mass2=+-1 N", ["kg"]),
+        ("load.mass2=+-", ["has no value"]),
+        ("load.mass2=normal", ["has no value"]),
+        ("load.mass2=normal 10 deg", ["kg"]),
+        ("start.angle=+-10 %", ["nominal value of 0 deg", "give an amount in deg"]),
+        ("start.angle=normal 10 %", ["nominal value of 0 deg"]),
+        ("controller.position.seed=0..1.5", ["'1.5' is not a whole number"]),
+        ("controller.position.seed=19..0", ["empty"]),
+        ("controller.position.seed=-1..3", ["outside 0 to"]),
+        ("controller.position.seed=0..3 log", ["all of them"]),
+        ("controller.position.seed=0..30 in 3", ["all of them"]),
+        ("controller.position.seed=+-10 %", ["is a whole number", "0..19"]),
+        ("controller.position.seed=normal 3", ["is a whole number"]),
+        ("load.mass2=" + "1" * 200 + " kg", ["not a quantity"]),
+        ("load.mass2=" + "1 kg, " * 9000, ["longer than"]),
+        ("duration=1 s..2 s", ["cannot be varied"]),
+    ],
+)
+def test_texts_that_mean_nothing_are_told_what_to_do(text, parts):
+    with pytest.raises(ParameterError) as caught:
+        read_over(text, BACKPROP)
+    message = str(caught.value)
+    assert message.startswith(repr(text)[:70])
+    for part in parts:
+        assert part in message
+    assert len(message) < 500
+
+
+def test_an_amount_around_nothing_is_an_error():
+    scenario = Scenario.parse(
+        (EXAMPLES / "pre-contracted-step-pid.yaml").read_text().replace(", stiffness: 12 N*m/rad", "")
+    )
+    with pytest.raises(ParameterError, match="no nominal value in the scenario"):
+        read_over("start.stiffness=+-1 N*m/rad", scenario)
+    assert read_over("start.stiffness=12..14 N*m/rad", scenario).spread == Uniform(12.0, 14.0)
+
+
+def test_two_texts_about_one_number_are_an_error():
+    with pytest.raises(ParameterError, match=r"'load\.m2=1 kg' and 'load.mass2=2 kg' are about the same number"):
+        read_overs(["load.m2=1 kg", "load.mass1=2 kg", "load.mass2=2 kg"], PID)
+    read = read_overs(["load.m2=1 kg", "load.mass1=2 kg"], PID)
+    assert [each.name for each in read] == ["load.mass2", "load.mass1"]
+
+
+PIECES = ["load.m2", "load.mass2", "controller.position.seed", "start.angle", "controller.position.momentum", "="]
+PIECES += [
+    "..",
+    ",",
+    " ",
+    "+-",
+    "±",
+    "normal",
+    "log",
+    "in",
+    "kg",
+    "deg",
+    "%",
+    "percent",
+    "1",
+    "0.5",
+    "-2",
+    "1e308",
+    ".",
+]
+PIECES += [
+    "1e-320",
+    "1e9999",
+    "nan",
+    "inf",
+    "kg^9*kg^9*kg^9",
+    "Pa/(rad*s)",
+    "(",
+    ")",
+    "/",
+    "in 9",
+    "9" * 30,
+    "é",
+    "\n",
+    "\0",
+]
+
+
+@settings(max_examples=200)
+@given(st.text(max_size=60) | st.lists(st.sampled_from(PIECES), max_size=9).map("".join))
+@example("load.mass2=normal 1e-320 kg")
+@example("load.mass2=+-1e-320 kg")
+@example("load.mass2=normal 1e-322 %")
+@example("load.mass2=+-" + "9" * 400 + " %")
+@example("load.mass2=1 kg^9*kg^9*kg^9*kg^9")
+def test_any_text_is_read_or_an_error_of_ours(said):
+    for text in (said, f"load.mass2={said}", f"controller.position.seed={said}", f"start.angle={said}"):
+        try:
+            read = read_over(text, BACKPROP)
+        except McKibbenError as error:
+            assert isinstance(error, ParameterError)
+            continue
+        values = read.spread.at([0.0, 0.3, 1.0])
+        assert np.all(read.address.holds(values))
+        assert np.all(np.isfinite(values))
+
+
+@st.composite
+def spreads(draw, address):
+    if address.whole:
+        if draw(st.booleans()):
+            return Values(tuple(draw(st.lists(st.integers(0, 2**31 - 1), min_size=1, max_size=5, unique=True))))
+        low, high = sorted(draw(st.lists(st.integers(0, 2**31 - 1), min_size=2, max_size=2, unique=True)))
+        return Wholes(low, high)
+    inside = st.floats(address.lower, address.upper, allow_subnormal=False).filter(address.holds)
+    values = draw(st.lists(inside, min_size=2, max_size=5, unique=True))
+    low, high = sorted(values[:2])
+    points = draw(st.none() | st.integers(2, 10**6))
+    kind = draw(st.sampled_from(["uniform", "log", "values", "normal"]))
+    if kind == "log" and (low > 0 or high < 0):
+        return LogUniform(low, high, points)
+    if kind == "values":
+        return Values(tuple(values))
+    if kind == "normal" and address.nominal is not None:
+        deviation = draw(st.floats(1e-9, 1.0)) * address.upper
+        return Normal(address.nominal, deviation)
+    return Uniform(low, high, points)
+
+
+@settings(max_examples=300)
+@given(st.data())
+def test_what_is_varied_prints_as_text_that_means_the_same(data):
+    scenario, address = data.draw(st.sampled_from(NUMBERS))
+    said = Over(address, data.draw(spreads(address)))
+    assert read_over(said.text, scenario) == said
+
+
+@settings(max_examples=300)
+@given(st.data(), st.lists(st.floats(0, 1), min_size=1, max_size=20))
+def test_spreads_rise_stay_inside_and_know_where_a_value_lies(data, quantiles):
+    _, address = data.draw(st.sampled_from(NUMBERS))
+    drawn = Over(address, data.draw(spreads(address))).spread
+    values = drawn.at(np.sort(quantiles))
+    low, high = drawn.ends
+    assert values.shape == (len(quantiles),)
+    assert values.dtype == (np.int64 if address.whole else np.float64)
+    assert np.all((values >= low) & (values <= high))
+    assert np.all(address.holds(values))
+    if not isinstance(drawn, Values):
+        assert np.all(np.diff(values) >= 0)
+    again = drawn.at(drawn.quantile(values))
+    np.testing.assert_allclose(again, values, rtol=1e-9, atol=1e-9 * min(max(abs(low), abs(high)), 1e3))
+
+
+def test_the_ends_of_a_range_are_its_ends_to_the_bit():
+    for low, high in itertools.pairwise([0.1, 0.3, 7.7, 1e5, 3.3e9]):
+        assert Uniform(low, high).at([0.0, 1.0]).tolist() == [low, high]
+        assert LogUniform(low, high).at([0.0, 1.0]).tolist() == [low, high]
+        assert LogUniform(-high, -low).at([0.0, 1.0]).tolist() == [-high, -low]
+
+
+def test_an_even_logarithm_has_even_ratios():
+    grid = LogUniform(2.0, 32.0, 5).grid()
+    np.testing.assert_allclose(grid, [2, 4, 8, 16, 32], rtol=1e-14)
+    np.testing.assert_allclose(LogUniform(-32.0, -2.0).at([0.25, 0.5]), [-16, -8], rtol=1e-14)
+
+
+def test_the_normal_distribution_is_one():
+    from scipy import stats
+
+    quantiles = (np.arange(200_000) + 0.5) / 200_000
+    values = Normal(0.5, 0.2, 0.0, 0.9).at(quantiles)
+    expected = stats.truncnorm(-2.5, 2.0, loc=0.5, scale=0.2)
+    np.testing.assert_allclose(values[::1000], expected.ppf(quantiles[::1000]), rtol=1e-9)
+    assert values.mean() == pytest.approx(expected.mean(), rel=1e-6)
+    assert values.std() == pytest.approx(expected.std(), rel=1e-4)
+    assert Normal(0.0, 1.0).at([0.0, 0.5, 1.0]) == pytest.approx([-8.2, 0.0, 8.2], abs=0.2)
+
+
+def test_listed_values_and_whole_numbers_come_equally_often():
+    quantiles = (np.arange(1200) + 0.5) / 1200
+    values, counts = np.unique(Values((4.0, 1.0, 2.0)).at(quantiles), return_counts=True)
+    assert (values.tolist(), counts.tolist()) == ([1.0, 2.0, 4.0], [400, 400, 400])
+    values, counts = np.unique(Wholes(-1, 2).at(quantiles), return_counts=True)
+    assert (values.tolist(), counts.tolist()) == ([-1, 0, 1, 2], [300] * 4)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Uniform(1.0, 1.0),
+        lambda: Uniform(math.nan, 1.0),
+        lambda: Uniform(0.0, math.inf),
+        lambda: Uniform(0.0, 1.0, 1),
+        lambda: LogUniform(-1.0, 1.0),
+        lambda: LogUniform(0.0, 1.0),
+        lambda: Normal(0.0, 0.0),
+        lambda: Normal(math.nan, 1.0),
+        lambda: Normal(2.0, 1.0, 0.0, 1.0),
+        lambda: Values(()),
+        lambda: Values((1.0, math.nan)),
+        lambda: Values((1.0, 1.0)),
+        lambda: Wholes(2, 2),
+    ],
+)
+def test_spreads_that_are_none_are_refused(make):
+    with pytest.raises(ParameterError):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("name", "spread", "why"),
+    [
+        ("load.mass2", Wholes(0, 3), "no whole number"),
+        ("load.mass2", Uniform(-1.0, 1.0), "reaches -1 kg"),
+        ("load.mass2", Normal(-1.0, 1.0), "outside"),
+        ("controller.position.seed", Uniform(0.0, 3.0), "is a whole number"),
+        ("controller.position.seed", Values((0.5, 1.0)), "is a whole number"),
+        ("controller.position.seed", Normal(3.0, 1.0), "is a whole number"),
+        ("controller.position.seed", Wholes(0, 2**31), "outside"),
+        ("valve.time_constant", Uniform(0.0, 1.0), "outside above 0"),
+    ],
+)
+def test_a_spread_has_to_go_with_its_number(name, spread, why):
+    with pytest.raises(ParameterError, match=why):
+        over(BACKPROP, {name: spread})
+
+
+def test_values_are_of_the_kind_of_their_number():
+    seeds, masses = over(BACKPROP, {"controller.position.seed": Values((0.0, 2.0)), "load.m2": Values((1, 2))})
+    assert seeds.spread.grid().dtype == np.int64
+    assert masses.spread.grid().dtype == np.float64

@@ -1,0 +1,220 @@
+"""Scenarios with other numbers, one or many: nothing that a file may not say comes through."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mckibben.errors import ParameterError, RangeError, ScenarioError
+from mckibben.study.parameters import addresses, allowed, design, find, lanes, read_overs, with_values
+from mckibben.study.scenario import Scenario
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCENARIOS = [Scenario.read(path) for path in sorted(EXAMPLES.glob("*.yaml"))]
+PID = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml")
+BACKPROP = Scenario.read(EXAMPLES / "pre-contracted-step-backprop.yaml")
+
+
+def another(address):
+    """A value near the nominal one that a scenario allows, too."""
+    if address.nominal in (None, 0, 0.0):
+        sign = -1 if address.name == "controller.stiffness.kd" and address.nominal == 0 else 1
+        return 3 if address.whole else 1e-4 * sign
+    return address.nominal * 1.01
+
+
+def built(scenario):
+    return {"plant": scenario.plant(), "control": scenario.control(), "reference": scenario.reference()}
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda s: s.name)
+def test_each_number_alone_comes_where_the_file_would_put_it(scenario):
+    for address in addresses(scenario):
+        value = another(address)
+        if address.name == "controller.stiffness.kd":
+            value = np.sign(find(scenario, "controller.stiffness.ki").nominal) * 1e-4
+        one = with_values(scenario, {address.name: value})
+        assert find(one, address.name).nominal == value
+        many = lanes(scenario, {address.name: np.array([value, value])})
+        if address.name.startswith("start."):
+            assert getattr(many.start, address.place[-1]).tolist() == [value, value]
+            continue
+        flat_one, structure_one = jax.tree.flatten(built(one))
+        flat_many, structure_many = jax.tree.flatten(built(many))
+        assert structure_one == structure_many
+        varied = 0
+        for single, several in zip(flat_one, flat_many, strict=True):
+            if isinstance(several, np.ndarray):
+                varied += 1
+                assert several.shape == (2,)
+                assert several.dtype == (np.int64 if address.whole else np.float64)
+                assert several.tolist() == [single, single] == [value, value]
+            else:
+                assert np.array_equal(single, several)
+        # the joint is that of the plant and the one that the controller believes in
+        assert varied == (2 if address.name.startswith("joint.") else 1), address.name
+
+
+def test_lanes_leave_the_scenario_as_it_is_and_copy_the_table():
+    before, column = PID.dumps(), np.array([0.5, 0.8])
+    many = lanes(PID, {"load.m2": column})
+    column[:] = 7.0
+    assert PID.dumps() == before
+    assert many.load.mass2.tolist() == [0.5, 0.8]
+    assert many.load.base == "knee-table-2"
+
+
+def test_lanes_take_a_whole_design():
+    texts = ["load.m2=0.2..1.0 kg", "controller.position.kp=1..10 bar/rad log", "controller.position.seed=0..99"]
+    texts += ["reference.stiffness.after=15..18 N*m/rad", "start.stiffness=+-5 %", "start.angle=+-2 deg"]
+    table = design(read_overs(texts, BACKPROP), "sobol", 1000, seed=1)
+    many = lanes(BACKPROP, table)
+    np.testing.assert_array_equal(many.plant().load.mass2, table["load.mass2"])
+    np.testing.assert_array_equal(many.control().position.base.kp, table["controller.position.kp"])
+    np.testing.assert_array_equal(many.control().position.seed, table["controller.position.seed"])
+    np.testing.assert_array_equal(many.reference().stiffness.after, table["reference.stiffness.after"])
+    np.testing.assert_array_equal(many.start.stiffness, table["start.stiffness"])
+    np.testing.assert_array_equal(many.start.angle, table["start.angle"])
+
+
+FORBIDDEN = [
+    (PID, {"joint.connector_length": [0.2, 0.36]}, 1, "outside 0..0.34"),
+    (PID, {"joint.geometry.joint_radius": [0.03, 0.2]}, 1, "outside 0..0.17"),
+    (PID, {"joint.geometry.joint_length": [0.37, 0.2, 0.1]}, 1, "leaves no room"),
+    (
+        PID,
+        {"joint.geometry.joint_length": [0.37, 0.4], "joint.connector_length": [0.39, 0.39]},
+        0,
+        "connector_length 390 mm.* leaves no room",
+    ),
+    (PID, {"joint.geometry.joint_length": [0.37, 20.0]}, 1, "joint_length is 20"),
+    (PID, {"controller.position.kp": [1e5, -1e5, 2e5]}, 1, "differ in sign"),
+    (PID, {"controller.stiffness.kd": [0.0, -1.0]}, 1, "differ in sign"),
+    (PID, {"controller.position.kp": [1e5, -1e5], "controller.position.ki": [1e5, -1e5]}, 1, "differ in sign"),
+    (BACKPROP, {"controller.position.ki": [1e5, 0.0]}, 1, "sign of ki, which is zero"),
+    (BACKPROP, {"controller.position.momentum": [0.5, 0.9999999]}, 1, "momentum"),
+    (PID, {"valve.time_constant": [0.02, 11.0]}, 1, "time_constant is 11"),
+    (PID, {"load.inertia": [0.0], "load.mass1": [0.0], "load.mass2": [0.0]}, 0, "inertia is 0"),
+]
+
+
+@pytest.mark.parametrize(("scenario", "table", "row", "why"), FORBIDDEN)
+def test_a_forbidden_combination_is_told_with_its_first_row(scenario, table, row, why):
+    rows = len(next(iter(table.values())))
+    with pytest.raises(ParameterError, match=why) as caught:
+        lanes(scenario, table)
+    message = str(caught.value)
+    assert message.startswith(f"row {row}: with " if rows > 1 else "with ")
+    for name, column in table.items():
+        address = find(scenario, name)
+        assert f"{address.name} {address.show(column[row])}" in message
+    with pytest.raises(ParameterError, match=why):
+        with_values(scenario, {name: column[row] for name, column in table.items()})
+    mask = allowed(scenario, table)
+    assert not mask[row]
+    assert mask[:row].all()
+
+
+@pytest.mark.parametrize(
+    ("table", "why"),
+    [
+        ({}, "no values"),
+        ({"load.mass2": [0.5, -1.0]}, r"row 1: load\.mass2 is -1 kg, outside 0 to 10000 kg"),
+        ({"load.mass2": [0.5, np.nan]}, "row 1: .*nan kg"),
+        ({"load.mass2": [np.inf, 1.0]}, "row 0: .*inf kg"),
+        ({"valve.time_constant": [0.02, 0.0]}, "outside above 0"),
+        ({"controller.position.seed": [1.5, 2.0]}, "1.5, no whole number of 0 to"),
+        ({"controller.position.seed": [-1]}, "-1, no whole number of 0 to"),
+        ({"load.mass2": [0.5], "load.mass1": [0.5, 0.6]}, "differ in length"),
+        ({"load.mass2": 0.5}, "no column of numbers"),
+        ({"load.mass2": [[0.5]]}, "no column of numbers"),
+        ({"load.mass2": [[0.5], [0.5, 0.6]]}, "no column of numbers"),
+        ({"load.mass2": ["0.5"]}, "no column of numbers"),
+        ({"load.mass2": [True]}, "no column of numbers"),
+        ({"load.mass2": []}, "no column of numbers"),
+        ({"load.mass2": [0.5], "load.m2": [0.6]}, "same number"),
+        ({"load.mass3": [0.5]}, "no number 'load.mass3'"),
+        ({"substeps": [4]}, "cannot be varied"),
+    ],
+)
+def test_tables_that_are_none_are_refused(table, why):
+    for take in (lanes, allowed):
+        with pytest.raises(ParameterError, match=why):
+            take(BACKPROP, table)
+
+
+VARIED = {
+    "joint": ["joint.geometry.joint_length", "joint.geometry.joint_radius", "joint.connector_length"],
+    "load": ["load.mass1", "load.mass2", "load.distance2", "load.inertia", "load.hanging_angle"],
+    "gains": ["controller.position.kp", "controller.position.ki", "controller.position.kd"],
+    "network": ["controller.stiffness.ki", "controller.stiffness.kd", "controller.stiffness.momentum"],
+    "several": ["joint.connector_length", "controller.position.kd", "valve.time_constant"],
+}
+
+
+@settings(max_examples=30)
+@given(st.data())
+def test_no_row_comes_through_that_a_file_could_not_say(data):
+    """Against the plain way: write each row into a scenario, dump it, read it, build it."""
+    names = VARIED[data.draw(st.sampled_from(sorted(VARIED)))]
+    rows = data.draw(st.integers(1, 30))
+    generator = np.random.default_rng(data.draw(st.integers(0, 2**32)))
+    table = {}
+    for name in names:
+        address = find(BACKPROP, name)
+        scale = 4 * (address.nominal or 1.0) if address.unit != "1" else 1.0
+        lowest = max(float(address.lower), -scale)
+        choice = lowest + (min(scale, float(address.upper)) - lowest) * generator.random(rows)
+        column = np.where(generator.random(rows) < 0.3, 0.0, choice)
+        table[name] = np.where(address.holds(column), column, address.nominal)
+    mask = allowed(BACKPROP, table)
+    for row in range(rows):
+        assert mask[row] == plainly_allowed({name: column[row].item() for name, column in table.items()})
+    if mask.all():
+        lanes(BACKPROP, table)
+    else:
+        with pytest.raises(ParameterError, match=f"row {np.argmin(mask)}: " if rows > 1 else "with "):
+            lanes(BACKPROP, table)
+
+
+def plainly_allowed(values):
+    data = BACKPROP.model_dump(mode="json", by_alias=True)
+    data["load"] = {"from": "knee-table-2"}
+    data["joint"]["geometry"] = {"from": "knee-table-2"}
+    for name, value in values.items():
+        address = find(BACKPROP, name)
+        inner = data
+        for key in address.place[:-1]:
+            inner = inner[key]
+        inner[address.place[-1]] = address.write(value)
+    try:
+        built(Scenario.model_validate(_without_none(data)))
+    except (ValueError, RangeError, ScenarioError):
+        return False
+    return True
+
+
+def _without_none(data):
+    if isinstance(data, dict):
+        return {key: _without_none(value) for key, value in data.items() if value is not None}
+    return data
+
+
+def test_a_zero_among_numbers_of_both_signs_is_seen():
+    ki = np.linspace(-1e5, 1e5, 101)
+    ki[50] = 0.0
+    table = {"controller.position.ki": ki, "controller.position.kp": 0 * ki, "controller.position.kd": 0 * ki}
+    assert np.flatnonzero(~allowed(BACKPROP, table)).tolist() == [50]
+
+
+def test_many_rows_are_looked_at_in_little_time():
+    import time
+
+    table = design(read_overs(["joint.connector_length=200..300 mm", "load.m2=0.1..2 kg"], PID), "sobol", 20_000)
+    lanes(PID, {name: column[:10] for name, column in table.items()})
+    start = time.perf_counter()
+    lanes(PID, table)
+    assert time.perf_counter() - start < 1.0  # 5 ms; one by one they take seconds

@@ -1,0 +1,147 @@
+"""A scenario's text with other numbers: what was not asked for stays, to the character."""
+
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mckibben.errors import ParameterError, ScenarioError
+from mckibben.study.parameters import addresses, find, rewritten, with_values
+from mckibben.study.scenario import Scenario
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+TEXTS = {path.stem: path.read_text() for path in sorted(EXAMPLES.glob("*.yaml"))}
+PID = TEXTS["pre-contracted-step-pid"]
+PRINTED = TEXTS["as-printed-constant-pid"]
+
+BLOCK = """\
+# A comment at the top.
+name: >-
+  two lines
+  of a name
+joint:
+  geometry:
+    from: knee-table-2  # of the catalog
+  connector_length: '208 mm'
+  muscle:
+    specimen: MAS-10-180N-AA-MC-O
+    law: "lei-mas-10-180n"
+load:
+  from: knee-table-2
+  # a comment at the end of the load
+
+controller:
+  position: {pid: {kp: 2 bar/rad,   # proportional
+                   ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad,}}
+  stiffness:
+    pid:
+      kp: 0.08 bar/(N*m/rad)
+      ki: 5 bar/(N*m*s/rad)
+      kd: 0 bar*s/(N*m/rad)   # none
+reference:
+  angle: 0 deg
+  stiffness: {samples: {times: [0 s, 1 s], values: [13 N*m/rad, 14 N*m/rad]}}
+duration: 2 s
+control_period: 2 ms   # the last line"""
+
+
+@pytest.mark.parametrize(
+    ("text", "values", "old", "new"),
+    [
+        (PID, {"valve.time_constant": 0.03}, "time_constant: 20 ms}", "time_constant: 30 ms}"),
+        (PID, {"load.m2": 0.8}, "load: knee-table-2  ", "load: {from: knee-table-2, mass2: 0.8 kg}  "),
+        (PID, {"controller.position.kp": 3e5}, "kp: 2 bar/rad", "kp: 3 bar/rad"),
+        (PID, {"controller.position.filter_time": 1e-3}, "0.4 bar*s/rad}", "0.4 bar*s/rad, filter_time: 1 ms}"),
+        (PID, {"reference.angle.offset": 0.0}, "frequency: 0.5 Hz}", "frequency: 0.5 Hz, offset: 0 deg}"),
+        (PRINTED, {"reference.stiffness": 72.0}, "stiffness: 72.5 N*m/rad ", "stiffness: 72 N*m/rad "),
+        (PRINTED, {"joint.connector_length": 0.2}, "law: lei-mas-10-180n}\n\n", None),
+        (BLOCK, {"joint.connector_length": 0.2}, "'208 mm'", "200 mm"),
+        (BLOCK, {"load.mass2": 0.8}, "  from: knee-table-2\n  # a", "  from: knee-table-2\n  mass2: 0.8 kg\n  # a"),
+        (
+            BLOCK,
+            {"joint.geometry.joint_radius": 0.04},
+            "# of the catalog\n",
+            "# of the catalog\n    joint_radius: 40 mm\n",
+        ),
+        (BLOCK, {"controller.position.tracking_time": 0.1}, "rad,}}", "rad, tracking_time: 100 ms,}}"),
+        (BLOCK, {"controller.position.kp": 1e5}, "kp: 2 bar/rad,   #", "kp: 1 bar/rad,   #"),
+        (BLOCK, {"controller.stiffness.filter_time": 0.0}, "# none\n", "# none\n      filter_time: 0 ms\n"),
+        (BLOCK, {"reference.angle": 0.0}, "angle: 0 deg", "angle: 0 deg"),
+        (BLOCK, {"start.stiffness": 13.0}, "# the last line", "# the last line\nstart: {stiffness: 13 N*m/rad}"),
+        (
+            BLOCK,
+            {"start.stiffness": 13.0, "start.angle": 0.0},
+            "# the last line",
+            "# the last line\nstart: {stiffness: 13 N*m/rad, angle: 0 deg}",
+        ),
+    ],
+)
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_only_what_was_asked_for_changes(text, values, old, new, newline):
+    if new is None:
+        new = old.replace("\n\n", "\n  connector_length: 200 mm\n\n")
+    assert text.count(old) == 1
+    expected = text.replace(old, new).replace("\n", newline)
+    assert rewritten(text.replace("\n", newline), values) == expected
+
+
+def test_an_empty_mapping_is_filled():
+    text = re.sub(r"start: \{.*\}", "start: {}", PID)
+    assert "start: {angle: 0 deg}" in rewritten(text, {"start.angle": 0.0})
+
+
+@pytest.mark.parametrize(
+    "strange",
+    [
+        PID.replace("name: pre-contracted knee", "name: |-\n  pre-contracted knee"),
+        Scenario.parse(PID).model_dump_json(by_alias=True, exclude_none=True),
+        PID.replace("kp: 2 bar/rad", '"kp":2 bar/rad'),
+        PID.replace("kp: 2 bar/rad", "? kp\n    : 2 bar/rad"),
+        PID.replace("load: knee-table-2 ", "load: 'knee-table-2' "),
+        PID.replace("valve: {time_constant: 20 ms}", "valve:\n    time_constant: |\n        20 ms\n"),
+        PID.replace("joint:\n  geometry: knee-table-2 ", "joint:\n  geometry:\n    from: |-\n      knee-table-2\n # "),
+        "---\n" + PID + "\n...\n",
+        "\ufeff" + PID,
+        PID.replace("10 deg", "10 °"),
+        PID.replace("# from the catalog", "# 𝛼 from the catalog"),
+    ],
+)
+def test_stranger_forms_of_yaml_still_read_as_what_was_asked_for(strange):
+    before = Scenario.parse(strange)
+    for name in ("load.mass2", "valve.time_constant", "controller.position.kp", "joint.geometry.joint_radius"):
+        value = find(before, name).nominal * 1.01
+        assert Scenario.parse(rewritten(strange, {name: value})) == with_values(before, {name: value})
+
+
+@settings(max_examples=40)
+@given(st.data())
+def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
+    text = data.draw(st.sampled_from([*TEXTS.values(), BLOCK]))
+    scenario = Scenario.parse(text, folder=EXAMPLES)
+    chosen = data.draw(st.lists(st.sampled_from(addresses(scenario)), min_size=1, max_size=8, unique=True))
+    values = {}
+    for address in chosen:
+        if address.whole:
+            values[address.name] = data.draw(st.integers(0, 2**31 - 1))
+        else:
+            nominal = address.nominal if address.nominal is not None else 13.0
+            values[address.name] = nominal * data.draw(st.floats(0.995, 1.005))
+    changed = rewritten(text, values, folder=EXAMPLES)
+    assert Scenario.parse(changed, folder=EXAMPLES) == with_values(scenario, values)
+    for comment in re.findall(r"#.*", text):
+        assert comment in changed
+    again = Scenario.parse(changed, folder=EXAMPLES)
+    for name, value in values.items():
+        assert find(again, name).nominal == value
+    assert rewritten(changed, values, folder=EXAMPLES) == changed
+
+
+def test_what_is_no_scenario_or_no_value_is_refused():
+    with pytest.raises(ScenarioError):
+        rewritten("name: x", {"load.mass2": 1.0})
+    with pytest.raises(ParameterError, match="outside"):
+        rewritten(PID, {"load.mass2": -1.0})
+    with pytest.raises(ParameterError, match="differ in sign"):
+        rewritten(PID, {"controller.position.kp": -1.0})
