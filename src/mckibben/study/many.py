@@ -1,0 +1,68 @@
+"""A scenario run many times, with other numbers in some of its fields each time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+
+from mckibben.simulation import AtRest, Batch, Metrics, simulate_many
+from mckibben.study.parameters import Table, lanes
+from mckibben.study.scenario import Scenario
+
+
+def run_many(
+    scenario: Scenario,
+    table: Table,
+    *,
+    metrics: Sequence[str] = Metrics._fields,
+    precision: Any = jnp.float64,
+    chunk: int | None = None,
+    workers: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Batch:
+    """Simulate a scenario once for each row of a table of values.
+
+    Parameters
+    ----------
+    scenario
+        What all runs share.
+    table
+        Arrays of one length by the names of the scenario's fields, SI; see `mckibben.study.parameters.design`.
+    metrics, precision, chunk, workers, progress
+        As for `simulate_many`.
+
+    Raises
+    ------
+    ParameterError
+        If a row of the table makes no valid scenario; it names the first.
+
+    Examples
+    --------
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"duration": 0.2})
+    >>> run_many(scenario, {"load.mass2": [0.4, 0.5]}).count
+    2
+    """
+    many = lanes(scenario, table)
+    return simulate_many(
+        many.plant(),
+        many.control(),
+        many.reference(),
+        duration=scenario.duration,
+        control_period=scenario.control_period,
+        substeps=scenario.substeps,
+        initial=rest(many),
+        metrics=metrics,
+        precision=precision,
+        chunk=chunk,
+        workers=workers,
+        progress=progress,
+    )
+
+
+def rest(scenario: Scenario) -> AtRest:
+    """The rest to start from; its numbers may be arrays with one value a run."""
+    stiffness = scenario.start.stiffness
+    return AtRest(scenario.start.angle, math.nan if stiffness is None else stiffness)
