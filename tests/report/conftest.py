@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben import control
 from mckibben.simulation import Metrics
 from mckibben.study.paper import Reproduction
 from mckibben.study.paper.claims import judge
@@ -23,6 +22,7 @@ from mckibben.study.paper.tracking import (
     Run,
     Tracking,
 )
+from mckibben.study.parameters import addresses, with_values
 from mckibben.study.running import run_scenario
 from mckibben.study.tuning import Tuned
 
@@ -37,19 +37,16 @@ def _spread(run):
     return Metrics(**spread)
 
 
-def _doubled(loop: control.PID) -> control.PID:
-    return dataclasses.replace(loop, kp=2 * loop.kp, ki=1.5 * loop.ki)
-
-
 @pytest.fixture(scope="session")
 def reproduction():
     runs, tuned, coupling = {}, {}, {}
     for setting in SETTINGS:
-        moderate = pid_scenario(setting, Wish.CONSTANT).control()
-        position, stiffness = _doubled(moderate.position), _doubled(moderate.stiffness)
-        tuned[setting.key] = Tuned(position, stiffness, 5.0, 80.0, 100, ("position ki",))
+        moderate = pid_scenario(setting, Wish.CONSTANT)
+        doubled = {a.name: 2 * a.nominal for a in addresses(moderate) if a.name.endswith(("kp", "ki"))}
+        found = with_values(moderate, doubled)
+        tuned[setting.key] = Tuned(doubled, (found,), 5.0, 80.0, 100, ("controller.position.ki",), ())
         coupling[setting.key] = Coupling(1e-3, 0.1, 1e-14)
-        gains = gains_of(position, stiffness)
+        gains = gains_of(found)
         for wish in Wish:
             for name, given in ((PID, None), (TUNED_PID, gains)):
                 scenario = pid_scenario(setting, wish, given, name=name)

@@ -200,9 +200,10 @@ def _run(run: Run) -> dict[str, Any]:
 
 
 def _tuned(tuned: Any) -> dict[str, Any]:
+    control = tuned.scenarios[0].control()
     return {
-        "position": {name: getattr(tuned.position, name) for name in ("kp", "ki", "kd")},
-        "stiffness": {name: getattr(tuned.stiffness, name) for name in ("kp", "ki", "kd")},
+        "position": {name: getattr(control.position, name) for name in ("kp", "ki", "kd")},
+        "stiffness": {name: getattr(control.stiffness, name) for name in ("kp", "ki", "kd")},
         "cost": tuned.cost,
         "cost_before": tuned.cost_before,
         "evaluated": tuned.evaluated,

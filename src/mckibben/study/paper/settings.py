@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
+from typing import Any
 
-from mckibben.control import PID
 from mckibben.study.scenario import Scenario
 
 
@@ -173,8 +173,10 @@ substeps: 4
     )
 
 
-def gains_of(position: PID, stiffness: PID) -> Gains:
-    """Gains as text that reads back to the last bit."""
+def gains_of(scenario: Scenario) -> Gains:
+    """The gains of a scenario under PID, as text that reads back to the last bit."""
+    control: Any = scenario.control()
+    position, stiffness = control.position, control.stiffness
     kp, ki, kd = (repr(float(gain)) for gain in (position.kp, position.ki, position.kd))
     firm_kp, firm_ki, firm_kd = (repr(float(gain)) for gain in (stiffness.kp, stiffness.ki, stiffness.kd))
     return Gains(

@@ -24,11 +24,12 @@ from mckibben.simulation import (
 from mckibben.study.paper.settings import BOUND, FREE, SETTINGS, Setting, Wish, bp_scenario, gains_of, pid_scenario
 from mckibben.study.running import run_scenario
 from mckibben.study.scenario import Scenario
-from mckibben.study.tuning import Cost, Tuned, tune_pid
+from mckibben.study.tuning import Cost, Method, Tuned, around_gains, tune
 from mckibben.units import quantity
 
 PID, BP, TUNED_PID = "PID", "BP", "PID tuned"
 TUNED_BP, FREE_TUNED_BP = "BP on tuned gains", "BP on tuned gains, free"
+_MARGIN = 1.5  # all tuned gains may rise by this factor together without harm
 CONTROLLERS = (PID, BP, TUNED_PID, TUNED_BP, FREE_TUNED_BP)
 
 
@@ -158,7 +159,7 @@ def _moderate_runs(seeds: int) -> dict[tuple[str, Wish, str], Run]:
 
 
 def _tuned_runs(setting: Setting, tuned: Tuned, seeds: int) -> dict[tuple[str, Wish, str], Run]:
-    gains = gains_of(tuned.position, tuned.stiffness)
+    gains = gains_of(tuned.scenarios[0])
     runs: dict[tuple[str, Wish, str], Run] = {}
     for wish in Wish:
         runs[setting.key, wish, TUNED_PID] = _run_pid(pid_scenario(setting, wish, gains, name=TUNED_PID))
@@ -169,18 +170,17 @@ def _tuned_runs(setting: Setting, tuned: Tuned, seeds: int) -> dict[tuple[str, W
 
 
 def _tune(setting: Setting, generations: int, population: int, progress: Callable[[float], None]) -> Tuned:
-    scenario = pid_scenario(setting, Wish.CONSTANT)
-    plant = scenario.plant()
-    return tune_pid(
-        plant,
-        scenario.control(),
-        [pid_scenario(setting, wish).reference() for wish in Wish],
-        Cost(quantity(setting.angle_scale, "rad") / 10, quantity(setting.stiffness_scale, "N*m/rad") / 10),
-        initial=scenario.initial(plant),
-        duration=scenario.duration,
-        control_period=scenario.control_period,
-        substeps=scenario.substeps,
-        generations=generations,
+    scenarios = [pid_scenario(setting, wish) for wish in Wish]
+    scales = {
+        "angle_rmse": quantity(setting.angle_scale, "rad") / 10,
+        "stiffness_rmse": quantity(setting.stiffness_scale, "N*m/rad") / 10,
+    }
+    return tune(
+        scenarios,
+        around_gains(scenarios[0]),
+        Cost.of(scales, gain_margin=_MARGIN),
+        method=Method.EVOLUTION,
+        iterations=generations,
         population=population,
         progress=progress,
     )

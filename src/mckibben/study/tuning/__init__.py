@@ -1,0 +1,7 @@
+"""Tuning: the numbers of scenarios that cost least, by gradient, by evolution, or by CMA-ES."""
+
+from mckibben.study.tuning.cost import Cost, Term, read_cost
+from mckibben.study.tuning.search import Method
+from mckibben.study.tuning.tune import Tuned, around_gains, tune
+
+__all__ = ["Cost", "Method", "Term", "Tuned", "around_gains", "read_cost", "tune"]

@@ -1,0 +1,223 @@
+"""Tune: the numbers of scenarios that cost least."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import ParameterError
+from mckibben.study.parameters import LogUniform, Over, Spread, addresses, with_values
+from mckibben.study.parameters import over as overs_of
+from mckibben.study.scenario import Scenario
+from mckibben.study.tuning.cost import Cost
+from mckibben.study.tuning.history import History, Trial
+from mckibben.study.tuning.problem import LOST, Problem, is_gain, problem
+from mckibben.study.tuning.search import Method, by_cma, by_evolution, by_gradient
+from mckibben.units import quantity
+
+_DIGITS = 6  # of the numbers that are written down; the cost is that of these
+_AT_BOUND = 0.01  # of the range
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The outcome of a tuning.
+
+    Attributes
+    ----------
+    values
+        The numbers that were found, SI, by name; rounded to six digits in the unit in which they are written.
+    scenarios
+        The scenarios with these numbers.
+    cost, cost_before
+        Of these, and of the scenarios as they were (NaN where their numbers were no allowed ones).
+    evaluated
+        How many points were tried.
+    at_bound
+        The names of numbers within 1 % of an end of their range: a wider range may hold better ones.
+    trials
+        All that was tried, in order.
+    """
+
+    values: dict[str, float]
+    scenarios: tuple[Scenario, ...]
+    cost: float
+    cost_before: float
+    evaluated: int
+    at_bound: tuple[str, ...]
+    trials: tuple[Trial, ...]
+
+
+def tune(
+    scenarios: Sequence[Scenario] | Scenario,
+    over: Sequence[Over] | Mapping[str, Spread],
+    cost: Cost,
+    *,
+    method: Method = Method.GRADIENT,
+    starts: int = 4,
+    iterations: int = 30,
+    population: int = 32,
+    seed: int = 0,
+    history: Path | None = None,
+    resume: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> Tuned:
+    """Search numbers of scenarios, within ranges, for the least cost.
+
+    Parameters
+    ----------
+    scenarios
+        The runs that count, all at once; the search begins at the numbers of the first.
+    over
+        The numbers and their ranges, `Uniform` or `LogUniform`.
+    cost
+        Of the runs.
+    method
+        See `Method`.
+    starts
+        From how many points the gradient is followed; the first are the scenario's own numbers.
+    iterations
+        Steps of each descent, or generations.
+    population
+        Points a generation.
+    seed
+        Of the search; the same seed finds the same.
+    history
+        A file to keep every trial in; see `History`.
+    resume
+        Go on with the search in that file.
+    progress
+        Called with the part that is done, 0 to 1.
+
+    Raises
+    ------
+    ParameterError
+        If a number is not in every scenario, has no range, or the cost has no gradient to follow.
+    FileError
+        If the history is there already, or is that of another search.
+    """
+    for name, count in (("starts", starts), ("iterations", iterations), ("population", population)):
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise ParameterError(f"{name} is {count}", value=count, remedy="give a whole number from 1 up")
+    several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
+    ranges = overs_of(several[0], over) if isinstance(over, Mapping) and several else list(over)  # type: ignore[arg-type]
+    task = problem(several, ranges, cost)  # type: ignore[arg-type]
+    if method is Method.GRADIENT:
+        task.check_smooth()
+    about = {
+        "kind": "tuning",
+        "version": version("mckibben"),
+        "scenarios": [scenario.dumps() for scenario in several],
+        "over": [each.text for each in task.over],
+        "cost": cost.text,
+        "gain margin": cost.gain_margin,
+        "worst": cost.worst,
+        "method": method.value,
+        "seed": seed,
+        **({} if method is Method.GRADIENT else {"population": population}),
+    }
+    past = History(history, about, resume=resume)
+    report = progress or (lambda _: None)
+    if method is Method.GRADIENT:
+        found = _Descents(task, past, starts)
+        first = task.point(task.nominal)
+        by_gradient(found, first, starts=starts, iterations=iterations, seed=seed, progress=report)
+        exact = found.exact
+    else:
+        tried = _Generations(task, past, population)
+        first = task.point(task.nominal)
+        search = by_cma if method is Method.CMA else by_evolution
+        search(tried, first, population=population, generations=iterations, seed=seed, progress=report)
+        exact = tried.exact
+
+    best = np.array(past.best.point)
+    values = task.values(best[None])[0]
+    rounded = np.array(
+        [
+            quantity(each.address.show(value, _DIGITS), each.address.unit)
+            for each, value in zip(task.over, values, strict=True)
+        ]
+    )
+    cost_after = exact(rounded)
+    if cost_after > past.best.cost * (1 + 1e-3):  # where six digits are too few, all are kept
+        rounded, cost_after = values, past.best.cost
+    before = exact(task.nominal)
+    named = dict(zip(task.names, rounded.tolist(), strict=True))
+    return Tuned(
+        values=named,
+        scenarios=tuple(with_values(scenario, named) for scenario in several),
+        cost=cost_after,
+        cost_before=before if before < LOST else float("nan"),
+        evaluated=len(past.trials),
+        at_bound=tuple(name for name, at in zip(task.names, best, strict=True) if min(at, 1 - at) < _AT_BOUND),
+        trials=tuple(past.trials),
+    )
+
+
+def around_gains(scenario: Scenario, decades: float = 2.0) -> dict[str, LogUniform]:
+    """Ranges for all gains of a scenario that are not zero: from each, so many powers of ten down and up.
+
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> around_gains(scenario, 1.0)["controller.position.kp"]
+    LogUniform(low=20000.0, high=2000000.0, points=None)
+    """
+    factor = 10.0**decades
+    gains = [a for a in addresses(scenario) if is_gain(a.name) and a.nominal]
+    return {
+        a.name: LogUniform(*sorted((float(a.nominal or 0) / factor, float(a.nominal or 0) * factor))) for a in gains
+    }
+
+
+class _Descents:
+    """Costs and gradients at points, from the history or from runs; always as many runs at once."""
+
+    def __init__(self, task: Problem, past: History, starts: int) -> None:
+        self._task, self._past, self._starts = task, past, starts
+
+    def __call__(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        new = np.array([point for point in points if self._past.find(point) is None])
+        if new.size:
+            values = _padded(self._task.values(new), self._starts)
+            costs, slopes = self._task.costs_and_gradients(values)
+            gradients = self._task.to_unit(values, slopes)
+            found = zip(new, costs.tolist(), gradients.tolist(), strict=False)
+            self._past.add([Trial(tuple(point.tolist()), cost, tuple(slope)) for point, cost, slope in found])
+        known = [self._past.find(point) for point in points]
+        return np.array([t.cost for t in known]), np.array([t.gradient for t in known])  # type: ignore[union-attr]
+
+    def exact(self, values: NDArray[np.float64]) -> float:
+        """The cost of numbers [SI], which may lie outside their ranges."""
+        return float(self._task.costs_and_gradients(_padded(values[None], self._starts))[0][0])
+
+
+class _Generations:
+    """The costs of points, from the history or from runs; always as many runs at once, for one compiled program."""
+
+    def __init__(self, task: Problem, past: History, population: int) -> None:
+        self._task, self._past, self._population = task, past, population
+
+    def __call__(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        known = [self._past.find(point) for point in points]
+        new = np.array([point for point, trial in zip(points, known, strict=True) if trial is None])
+        for start in range(0, len(new), self._population):
+            some = new[start : start + self._population]
+            costs = self._costs(self._task.values(some))
+            self._past.add([Trial(tuple(p.tolist()), float(c)) for p, c in zip(some, costs, strict=True)])
+        return np.array([self._past.find(point).cost for point in points])  # type: ignore[union-attr]
+
+    def exact(self, values: NDArray[np.float64]) -> float:
+        """The cost of numbers [SI], which may lie outside their ranges."""
+        return float(self._costs(values[None])[0])
+
+    def _costs(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._task.costs(_padded(values, self._population))[: len(values)]
+
+
+def _padded(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """The rows, and the last of them again up to a count: programs are compiled for one number of runs."""
+    return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])
