@@ -19,7 +19,6 @@ from __future__ import annotations
 import functools
 import math
 import re
-from typing import Any
 
 from mckibben.errors import UnitError
 
@@ -40,55 +39,49 @@ rad = 1.0
 deg = math.pi / 180
 percent = 1e-2
 
-# The whole vocabulary: a text with any other unit is refused. An angle is a dimension of its own here, so that
-# N*m/rad (a stiffness) and N*m (a torque) do not pass for each other.
-_DEFINITIONS = (
-    "meter = [length] = m",
-    "centimeter = 0.01 * meter = cm",
-    "millimeter = 0.001 * meter = mm",
-    "kilogram = [mass] = kg",
-    "gram = 0.001 * kilogram = g",
-    "second = [time] = s",
-    "millisecond = 0.001 * second = ms",
-    "minute = 60 * second = min",
-    "hertz = 1 / second = Hz",
-    "newton = kilogram * meter / second ** 2 = N",
-    "kilonewton = 1000 * newton = kN",
-    "pascal = newton / meter ** 2 = Pa",
-    "kilopascal = 1000 * pascal = kPa",
-    "megapascal = 1e6 * pascal = MPa",
-    "bar = 1e5 * pascal",
-    "millibar = 100 * pascal = mbar",
-    "psi = 6894.757293168361 * pascal",
-    "radian = [angle] = rad",
-    f"degree = {deg!r} * radian = deg",
-    "percent = 0.01",
-    "ratio = 1.0",
-)
-UNITS = ("m cm mm kg g s ms min Hz N kN Pa kPa MPa bar mbar psi rad deg percent ratio").split()
+# The whole vocabulary: a text with any other unit is refused. Each has its size in SI and its dimensions as powers of
+# metre, kilogram, second and radian. An angle is a dimension of its own here, so that N*m/rad (a stiffness) and N*m (a
+# torque) do not pass for each other.
+_LENGTH, _MASS, _TIME, _ANGLE, _NOTHING = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1), (0, 0, 0, 0)
+_FORCE, _PRESSURE = (1, 1, -2, 0), (-1, 1, -2, 0)
+_VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
+    "m": (1.0, _LENGTH),
+    "cm": (cm, _LENGTH),
+    "mm": (mm, _LENGTH),
+    "kg": (1.0, _MASS),
+    "g": (g, _MASS),
+    "s": (1.0, _TIME),
+    "ms": (ms, _TIME),
+    "min": (60.0, _TIME),
+    "Hz": (1.0, (0, 0, -1, 0)),
+    "N": (1.0, _FORCE),
+    "kN": (1e3, _FORCE),
+    "Pa": (1.0, _PRESSURE),
+    "kPa": (kPa, _PRESSURE),
+    "MPa": (MPa, _PRESSURE),
+    "bar": (bar, _PRESSURE),
+    "mbar": (100.0, _PRESSURE),
+    "psi": (6894.757293168361, _PRESSURE),
+    "rad": (1.0, _ANGLE),
+    "deg": (deg, _ANGLE),
+    "percent": (percent, _NOTHING),
+    "ratio": (1.0, _NOTHING),
+}
+UNITS = list(_VOCABULARY)
 
 _NAME = r"(?:[A-Za-z]+(?:\^-?[1-9])?)"
 _PRODUCT = rf"{_NAME}(?:[*/]{_NAME})*"
 _FACTOR = rf"(?:{_NAME}|\({_PRODUCT}\))"
 _UNIT = re.compile(rf"{_FACTOR}(?:[*/]{_FACTOR})*")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_TOKEN = re.compile(rf"{_NAME}|[*/()]")
 _LONGEST = 80  # characters in a unit
 _REST = re.compile(r"(?:(?:1?/|[A-Za-z%°(]).*)?", re.DOTALL)
 
 
 @functools.cache
-def _registry() -> Any:
-    import pint  # 0.2 s: only where text is read
-
-    registry: Any = pint.UnitRegistry(None)  # type: ignore[arg-type]  # none of pint's own units
-    for definition in _DEFINITIONS:
-        registry.define(definition)
-    return registry
-
-
-@functools.cache
-def _parse(unit: str) -> Any:
-    """A pint unit from text of our grammar."""
+def _parse(unit: str) -> dict[str, int]:
+    """The power of each name in a unit of our grammar."""
     if len(unit) > _LONGEST:
         raise UnitError(f"{unit[:20]!r}... is not a unit", value=unit, remedy="a unit is a few names joined by * and /")
     text = unit.strip().replace("%", "percent").replace("°", "deg").replace("·", "*").replace("**", "^")
@@ -101,12 +94,36 @@ def _parse(unit: str) -> Any:
             value=unit,
             remedy="write units joined by * and /, such as bar, N*m/rad or kg*m^2",
         )
-    for name in re.findall(r"[A-Za-z]+", text):
-        if name not in UNITS:
-            raise UnitError(
-                f"unknown unit {name!r} in {unit!r}", value=unit, remedy=f"known are {', '.join(UNITS)} and %"
-            )
-    return _registry().parse_units(text.replace("^", "**"))
+    powers: dict[str, int] = {}
+    outside, inside = 1, 1  # the sign that * or / gave the powers, before and in parentheses
+    in_parentheses = False
+    for token in _TOKEN.findall(text):
+        if token in "()":
+            in_parentheses, inside = token == "(", 1
+        elif token in "*/":
+            sign = 1 if token == "*" else -1
+            outside, inside = (outside, sign) if in_parentheses else (sign, 1)
+        else:
+            name, _, power = token.partition("^")
+            if name not in _VOCABULARY:
+                raise UnitError(
+                    f"unknown unit {name!r} in {unit!r}", value=unit, remedy=f"known are {', '.join(UNITS)} and %"
+                )
+            powers[name] = powers.get(name, 0) + outside * inside * int(power or 1)
+    return powers
+
+
+def _size(powers: dict[str, int]) -> float:
+    """How much of SI a unit is."""
+    size = 1.0
+    for name, power in powers.items():
+        size *= _VOCABULARY[name][0] ** power
+    return size
+
+
+def _dimensions(powers: dict[str, int]) -> list[int]:
+    """The powers of metre, kilogram, second and radian."""
+    return [sum(_VOCABULARY[name][1][base] * power for name, power in powers.items()) for base in range(4)]
 
 
 def factor(unit: str, to: str = "") -> float:
@@ -119,16 +136,16 @@ def factor(unit: str, to: str = "") -> float:
     """
     source = _parse(unit)
     if not to:
-        return float(_registry().Quantity(1.0, source).to_base_units().magnitude)
+        return _size(source)
     target = _parse(to)
-    if source.dimensionality != target.dimensionality:
+    if _dimensions(source) != _dimensions(target):
         raise UnitError(
             f"{unit!r} is not a unit of the kind {to!r}",
             value=unit,
             unit=to,
             remedy=f"give it in a unit like {to}",
         )
-    return float(_registry().Quantity(1.0, source).to(target).magnitude)
+    return _size({name: source.get(name, 0) - target.get(name, 0) for name in [*source, *target]})
 
 
 def quantity(text: str, unit: str) -> float:

@@ -95,6 +95,16 @@ def test_what_is_not_ours_and_the_means_of_samples_survive_netcdf(tmp_path):
     assert_same(IsobaricDataset.from_netcdf(tmp_path / "again.nc"), warm)
 
 
+def test_samples_that_were_compressed_are_read_like_others(tmp_path):
+    force = np.random.default_rng(0).normal(50.0, 1.0, (6, 100))
+    data = IsobaricDataset.of(
+        pressure=np.full(6, 1e5), contraction=np.linspace(0, 0.1, 6), force=force.mean(axis=1), force_samples=force
+    )
+    packed = {"force_samples": {"zlib": True, "complevel": 1, "shuffle": True}}
+    data.table.to_netcdf(tmp_path / "packed.nc", engine="h5netcdf", encoding=packed)
+    assert_same(read_dataset(tmp_path / "packed.nc"), data)
+
+
 def test_arguments_go_before_what_a_netcdf_file_says(tmp_path):
     IsobaricDataset.of(pressure=[1e5], contraction=[0], force=[3], specimen="A").to_netcdf(tmp_path / "a.nc")
     data = read_dataset(tmp_path / "a.nc", specimen="B", initial_length=0.18, slack_force=5.0)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mckibben.catalog.publications import FOLDER, find
-from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.joint import AntagonisticJoint, KneeGeometry
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.plant import Load
 from mckibben.units import quantity
+
+if TYPE_CHECKING:
+    from mckibben.dataset import IsobaricDataset
 
 
 def specimen(name: str) -> Specimen:
@@ -40,6 +42,8 @@ def law(name: str) -> ForceLaw:
 
 def dataset(name: str) -> IsobaricDataset:
     """A measured table, such as "dmsp-10-250-martens2017"."""
+    from mckibben.dataset import IsobaricDataset, read_dataset  # xarray: only where data is read
+
     entry, source = find("datasets", name)
     length = entry.get("initial_length")
     with resources.as_file(FOLDER / "tables" / entry["table"]) as path:

@@ -22,12 +22,10 @@ CSV_COLUMNS = {
 
 
 def write_netcdf(table: xr.Dataset, path: Path) -> None:
-    """Write a table, its samples lightly compressed."""
-    encoding: dict[str, dict[str, object]] = {}
-    for name, variable in table.variables.items():
-        encoding[str(name)] = {"_FillValue": None} if variable.dtype.kind == "f" else {}
-        if "sample" in variable.dims:
-            encoding[str(name)] |= {"zlib": True, "complevel": 1, "shuffle": True}
+    """Write a table, samples included."""
+    # Not compressed: the low bits of samples are noise, so that gzip and lzf make the file smaller by a quarter to a
+    # half, but 5 to 10 times slower to read and 10 times slower to write (5.85 million samples: 47 MB in 20 ms).
+    encoding = {str(name): {"_FillValue": None} for name, values in table.variables.items() if values.dtype.kind == "f"}
     with whole(path) as sibling:
         table.to_netcdf(sibling, engine="h5netcdf", encoding=encoding)
 

@@ -7,8 +7,9 @@ design matrix, at any value of them; for the others it is the Jacobian of a non-
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -47,29 +48,52 @@ def design_matrix(
     >>> design_matrix(law, ["a1", "a2", "b1", "c1"], [0.1], [2e5]).round(4)
     array([[1.000e+00, 2.000e+05, 1.000e-01, 3.679e-01]])
     """
-    return force_and_design(law, names, contraction, pressure)[1]
-
-
-def force_and_design(
-    law: ForceLaw, names: Sequence[str], contraction: ArrayLike, pressure: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The force [N], shape (n,), and its design matrix, from one pass; arguments as for `design_matrix`."""
     contraction = np.asarray(contraction, np.float64)
     pressure = np.asarray(pressure, np.float64)
     if not names:
-        return np.asarray(law.force(contraction, pressure)), np.empty((len(contraction), 0))
+        return np.empty((len(contraction), 0))
     values = np.array([float(getattr(law, name)) for name in names])
-    force, columns = _force_and_columns(law, values, contraction, pressure, names=tuple(names))
-    return np.asarray(force), np.asarray(columns).T
+    return np.asarray(_columns_of(law, values, contraction, pressure, names=tuple(names))).T
 
 
 @partial(jax.jit, static_argnames="names")
+def _columns_of(law: ForceLaw, values: Array, contraction: Array, pressure: Array, *, names: tuple[str, ...]) -> Array:
+    return _force_and_columns(lambda given: dataclasses.replace(law, **given), names, values, contraction, pressure)[1]
+
+
+@partial(jax.jit, static_argnames="law_type")
+def design_and_residuals(
+    law_type: type[ForceLaw],
+    values: ArrayLike,
+    contraction: ArrayLike,
+    pressure: ArrayLike,
+    force: ArrayLike,
+    weights: ArrayLike,
+) -> Array:
+    """The columns of the design matrix of all parameters, and under them measured minus given force [N], all weighted.
+
+    Parameters
+    ----------
+    law_type, values
+        A kind of law and its parameters in SI, shape (parameters,), linear ones first.
+    contraction, pressure, force, weights
+        Shape (n,): [-], [Pa], [N], [-].
+
+    Returns
+    -------
+    array
+        Shape (parameters + 1, n).
+    """
+    names = tuple(p.name for p in law_type.parameters())
+    modelled, columns = _force_and_columns(lambda given: law_type(**given), names, values, contraction, pressure)
+    return jnp.concatenate([columns, (jnp.asarray(force) - modelled)[None]]) * jnp.asarray(weights)
+
+
 def _force_and_columns(
-    law: ForceLaw, values: Array, contraction: Array, pressure: Array, *, names: tuple[str, ...]
+    law: Callable[[dict[str, Any]], ForceLaw], names: tuple[str, ...], values: Any, contraction: Any, pressure: Any
 ) -> tuple[Array, Array]:
     def force(values: Array) -> Array:
-        parameters = dict(zip(names, values, strict=True))
-        return dataclasses.replace(law, **parameters).force(contraction, pressure)
+        return law(dict(zip(names, values, strict=True))).force(contraction, pressure)
 
     def column(direction: Array) -> tuple[Array, Array]:
         return jax.jvp(force, (values,), (direction,))

@@ -146,9 +146,7 @@ def _leave_one_pressure_out(
                 None,
                 f"without the points at {show(level, 'bar')} the law is not determined: {_NO_UNSEEN}",
             )
-        unseen = problem.keeping(out)
-        force, _ = unseen.response(solution.values)
-        residuals[out] = unseen.measured - force
+        residuals[out], _ = problem.keeping(out).response(solution.values)
         by_pressure[level] = float(np.sqrt(np.mean(residuals[out] ** 2)))
     rmse = float(np.sqrt(np.mean(residuals**2)))
     return LeaveOnePressureOut(rmse, float(np.abs(residuals).max()), by_pressure), ""

@@ -25,8 +25,7 @@ def solve_by_optimistix(problem: FitProblem, start: NDArray[np.float64]) -> Solu
     found, converged = solve(start, problem.contraction, problem.pressure, problem.force, weights)
     position = np.clip(np.asarray(found), 0.0, 1.0)
     values = np.array(problem.cube.values(position))
-    force, jacobian = problem.response(values)
-    residuals = problem.measured - force
+    residuals, jacobian = problem.response(values)
     push = (jacobian * problem.cube.rates(position)).T @ residuals
     held_wrongly = ((position <= 0) & (push > 0)) | ((position >= 1) & (push < 0))
     return Solution(values, position, residuals, jacobian, bool(converged) and not held_wrongly.any())

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification.design import force_and_design
+from mckibben.identification.design import design_and_residuals
 from mckibben.identification.ranges import UnitCube
 from mckibben.muscle import ForceLaw
 
@@ -37,12 +37,13 @@ class FitProblem:
 
     @classmethod
     def of(cls, law_type: type[ForceLaw], points: IsobaricDataset) -> FitProblem:
-        """All points of a dataset, and then some that do not count, up to the next power of two.
+        """All points of a dataset, and then some that do not count, up to a quarter of the next power of two.
 
         So datasets of similar size, such as the parts of one, share compiled code.
         """
         count = len(points)
-        pad = (0, max(128, 1 << (count - 1).bit_length()) - count)
+        quarter = max(128, (1 << (count - 1).bit_length()) // 4)
+        pad = (0, -count % quarter)
         contraction, pressure, force = (
             np.pad(column, pad, mode="edge") for column in (points.contraction, points.pressure, points.force)
         )
@@ -69,17 +70,29 @@ class FitProblem:
 
     @cached_property
     def measured(self) -> NDArray[np.float64]:
-        """The forces [N] at the kept points."""
+        """The forces [N] at the kept points, shape (kept,)."""
         return self.force[self.kept]
 
     def law(self, values: NDArray[np.float64]) -> ForceLaw:
         """The law with these parameters [SI], shape (parameters,)."""
         return self.law_type(**dict(zip(self.names, values.tolist(), strict=True)))
 
+    def rows(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The columns of the design matrix, and last measured minus modelled force [N], shape (parameters + 1, n).
+
+        All 0 at points not kept: they change no sum of squares, and no array need be cut for each set of points.
+        """
+        points = self.contraction, self.pressure, self.force, self._weights
+        return np.asarray(design_and_residuals(self.law_type, values, *points))
+
     def response(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Force [N], shape (kept,), and design matrix, shape (kept, parameters), at the kept points."""
-        force, design = force_and_design(self.law(values), self.names, self.contraction, self.pressure)
-        return force[self.kept], design[self.kept]
+        """Residuals [N], shape (kept,), and design matrix, shape (kept, parameters), at the kept points."""
+        rows = self.rows(values)[:, self.kept]
+        return rows[-1], rows[:-1].T
+
+    @cached_property
+    def _weights(self) -> NDArray[np.float64]:
+        return self.kept.astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)

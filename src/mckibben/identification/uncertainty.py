@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.identification.factors import tall_qr
+from mckibben.identification.factors import triangle
 
 CONDITION_LIMIT = 1e10
 """Of the Jacobian with columns of length one: above it, about six digits of the sixteen are left."""
@@ -95,7 +95,8 @@ def undetermined(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[st
 
 def _decompose(jacobian: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
     """Lengths of the columns; singular values and right singular vectors, as rows, of them at length one."""
-    lengths = np.linalg.norm(jacobian, axis=0)
+    factor = triangle(jacobian)
+    lengths = np.linalg.norm(factor, axis=0)
     lengths[lengths == 0] = 1.0
-    _, singular, directions = np.linalg.svd(tall_qr(jacobian / lengths)[1])
+    _, singular, directions = np.linalg.svd(factor / lengths)
     return lengths, singular, directions

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike
@@ -35,8 +36,8 @@ def torque_range(
     minimum_tension: float,
 ) -> Pair:
     """See `AntagonisticJoint.attainable_torque`."""
-    low, high = _tension_ranges(joint, angle, pressure_limits, minimum_tension)
-    arm1, arm2 = joint.geometry.moment_arms(angle)
+    paths, (arm1, arm2) = joint.geometry.paths_and_arms(floating(angle))
+    low, high = _tension_ranges(joint, paths, pressure_limits, minimum_tension)
     lowest, highest = low[1] * arm2 - high[0] * arm1, high[1] * arm2 - low[0] * arm1
     holdable = (low[0] <= high[0]) & (low[1] <= high[1])
     return jnp.where(holdable, lowest, jnp.nan), jnp.where(holdable, highest, jnp.nan)
@@ -51,12 +52,7 @@ def stiffness_range(
 ) -> Pair:
     """See `AntagonisticJoint.attainable_stiffness`."""
     segment = _segment(joint, angle, torque, pressure_limits, minimum_tension)
-    places = jnp.linspace(_INSIDE, 1 - _INSIDE, 2 if is_affine(joint) else _SCANNED)
-    stiffness = segment.stiffness(places.reshape(-1, *[1] * segment.angle.ndim))
-    return (
-        jnp.where(segment.holdable, jnp.min(stiffness, axis=0), jnp.nan),
-        jnp.where(segment.holdable, jnp.max(stiffness, axis=0), jnp.nan),
-    )
+    return _range(segment, segment.along())
 
 
 class Hold(NamedTuple):
@@ -72,8 +68,33 @@ class Hold(NamedTuple):
 def hold(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> Hold:
     """The pressures that give a torque and a stiffness at an angle; amid the co-contractions for a stiffness of NaN."""
     segment = _segment(joint, angle, torque, None, 0.0)
-    places = jnp.linspace(_INSIDE, 1 - _INSIDE, 2 if is_affine(joint) else _SCANNED)
-    scanned = segment.stiffness(places)
+    return _held(segment.along(), segment.holdable, stiffness, _places(joint))
+
+
+def hold_and_range(joint: AntagonisticJoint, angle: Array, torque: Array, stiffness: ArrayLike) -> tuple[Hold, Pair]:
+    """`hold` at the first of several angles, and `stiffness_range` at all of them, from one pass.
+
+    Parameters
+    ----------
+    joint
+        What holds.
+    angle, torque
+        Shape (n,): [rad], [N*m].
+    stiffness
+        At the first of them [N*m/rad].
+    """
+    segment = _segment(joint, angle, torque, None, 0.0)
+    along = segment.along()
+    return _held(along.first(), segment.holdable[0], stiffness, _places(joint)), _range(segment, along)
+
+
+def _held(along: Along, holdable: Array, stiffness: ArrayLike, places: Array) -> Hold:
+    """The place along a segment where the stiffness is as wished."""
+
+    def stiffness_at(place: ArrayLike) -> Array:
+        return along(place)[1]
+
+    scanned = stiffness_at(places)
     lowest, highest = jnp.min(scanned), jnp.max(scanned)
 
     # The wish lies between neighbours; a spring that meets a stop makes the stiffness jump: the smallest step is best.
@@ -85,23 +106,72 @@ def hold(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffnes
     def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
         middle = (low + high) / 2
-        beyond = (segment.stiffness(middle) >= wanted) == rising
+        beyond = (stiffness_at(middle) >= wanted) == rising
         return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
 
     low, high = lax.fori_loop(0, 60, halve, (places[first], places[first + 1]))
     anywhere = jnp.isnan(stiffness)
     found = lax.stop_gradient((low + high) / 2)
     # Bisection finds the place but not how it moves with the joint's numbers; one step of Newton's method does.
-    value, slope = value_and_derivative(segment.stiffness, found)
+    value, slope = value_and_derivative(stiffness_at, found)
     newton = (value - wanted) / jnp.where(slope == 0, jnp.inf, lax.stop_gradient(slope))
     place = jnp.where(anywhere, 0.5, found - (newton - lax.stop_gradient(newton)))
-    met = jnp.abs(segment.stiffness(place) - wanted) <= _MET * jnp.abs(wanted)
+    pressures, reached = along(place)
+    met = jnp.abs(reached - wanted) <= _MET * jnp.abs(wanted)
     return Hold(
-        segment.pressures(place),
-        segment.holdable & (anywhere | (jnp.any(between) & met)),
-        jnp.where(segment.holdable, lowest, jnp.nan),
-        jnp.where(segment.holdable, highest, jnp.nan),
+        pressures,
+        holdable & (anywhere | (jnp.any(between) & met)),
+        jnp.where(holdable, lowest, jnp.nan),
+        jnp.where(holdable, highest, jnp.nan),
     )
+
+
+def _range(segment: _Segment, along: Along) -> Pair:
+    """The lowest and the highest stiffness of each segment."""
+    _, stiffness = along(_over(_places(segment.joint), segment.angle))
+    return (
+        jnp.where(segment.holdable, jnp.min(stiffness, axis=0), jnp.nan),
+        jnp.where(segment.holdable, jnp.max(stiffness, axis=0), jnp.nan),
+    )
+
+
+def _places(joint: AntagonisticJoint) -> Array:
+    """Where to look at a segment: at its ends, or all along it."""
+    return jnp.linspace(_INSIDE, 1 - _INSIDE, 2 if is_affine(joint) else _SCANNED)
+
+
+class _Straight(NamedTuple):
+    """Pressures and stiffness along a segment where all are affine in the place, from those at the first and last."""
+
+    starts: tuple[Array, Array, Array]
+    ends: tuple[Array, Array, Array]
+
+    def __call__(self, place: ArrayLike) -> tuple[Pair, Array]:
+        part = (place - _INSIDE) / (1 - 2 * _INSIDE)
+        pressure1, pressure2, stiffness = (
+            start + (end - start) * part for start, end in zip(self.starts, self.ends, strict=True)
+        )
+        return (pressure1, pressure2), stiffness
+
+    def first(self) -> _Straight:
+        return jax.tree.map(lambda values: values[0], self)
+
+
+class _Bent(NamedTuple):
+    """Pressures and stiffness along a segment, worked out at each place."""
+
+    segment: _Segment
+
+    def __call__(self, place: ArrayLike) -> tuple[Pair, Array]:
+        return self.segment.at(place)
+
+    def first(self) -> _Bent:
+        joint, *numbers = self.segment
+        return _Bent(_Segment(joint, *jax.tree.map(lambda values: values[0], numbers)))
+
+
+Along = _Straight | _Bent
+"""Pressures and stiffness as a function of the place on a segment; `first` is that of the first of several segments."""
 
 
 class _Segment(NamedTuple):
@@ -110,24 +180,38 @@ class _Segment(NamedTuple):
     joint: AntagonisticJoint
     angle: Array
     torque: Array
+    paths: Pair
+    arms: Pair
     first: Array  # tension of muscle 1 [N] at place 0
     last: Array  # and at place 1
     holdable: Array
 
     def pressures(self, place: ArrayLike) -> Pair:
         joint = self.joint
-        arm1, arm2 = joint.geometry.moment_arms(self.angle)
-        path1, path2 = joint.geometry.path_lengths(self.angle)
         tension1 = self.first + (self.last - self.first) * place
-        tension2 = (self.torque + tension1 * arm1) / arm2
+        tension2 = (self.torque + tension1 * self.arms[0]) / self.arms[1]
         return (
-            joint.tendon.pressure_for(joint.muscle1, path1, tension1),
-            joint.tendon.pressure_for(joint.muscle2, path2, tension2),
+            joint.tendon.pressure_for(joint.muscle1, self.paths[0], tension1),
+            joint.tendon.pressure_for(joint.muscle2, self.paths[1], tension2),
         )
 
-    def stiffness(self, place: ArrayLike) -> Array:
+    def at(self, place: ArrayLike) -> tuple[Pair, Array]:
         pressures = self.pressures(place)
-        return self.joint.stiffness(jnp.broadcast_to(self.angle, pressures[0].shape), pressures)
+        return pressures, self.joint.stiffness(jnp.broadcast_to(self.angle, pressures[0].shape), pressures)
+
+    def along(self) -> Along:
+        """Pressures and stiffness over the place: both muscles are taut, so with affine laws all is affine in it."""
+        if not is_affine(self.joint):
+            return _Bent(self)
+        # A loop over the two ends, though they would vectorise: XLA then computes what goes into it once, not once more
+        # in each fusion that uses it, and makes a third of the code to compile and to load.
+        pressures, stiffness = lax.map(self.at, _places(self.joint))
+        return _Straight(*((pressures[0][end], pressures[1][end], stiffness[end]) for end in (0, 1)))
+
+
+def _over(values: Array, angle: Array) -> Array:
+    """Values along an axis of their own, before those of the angle."""
+    return values.reshape(-1, *[1] * angle.ndim)
 
 
 def _segment(
@@ -138,12 +222,12 @@ def _segment(
     minimum_tension: float,
 ) -> _Segment:
     angle, torque = jnp.broadcast_arrays(floating(angle), floating(torque))
-    low, high = _tension_ranges(joint, angle, pressure_limits, minimum_tension)
-    arm1, arm2 = joint.geometry.moment_arms(angle)
+    paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
+    low, high = _tension_ranges(joint, paths, pressure_limits, minimum_tension)
     first = jnp.maximum(low[0], (low[1] * arm2 - torque) / arm1)
     last = jnp.minimum(high[0], (high[1] * arm2 - torque) / arm1)
     holdable = (first <= last) & (low[0] <= high[0]) & (low[1] <= high[1])
-    return _Segment(joint, angle, torque, first, last, holdable)
+    return _Segment(joint, angle, torque, paths, (arm1, arm2), first, last, holdable)
 
 
 def pressure_limits_of(joint: AntagonisticJoint) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
@@ -156,7 +240,7 @@ def pressure_limits_of(joint: AntagonisticJoint) -> tuple[tuple[Array, Array], t
 
 def _tension_ranges(
     joint: AntagonisticJoint,
-    angle: ArrayLike,
+    paths: Pair,
     pressure_limits: tuple[float, float] | None,
     minimum_tension: float,
 ) -> tuple[Pair, Pair]:
@@ -168,12 +252,12 @@ def _tension_ranges(
         lowest, highest = pressure_limits_of(joint)
     else:
         lowest, highest = ((limit, limit) for limit in pressure_limits)
-    paths = joint.geometry.path_lengths(angle)
 
     def tension_range(muscle: Muscle, path: Array, low: ArrayLike, high: ArrayLike) -> Pair:
         least, most = joint.tendon.permitted(muscle, path)
-        slackest = jnp.maximum(joint.tendon.tension(muscle, path, low), minimum_tension)
-        tightest = jnp.minimum(joint.tendon.tension(muscle, path, high), muscle.specimen.rated_force)
+        tensions = joint.tendon.tension(muscle, path, _over(jnp.stack([floating(low), floating(high)]), path))
+        slackest = jnp.maximum(tensions[0], minimum_tension)
+        tightest = jnp.minimum(tensions[1], muscle.specimen.rated_force)
         return jnp.maximum(slackest, least), jnp.minimum(tightest, most)
 
     low1, high1 = tension_range(joint.muscle1, paths[0], lowest[0], highest[0])

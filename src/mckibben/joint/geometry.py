@@ -61,15 +61,20 @@ class KneeGeometry(eqx.Module):
 
     def path_lengths(self, angle: ArrayLike) -> Pair:
         """What is left for each muscle (and its series spring) [m] at an angle [rad]."""
+        H, r = self.joint_length, self.joint_radius
         sine, cosine = sincos(angle)
-        across = self.joint_radius * (1 - cosine)
-        along = self.joint_radius * sine
+        # Eq. 4 with its squares multiplied out, r^2 (sin^2 + cos^2) being r^2: a shorter way from angle to length.
+        common, difference = (H * H + 2 * r * r) - (2 * r * r) * cosine, (2 * H * r) * sine
         return (
-            jnp.sqrt((self.joint_length + along) ** 2 + across**2) - self.connector_length,
-            jnp.sqrt((self.joint_length - along) ** 2 + across**2) - self.connector_length,
+            jnp.sqrt(common + difference) - self.connector_length,
+            jnp.sqrt(common - difference) - self.connector_length,
         )
 
     def moment_arms(self, angle: ArrayLike) -> Pair:
         """The arm [m] at which each muscle turns the joint; positive, muscle 2 drives and muscle 1 brakes."""
-        _, (slope1, slope2) = value_and_derivative(self.path_lengths, angle)
-        return slope1, -slope2
+        return self.paths_and_arms(angle)[1]
+
+    def paths_and_arms(self, angle: ArrayLike) -> tuple[Pair, Pair]:
+        """`path_lengths` and `moment_arms`, from one pass."""
+        paths, (slope1, slope2) = value_and_derivative(self.path_lengths, angle)
+        return paths, (slope1, -slope2)

@@ -2,8 +2,9 @@ r"""`exp`, `sin` and `cos` that vectorise on the CPU, for the inner loops.
 
 XLA's own 64-bit versions are not vectorised on the CPU, which makes batches of simulations 6 to 12 times slower.
 These are polynomials after a Cody-Waite range reduction, good to about 1 ulp: `exp` wherever its result is a normal
-number (smaller ones are 0), `sin` and `cos` for :math:`|x| < 10^5` in 64 bits and :math:`|x| < 100` in 32 bits. On
-other devices, where they are the default, the native functions are used.
+number (smaller ones are 0), `sin` and `cos` for :math:`|x| < 10^5` in 64 bits and :math:`|x| < 100` in 32 bits, but for
+the last digits of values next to a zero other than that at 0. On other devices, where they are the default, the native
+functions are used.
 
 The polynomial of `exp` is a Chebyshev-economised series of :math:`(e^r - 1 - r)/r^2`; those of `sin` and `cos` are the
 minimax polynomials of fdlibm (Sun Microsystems, 1993; 64 bits) and Cephes (Moshier, 1989; 32 bits).
@@ -32,7 +33,7 @@ class _Constants(NamedTuple):
     lowest_exp: float  # below it exp is 0 (subnormal results are flushed)
     highest_exp: float  # above it exp overflows
     ln2: tuple[float, float]  # leading bits, rest
-    half_pi: tuple[float, float, float]
+    half_pi: tuple[float, float]  # leading bits, rest
     exp: tuple[float, ...]
     sin: tuple[float, ...]
     cos: tuple[float, ...]
@@ -46,7 +47,7 @@ _F64 = _Constants(
     lowest_exp=-708.0,
     highest_exp=709.782712893384,
     ln2=(6.93147180369123816490e-01, 1.90821492927058770002e-10),
-    half_pi=(1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21),
+    half_pi=(1.57079632673412561417, 6.07710050650619224932e-11),
     exp=(
         0.5,
         0.1666666666666667,
@@ -86,7 +87,7 @@ _F32 = _Constants(
     lowest_exp=-86.9,
     highest_exp=88.72283,
     ln2=(0.693359375, -2.12194440e-4),
-    half_pi=(1.5703125, 4.837512969970703e-4, 7.549789948768648e-8),
+    half_pi=(1.5703125, 4.838267948966e-4),
     exp=(
         0.5000000013498178,
         0.16666666681659179,
@@ -181,7 +182,7 @@ def _sincos_polynomial(x: Array) -> tuple[Array, Array]:
     k = _constants(x)
     n = lax.round(x * (2 / math.pi), lax.RoundingMethod.TO_NEAREST_EVEN)
     quadrant = _low_bits(n, k)
-    r = ((x - n * k.half_pi[0]) - n * k.half_pi[1]) - n * k.half_pi[2]
+    r = (x - n * k.half_pi[0]) - n * k.half_pi[1]
     z = r * r
     sine = r + r * z * _polynomial(z, k.sin)
     cosine = 1 - (z / 2 - z * z * _polynomial(z, k.cos))

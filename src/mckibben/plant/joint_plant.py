@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -9,9 +10,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from mckibben.joint import AntagonisticJoint
-from mckibben.joint.attainable import hold
+from mckibben.joint.attainable import Hold, hold
 from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_kind
+from mckibben.numerics.compiled import compiled
 from mckibben.plant.load import Load
 from mckibben.plant.valve import Valve
 
@@ -78,10 +80,11 @@ class JointPlant(eqx.Module):
 
     def rate(self, state: PlantState, commands: tuple[ArrayLike, ArrayLike]) -> PlantState:
         """The derivative of the state with respect to time, Eq. 6, while the commands are held."""
-        torque = self.joint.torque(state.angle, state.pressures) + self.load.gravity_torque(state.angle)
+        resisting = self.load.gravity_torque(state.angle) - self.load.damping * state.velocity
+        torque = self.joint.torque(state.angle, state.pressures) + resisting
         return PlantState(
             angle=state.velocity,
-            velocity=(torque - self.load.damping * state.velocity) / self.load.total_inertia,
+            velocity=torque * (1 / self.load.total_inertia),
             pressure1=self.valve.rate(state.pressure1, commands[0]),
             pressure2=self.valve.rate(state.pressure2, commands[1]),
         )
@@ -91,8 +94,8 @@ class JointPlant(eqx.Module):
 
         A stiffness of NaN stands for amid the attainable ones.
         """
-        found = hold(self.joint, angle, -self.load.gravity_torque(angle), stiffness)
-        return PlantState(floating(angle), jnp.zeros_like(floating(angle)), *found.pressures), found.exists
+        state, _, found = _rest(self, angle, stiffness)
+        return state, found.exists
 
     def at_rest(self, angle: float = 0.0, *, stiffness: float | None = None) -> PlantState:
         """The state that rests at an angle with both muscles taut.
@@ -111,6 +114,15 @@ class JointPlant(eqx.Module):
         RangeError
             If a muscle would leave its domain.
         """
-        holding = -self.load.gravity_torque(angle)
-        pressure1, pressure2 = self.joint.pressures_for(angle, float(holding), stiffness)
-        return PlantState(floating(angle), floating(0.0), pressure1, pressure2)
+        state, holding, found = _rest(self, angle, math.nan if stiffness is None else stiffness)
+        self.joint.held(found, angle, float(holding), stiffness)
+        return state
+
+
+@compiled
+def _rest(plant: JointPlant, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Array, Hold]:
+    """The state at rest, the muscles' torque [N*m] in it, and how it was found; all in one program."""
+    holding = -plant.load.gravity_torque(angle)
+    found = hold(plant.joint, angle, holding, stiffness)
+    angle = floating(angle)
+    return PlantState(angle, jnp.zeros_like(angle), *found.pressures), holding, found

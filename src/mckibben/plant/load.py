@@ -69,7 +69,8 @@ class Load(eqx.Module):
 
     def gravity_torque(self, angle: ArrayLike) -> Float[Array, "..."]:
         """The torque of gravity [N*m] at an angle [rad]."""
-        return self.gravity_moment * sincos(self.hanging_angle - jnp.asarray(angle))[0]
+        (sine, cosine), (hanging_sine, hanging_cosine) = sincos(angle), sincos(self.hanging_angle)
+        return self.gravity_moment * (hanging_sine * cosine - hanging_cosine * sine)
 
     def gravity_stiffness(self, angle: ArrayLike) -> Float[Array, "..."]:
         """What gravity adds to the joint's stiffness [N*m/rad] at an angle [rad]."""

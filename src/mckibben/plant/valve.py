@@ -55,4 +55,4 @@ class FirstOrderValve(Valve):
         return jnp.asarray(pressure)
 
     def rate(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
-        return (jnp.asarray(command) - pressure) / self.time_constant
+        return (jnp.asarray(command) - pressure) * (1 / self.time_constant)

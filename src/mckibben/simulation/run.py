@@ -36,8 +36,13 @@ class Run(NamedTuple):
         """The state to start from, for wishes of shape (periods,), and whether there is one."""
         if isinstance(self.initial, PlantState):
             return self.initial, jnp.asarray(True)
-        angle = jnp.where(jnp.isnan(self.initial.angle), wish.angle[0], self.initial.angle)
-        return self.plant.resting(angle, self.initial.stiffness)
+        return self.plant.resting(*self.rest(wish))
+
+    def rest(self, wish: Setpoint) -> tuple[Array, Array]:
+        """The angle [rad] and the stiffness [N*m/rad] at which it is to rest at the start."""
+        asked = self.initial
+        assert isinstance(asked, AtRest)
+        return jnp.where(jnp.isnan(asked.angle), wish.angle[0], asked.angle), jnp.asarray(asked.stiffness)
 
 
 def described(

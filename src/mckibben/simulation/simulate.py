@@ -5,11 +5,13 @@ from __future__ import annotations
 import warnings
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, ReachabilityWarning, SimulationError
+from mckibben.joint.attainable import hold_and_range
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.lanes import by_name
 from mckibben.plant import JointPlant, PlantState
@@ -135,7 +137,15 @@ class _Before(NamedTuple):
 @compiled
 def _before(run: Run, times: ArrayLike) -> _Before:
     wishes = wishes_at(run.reference, times)
-    return _Before(wishes, *run.start(wishes), attainable_band(run.plant, wishes.angle))
+    if isinstance(run.initial, PlantState):
+        return _Before(wishes, *run.start(wishes), attainable_band(run.plant, wishes.angle))
+    # Start and band from one look at the joint: what they share is worked out once.
+    angle, stiffness = run.rest(wishes)
+    angles = jnp.concatenate([angle[None], wishes.angle])
+    torques = -run.plant.load.gravity_torque(angles)
+    found, (lowest, highest) = hold_and_range(run.plant.joint, angles, torques, stiffness)
+    start = PlantState(angle, jnp.zeros_like(angle), *found.pressures)
+    return _Before(wishes, start, found.exists, (lowest[1:], highest[1:]))
 
 
 def _tell_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:

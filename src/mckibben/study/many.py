@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
 
-from mckibben.simulation import AtRest, Batch, Metrics, simulate_many
+from mckibben.simulation import Batch, Metrics, simulate_many
 from mckibben.study.parameters import Table, lanes
 from mckibben.study.scenario import Scenario
+from mckibben.study.starting import rest
 
 
 def run_many(
@@ -60,9 +60,3 @@ def run_many(
         workers=workers,
         progress=progress,
     )
-
-
-def rest(scenario: Scenario) -> AtRest:
-    """The rest to start from; its numbers may be arrays with one value a run."""
-    stiffness = scenario.start.stiffness
-    return AtRest(scenario.start.angle, math.nan if stiffness is None else stiffness)

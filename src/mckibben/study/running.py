@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
 from mckibben.simulation import CheckedRun, checked_run
 from mckibben.study.scenario import Scenario
+from mckibben.study.starting import rest
 
 
 def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
@@ -44,15 +45,14 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
         plant = scenario.plant()
     with building("controller"):
         control = scenario.control()
-    with building("start"):
-        initial = scenario.initial(plant)
-    return checked_run(
-        plant,
-        control,
-        scenario.reference(),
-        duration=scenario.duration,
-        control_period=scenario.control_period,
-        substeps=scenario.substeps,
-        initial=initial,
-        scenario=scenario.dumps(),
-    )
+    with building("start"):  # all else has been checked
+        return checked_run(
+            plant,
+            control,
+            scenario.reference(),
+            duration=scenario.duration,
+            control_period=scenario.control_period,
+            substeps=scenario.substeps,
+            initial=rest(scenario),
+            scenario=scenario.dumps(),
+        )

@@ -1,7 +1,8 @@
 """Tuning: the numbers of scenarios that cost least, by gradient, by evolution, or by CMA-ES."""
 
 from mckibben.study.tuning.cost import Cost, Term, read_cost
+from mckibben.study.tuning.ranges import around_gains, read_ranges
 from mckibben.study.tuning.search import Method
-from mckibben.study.tuning.tune import Tuned, around_gains, tune
+from mckibben.study.tuning.tune import Tuned, tune
 
-__all__ = ["Cost", "Method", "Term", "Tuned", "around_gains", "read_cost", "tune"]
+__all__ = ["Cost", "Method", "Term", "Tuned", "around_gains", "read_cost", "read_ranges", "tune"]

@@ -14,15 +14,15 @@ from mckibben.errors import ParameterError
 from mckibben.numerics.lanes import by_name, cores
 from mckibben.simulation import differentiate
 from mckibben.simulation.run import described
-from mckibben.study.many import rest, run_many
+from mckibben.study.many import run_many
 from mckibben.study.parameters import LogUniform, Over, Table, Uniform, allowed, find_all, lanes
 from mckibben.study.scenario import Scenario
+from mckibben.study.starting import rest
 from mckibben.study.tuning.cost import SMOOTH, Cost
+from mckibben.study.tuning.ranges import is_gain
 
 LOST = 1e6
 """The cost of numbers that are not allowed, or whose runs did not stay finite."""
-
-_GAINS = ("kp", "ki", "kd")
 
 Numbers = NDArray[np.float64]
 
@@ -213,11 +213,6 @@ def _check_steps(scenario: Scenario) -> None:
             f"coupling is not defined for {scenario.name!r}: its desired stiffness never steps",
             remedy="leave it out of the cost, or give the stiffness a step",
         )
-
-
-def is_gain(name: str) -> bool:
-    """Whether a number of a scenario is a gain of its controller."""
-    return name.startswith("controller.") and name.rsplit(".", 1)[-1] in _GAINS
 
 
 def problem(scenarios: Sequence[Scenario], over: Sequence[Over], cost: Cost) -> Problem:

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError
-from mckibben.study.parameters import LogUniform, Over, Spread, addresses, with_values
+from mckibben.study.parameters import Over, Spread, with_values
 from mckibben.study.parameters import over as overs_of
 from mckibben.study.scenario import Scenario
 from mckibben.study.tuning.cost import Cost
 from mckibben.study.tuning.history import History, Trial
-from mckibben.study.tuning.problem import LOST, Problem, is_gain, problem
+from mckibben.study.tuning.problem import LOST, Problem, problem
 from mckibben.study.tuning.search import Method, by_cma, by_evolution, by_gradient
 from mckibben.units import quantity
 
@@ -157,20 +157,6 @@ def tune(
         at_bound=tuple(name for name, at in zip(task.names, best, strict=True) if min(at, 1 - at) < _AT_BOUND),
         trials=tuple(past.trials),
     )
-
-
-def around_gains(scenario: Scenario, decades: float = 2.0) -> dict[str, LogUniform]:
-    """Ranges for all gains of a scenario that are not zero: from each, so many powers of ten down and up.
-
-    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> around_gains(scenario, 1.0)["controller.position.kp"]
-    LogUniform(low=20000.0, high=2000000.0, points=None)
-    """
-    factor = 10.0**decades
-    gains = [a for a in addresses(scenario) if is_gain(a.name) and a.nominal]
-    return {
-        a.name: LogUniform(*sorted((float(a.nominal or 0) / factor, float(a.nominal or 0) * factor))) for a in gains
-    }
 
 
 class _Descents:

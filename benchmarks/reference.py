@@ -1,0 +1,151 @@
+"""The reference episode: the paper's knee over 10 s, control at 1 kHz, RK4 with 4 substeps, two loops.
+
+Everything is built from our own objects; `Numbers` hands the same numbers to the other engines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+from numpy.typing import NDArray
+
+from mckibben import catalog
+from mckibben.control import PID, BackpropPID, Controller, PositionStiffnessControl, Reference, Setpoint, Sine, Step
+from mckibben.joint import AntagonisticJoint, KneeGeometry
+from mckibben.plant import FirstOrderValve, JointPlant, PlantState
+from mckibben.simulation.loop import sampled
+from mckibben.units import bar, deg, mm, ms
+
+PERIODS, PERIOD, SUBSTEPS = 10_000, 1 * ms, 4
+REFERENCE = Reference(Sine(10 * deg, 0.5), Step(13.0, 17.0, 5.0))
+POSITION = PID(kp=2 * bar, ki=60 * bar, kd=0.4 * bar)
+STIFFNESS = PID(kp=0.08 * bar, ki=5 * bar, kd=0.0)
+LEARNING = {"learning_rate": 3.0, "momentum": 0.5, "gain_ratio": 2.0, "seed": 0}  # examples/*-backprop.yaml
+POSITION_BP = BackpropPID(POSITION, signal_scale=10 * deg, error_scale=1 * deg, output_scale=10 * bar, **LEARNING)
+STIFFNESS_BP = BackpropPID(STIFFNESS, signal_scale=15.0, error_scale=1.0, output_scale=1 * bar, **LEARNING)
+
+
+class Numbers(NamedTuple):
+    """The episode's parameters in SI, in the order of `Parameters` in engines/knee.h."""
+
+    a1: float
+    a2: float
+    b1: float
+    b2: float
+    c1: float
+    c2: float
+    decay: float
+    initial_length: float
+    joint_length: float
+    joint_radius: float
+    connector_length: float
+    inertia: float
+    damping: float
+    gravity: float
+    hanging: float
+    time_constant: float
+    low: float
+    high: float
+    position_kp: float
+    stiffness_kp: float
+    position_ki: float
+    stiffness_ki: float
+    position_kd: float
+    stiffness_kd: float
+    position_filter: float
+    stiffness_filter: float
+    position_tracking: float
+    stiffness_tracking: float
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A plant, its controllers and wishes, and the state it starts from."""
+
+    plant: JointPlant
+    pid: PositionStiffnessControl
+    bp: PositionStiffnessControl
+    wishes: Setpoint
+    start: PlantState
+
+    @property
+    def periods(self) -> int:
+        """How many control periods it lasts."""
+        return len(self.wishes.angle)
+
+    @property
+    def wanted(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The desired angle and stiffness at the start of each period."""
+        return np.array(self.wishes.angle, float), np.array(self.wishes.stiffness, float)
+
+    @property
+    def first(self) -> NDArray[np.float64]:
+        """The state at the start: angle, velocity, p1, p2."""
+        return np.array([float(value) for value in self.start])
+
+    @property
+    def numbers(self) -> Numbers:
+        """The same numbers for the other engines."""
+        return numbers(self.plant, self.pid)
+
+    def shortened(self, periods: int) -> Problem:
+        """The first so many control periods."""
+        wishes = Setpoint(self.wishes.angle[:periods], self.wishes.stiffness[:periods])
+        return Problem(self.plant, self.pid, self.bp, wishes, self.start)
+
+
+def reference_problem() -> Problem:
+    """The knee with connectors of 208 mm; as in examples/pre-contracted-step-pid.yaml."""
+    printed = catalog.joint("knee-table-2")
+    geometry = KneeGeometry(printed.geometry.joint_length, printed.geometry.joint_radius, 208 * mm)
+    joint = AntagonisticJoint(geometry, printed.muscle1, printed.muscle2)
+    plant = JointPlant(joint, catalog.load("knee-table-2"), FirstOrderValve(20 * ms))
+    _, wishes = sampled(REFERENCE, PERIODS * PERIOD, PERIOD)
+    return Problem(
+        plant,
+        PositionStiffnessControl(POSITION, STIFFNESS, model=joint),
+        PositionStiffnessControl(POSITION_BP, STIFFNESS_BP, model=joint),
+        wishes,
+        plant.at_rest(0.0, stiffness=12.0),
+    )
+
+
+def with_mass(plant: JointPlant, mass2: ArrayLike) -> JointPlant:
+    """The plant with another external load [kg]."""
+    return eqx.tree_at(lambda p: p.load.mass2, plant, mass2)
+
+
+def with_gains(controller: PositionStiffnessControl, gains: ArrayLike) -> PositionStiffnessControl:
+    """The controller with these kp, ki, kd of the position loop and kp, ki, kd of the stiffness loop."""
+    return eqx.tree_at(
+        lambda c: tuple(getattr(loop, name) for loop in (c.position, c.stiffness) for name in ("kp", "ki", "kd")),
+        controller,
+        tuple(jnp.asarray(gains)[i] for i in range(6)),
+    )
+
+
+def gains_of(controller: PositionStiffnessControl) -> NDArray[np.float64]:
+    """What `with_gains` takes."""
+    loops = (controller.position, controller.stiffness)
+    return np.array([float(getattr(loop, name)) for loop in loops for name in ("kp", "ki", "kd")])
+
+
+def numbers(plant: JointPlant, controller: Controller) -> Numbers:
+    """What the other engines need to know of a knee, its load and its PID loops."""
+    assert isinstance(controller, PositionStiffnessControl)
+    law, specimen, domain = plant.joint.muscle1.law, plant.joint.muscle1.specimen, plant.joint.muscle1.domain
+    geometry, load = plant.joint.geometry, plant.load
+    loops = (controller.position, controller.stiffness)
+    values = (
+        *(getattr(law, name) for name in ("a1", "a2", "b1", "b2", "c1", "c2", "decay")),
+        *(specimen.initial_length, geometry.joint_length, geometry.joint_radius, geometry.connector_length),
+        *(load.total_inertia, load.damping, load.gravity_moment, load.hanging_angle),
+        *(plant.valve.time_constant, domain.pressure_min, domain.pressure_max),
+        *(getattr(loop, name) for name in ("kp", "ki", "kd", "filter_time", "tracking_time") for loop in loops),
+    )
+    return Numbers(*(float(value) for value in values))

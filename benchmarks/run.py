@@ -1,0 +1,108 @@
+"""All benchmarks in one run: ratios, side by side, of engines that were seen to compute the same.
+
+    python benchmarks/run.py [--json FILE] [--markdown FILE] [--quick] [--only SECTION ...]
+
+Times differ from machine to machine and hour to hour: look at the ratios. What is not installed is a row that says so;
+the exit status is 1 where an engine that is there failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+os.environ["JAX_PLATFORMS"] = "cpu"  # a GPU is measured by a process of its own: gpu.py
+
+import machine
+from rows import Row, Table
+from tables import as_markdown, as_text
+from timing import failure
+
+SECTIONS = ("single", "batch", "gpu", "gradient", "cold", "identification")
+
+
+def main() -> int:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--json", type=Path, metavar="FILE", help="write all that was measured to this file")
+    arguments.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables to this file")
+    arguments.add_argument("--quick", action="store_true", help="fewer and shorter runs")
+    arguments.add_argument("--only", nargs="+", choices=SECTIONS, default=SECTIONS, help="some sections")
+    options = arguments.parse_args()
+
+    described, begin = machine.describe(), time.perf_counter()
+    print(machine.sentence(described), end="\n\n", flush=True)
+    tables = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, section in sections(Path(folder), quick=options.quick).items():
+            if name in options.only:
+                started = time.perf_counter()
+                tables.append(attempted(name, section))
+                print(as_text(tables[-1]))
+                print(f"({time.perf_counter() - started:.0f} s)\n", flush=True)
+    seconds = time.perf_counter() - begin
+    print(f"{seconds:.0f} s in all, load {os.getloadavg()[0]:.1f} at the end")
+    if options.json:
+        everything = {
+            "machine": described,
+            "load_at_end": os.getloadavg()[0],
+            "quick": options.quick,
+            "seconds": seconds,
+        }
+        everything["tables"] = [table.as_dict() for table in tables]
+        options.json.write_text(json.dumps(everything, indent=1) + "\n", encoding="utf-8")
+    if options.markdown:
+        options.markdown.write_text(document(described, tables, quick=options.quick), encoding="utf-8")
+    return int(any(row.note.startswith("failed:") for table in tables for row in table.rows))
+
+
+def attempted(name: str, section: Callable[[], Table]) -> Table:
+    """A section's table; where all of it fails, one that says so."""
+    try:
+        return section()
+    except Exception as error:
+        traceback.print_exc()
+        return Table(name, "run", "time", "", (Row(name, note=failure(error)),))
+
+
+def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
+    """By name, in their order; built here, because they import JAX."""
+    from batch import batch
+    from cold import cold
+    from gpu import gpu
+    from gradient import gradient
+    from identification import identification
+    from reference import reference_problem
+    from single import single
+
+    problem = reference_problem()
+    return {
+        "single": lambda: single(problem, folder, quick=quick),
+        "batch": lambda: batch(problem, folder, quick=quick),
+        "gpu": lambda: gpu(quick=quick),
+        "gradient": lambda: gradient(problem, folder, quick=quick),
+        "cold": lambda: cold(folder, quick=quick),
+        "identification": lambda: identification(folder, quick=quick),
+    }
+
+
+def document(described: dict, tables: list[Table], *, quick: bool) -> str:
+    """The page of the documentation."""
+    how = "make bench" + (" (quick: fewer and shorter runs)" if quick else "")
+    head = (
+        "# Benchmarks\n\n"
+        f"Written by `{how}`; do not edit. Ratios were measured side by side in one run, after each engine was seen to "
+        "compute the same; they hold for this machine, and times differ from hour to hour.\n\n"
+        f"{machine.sentence(described)}\n"
+    )
+    return "\n".join([head, *(as_markdown(table) for table in tables)])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

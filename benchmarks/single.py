@@ -1,0 +1,147 @@
+"""One warm episode: ours and other people's engines against plain C."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+from engines.plain_c import PlainC
+from numpy.typing import NDArray
+from reference import PERIOD, REFERENCE, SUBSTEPS, Problem
+from rows import Candidate, Table
+from timing import Bench
+
+from mckibben import simulate
+from mckibben.control import Controller
+from mckibben.numerics.compiled import numeric
+from mckibben.simulation.loop import compiled_episode
+
+SAME = 1e-9  # rad
+PID_BASE, BP_BASE = "plain C, PID", "plain C, BP"
+Angles = NDArray[np.floating]
+
+
+def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
+    """The table of single episodes."""
+    bench = Bench(rounds=9 if quick else 31, budget=0.7 if quick else 4.0)
+    short = problem.shortened(500)
+    truth: dict[str, Angles] = {}
+
+    def plain_c() -> list[Candidate]:
+        engine = PlainC(folder)
+        runs = {PID_BASE: engine.episode(problem), BP_BASE: engine.episode_bp(problem)}
+        truth.update({name: run()[:, 0].copy() for name, run in runs.items()})
+        return [Candidate(name, run, base=name, note="-O3 -march=native, libm") for name, run in runs.items()]
+
+    def candidate(
+        engine: str, run: Callable[[], Angles], part: Problem = problem, *, base: str = PID_BASE, **more
+    ) -> Candidate:
+        if base not in truth:
+            raise OSError("there is no plain C to compare with")
+        deviation = float(np.abs(run() - truth[base][: part.periods]).max())
+        work = part.periods / problem.periods
+        if work < 1:
+            shortened = f"{part.periods * PERIOD:g} s were run, the time is scaled"
+            more["note"] = f"{more['note']}; {shortened}" if "note" in more else shortened
+        return Candidate(engine, run, work, deviation, base=base, **{"tolerance": SAME} | more)
+
+    def compiled(controller: Controller, base: str) -> Candidate:
+        loop = _loop(problem, controller)
+        name, note = f"ours, compiled loop, {_loops(base)}", "all records kept"
+        return replace(candidate(name, _angle_of(loop), base=base, note=note), run=loop)
+
+    def simulated(controller: Controller, base: str) -> Candidate:
+        def run() -> Angles:
+            table = simulate(problem.plant, controller, REFERENCE, initial=problem.start).table
+            return table["angle"].to_numpy()
+
+        note = "with the check of the reference, a second episode without its step of stiffness, and the whole table"
+        return candidate(f"ours, mk.simulate, {_loops(base)}", run, base=base, note=note)
+
+    def python() -> Candidate:
+        from engines import plain_python
+
+        return candidate("plain Python, floats and math", plain_python.angles(problem))
+
+    def scipy() -> Candidate:
+        from engines import scipy_ivp
+
+        note = f"RK45 of its own step (rtol {scipy_ivp.RELATIVE:.0e}), called anew each control period"
+        return candidate("SciPy solve_ivp", scipy_ivp.angles(short), short, tolerance=1e-6, note=note)
+
+    def casadi() -> Candidate:
+        from engines import casadi_map
+
+        return candidate("CasADi, virtual machine", casadi_map.interpreted(problem), note="mapaccum over the periods")
+
+    def casadi_c() -> Candidate:
+        from engines import casadi_map
+
+        note = "its code for one period, cc -O3 -march=native; mapaccum over the periods"
+        return candidate("CasADi, generated C", casadi_map.generated(problem, folder), note=note)
+
+    def mujoco() -> list[Candidate]:
+        from engines import mujoco_hinge
+
+        return [
+            candidate(
+                "MuJoCo, RK4",
+                mujoco_hinge.every_stage(problem),
+                note="torque from Python at each stage: the same method as ours",
+            ),
+            candidate(
+                "MuJoCo, Euler",
+                mujoco_hinge.every_step(problem),
+                note="its default, torque from Python before each step of 0.25 ms: a coarser method, held to 1e-3 rad",
+                tolerance=1e-3,
+            ),
+        ]
+
+    def control() -> Candidate:
+        from engines import python_control
+
+        part = problem.shortened(2000)
+        note = "discrete nlsys in plain Python, input_output_response"
+        return candidate("python-control", python_control.angles(part), part, note=note)
+
+    bench.add("plain C", plain_c)
+    bench.add("ours, compiled loop, PID", lambda: compiled(problem.pid, PID_BASE))
+    bench.add("ours, mk.simulate, PID", lambda: simulated(problem.pid, PID_BASE))
+    bench.add("ours, compiled loop, BP", lambda: compiled(problem.bp, BP_BASE))
+    bench.add("ours, mk.simulate, BP", lambda: simulated(problem.bp, BP_BASE))
+    bench.add("CasADi, generated C", casadi_c, install="casadi")
+    bench.add("CasADi, virtual machine", casadi, install="casadi")
+    bench.add("MuJoCo", mujoco, install="mujoco")
+    bench.add("plain Python, floats and math", python)
+    bench.add("python-control", control, install="control")
+    bench.add("SciPy solve_ivp", scipy)
+    return Table(
+        "One warm episode",
+        "episode of 10 s",
+        "time",
+        "angle [rad]",
+        bench.timed(),
+        (
+            "10 s, control at 1 kHz with held commands, RK4 with 4 substeps, first-order valves, two loops over "
+            "position and stiffness. BP: loops whose gains a network learns while they run.",
+            "Other people's engines run PID loops; they and plain C have the stiffness as a formula written out, ours "
+            "differentiates the torque. Deviation: the largest of the angle from plain C [rad]; beyond 1e-9 (or what "
+            "the note says) nothing is timed.",
+        ),
+    )
+
+
+def _loop(problem: Problem, controller: Controller) -> Callable[[], object]:
+    traced = numeric((problem.plant, controller, problem.wishes, problem.start, PERIOD))
+    return lambda: jax.block_until_ready(compiled_episode(*traced, SUBSTEPS))
+
+
+def _angle_of(loop: Callable) -> Callable[[], Angles]:
+    return lambda: np.asarray(loop()[1].state.angle)
+
+
+def _loops(base: str) -> str:
+    return "PID" if base == PID_BASE else "BP"

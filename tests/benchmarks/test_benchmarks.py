@@ -1,0 +1,86 @@
+"""The benchmark tells what it timed, what it refused and what is missing; its own knee is ours."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+
+from mckibben.numerics.compiled import numeric
+from mckibben.simulation.loop import compiled_episode
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """Its modules, which find each other as scripts do."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    names = ("rows", "timing", "tables", "reference", "engines.plain_python")
+    return SimpleNamespace(**{name.split(".")[-1]: importlib.import_module(name) for name in names})
+
+
+@pytest.fixture
+def table(bench):
+    candidate, timed = bench.rows.Candidate, bench.timing.Bench(rounds=3, budget=1.0)
+
+    def absent():
+        raise ImportError("no such thing")
+
+    def failing():
+        raise RuntimeError("first line\nsecond line")
+
+    def breaking():
+        raise ValueError("while it runs")
+
+    work = np.arange(20_000.0)
+    timed.add("base", lambda: candidate("base", lambda: work.sum(), base="base"))
+    timed.add(
+        "half", lambda: candidate("half", lambda: work.sum(), work=0.5, base="base", deviation=1e-12, tolerance=1e-9)
+    )
+    timed.add("off", lambda: candidate("off", lambda: work.sum(), base="base", deviation=0.5, tolerance=1e-9))
+    timed.add("nan", lambda: candidate("nan", lambda: work.sum(), base="base", deviation=float("nan"), tolerance=1e-9))
+    timed.add("absent", absent, install="thing")
+    timed.add("failing", failing)
+    timed.add("breaking", lambda: candidate("breaking", breaking))
+    return bench.rows.Table("Things", "sum", "time", "sum", timed.timed(), ("A note.",))
+
+
+def test_what_agrees_is_timed(table):
+    base, half = table.rows[:2]
+    assert len(base.seconds) == len(half.seconds) == 3
+    assert base.ratio == 1.0
+    assert half.ratio > 0
+    assert half.time == pytest.approx(2 * np.median(half.seconds))
+
+
+def test_what_cannot_be_timed_says_why(table):
+    notes = {row.engine: row.note for row in table.rows if not row.seconds}
+    assert notes == {
+        "off": "deviates by 5.0e-01, more than 1e-09: not timed",
+        "nan": "deviates by nan, more than 1e-09: not timed",
+        "absent": "not installed (pip install thing)",
+        "failing": "failed: RuntimeError: first line",
+        "breaking": "failed: ValueError: while it runs",
+    }
+
+
+def test_every_engine_stands_in_every_form(bench, table):
+    for text in (bench.tables.as_text(table), bench.tables.as_markdown(table), str(table.as_dict())):
+        for row in table.rows:
+            assert row.engine in text
+            assert row.note in text
+        assert "A note." in text
+
+
+def test_plain_python_runs_our_episode(bench):
+    reference = bench.reference
+    problem = reference.reference_problem().shortened(200)
+    traced = numeric((problem.plant, problem.pid, problem.wishes, problem.start, reference.PERIOD))
+    _, record = jax.block_until_ready(compiled_episode(*traced, reference.SUBSTEPS))
+    angles = bench.plain_python.angles(problem)()
+    assert np.abs(angles - np.asarray(record.state.angle)).max() < 1e-12
