@@ -26,6 +26,10 @@ $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $(VENV)/.installed $@
 
+$(VENV)/.installed-bench: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,bench]'
+	@touch $(VENV)/.installed $(VENV)/.installed-dev $@
+
 reproduce: $(VENV)/.installed
 	$(BIN)/mckibben reproduce --out $(OUT)
 
@@ -43,9 +47,10 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-#   make bench       ratios against plain C, measured in one run
-bench: $(VENV)/.installed-dev
-	$(BIN)/python benchmarks/episode.py
+#   make bench       ratios against plain C and others, measured in one run, to build/benchmarks.md and .json
+bench: $(VENV)/.installed-bench
+	@mkdir -p build
+	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --markdown build/benchmarks.md
 
 #   make clean       remove what these commands made
 clean:

@@ -130,7 +130,7 @@ def batch(
 
 def gradient(problem: Problem, *, reverse: bool = False) -> Callable[[], NDArray[np.float64]]:
     """As `bare_gradient`, by `differentiate`."""
-    from mckibben.simulation.differentiate import Mode, differentiate
+    from mckibben.simulation.derivatives import Mode, differentiate
 
     mode = Mode.REVERSE if reverse else Mode.FORWARD
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 
 from rows import Candidate, Row
 
-
 _SHORT = 0.05
 """Seconds: a shorter run is done once right before it is timed, for the engine before it has filled the caches."""
 

@@ -1,13 +1,14 @@
 import math
 import time
 
+import pint
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben import units
 from mckibben.errors import UnitError
-from mckibben.units import factor, quantity, show
+from mckibben.units import UNITS, factor, quantity, show
 
 
 @pytest.mark.parametrize(
@@ -238,3 +239,15 @@ def _answer(text: str) -> None:
 @given(st.one_of(st.text(max_size=40), _PIECES, _PIECES.map(lambda tail: f"5 {tail}")))
 def test_any_text_gives_a_finite_number_or_a_unit_error_and_quickly(text):
     _answer(text)
+
+
+REGISTRY = pint.UnitRegistry()
+
+
+@pytest.mark.parametrize(
+    "unit", [*UNITS, "N*m/rad", "bar*s/rad", "kg*m^2", "bar/(N*m*s/rad)", "N/(bar*percent)", "m/s^2"]
+)
+def test_every_unit_is_as_large_as_pint_has_it(unit):
+    theirs = REGISTRY.parse_expression(unit.replace("percent", "(0.01)").replace("ratio", "(1.0)"))
+    size = theirs.to_base_units().magnitude if hasattr(theirs, "to_base_units") else theirs
+    assert factor(unit) == pytest.approx(float(size), rel=1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import warnings
@@ -11,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import mckibben
+from mckibben.commands.sweep import sweep
+from mckibben.commands.tune import tune
 from mckibben.errors import McKibbenError, McKibbenWarning, UnitError
 from mckibben.files import folder
 from mckibben.terminal import metric, progress, table
@@ -184,6 +187,10 @@ def simulate(
         raise typer.Exit(1)
 
 
+app.command()(sweep)
+app.command()(tune)
+
+
 @app.command()
 def laws(json: Json = False) -> None:
     """The force laws that can be fitted, and the published parameter sets."""
@@ -244,6 +251,9 @@ def main() -> None:
     """Run the command line; errors of ours become one message and exit code 2, others exit code 1."""
     from mckibben.numerics.runtime import use_compile_cache
 
+    # Imports and the tracing of programs make many objects that stay: looking through them for garbage again and again
+    # is a fifth of a command's time, and once more at the exit another fifth.
+    gc.set_threshold(100_000, 10, 10)
     use_compile_cache()
     warnings.showwarning = _show_warning
     try:
@@ -260,6 +270,8 @@ def main() -> None:
             err=True,
         )
         sys.exit(1)
+    finally:
+        gc.freeze()
 
 
 def _reading(columns: list[str] | None, initial_length: str, slack_force: str) -> dict[str, Any]:

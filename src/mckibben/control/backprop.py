@@ -115,13 +115,14 @@ class BackpropPID(Loop):
 
     def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> BackpropState:
         weights = jax.random.uniform(jax.random.key(self.seed), (self.hidden, 4), minval=-1.0, maxval=1.0)
-        network = Network(weights, jnp.zeros((3, self.hidden + 1)))
+        kind = floating(output).dtype  # the same draw in any precision
+        network = Network(weights.astype(kind), jnp.zeros((3, self.hidden + 1), kind))
         return BackpropState(
             pid=self.base.init(desired, measured, output),
             network=network,
             change=jax.tree.map(jnp.zeros_like, network),
             error=jnp.zeros_like(floating(output)),
-            factors=jnp.ones(3),
+            factors=jnp.ones(3, kind),
         )
 
     def step(

@@ -97,8 +97,9 @@ class Samples(Signal):
     values: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
 
     def __check_init__(self) -> None:
-        if self.times.shape != self.values.shape[-1:] or self.times.size == 0:
-            raise RangeError(f"{self.times.size} times do not go with {self.values.size} values; give one value a time")
+        times, values = (shape[-1] if shape else 0 for shape in (self.times.shape, self.values.shape))
+        if times != values or times == 0:
+            raise RangeError(f"{times} times do not go with {values} values; give one value a time")
         if not bool(jnp.all(jnp.diff(self.times) > 0)):
             raise RangeError("the times of a sampled signal must rise", remedy="sort them and remove repeats")
 

@@ -58,6 +58,12 @@ class KneeGeometry(eqx.Module):
         plain = all(isinstance(x, int | float) for x in (self.joint_length, self.joint_radius))
         longest = self.joint_length - self.joint_radius if plain else math.inf
         check_within("KneeGeometry", 0.0, longest, "m", connector_length=self.connector_length)
+        if not plain:
+            try:
+                room = self.joint_length - self.joint_radius - self.connector_length
+            except ValueError:  # arrays of different lengths, which are refused where runs are told apart
+                return
+            check_positive("KneeGeometry", "m", zero=True, room_for_a_muscle=room)
 
     def path_lengths(self, angle: ArrayLike) -> Pair:
         """What is left for each muscle (and its series spring) [m] at an angle [rad]."""

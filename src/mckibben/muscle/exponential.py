@@ -72,7 +72,7 @@ class ExponentialLaw(PressureAffineLaw):
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         # As the paper groups it: in a loop only one product waits for the exponential.
-        eps = jnp.asarray(contraction)
+        eps, pressure = jnp.asarray(contraction), jnp.asarray(pressure)
         straight = (self.a1 + self.a2 * pressure) + (self.b1 + self.b2 * pressure) * eps
         return straight + (self.c1 + self.c2 * pressure) * exp(-self.decay * eps)
 

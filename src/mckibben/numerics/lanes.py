@@ -79,8 +79,10 @@ def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> di
     ParameterError
         If there is no such leaf; the nearest name is suggested.
     """
-    leaves_named(trees, list(values))
-    return replaced(trees, {name: np.asarray(value) for name, value in values.items()})
+    known = leaves_named(trees, list(values))
+    whole = {name: np.issubdtype(np.asarray(leaf).dtype, np.integer) for name, leaf in known.items()}
+    kinds = {name: np.asarray(value).dtype if whole[name] else float for name, value in values.items()}
+    return replaced(trees, {name: np.asarray(value, kinds[name]) for name, value in values.items()})
 
 
 def leaves_named(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
@@ -126,8 +128,7 @@ def cast(tree: Tree, kind: Any) -> Tree:
     """The same tree with all its floats of one type, as arrays."""
 
     def convert(leaf: Any) -> Any:
-        inexact = isinstance(leaf, float) or eqx.is_inexact_array(leaf) or eqx.is_inexact_array_like(leaf)
-        return jnp.asarray(leaf, kind) if inexact else leaf
+        return jnp.asarray(leaf, kind) if isinstance(leaf, float) or eqx.is_inexact_array(leaf) else leaf
 
     return jax.tree.map(convert, tree)
 

@@ -6,8 +6,10 @@ from mckibben.report.html import write_report
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric, isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.style import house_style, save
+from mckibben.report.sweep import sweep
 from mckibben.report.tracking import control_results, tracking
 from mckibben.report.tracking_errors import error_curves
+from mckibben.report.tuning import tuning
 
 __all__ = [
     "ReportFigure",
@@ -23,7 +25,9 @@ __all__ = [
     "law_comparison",
     "measured_muscles",
     "save",
+    "sweep",
     "torque_stiffness_map",
     "tracking",
+    "tuning",
     "write_report",
 ]

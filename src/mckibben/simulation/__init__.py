@@ -1,14 +1,14 @@
 """The sampled-data loop, its result and metrics, and the check of a wish before the run."""
 
 from mckibben.simulation.batch import Batch, simulate_many
-from mckibben.simulation.differentiate import Derivatives, Mode, differentiate
+from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
 from mckibben.simulation.loop import compiled_episode, episode, sampled, without_last_change
 from mckibben.simulation.metrics import SETTLING_PART, Metrics, compiled_measure, measure, rms, settling_band
 from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.reach import Reach, check_reference
 from mckibben.simulation.result import Result
 from mckibben.simulation.run import AtRest
-from mckibben.simulation.simulate import CheckedRun, checked_run, run_episode, simulate
+from mckibben.simulation.single import CheckedRun, checked_run, run_episode, simulate
 from mckibben.simulation.trajectory import Trajectory, compiled_trajectory, trajectory
 
 __all__ = [

@@ -113,7 +113,8 @@ def simulate_many(
     precision
         `jax.numpy.float64` or `jax.numpy.float32`: half the time, and some 6 digits.
     chunk
-        Runs that are computed together.
+        Runs that are computed together: 256 unless given, fewer where that would leave cores idle. The bits of an
+        answer depend on it (not on the number of runs, nor on the workers); its digits do not, to 1e-12.
     workers
         Threads; one a core unless given.
     progress
@@ -151,7 +152,7 @@ def simulate_many(
         raise ParameterError(
             "nothing differs from run to run", remedy="give an array in place of a number, or use `simulate` for one"
         )
-    size = _chunk_size(chunk, count, workers or cores())
+    size = _chunk_size(chunk, count, _workers(workers))
     period = jnp.asarray(control_period, float)
     asked = _Asked(substeps, tuple(metrics), tuple(keep), apart, jnp.dtype(precision).name)
 
@@ -203,9 +204,19 @@ def _chunk(
     def one(lane: Run, wish: Setpoint) -> dict[str, Array]:
         run = whole(lane)
         start, exists = run.start(wish)
+        change = last_change(wish.stiffness)
         plant, controller, wish, start, step = cast((run.plant, run.controller, wish, start, period), precision)
         measured = measured_episode(
-            plant, controller, wish, start, step, asked.substeps, split=split, keep=asked.keep, every=asked.apart
+            plant,
+            controller,
+            wish,
+            start,
+            step,
+            asked.substeps,
+            change=cast(change, precision),
+            split=split,
+            keep=asked.keep,
+            every=asked.apart,
         )
         metrics = {name: jnp.where(exists, value, jnp.nan) for name, value in measured.metrics._asdict().items()}
         deciding = {f"_{name}": metrics[name] for name in _DECIDING}
@@ -229,7 +240,12 @@ def _table(columns: dict[str, NDArray], over: Mapping[str, ArrayLike], times: ND
         "flag_values": np.arange(len(OUTCOMES), dtype=np.int8),
         "flag_meanings": " ".join(o.name for o in OUTCOMES),
     }
-    table = {name: ("run", np.asarray(values), {"long_name": f"value of {name}"}) for name, values in over.items()}
+    table: dict[str, Any] = {}
+    for name, values in over.items():
+        given = np.asarray(values)
+        axes = [f"{name}.{axis}" for axis in range(given.ndim)]
+        dims = ["run", *axes[1:]] if given.ndim and given.shape[0] == code.size else axes
+        table[name] = (dims, given, {"long_name": f"value of {name}"})
     table |= {name: ("run", columns[name], attributes(name)) for name in asked.metrics}
     table |= {"outcome": ("run", code, {"long_name": "how the run ended", **flags})}
     table |= {name: (("run", "time"), columns[name], attributes(name)) for name in asked.keep}
@@ -252,6 +268,14 @@ def _apart(every: float | None, control_period: float, periods: int) -> int:
             remedy="give a multiple of the control period that divides the duration",
         )
     return apart
+
+
+def _workers(workers: int | None) -> int:
+    if workers is None:
+        return cores()
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+        raise SimulationError(f"{workers} workers", value=workers, remedy="give a whole number from 1 up")
+    return workers
 
 
 def _chunk_size(chunk: int | None, count: int, workers: int) -> int:

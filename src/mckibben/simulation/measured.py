@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike
 from mckibben.control.base import Controller, Setpoint
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import Running, control_period, started
-from mckibben.simulation.metrics import SETTLING_PART, Metrics, Tally, last_change, metrics_of, tally
+from mckibben.simulation.metrics import SETTLING_PART, Change, Metrics, Tally, last_change, metrics_of, tally
 from mckibben.simulation.trajectory import trajectory
 
 
@@ -51,6 +51,7 @@ def measured_episode(
     period: ArrayLike,
     substeps: int,
     *,
+    change: Change | None = None,
     split: ArrayLike | None = None,
     keep: tuple[str, ...] = (),
     every: int = 1,
@@ -62,6 +63,9 @@ def measured_episode(
     ----------
     plant, controller, setpoints, initial, period, substeps
         As for `episode`.
+    change
+        The last change of the desired stiffness; worked out from the setpoints unless given. (In 32 bits neighbouring
+        wishes may be the same number.)
     split
         The control period from which on the same run without the last change of the desired stiffness is computed
         beside, for the coupling; in a batch the earliest of all lanes, as one number. None leaves it out: the coupling
@@ -74,7 +78,7 @@ def measured_episode(
         Whether reverse differentiation shall compute each control period twice instead of remembering it.
     """
     periods = setpoints.angle.shape[0]
-    change = last_change(setpoints.stiffness)
+    change = last_change(setpoints.stiffness) if change is None else change
 
     def following(running: Running, setpoint: Setpoint) -> tuple[Running, Any]:
         return control_period(plant, controller, running, setpoint, period, substeps)

@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import SimulationError
+from mckibben.numerics.arrays import floating
 from mckibben.numerics.compiled import numeric
 from mckibben.numerics.lanes import check_again, lanes_of, with_leaves
 from mckibben.plant import JointPlant, PlantState
@@ -35,7 +36,7 @@ class Run(NamedTuple):
     def start(self, wish: Setpoint) -> tuple[PlantState, Array]:
         """The state to start from, for wishes of shape (periods,), and whether there is one."""
         if isinstance(self.initial, PlantState):
-            return self.initial, jnp.asarray(True)
+            return PlantState(*(floating(part) for part in self.initial)), jnp.asarray(True)
         return self.plant.resting(*self.rest(wish))
 
     def rest(self, wish: Setpoint) -> tuple[Array, Array]:
@@ -65,9 +66,9 @@ def described(
     """
     run = Run(plant, controller, reference, AtRest(math.nan) if initial is None else initial)
     run = Run(**with_leaves(run._asdict(), over))
-    check_again(run)
     run = numeric(run)
     count, varying = lanes_of(run)
+    check_again(run)
     return *eqx.partition(run, varying), count
 
 

@@ -3,6 +3,6 @@
 from mckibben.study.tuning.cost import Cost, Term, read_cost
 from mckibben.study.tuning.ranges import around_gains, read_ranges
 from mckibben.study.tuning.search import Method
-from mckibben.study.tuning.tune import Tuned, tune
+from mckibben.study.tuning.searching import Tuned, tune
 
 __all__ = ["Cost", "Method", "Term", "Tuned", "around_gains", "read_cost", "read_ranges", "tune"]

@@ -103,6 +103,8 @@ def differentiate(
     """
     check_substeps(substeps)
     check_names("metric", metrics, Metrics._fields)
+    if isinstance(parameters, str):
+        raise ParameterError(f"one name alone: {parameters!r}", value=parameters, remedy="give a list of names")
     times = sampling_times(duration, control_period)
     lanes, shared, count = described(plant, controller, reference, initial, over or {})
     numbers = leaves_named(eqx.combine(lanes, shared)._asdict(), parameters)
@@ -118,16 +120,14 @@ def differentiate(
     if count is None:
         # A single run has no lanes to fill wide vectors with, unless derivatives are carried beside it.
         program = _alone if mode is Mode.REVERSE else _beside
-        values, gradients = jax.tree.map(np.asarray, program(lanes, shared, times, period, asked))
-        return Derivatives(values, gradients)
+        return _in_order(asked, *jax.tree.map(np.asarray, program(lanes, shared, times, period, asked)))
 
     def answers(piece: slice) -> Any:
         found = _beside(padded(lanes, piece, _LANES), shared, times, period, asked)
         return jax.tree.map(lambda column: np.asarray(column)[: piece.stop - piece.start], found)
 
     pieces = [answer for _, answer in worked_off(answers, count, _LANES)]
-    values, gradients = jax.tree.map(lambda *columns: np.concatenate(columns), *pieces)
-    return Derivatives(values, gradients)
+    return _in_order(asked, *jax.tree.map(lambda *columns: np.concatenate(columns), *pieces))
 
 
 class _Asked(NamedTuple):
@@ -138,6 +138,21 @@ class _Asked(NamedTuple):
     parameters: tuple[str, ...]
     mode: Mode
     many: bool
+
+
+def _in_order(asked: _Asked, values: dict[str, Any], gradients: dict[str, dict[str, Any]]) -> Derivatives:
+    """As they were asked for; compiled programs give dictionaries in order of their keys."""
+
+    def slope(metric: str, name: str) -> Any:
+        """NaN where there is no metric to have one."""
+        gradient = gradients[metric][name]
+        value = values[metric].reshape(values[metric].shape + (1,) * (gradient.ndim - values[metric].ndim))
+        return np.where(np.isnan(value), np.nan, gradient)
+
+    return Derivatives(
+        {metric: values[metric] for metric in asked.metrics},
+        {metric: {name: slope(metric, name) for name in asked.parameters} for metric in asked.metrics},
+    )
 
 
 def _derivatives(
@@ -164,9 +179,14 @@ def _derivatives(
 
         values, slopes = jax.vmap(along, out_axes=(None, -1))(jnp.eye(size, dtype=flat.dtype))
     else:
+        # All metrics at once: the way back is compiled, and computed again, once.
         values, back = jax.vjp(function, flat)
-        nothing = jax.tree.map(jnp.zeros_like, values)
-        slopes = {name: back({**nothing, name: jnp.ones_like(values[name])})[0] for name in asked.metrics}
+        ones = {
+            name: jnp.stack([jnp.full_like(value, name == other) for other in asked.metrics])
+            for name, value in values.items()
+        }
+        rows = jax.vmap(lambda each: back(each)[0])(ones)
+        slopes = dict(zip(asked.metrics, rows, strict=True))
     shaped = jax.vmap(restored) if asked.many else restored
     return values, {name: shaped(slope) for name, slope in slopes.items()}
 

@@ -1,0 +1,167 @@
+"""`mckibben tune`: the numbers of scenarios that cost least."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mckibben.errors import ParameterError, ScenarioError
+from mckibben.files import folder, whole
+from mckibben.terminal import metric, progress, table
+
+if TYPE_CHECKING:
+    from mckibben.study.scenario import Scenario
+    from mckibben.study.tuning import Tuned
+
+_INTERRUPTED = 130
+_METHODS = ("gradient", "evolution", "cma")
+
+
+def tune(
+    scenarios: Annotated[
+        list[Path], typer.Argument(metavar="SCENARIO.yaml...", help="The runs that count, all at once.")
+    ],
+    parameters: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="'NAME=RANGE'",
+            help="Search this, such as 'controller.position.kp=0.2..20 bar/rad log'; a name alone goes from a "
+            "hundredth to a hundredfold. May be given several times; all gains unless given.",
+        ),
+    ] = None,
+    cost: Annotated[
+        str, typer.Option(metavar="TERMS", help="Metrics over what of each costs 1, added up.")
+    ] = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
+    method: Annotated[str, typer.Option(metavar="|".join(_METHODS), help="How to search.")] = "gradient",
+    margin: Annotated[
+        float, typer.Option(metavar="FACTOR", help="By which all tuned gains may rise without harm; 1 for no margin.")
+    ] = 1.5,
+    worst: Annotated[bool, typer.Option("--worst", help="The worst scenario counts, not the mean of all.")] = False,
+    starts: Annotated[int, typer.Option(metavar="N", help="From how many points a gradient is followed.")] = 4,
+    iterations: Annotated[int, typer.Option(metavar="N", help="Steps of each descent, or generations.")] = 30,
+    population: Annotated[int, typer.Option(metavar="N", help="Points a generation.")] = 32,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the search: the same seed finds the same.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Keep the history, the tuned scenarios and a figure here.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the search in DIR.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print machine-readable results instead of tables.")] = False,
+) -> None:
+    """Search gains, or other numbers, of scenarios for the least cost; what was tried is never lost."""
+    if out is None:
+        raise ParameterError("there is no folder for the search", remedy="say where to keep it: --out DIR")
+    if method not in _METHODS:
+        raise ParameterError(f"{method!r} is no method", value=method, remedy=f"choose of {', '.join(_METHODS)}")
+    from mckibben.study.scenario import Scenario
+
+    read = [Scenario.read(path) for path in scenarios]
+    from mckibben.study.tuning import Method, read_cost, read_ranges
+    from mckibben.study.tuning import tune as run
+
+    ranges = read_ranges(parameters or [], read[0])
+    asked = read_cost(cost, gain_margin=margin, worst=worst)
+    history = folder(out) / "history.jsonl"
+    try:
+        with _progress(quiet=json) as report:
+            tuned = run(
+                read,
+                ranges,
+                asked,
+                method=Method(method),
+                starts=starts,
+                iterations=iterations,
+                population=population,
+                seed=seed,
+                history=history,
+                resume=resume,
+                progress=report,
+            )
+    except KeyboardInterrupt:
+        typer.echo(f"interrupted: what was tried is kept in {history}; go on with --resume", err=True)
+        raise typer.Exit(_INTERRUPTED) from None
+    _show(tuned, read, scenarios, ranges, out, json)
+
+
+def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, out: Path, json: bool) -> None:
+    from mckibben import report
+    from mckibben.study.numbers import METRICS, shown, to_json, write_json
+    from mckibben.study.running import run_scenario
+
+    runs = [
+        {
+            "scenario": old.name,
+            "before": shown(run_scenario(old, source=str(path)).result.metrics()),
+            "tuned": shown(run_scenario(new, source=str(path)).result.metrics()),
+        }
+        for old, new, path in zip(before, tuned.scenarios, paths, strict=True)
+    ]
+    shown_values = {each.name: each.address.show(tuned.values[each.name]) for each in ranges}
+    numbers = {
+        "cost_before": tuned.cost_before,
+        "cost": tuned.cost,
+        "evaluated": tuned.evaluated,
+        "at_bound": list(tuned.at_bound),
+        "values": {name: {"si": tuned.values[name], "shown": text} for name, text in shown_values.items()},
+        "runs": runs,
+    }
+    kept = _keep_scenarios(tuned, paths, out)
+    write_json(out / "results.json", numbers)
+    report.save(report.tuning(tuned), out, "tuning")
+    if json:
+        typer.echo(to_json(numbers))
+    else:
+        rows = [
+            (each.name, each.address.show(each.address.nominal) if each.address.nominal is not None else "-", now)
+            for each, now in zip(ranges, shown_values.values(), strict=True)
+        ]
+        table(
+            f"cost {tuned.cost_before:.4g} -> {tuned.cost:.4g}, {tuned.evaluated} points tried",
+            ("parameter", "before", "tuned"),
+            rows,
+        )
+        for run in runs:
+            changes = [(name, run["before"][name], value) for name, value in run["tuned"].items()]
+            rows = [
+                (METRICS[n][0].replace("_", " "), metric(n, old), metric(n, new), METRICS[n][1])
+                for n, old, new in changes
+            ]
+            table(run["scenario"], ("metric", "before", "tuned", "unit"), rows)
+        if tuned.at_bound:
+            typer.echo(f"at an end of its range: {', '.join(tuned.at_bound)}; a wider range may hold better ones")
+    typer.echo(f"kept {', '.join(kept)}, history.jsonl, results.json and tuning.png and .svg in {out}", err=json)
+
+
+def _keep_scenarios(tuned: Tuned, paths: list[Path], out: Path) -> list[str]:
+    """Write the tuned scenarios: the user's own text with other numbers, where it reads the same in its new place."""
+    from mckibben.study.parameters import rewritten
+    from mckibben.study.scenario import Scenario
+
+    names = []
+    for i, (scenario, path) in enumerate(zip(tuned.scenarios, paths, strict=True)):
+        name = f"{path.stem}-tuned.yaml"
+        name = name if name not in names else f"{path.stem}-tuned-{i + 1}.yaml"
+        names.append(name)
+        text = rewritten(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
+        try:
+            same = Scenario.parse(text, folder=out) == scenario
+        except ScenarioError:
+            same = False
+        if not same:  # a path in it is relative to where it stood
+            scenario.to_yaml(out / name)
+            continue
+        with whole(out / name) as part:
+            part.write_text(text, encoding="utf-8")
+    return names
+
+
+@contextmanager
+def _progress(*, quiet: bool) -> Iterator[Callable[[float], None] | None]:
+    if quiet:
+        yield None
+        return
+    with progress() as report:
+        yield lambda part: report("searching", part)

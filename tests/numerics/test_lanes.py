@@ -1,0 +1,294 @@
+"""Lanes: which leaves vary, how they are named, and that pieces of work are done in order and a few at a time."""
+
+import threading
+import time
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.errors import ParameterError, RangeError
+from mckibben.numerics.checks import check_positive
+from mckibben.numerics.lanes import (
+    RANK,
+    by_name,
+    cast,
+    check_again,
+    lanes_of,
+    leaves_named,
+    padded,
+    with_leaves,
+    worked_off,
+)
+
+
+class Inner(eqx.Module):
+    size: float
+    count: int = 3
+    samples: object = eqx.field(default=None, metadata={RANK: 1})
+    name: str = eqx.field(static=True, default="inner")
+
+    def __check_init__(self) -> None:
+        check_positive("Inner", "m", size=self.size)
+
+
+class Outer(eqx.Module):
+    first: Inner
+    several: tuple = ()
+
+
+class Pair(NamedTuple):
+    left: object
+    right: object
+
+
+def outer(size=1.0, **more) -> Outer:
+    return Outer(Inner(size, **more), (2.0, Inner(3.0)))
+
+
+# Which leaves vary
+
+
+def test_a_tree_of_numbers_has_no_lanes():
+    count, varying = lanes_of({"a": outer(), "b": jnp.asarray(2.0), "c": "text", "d": None})
+    assert count is None
+    assert not any(jax.tree.leaves(varying))
+
+
+def test_leaves_with_one_more_axis_vary():
+    tree = Pair(outer(np.arange(1.0, 5), count=np.arange(4)), 2.0)
+    count, varying = lanes_of(tree)
+    assert count == 4
+    assert (varying.left.first.size, varying.left.first.count, varying.right) == (True, True, False)
+    lanes, shared = eqx.partition(tree, varying)
+    assert lanes.right is None
+    assert shared.left.first.size is None
+    assert shared.right == 2.0
+
+
+def test_samples_are_an_array_by_nature():
+    assert lanes_of(outer(samples=np.zeros(7)))[0] is None
+    count, varying = lanes_of(outer(samples=np.zeros((2, 7))))
+    assert count == 2
+    assert varying.first.samples is True
+    with pytest.raises(ParameterError, match=r"first.samples has the shape \(2, 3, 7\)"):
+        lanes_of(outer(samples=np.zeros((2, 3, 7))))
+
+
+def test_one_lane_is_a_lane():
+    assert lanes_of(outer(np.ones(1)))[0] == 1
+
+
+def test_leaves_inside_tuples_and_dictionaries_vary():
+    count, varying = lanes_of({"x": (1.0, {"y": [np.zeros(3)]})})
+    assert count == 3
+    assert varying == {"x": (False, {"y": [True]})}
+
+
+@pytest.mark.parametrize(
+    ("tree", "message"),
+    [
+        (Pair(outer(np.ones(2)), np.ones(3)), "right has 3 values, left.first.size has 2; give one of each a run"),
+        (outer(np.ones((2, 2))), r"first.size has the shape \(2, 2\); give a number, or an array of one axis"),
+        (outer(np.ones(0)), "first.size holds no value; give one a run"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_named(tree, message):
+    with pytest.raises(ParameterError, match=f"^{message}"):
+        lanes_of(tree)
+    with pytest.raises(ParameterError, match=r"^plant\."):
+        lanes_of(tree, "plant")
+
+
+# Names
+
+
+def test_every_number_has_a_name():
+    assert by_name({"a": outer(), "b": Pair(1, True)}) == {
+        "a.first.size": 1.0,
+        "a.first.count": 3,
+        "a.several.0": 2.0,
+        "a.several.1.size": 3.0,
+        "a.several.1.count": 3,
+        "b.left": 1,
+    }
+
+
+def test_values_by_name_come_where_they_belong_and_nowhere_else():
+    before = {"a": outer(), "b": Pair(1.0, 2.0)}
+    after = with_leaves(before, {"a.several.1.size": [5.0, 6.0], "b.right": 7, "a.several.0": [8.0]})
+    expected = by_name(before) | {"b.right": 7}
+    found = by_name(after)
+    np.testing.assert_array_equal(found.pop("a.several.1.size"), [5.0, 6.0])
+    np.testing.assert_array_equal(found.pop("a.several.0"), [8.0])
+    assert found == {name: expected[name] for name in found}
+    assert by_name(before)["a.several.1.size"] == 3.0
+
+
+def test_whole_numbers_are_floats_where_a_float_stood():
+    after = by_name(with_leaves({"a": outer()}, {"a.first.size": [1, 2], "a.first.count": [1, 2]}))
+    assert after["a.first.size"].dtype == np.float64
+    assert after["a.first.count"].dtype == np.int64
+
+
+def test_one_object_in_two_places_is_changed_in_one():
+    inner = Inner(1.0)
+    after = with_leaves({"a": Outer(inner), "b": Outer(inner)}, {"a.first.size": [2.0]})
+    assert after["b"].first.size == 1.0
+    assert after["a"].first.size == [2.0]
+
+
+def test_a_name_that_does_not_exist_is_told_with_the_nearest():
+    with pytest.raises(ParameterError, match=r"no parameter 'a.first.sise'; did you mean 'a.first.size'\?") as caught:
+        leaves_named({"a": outer()}, ["a.first.count", "a.first.sise"])
+    assert caught.value.value == "a.first.sise"
+    with pytest.raises(ParameterError, match=r"there are a\.first\.size, a\.first\.count, a\.several\.0"):
+        with_leaves({"a": outer()}, {"zzzzzzzzzzzzzzzz": 1.0})
+    with pytest.raises(ParameterError, match=r"no parameter 'a\.first'"):
+        with_leaves({"a": outer()}, {"a.first": 1.0})
+
+
+def test_the_leaves_of_names_come_in_their_order():
+    assert list(leaves_named({"a": outer()}, ["a.several.0", "a.first.size"]).items()) == [
+        ("a.several.0", 2.0),
+        ("a.first.size", 1.0),
+    ]
+
+
+# Checks
+
+
+@pytest.mark.parametrize("name", ["a.first.size", "a.several.1.size"])
+@pytest.mark.parametrize("bad", [-1.0, 0.0, np.nan])
+def test_numbers_are_checked_again_at_any_depth(name, bad):
+    wrong = with_leaves({"a": outer()}, {name: [1.0, bad]})
+    with pytest.raises(RangeError, match="Inner: size is"):
+        check_again(Pair(1.0, wrong))
+    check_again(with_leaves({"a": outer()}, {name: [1.0, 2.0]}))
+
+
+# Types
+
+
+@pytest.mark.parametrize("kind", [jnp.float32, jnp.float64])
+def test_floats_are_cast_and_nothing_else(kind):
+    tree = (
+        1.5,
+        np.float64(1.5),
+        np.float32(1.5),
+        np.ones(2),
+        jnp.ones(2, jnp.float32),
+        3,
+        np.arange(2),
+        True,
+        "x",
+        None,
+    )
+    *floats, whole, numbers, flag, text, nothing = cast(tree, kind)
+    assert {(type(x).__name__, x.dtype) for x in floats} == {("ArrayImpl", jnp.dtype(kind))}
+    assert (whole, flag, text, nothing) == (3, True, "x", None)
+    assert numbers.dtype == np.int64
+
+
+def test_whole_numbers_that_are_traced_stay_whole():
+    found = jax.eval_shape(lambda tree: cast(tree, jnp.float32), (3, 1.5, np.arange(2), np.ones(2), True))
+    assert [x.dtype.name for x in found] == ["int64", "float32", "int64", "float32", "bool"]
+
+
+# Pieces
+
+
+def test_a_piece_is_filled_up_with_its_last_lane():
+    tree = {"x": np.arange(5), "y": jnp.arange(10.0).reshape(5, 2), "z": None}
+    whole = padded(tree, slice(0, 3), 3)
+    np.testing.assert_array_equal(whole["x"], [0, 1, 2])
+    short = padded(tree, slice(3, 5), 4)
+    np.testing.assert_array_equal(short["x"], [3, 4, 4, 4])
+    np.testing.assert_array_equal(short["y"], [[6, 7], [8, 9], [8, 9], [8, 9]])
+    assert short["z"] is None
+    assert short["x"].dtype == tree["x"].dtype
+
+
+@pytest.mark.parametrize("workers", [1, 2, 5])
+@pytest.mark.parametrize(("count", "size"), [(1, 1), (7, 3), (9, 3), (10, 100), (40, 1)])
+def test_answers_come_in_order_and_cover_all(count, size, workers):
+    def slower_first(piece):
+        time.sleep(0.002 * (count - piece.start) / count)
+        return list(range(count))[piece]
+
+    got = list(worked_off(slower_first, count, size, workers))
+    assert [lane for piece, answer in got for lane in answer] == list(range(count))
+    assert all(answer == list(range(count))[piece] for piece, answer in got)
+    assert {piece.stop - piece.start for piece, _ in got[:-1]} <= {size}
+
+
+def test_nothing_to_do_is_nothing():
+    assert list(worked_off(lambda piece: piece, 0, 4, 2)) == []
+
+
+class Watch:
+    """Counts calls that have begun and answers that are alive."""
+
+    def __init__(self):
+        self.lock = threading.Lock()
+        self.begun = self.running = self.most = 0
+
+    def __call__(self, piece):
+        with self.lock:
+            self.begun += 1
+            self.running += 1
+            self.most = max(self.most, self.running)
+        time.sleep(0.001)
+        with self.lock:
+            self.running -= 1
+        return piece.start
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_few_pieces_are_under_way_however_slow_their_reader(workers):
+    watch = Watch()
+    for taken, _ in enumerate(worked_off(watch, 40, 1, workers)):
+        time.sleep(0.003)
+        assert watch.begun <= taken + 2 * workers  # taken are done with; the one in hand is one of the rest
+    assert watch.begun == 40
+    assert watch.most <= workers
+
+
+def test_several_pieces_are_worked_on_at_once():
+    meeting = threading.Barrier(3, timeout=10)
+
+    def meet(piece):
+        meeting.wait()
+        return piece
+
+    assert len(list(worked_off(meet, 3, 1, 3))) == 3
+
+
+def test_an_error_in_a_piece_is_raised_and_stops_the_rest():
+    watch = Watch()
+
+    def call(piece):
+        if piece.start == 5:
+            raise ZeroDivisionError("piece 5")
+        return watch(piece)
+
+    got = []
+    with pytest.raises(ZeroDivisionError, match="piece 5"):
+        got.extend(start for _, start in worked_off(call, 1000, 1, 2))
+    assert watch.begun <= 5 + 4
+    assert watch.running == 0
+
+
+def test_a_reader_that_stops_stops_the_work():
+    watch = Watch()
+    answers = worked_off(watch, 1000, 1, 2)
+    next(answers)
+    next(answers)
+    answers.close()
+    begun = watch.begun
+    time.sleep(0.02)
+    assert watch.begun == begun <= 6
+    assert watch.running == 0

@@ -1,0 +1,249 @@
+"""Derivatives of metrics: forwards, in reverse, and by finite differences of whole runs, they are the same."""
+
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from mckibben.control import PID, BackpropPID, PositionStiffnessControl, Reference, Samples, Sine, Step
+from mckibben.errors import ParameterError, SimulationError
+from mckibben.joint import AntagonisticJoint, SeriesSpring
+from mckibben.plant import FirstOrderValve, JointPlant, PlantState
+from mckibben.simulation import AtRest, Mode, differentiate, simulate_many
+from mckibben.units import bar, deg, mm
+
+SHORT = {"duration": 0.06, "substeps": 2}
+METRICS = ("angle_rmse", "angle_max", "stiffness_rmse", "coupling", "force_max")
+WISH = Reference(angle=Sine(5 * deg, 4.0), stiffness=Step(13.0, 15.0, 0.0205))
+START = AtRest(1 * deg, 13.5)
+NAMES = (
+    "plant.load.mass2",
+    "plant.load.damping",
+    "plant.load.hanging_angle",
+    "plant.valve.time_constant",
+    "plant.joint.geometry.joint_length",
+    "plant.joint.geometry.joint_radius",
+    "plant.joint.geometry.connector_length",
+    "plant.joint.muscle1.law.a1",
+    "plant.joint.muscle2.law.b2",
+    "plant.joint.muscle2.law.c2",
+    "plant.joint.muscle1.law.decay",
+    "plant.joint.muscle1.specimen.initial_length",
+    "plant.joint.muscle2.specimen.rated_force",
+    "controller.position.kp",
+    "controller.position.ki",
+    "controller.position.kd",
+    "controller.position.filter_time",
+    "controller.stiffness.kp",
+    "controller.model.muscle2.law.a2",
+    "reference.angle.amplitude",
+    "reference.angle.frequency",
+    "reference.angle.phase",
+    "reference.stiffness.before",
+    "reference.stiffness.after",
+    "reference.stiffness.at",
+    "initial.angle",
+    "initial.stiffness",
+)
+
+
+def by_differences(plant, controller, wish, names, start, *, relative=3e-5, **options):
+    """Derivatives by central differences of the fourth order, all runs in one batch; a row for each entry of a leaf."""
+    of = {"plant": plant, "controller": controller, "reference": wish, "initial": start}
+    leaves = {name: np.asarray(value_at(of, name), float) for name in names}
+    places = [(name, place) for name in names for place in np.ndindex(leaves[name].shape)]
+    columns = {name: [leaf] for name, leaf in leaves.items()}
+    steps = []
+    for name, place in places:
+        step = relative * (abs(float(leaves[name][place])) or 1.0)
+        steps.append(step)
+        for times in (-2, -1, 1, 2):
+            for other, leaf in leaves.items():
+                moved = leaf.copy()
+                if other == name:
+                    moved[place] += times * step
+                columns[other].append(moved)
+    over = {name: np.stack(rows) for name, rows in columns.items()}
+    for name, values in over.items():  # by hand: what is varied here must not hang on how names are found
+        root, rest = name.split(".", 1)
+        of[root] = eqx.tree_at(lambda tree, rest=rest: walk(tree, rest), of[root], values)
+    batch = simulate_many(of["plant"], of["controller"], of["reference"], initial=of["initial"], **options)
+    slopes = {}
+    for metric, values in batch.metrics.items():
+        low2, low1, high1, high2 = values[1:].reshape(-1, 4).T
+        slopes[metric] = (8 * (high1 - low1) - (high2 - low2)) / (12 * np.array(steps))
+    return {name: float(values[0]) for name, values in batch.metrics.items()}, places, slopes
+
+
+def walk(tree, steps: str):
+    for step in steps.split("."):
+        tree = tree[int(step)] if step.isdigit() else getattr(tree, step)
+    return tree
+
+
+def value_at(of, name: str):
+    root, rest = name.split(".", 1)
+    return walk(of[root], rest)
+
+
+def assert_slopes(found, differences, of, *, rtol: float, atol: float) -> None:
+    """Derivatives agree, relative to themselves and to the metric a change of the parameter by all of itself."""
+    values, places, slopes = differences
+    for metric in found.values:
+        assert float(found.values[metric]) == pytest.approx(values[metric], rel=1e-9, abs=1e-12), metric
+        for (name, place), expected in zip(places, slopes[metric], strict=True):
+            size = abs(float(np.asarray(value_at(of, name))[place])) or 1.0
+            got = found.gradients[metric][name][place]
+            assert got == pytest.approx(expected, rel=rtol, abs=atol * max(values[metric], 1e-3) / size), (metric, name)
+
+
+def same(one, other, rtol: float) -> None:
+    for metric, row in one.gradients.items():
+        np.testing.assert_allclose(one.values[metric], other.values[metric], rtol=1e-12, atol=1e-13)
+        for name, slope in row.items():
+            expected = other.gradients[metric][name]
+            floor = rtol * 1e-3 * np.abs(other.values[metric]).max() / (1 + np.abs(expected).max())
+            np.testing.assert_allclose(slope, expected, rtol, floor, err_msg=f"{metric} {name}")
+
+
+@pytest.fixture(scope="module")
+def parts(knee, load):
+    loops = PID(2 * bar, 60 * bar, 0.4 * bar), PID(0.08 * bar, 5 * bar, 0.0)
+    law = dataclasses.replace(knee.muscle1.law, a2=knee.muscle1.law.a2 * 1.01)
+    model = eqx.tree_at(lambda joint: joint.muscle1.law, knee, law)  # a controller that errs
+    return JointPlant(knee, load, FirstOrderValve(0.02)), PositionStiffnessControl(*loops, model=model)
+
+
+@pytest.fixture(scope="module")
+def forwards(parts):
+    return differentiate(*parts, WISH, NAMES, metrics=METRICS, initial=START, mode=Mode.FORWARD, **SHORT)
+
+
+@pytest.fixture(scope="module")
+def in_reverse(parts):
+    return differentiate(*parts, WISH, NAMES, metrics=["coupling"], initial=START, mode=Mode.REVERSE, **SHORT)
+
+
+def test_forwards_they_are_those_of_finite_differences(parts, forwards):
+    found = by_differences(*parts, WISH, NAMES, START, metrics=METRICS, **SHORT)
+    of = dict(zip(("plant", "controller", "reference", "initial"), (*parts, WISH, START), strict=True))
+    assert_slopes(forwards, found, of, rtol=1e-6, atol=1e-8)
+
+
+def test_in_reverse_they_are_those_of_forwards(forwards, in_reverse):
+    assert {*in_reverse.gradients} == {"coupling"}
+    assert {*forwards.gradients} == {*forwards.values} == {*METRICS}
+    for row in in_reverse.gradients.values():
+        assert {*row} == {*NAMES}
+        assert {slope.shape for slope in row.values()} == {()}
+    same(in_reverse, forwards, 1e-9)
+
+
+def test_what_a_metric_does_not_hang_on_has_no_slope(forwards):
+    for row in forwards.gradients.values():
+        assert row["reference.stiffness.at"] == 0.0
+        assert row["plant.joint.muscle2.specimen.rated_force"] == 0.0
+    assert forwards.gradients["coupling"]["reference.stiffness.after"] > 0
+    assert forwards.gradients["angle_rmse"]["initial.stiffness"] != 0
+
+
+# Learning loops, springs, samples, a state to start from; enough numbers for reverse to be chosen
+KNOTS = np.array([13.0, 13.5, 14.0, 15.0, 15.0])
+OTHERS = (
+    "reference.angle.values",
+    "reference.stiffness.values",
+    "plant.joint.tendon.stiffness",
+    "plant.joint.tendon.preload",
+    "controller.position.learning_rate",
+    "controller.stiffness.base.ki",
+    "initial.pressure1",
+)
+
+
+@pytest.fixture(scope="module")
+def others(parts):
+    plant, control = parts
+    joint = AntagonisticJoint(
+        plant.joint.geometry, plant.joint.muscle1, plant.joint.muscle2, SeriesSpring(20e3, 5.0, 18 * mm)
+    )
+    scales = {"signal_scale": 15.0, "error_scale": 1.0, "output_scale": 1 * bar, "gain_ratio": 2.0}
+    learning = BackpropPID(control.position, learning_rate=30.0, **(scales | {"error_scale": 1 * deg}))
+    control = PositionStiffnessControl(learning, BackpropPID(control.stiffness, **scales), model=control.model)
+    times = np.linspace(0.0, 0.05, 5)
+    wish = Reference(angle=Samples(times, [0.0, 0.03, 0.05, 0.02, 0.03]), stiffness=Samples(times, KNOTS))
+    return JointPlant(joint, plant.load, plant.valve), control, wish, PlantState(0.0, 0.05, 3.5e5, 3.6e5)
+
+
+def test_springs_learning_and_samples_in_reverse_are_those_of_finite_differences(others):
+    *given, start = others
+    some = ("angle_rmse",)
+    found = differentiate(*given, OTHERS, metrics=some, initial=start, mode=Mode.REVERSE, **SHORT)
+    for metric in some:
+        assert found.gradients[metric]["reference.angle.values"].shape == (5,)
+        assert np.all(found.gradients[metric]["reference.stiffness.values"][:4] != 0)
+    differences = by_differences(*given, OTHERS, start, metrics=some, **SHORT)
+    of = dict(zip(("plant", "controller", "reference", "initial"), others, strict=True))
+    assert_slopes(found, differences, of, rtol=1e-5, atol=1e-7)
+
+
+# Many points
+
+
+def test_many_points_at_once_are_the_points_one_by_one(parts):
+    some = {"metrics": ["angle_rmse"], "parameters": ("plant.load.mass2", "controller.position.kp", "initial.angle")}
+    masses, gains = np.array([0.5, 0.4, 50.0]), np.array([60.0, 50.0, 60.0]) * bar
+    over = {"plant.load.mass2": masses, "controller.position.ki": gains}
+    many = differentiate(*parts, WISH, over=over, initial=AtRest(np.full(3, 1 * deg), 13.5), **some, **SHORT)
+    plant, control = parts
+    for row in (0, 1):
+        heavy = eqx.tree_at(lambda p: p.load.mass2, plant, masses[row])
+        tuned = eqx.tree_at(lambda c: c.position.ki, control, gains[row])
+        one = differentiate(heavy, tuned, WISH, initial=START, **some, **SHORT)
+        assert many.values["angle_rmse"][row] == pytest.approx(one.values["angle_rmse"], rel=1e-12)
+        for name, slope in one.gradients["angle_rmse"].items():
+            assert many.gradients["angle_rmse"][name].shape == (3,)
+            assert many.gradients["angle_rmse"][name][row] == pytest.approx(slope, rel=1e-9), name
+    assert np.isnan(many.values["angle_rmse"]).tolist() == [False, False, True]  # too heavy to start
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["controller.position.seed"], "controller.position.seed is a whole number: it has no derivative"),
+        (["controller.position.learning_rat"], "no parameter .*; did you mean 'controller.position.learning_rate'"),
+        (["plant.load"], "no parameter 'plant.load'"),
+    ],
+)
+def test_what_has_no_derivative_is_refused(others, names, message):
+    *given, start = others
+    with pytest.raises(ParameterError, match=message):
+        differentiate(*given, names, initial=start, **SHORT)
+
+
+def test_one_name_alone_is_not_taken_for_its_letters(parts):
+    with pytest.raises((ParameterError, SimulationError), match=r"plant\.load\.mass2"):
+        differentiate(*parts, WISH, "plant.load.mass2", **SHORT)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"metrics": "angle_rmse"}, "one metric alone: 'angle_rmse'"),
+        ({"metrics": ["rmse"]}, "'rmse' is no metric"),
+        ({"duration": 0.0605}, "no whole number of control periods"),
+        ({"substeps": 0}, "0 integration steps"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(parts, options, message):
+    with pytest.raises(SimulationError, match=message):
+        differentiate(*parts, WISH, ["plant.load.mass2"], **(SHORT | options))
+
+
+def test_points_of_different_numbers_are_refused(parts):
+    with pytest.raises(ParameterError, match=r"kp has 3 values, plant\.load\.mass2 has 2"):
+        over = {"plant.load.mass2": [0.4, 0.5], "controller.position.kp": [1.0, 2.0, 3.0]}
+        differentiate(*parts, WISH, ["plant.load.mass2"], over=over, **SHORT)

@@ -1,0 +1,225 @@
+"""Measured on the way: what is folded moment by moment is what the whole trajectory gives."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mckibben.control import Setpoint
+from mckibben.plant import PlantState
+from mckibben.simulation import SETTLING_PART, Metrics, Trajectory, episode, measure, trajectory, without_last_change
+from mckibben.simulation.measured import measured_episode
+from mckibben.simulation.metrics import Tally, last_change, metrics_of, tally
+
+PERIOD = 1e-3
+FLAGS = ("saturated", "slack", "outside_domain", "overloaded")
+NEVER_NEGATIVE = ("force1", "force2", "excursion")
+
+
+def folded(moved: Trajectory) -> Metrics:
+    """The metrics, one moment after the other."""
+    change = last_change(moved.desired_stiffness)
+    periods = moved.angle.shape[0]
+
+    def following(carried, at):
+        total, at_change = carried
+        index, moment = at
+        at_change = jnp.where(index == change.at, moment.stiffness, at_change)
+        return (total.with_next(tally(moment, index, change, at_change, SETTLING_PART)), at_change), None
+
+    nothing = jnp.zeros_like(moved.angle[0])
+    (total, _), _ = jax.lax.scan(following, (Tally.nothing(nothing), nothing), (jnp.arange(periods), moved))
+    return metrics_of(total, change, periods, PERIOD)
+
+
+both_ways = jax.jit(lambda moved: (folded(moved), measure(moved, PERIOD)))
+
+
+def same(found: Metrics, expected: Metrics, rtol: float = 1e-12) -> None:
+    for name in Metrics._fields:
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=rtol, atol=1e-300, err_msg=name)
+
+
+def moved(size: int, **columns) -> Trajectory:
+    zero = {name: np.zeros(size, bool if name in FLAGS else float) for name in Trajectory._fields}
+    return Trajectory(**(zero | {name: np.asarray(value) for name, value in columns.items()}))
+
+
+numbers = st.one_of(
+    st.floats(-20, 20),
+    st.sampled_from([0.0, 1.0, 14.0, 1e-300, 1e150, -1e150, np.inf, -np.inf, np.nan]),
+)
+wishes = st.sampled_from([13.0, 13.0, 13.0, 14.0, 15.0])
+
+
+@st.composite
+def trajectories(draw):
+    size = draw(st.sampled_from([1, 2, 3, 12]))
+    tame = st.floats(-20, 20)
+
+    def column(name):
+        if name in FLAGS:
+            return draw(st.lists(st.booleans(), min_size=size, max_size=size))
+        values = wishes if name == "desired_stiffness" else draw(st.sampled_from([tame, numbers]))
+        found = np.array(draw(st.lists(values, min_size=size, max_size=size)))
+        return np.abs(found) if name in NEVER_NEGATIVE else found
+
+    used = ("angle", "desired_angle", "undisturbed_angle", "desired_stiffness", "stiffness", "stiffness_estimate")
+    return moved(size, **{name: column(name) for name in (*used, *FLAGS, *NEVER_NEGATIVE)})
+
+
+@given(trajectories())
+def test_moment_by_moment_is_as_good_as_the_whole(run):
+    same(*both_ways(run))
+
+
+@pytest.mark.parametrize("at", range(12))
+def test_a_step_anywhere_is_found(at):
+    desired = np.where(np.arange(12) < at, 13.0, 17.0)
+    stiffness = 13.0 + 4 * (np.arange(12) >= min(at + 3, 11))
+    run = moved(12, desired_stiffness=desired, stiffness=stiffness, undisturbed_angle=np.linspace(0, 1, 12))
+    found, expected = both_ways(run)
+    same(found, expected)
+    assert np.isfinite(found.coupling) == (0 < at < 11)
+    settled = {0: 3e-3, 11: np.nan}.get(at, (min(at + 3, 11) - at) * PERIOD)
+    assert float(found.stiffness_settling) == pytest.approx(settled, nan_ok=True)
+
+
+@pytest.mark.parametrize("name", ["angle", "stiffness", "force1", "force2", "excursion", "undisturbed_angle"])
+@pytest.mark.parametrize("place", [0, 5, 11])
+def test_one_moment_that_is_no_number_spoils_the_largest(name, place):
+    column = np.ones(12)
+    column[place] = np.nan
+    run = moved(12, desired_stiffness=np.where(np.arange(12) < 5, 13.0, 17.0), **{name: column})
+    found, expected = both_ways(run)
+    same(found, expected)
+    peak = {"force1": "force_max", "force2": "force_max", "excursion": "excursion_max", "undisturbed_angle": "coupling"}
+    peak = peak.get(name, f"{name}_max")
+    assert np.isnan(getattr(found, peak)) == (not (peak == "coupling" and place < 5))
+
+
+def test_no_error_has_no_slope():
+    def errors(size):
+        run = moved(12, desired_stiffness=np.full(12, 13.0))
+        steps = jnp.asarray(np.linspace(-1, 1, 12))
+        run = run._replace(angle=size * steps, stiffness=13.0 + size * steps, stiffness_estimate=13.0 + size * steps)
+        found = folded(run)
+        return found.angle_rmse, found.stiffness_rmse, found.estimate_rmse
+
+    forward, reverse = jax.jit(jax.jacfwd(errors)), jax.jit(jax.jacrev(errors))
+    for slopes in (forward(0.0), reverse(0.0)):
+        assert [float(slope) for slope in slopes] == [0.0, 0.0, 0.0]
+    assert float(reverse(1.0)[0]) == pytest.approx(np.sqrt(np.mean(np.linspace(-1, 1, 12) ** 2)))
+
+
+# Whole episodes: the two halves of the wish are the commands of the muscles (see `Playback`).
+SIZE = 60
+START = PlantState(*(jnp.asarray(x) for x in (0.0, 0.1, 3.2e5, 3.3e5)))
+
+
+def commands(*changes: tuple[int, float]) -> Setpoint:
+    wish = np.full(SIZE, 3.3e5)
+    for at, value in changes:
+        wish[at:] = value
+    return Setpoint(3.2e5 + 3e4 * np.sin(np.arange(SIZE) / 9), wish)
+
+
+@pytest.fixture(scope="module")
+def on_the_way(plant, playback):
+    @functools.partial(jax.jit, static_argnames=("keep", "every", "coupled", "checkpoint"))
+    def run(setpoints, split, *, keep=(), every=1, coupled=True, checkpoint=False):
+        return measured_episode(
+            plant,
+            playback,
+            setpoints,
+            START,
+            PERIOD,
+            2,
+            split=split if coupled else None,
+            keep=keep,
+            every=every,
+            checkpoint=checkpoint,
+        )
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def afterwards(plant, playback):
+    record_of = jax.jit(lambda setpoints: episode(plant, playback, setpoints, START, PERIOD, 2))
+
+    @jax.jit
+    def judged(setpoints, record, undisturbed):
+        run = trajectory(plant, setpoints, record, undisturbed)
+        return run, measure(run, PERIOD)
+
+    def run(setpoints):
+        final, record = record_of(setpoints)
+        held = without_last_change(setpoints)
+        undisturbed = record if held is None else record_of(held)[1]
+        return final, *judged(setpoints, record, undisturbed.state.angle)
+
+    return run
+
+
+CASES = {
+    "constant": commands(),
+    "one step": commands((20, 3.6e5)),
+    "two steps": commands((7, 3.7e5), (31, 3.1e5)),
+    "in the second period": commands((1, 3.6e5)),
+    "in the last but one": commands((SIZE - 2, 3.6e5)),
+    "in the last": commands((SIZE - 1, 3.6e5)),
+    "to the end": commands()._replace(stiffness=3.2e5 + 1e3 * np.arange(SIZE)),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_an_episode_measured_on_the_way_is_the_episode_measured_afterwards(on_the_way, afterwards, case):
+    wish = CASES[case]
+    change = last_change(wish.stiffness)
+    split = int(change.at) if change.ends else SIZE
+    final, _, expected = afterwards(wish)
+    found = on_the_way(wish, split)
+    same(found.metrics, expected, rtol=1e-11)
+    np.testing.assert_allclose(found.final, final, rtol=1e-12)
+    assert bool(found.metrics.coupling > 0) == bool(change.ends)
+
+
+@pytest.mark.parametrize("earlier", [0, 1, 10, 19])
+def test_leaving_the_step_out_from_an_earlier_period_on_changes_nothing(on_the_way, earlier):
+    wish = CASES["one step"]
+    same(on_the_way(wish, earlier).metrics, on_the_way(wish, 20).metrics)
+
+
+def test_what_is_kept_is_the_trajectory(on_the_way, afterwards):
+    wish = CASES["two steps"]
+    _, expected, metrics = afterwards(wish)
+    keep = ("angle", "undisturbed_angle", "command2", "slack")
+    for every in (1, 4, 60):
+        found = on_the_way(wish, 31, keep=keep, every=every)
+        assert {*found.kept} == {*keep}
+        for name in keep:
+            column = np.asarray(getattr(expected, name))[::every]
+            np.testing.assert_allclose(found.kept[name], column, rtol=1e-12, atol=1e-15, err_msg=name)
+        same(found.metrics, metrics, rtol=1e-11)
+
+
+def test_without_coupling_the_second_run_is_not_computed(on_the_way):
+    wish = CASES["one step"]
+    with_it, without = on_the_way(wish, 20), on_the_way(wish, 20, coupled=False)
+    assert np.isnan(without.metrics.coupling)
+    same(without.metrics, with_it.metrics._replace(coupling=jnp.asarray(np.nan)))
+    text = {
+        coupled: str(jax.make_jaxpr(lambda c=coupled: on_the_way(wish, 20, coupled=c))()) for coupled in (True, False)
+    }
+    assert "cond[" in text[True]
+    assert "cond[" not in text[False]
+
+
+def test_computing_periods_again_changes_nothing(on_the_way):
+    wish = CASES["one step"]
+    same(on_the_way(wish, 20, checkpoint=True).metrics, on_the_way(wish, 20).metrics)
