@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from mckibben.simulation import Result, check_reference, differentiate, simulate, simulate_many
     from mckibben.study.paper import reproduce
     from mckibben.study.scenario import Scenario
+    from mckibben.study.sweep import sweep
+    from mckibben.study.tuning import tune
 
 _MODULES = ("catalog", "report", "units")
 _HOMES = {
@@ -54,6 +56,8 @@ _HOMES = {
     "simulation": "Result check_reference differentiate simulate simulate_many",
     "study.paper": "reproduce",
     "study.scenario": "Scenario",
+    "study.sweep": "sweep",
+    "study.tuning": "tune",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 
@@ -97,6 +101,8 @@ __all__ = [
     "reproduce",
     "simulate",
     "simulate_many",
+    "sweep",
+    "tune",
     "units",
     "validate",
 ]

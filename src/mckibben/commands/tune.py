@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mckibben.errors import ParameterError, ScenarioError
+from mckibben.errors import McKibbenError, ParameterError, ScenarioError
 from mckibben.files import folder, whole
 from mckibben.terminal import metric, progress, table
 
@@ -88,16 +88,12 @@ def tune(
 
 def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, out: Path, json: bool) -> None:
     from mckibben import report
-    from mckibben.study.numbers import METRICS, shown, to_json, write_json
-    from mckibben.study.running import run_scenario
+    from mckibben.study.numbers import METRICS, to_json, write_json
 
+    kept = _keep_scenarios(tuned, paths, out)
     runs = [
-        {
-            "scenario": old.name,
-            "before": shown(run_scenario(old, source=str(path)).result.metrics()),
-            "tuned": shown(run_scenario(new, source=str(path)).result.metrics()),
-        }
-        for old, new, path in zip(before, tuned.scenarios, paths, strict=True)
+        {"scenario": old.name, "before": _measured(old), "tuned": _measured(new)}
+        for old, new in zip(before, tuned.scenarios, strict=True)
     ]
     shown_values = {each.name: each.address.show(tuned.values[each.name]) for each in ranges}
     numbers = {
@@ -108,7 +104,6 @@ def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, 
         "values": {name: {"si": tuned.values[name], "shown": text} for name, text in shown_values.items()},
         "runs": runs,
     }
-    kept = _keep_scenarios(tuned, paths, out)
     write_json(out / "results.json", numbers)
     report.save(report.tuning(tuned), out, "tuning")
     if json:
@@ -133,6 +128,17 @@ def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, 
         if tuned.at_bound:
             typer.echo(f"at an end of its range: {', '.join(tuned.at_bound)}; a wider range may hold better ones")
     typer.echo(f"kept {', '.join(kept)}, history.jsonl, results.json and tuning.png and .svg in {out}", err=json)
+
+
+def _measured(scenario: Scenario) -> dict[str, float]:
+    """The metrics as they are shown; NaN where the scenario cannot be run: tuning may have mended just that."""
+    from mckibben.study.numbers import METRICS, shown
+    from mckibben.study.running import run_scenario
+
+    try:
+        return shown(run_scenario(scenario).result.metrics())
+    except McKibbenError:
+        return dict.fromkeys(METRICS, float("nan"))
 
 
 def _keep_scenarios(tuned: Tuned, paths: list[Path], out: Path) -> list[str]:
@@ -163,5 +169,12 @@ def _progress(*, quiet: bool) -> Iterator[Callable[[float], None] | None]:
     if quiet:
         yield None
         return
-    with progress() as report:
-        yield lambda part: report("searching", part)
+    with ExitStack() as shown:
+        bars: list[Callable[[str, float], None]] = []
+
+        def report(part: float) -> None:
+            if not bars:  # what is wrong with the options is said without a bar
+                bars.append(shown.enter_context(progress()))
+            bars[0]("searching", part)
+
+        yield report

@@ -6,10 +6,10 @@ import functools
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
+import numpy as np
 
+from mckibben.numerics.kept import KeptProgram
 from mckibben.numerics.runtime import batch_options
 
 P = ParamSpec("P")
@@ -17,13 +17,16 @@ R = TypeVar("R")
 
 
 def numeric(tree: Any) -> Any:
-    """Python numbers among a tree's leaves as arrays; everything else as it is."""
+    """Python numbers among a tree's leaves as arrays; everything else as it is.
+
+    They are NumPy's: JAX's own would each be put on the device on the way, which a command has to wait for.
+    """
 
     def convert(leaf: Any) -> Any:
         if isinstance(leaf, float):
-            return jnp.asarray(leaf, float)
+            return np.asarray(leaf, float)
         if isinstance(leaf, int) and not isinstance(leaf, bool):
-            return jnp.asarray(leaf)
+            return np.asarray(leaf)
         return leaf
 
     return jax.tree.map(convert, tree)
@@ -32,30 +35,38 @@ def numeric(tree: Any) -> Any:
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Like `equinox.filter_jit`, but Python numbers among the arguments are traced: a new value compiles nothing.
 
-    Numbers that shape the program (counts, flags) have to be static fields, or bound beforehand.
+    Numbers that shape the program (counts, flags) have to be static fields, or bound beforehand; answers are arrays.
     """
-    traced = eqx.filter_jit(function)
+    program = KeptProgram(function)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         args, kwargs = numeric((args, kwargs))
-        return traced(*args, **kwargs)
+        return program(*args, **kwargs)
+
+    return call
+
+
+def compiled_as_given(function: Callable[P, R]) -> Callable[P, R]:
+    """The same, but arrays alone are traced, and everything else is static; pass trees through `numeric` first."""
+    program = KeptProgram(function)
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        return program(*args, **kwargs)
 
     return call
 
 
 def compiled_batch(function: Callable[P, R]) -> Callable[P, R]:
-    """`equinox.filter_jit` for functions over many lanes, with the options that suit the processor.
-
-    Arrays are traced, everything else is static; pass trees through `numeric` first.
-    """
+    """`compiled_as_given` for functions over many lanes, with the options that suit the processor."""
 
     @functools.cache
-    def traced() -> Callable[P, R]:  # not before the first call: the options depend on the device
-        return eqx.filter_jit(function, compiler_options=batch_options() or None)  # type: ignore[call-overload]
+    def program() -> KeptProgram:  # not before the first call: the options depend on the device
+        return KeptProgram(function, batch_options() or None)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        return traced()(*args, **kwargs)
+        return program()(*args, **kwargs)
 
     return call

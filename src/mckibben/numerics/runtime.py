@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 _LOOP_OPTION = "xla_cpu_small_while_loop_byte_threshold"
+_PROGRAMS = "MCKIBBEN_PROGRAMS_DIR"
 _EXTRA_OPTIONS = "--xla_backend_extra_options="
 
 
@@ -53,9 +54,17 @@ def use_compile_cache() -> None:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:  # no home: then nothing is kept
         return
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(base) / "mckibben" / f"jax-{_processor()}"))
+    folder = Path(base) / "mckibben"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder / f"jax-{_processor()}"))
+    os.environ.setdefault(_PROGRAMS, str(folder / f"programs-{_processor()}"))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+
+
+def programs_folder() -> Path | None:
+    """Where finished programs are kept between processes; None unless `use_compile_cache` was called."""
+    folder = os.environ.get(_PROGRAMS)
+    return Path(folder) if folder else None
 
 
 def _processor() -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference
 from mckibben.errors import ParameterError
-from mckibben.numerics.compiled import compiled_batch
+from mckibben.numerics.compiled import compiled_as_given, compiled_batch
 from mckibben.numerics.lanes import by_name, leaves_named, padded, replaced, worked_off
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import check_substeps, sampling_times, wishes_at
@@ -191,7 +191,7 @@ def _derivatives(
     return values, {name: shaped(slope) for name, slope in slopes.items()}
 
 
-_beside, _alone = compiled_batch(_derivatives), eqx.filter_jit(_derivatives)
+_beside, _alone = compiled_batch(_derivatives), compiled_as_given(_derivatives)
 
 
 def _metrics(run: Run, times: ArrayLike, period: ArrayLike, asked: _Asked) -> dict[str, Array]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from mckibben.control.base import Controller, Measurement, Reference, Setpoint
 from mckibben.errors import SimulationError
 from mckibben.numerics.checks import whole_periods
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import compiled, compiled_as_given
 from mckibben.numerics.integrate import rk4
 from mckibben.plant import JointPlant, PlantState
 
@@ -92,7 +91,7 @@ def episode(
     return final, record
 
 
-@eqx.filter_jit
+@compiled_as_given
 def compiled_episode(
     plant: JointPlant,
     controller: Controller,

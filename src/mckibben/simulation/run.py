@@ -66,10 +66,9 @@ def described(
     """
     run = Run(plant, controller, reference, AtRest(math.nan) if initial is None else initial)
     run = Run(**with_leaves(run._asdict(), over))
-    run = numeric(run)
     count, varying = lanes_of(run)
     check_again(run)
-    return *eqx.partition(run, varying), count
+    return *eqx.partition(numeric(run), varying), count
 
 
 def check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:

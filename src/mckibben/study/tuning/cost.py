@@ -28,6 +28,7 @@ SMOOTH = (
 )
 """Metrics that change smoothly with the numbers of a run, all but everywhere; the others count periods."""
 
+_PLUS = re.compile(r"(?<![0-9.][eE])\+")  # not that of 1e+3
 _TERM = re.compile(r"(?:(?P<weight>[0-9.eE+-]+)\s*\*\s*)?(?P<metric>[a-z_]+)\s*(?:/\s*(?P<scale>.+))?")
 
 
@@ -126,7 +127,7 @@ def read_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False) -> Co
     >>> read_cost("angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad").terms[1]
     Term(metric='stiffness_rmse', scale=0.5, weight=2.0)
     """
-    parts = [part.strip() for part in re.split(r"\+(?![0-9])", text)]
+    parts = [part.strip() for part in _PLUS.split(text)]
     terms = []
     for part in parts:
         found = _TERM.fullmatch(part)

@@ -98,11 +98,11 @@ class History:
         complete = content[: content.rfind(b"\n") + 1]  # a line that was cut off is tried again
         first, *rest = complete.decode("utf-8", "replace").splitlines() or [""]
         try:
-            found = json.loads(first)
-            trials = [json.loads(line) for line in rest]
-            kept = [Trial(tuple(t["point"]), t["cost"], t["gradient"] and tuple(t["gradient"])) for t in trials]
+            found = dict(json.loads(first))
+            kept = [_trial(json.loads(line)) for line in rest]
         except (ValueError, KeyError, TypeError) as error:
-            raise FileError(str(path), [Problem(f"it is no history of a search: {error}")]) from None
+            problem = Problem(f"it is no history of a search: {error}", remedy="choose another folder")
+            raise FileError(str(path), [problem]) from None
         wanted = json.loads(json.dumps(about))
         differing = sorted(name for name in {*wanted, *found} if wanted.get(name) != found.get(name))
         if differing:
@@ -112,6 +112,15 @@ class History:
         if complete != content:
             with path.open("rb+") as file:
                 file.truncate(len(complete))
+
+
+def _trial(said: Any) -> Trial:
+    slope = said["gradient"]
+    return Trial(_floats(said["point"]), float(said["cost"]), None if slope is None else _floats(slope))
+
+
+def _floats(values: Any) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
 
 
 def _difference(name: str, kept: Any, asked: Any) -> str:

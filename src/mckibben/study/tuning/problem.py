@@ -55,9 +55,13 @@ class Problem:
             if not isinstance(each.spread, Uniform | LogUniform):
                 raise ParameterError(f"{each.name} has no range to search", remedy="give one, like `1..10 bar/rad log`")
         for scenario in self.scenarios:
-            find_all(scenario, self.names)
-            periods = round(scenario.duration / scenario.control_period)
-            if "coupling" in self.cost.metrics and periods:
+            try:
+                find_all(scenario, self.names)
+            except ParameterError as error:
+                if len(self.scenarios) == 1:
+                    raise
+                raise ParameterError(f"{scenario.name}: {error}", value=error.value) from None
+            if "coupling" in self.cost.metrics:
                 _check_steps(scenario)
 
     @property
@@ -126,7 +130,8 @@ class Problem:
     def _with_margin(self, values: Numbers) -> Numbers:
         if self.cost.gain_margin == 1.0:
             return values
-        return np.concatenate([values, values * self._margins()])
+        lower, upper = np.array([(each.address.lower, each.address.upper) for each in self.over]).T
+        return np.concatenate([values, np.clip(values * self._margins(), lower, upper)])
 
     def _together(self, costs: Numbers) -> tuple[Numbers, Numbers]:
         """From the cost of each scenario and row to that of each set of numbers, and the share that each has in it."""

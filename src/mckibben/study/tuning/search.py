@@ -39,6 +39,29 @@ class Method(enum.Enum):
     CMA = "cma"
 
 
+_LEAST = {Method.EVOLUTION: 5, Method.CMA: 4}
+"""Points a generation."""
+
+
+def check_method(method: Method, *, numbers: int, population: int) -> None:
+    """Look whether a method can search, before anything is kept of its search.
+
+    Raises
+    ------
+    ParameterError
+        If its package is missing, or it needs more numbers to search, or more points a generation.
+    """
+    if method is Method.CMA and importlib.util.find_spec("cmaes") is None:
+        raise ParameterError("CMA-ES needs the package cmaes", remedy="pip install 'mckibben[tune]'")
+    if method is Method.CMA and numbers < 2:
+        raise ParameterError("CMA-ES needs at least two numbers to search", remedy="use gradient or evolution")
+    least = _LEAST.get(method, 1)
+    if population < least:
+        raise ParameterError(
+            f"{method.value} with {population} points a generation", value=population, remedy=f"give at least {least}"
+        )
+
+
 def by_gradient(
     function: CostsAndGradients, first: Points, *, starts: int, iterations: int, seed: int, progress: Progress
 ) -> None:
@@ -55,24 +78,24 @@ def by_gradient(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the balance of a power of two does not matter here
         others = qmc.Sobol(first.size, rng=seed).random(starts - 1) if starts > 1 else []
-    steps = [0] * starts
+    steps, counting = [0] * starts, threading.Lock()
 
-    def descend(number: int, start: Points, ask: Callable[[Points], tuple[float, Points]]) -> None:
-        def stepped(_: object) -> None:
-            steps[number] += 1
+    def count(number: int, reached: int) -> None:
+        with counting:  # else a search may report less than another just has
+            steps[number] = reached
             progress(sum(steps) / (starts * iterations))
 
+    def descend(number: int, start: Points, ask: Callable[[Points], tuple[float, Points]]) -> None:
         minimize(
             ask,
             start,
             jac=True,
             method="L-BFGS-B",
             bounds=[(0.0, 1.0)] * start.size,
-            callback=stepped,
+            callback=lambda _: count(number, steps[number] + 1),
             options={"maxiter": iterations},
         )
-        steps[number] = iterations
-        progress(sum(steps) / (starts * iterations))
+        count(number, iterations)
 
     side_by_side(function, [(lambda ask, i=i, x=x: descend(i, x, ask)) for i, x in enumerate([first, *others])])
 
@@ -88,10 +111,15 @@ def side_by_side(
         Costs and gradients of points of shape (n, numbers).
     searches
         Each is called with a function that answers for one point.
+
+    Raises
+    ------
+    BaseException
+        What the function or a search raised, or an interruption; all searches have ended then.
     """
     meeting = threading.Condition()
     asked: dict[int, Points] = {}
-    answers: dict[int, tuple[float, Points] | BaseException] = {}
+    answers: dict[int, tuple[float, Points]] = {}
     active = set(range(len(searches)))
     failures: list[BaseException] = []
 
@@ -99,11 +127,10 @@ def side_by_side(
         with meeting:
             asked[number] = np.array(point)
             meeting.notify_all()
-            meeting.wait_for(lambda: number in answers)
-            answer = answers.pop(number)
-        if isinstance(answer, BaseException):
-            raise answer
-        return answer
+            meeting.wait_for(lambda: number in answers or failures)
+            if failures:
+                raise failures[0]
+            return answers.pop(number)
 
     def search(number: int) -> None:
         try:
@@ -118,23 +145,25 @@ def side_by_side(
     threads = [threading.Thread(target=search, args=(i,), daemon=True) for i in range(len(searches))]
     for thread in threads:
         thread.start()
-    while True:
-        with meeting:
-            meeting.wait_for(lambda: set(asked) == active)
-            if not active:
-                break
-            numbers = sorted(asked)
-            points = np.stack([asked.pop(number) for number in numbers])
-        try:
+    try:
+        while True:
+            with meeting:
+                meeting.wait_for(lambda: set(asked) == active or failures)
+                if failures or not active:
+                    break
+                numbers = sorted(asked)
+                points = np.stack([asked.pop(number) for number in numbers])
             costs, gradients = function(points)
-            found: list[tuple[float, Points] | BaseException] = [
-                (float(cost), slope) for cost, slope in zip(costs, gradients, strict=True)
-            ]
-        except BaseException as error:  # every search has to end, an interruption included
-            found = [error] * len(numbers)
-        with meeting:
-            answers.update(zip(numbers, found, strict=True))
-            meeting.notify_all()
+            found = [(float(cost), slope) for cost, slope in zip(costs, gradients, strict=True)]
+            with meeting:
+                answers.update(zip(numbers, found, strict=True))
+                meeting.notify_all()
+    except BaseException as error:  # every search has to end, at an interruption too
+        failures.insert(0, error)
+    with meeting:
+        meeting.notify_all()
+    for thread in threads:
+        thread.join()
     if failures:
         raise failures[0]
 
@@ -171,32 +200,24 @@ def by_evolution(
         rng=seed,
         callback=stepped,
     )
+    if done < generations:  # all points cost the same
+        progress(1.0)
 
 
 def by_cma(function: Costs, first: Points, *, population: int, generations: int, seed: int, progress: Progress) -> None:
-    """CMA-ES from the first point.
-
-    Raises
-    ------
-    ParameterError
-        If its package is missing, or there is only one number to search, or less than four points a generation.
+    """CMA-ES from the first point, which is tried itself in place of the first draw.
 
     References
     ----------
     N. Hansen, "The CMA evolution strategy: a tutorial", arXiv:1604.00772 (2016); the implementation is the package
     cmaes, which optuna's sampler stands on as well. (That one no longer lets a search begin at chosen numbers.)
     """
-    if importlib.util.find_spec("cmaes") is None:
-        raise ParameterError("CMA-ES needs the package cmaes", remedy="pip install 'mckibben[tune]'")
-    if first.size < 2:
-        raise ParameterError("CMA-ES needs at least two numbers to search", remedy="use gradient or evolution")
-    if population < 4:
-        raise ParameterError(f"CMA-ES with {population} points a generation", remedy="give at least 4")
     from cmaes import CMA
 
     bounds = np.tile([0.0, 1.0], (first.size, 1))
     strategy = CMA(mean=first, sigma=_STEP, bounds=bounds, population_size=population, seed=seed)
     for generation in range(generations):
         points = np.stack([strategy.ask() for _ in range(population)])
+        points[0] = first if generation == 0 else points[0]
         strategy.tell(list(zip(points, function(points).tolist(), strict=True)))
         progress((generation + 1) / generations)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,11 +19,12 @@ from mckibben.study.scenario import Scenario
 from mckibben.study.tuning.cost import Cost
 from mckibben.study.tuning.history import History, Trial
 from mckibben.study.tuning.problem import LOST, Problem, problem
-from mckibben.study.tuning.search import Method, by_cma, by_evolution, by_gradient
+from mckibben.study.tuning.search import Method, by_cma, by_evolution, by_gradient, check_method
 from mckibben.units import quantity
 
 _DIGITS = 6  # of the numbers that are written down; the cost is that of these
 _AT_BOUND = 0.01  # of the range
+_MOST_SEED = 2**32 - 1  # what all methods take
 
 
 @dataclass(frozen=True)
@@ -31,11 +34,12 @@ class Tuned:
     Attributes
     ----------
     values
-        The numbers that were found, SI, by name; rounded to six digits in the unit in which they are written.
+        The numbers that were found, SI, by name; rounded to six digits in the unit in which they are written, unless
+        that costs more.
     scenarios
         The scenarios with these numbers.
     cost, cost_before
-        Of these, and of the scenarios as they were (NaN where their numbers were no allowed ones).
+        Of these, and of the first scenario's numbers in all scenarios (NaN where they were no allowed ones).
     evaluated
         How many points were tried.
     at_bound
@@ -92,27 +96,33 @@ def tune(
     resume
         Go on with the search in that file.
     progress
-        Called with the part that is done, 0 to 1.
+        Called with the part that is done, 0 to 1; first when all that was asked for has been checked.
 
     Raises
     ------
     ParameterError
-        If a number is not in every scenario, has no range, or the cost has no gradient to follow.
+        If a number is not in every scenario or has no range, the method cannot search so, the cost has no gradient to
+        follow, or nothing that was tried has a cost.
     FileError
         If the history is there already, or is that of another search.
     """
     for name, count in (("starts", starts), ("iterations", iterations), ("population", population)):
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise ParameterError(f"{name} is {count}", value=count, remedy="give a whole number from 1 up")
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _MOST_SEED:
+        raise ParameterError(f"seed is {seed}", value=seed, remedy=f"give a whole number, 0 to {_MOST_SEED}")
     several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
     ranges = overs_of(several[0], over) if isinstance(over, Mapping) and several else list(over)  # type: ignore[arg-type]
     task = problem(several, ranges, cost)  # type: ignore[arg-type]
+    check_method(method, numbers=len(task.over), population=population)
     if method is Method.GRADIENT:
         task.check_smooth()
+    folder = Path() if history is None else history.parent
     about = {
         "kind": "tuning",
         "version": version("mckibben"),
-        "scenarios": [scenario.dumps() for scenario in several],
+        "scenarios": [scenario.dumps(folder=folder) for scenario in several],
+        "numbers of the scenarios": [_digest(scenario) for scenario in several],
         "over": [each.text for each in task.over],
         "cost": cost.text,
         "gain margin": cost.gain_margin,
@@ -123,6 +133,7 @@ def tune(
     }
     past = History(history, about, resume=resume)
     report = progress or (lambda _: None)
+    report(0.0)
     if method is Method.GRADIENT:
         found = _Descents(task, past, starts)
         first = task.point(task.nominal)
@@ -135,6 +146,12 @@ def tune(
         search(tried, first, population=population, generations=iterations, seed=seed, progress=report)
         exact = tried.exact
 
+    if past.best.cost >= LOST:
+        raise ParameterError(
+            f"none of the {len(past.trials)} points that were tried has a cost: their numbers are not allowed together, "
+            "their runs did not stay finite, or a metric is not defined for them",
+            remedy="search other ranges, or with another cost",
+        )
     best = np.array(past.best.point)
     values = task.values(best[None])[0]
     rounded = np.array(
@@ -142,11 +159,14 @@ def tune(
             quantity(each.address.show(value, _DIGITS), each.address.unit)
             for each, value in zip(task.over, values, strict=True)
         ]
-    )
-    cost_after = exact(rounded)
-    if cost_after > past.best.cost * (1 + 1e-3):  # where six digits are too few, all are kept
-        rounded, cost_after = values, past.best.cost
+    ).clip(*np.array([each.spread.ends for each in task.over]).T)
     before = exact(task.nominal)
+    most = past.best.cost * (1 + 1e-3)
+    if before > past.best.cost * (1 - 1e-9):  # rounding is not to make worse what was good
+        most = min(most, max(before, past.best.cost))
+    cost_after = exact(rounded)
+    if cost_after > most:  # where six digits are too few, all are kept
+        rounded, cost_after = values, past.best.cost
     named = dict(zip(task.names, rounded.tolist(), strict=True))
     return Tuned(
         values=named,
@@ -157,6 +177,13 @@ def tune(
         at_bound=tuple(name for name, at in zip(task.names, best, strict=True) if min(at, 1 - at) < _AT_BOUND),
         trials=tuple(past.trials),
     )
+
+
+def _digest(scenario: Scenario) -> str:
+    """Of all numbers that runs are made of: files that the scenario names, and the catalog, are in it."""
+    leaves = jax.tree.leaves((scenario.plant(), scenario.control(), scenario.reference()))
+    arrays = [leaf if isinstance(leaf, str) else np.asarray(leaf).tolist() for leaf in leaves]
+    return hashlib.sha256(repr(arrays).encode()).hexdigest()
 
 
 class _Descents:

@@ -1,0 +1,109 @@
+"""Compiled programs kept whole between processes.
+
+JAX's own compile cache spares a new process the compiler, but not the tracing and lowering before it: a third of a
+second of a command that takes one. Here a finished program is written to a file and taken up again, under a key of all
+that made it: function, structure, shapes and types of the arguments, our source files, the versions, and XLA's flags.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.metadata
+import os
+import pickle
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.core
+
+from mckibben.files import whole
+from mckibben.numerics.runtime import programs_folder
+
+_MOST = 200
+"""Files in the folder; the oldest go."""
+
+
+class KeptProgram:
+    """A function of arrays as programs, one for each structure of its arguments.
+
+    Arrays are traced, everything else is static, as with `equinox.filter_jit`; the answers are arrays.
+
+    Parameters
+    ----------
+    function
+        Pure.
+    options
+        Of the compiler.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any] | None = None) -> None:
+        self._function, self._options = function, options
+        self._traced = eqx.filter_jit(function, compiler_options=options)  # type: ignore[call-overload]
+        self._programs: dict[Any, Callable[..., Any]] = {}
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        folder = programs_folder()
+        dynamic, static = eqx.partition((args, kwargs), eqx.is_array)
+        leaves, structure = jax.tree.flatten(dynamic)
+        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
+        if folder is None or traced or jax.default_backend() != "cpu":
+            return self._traced(*args, **kwargs)
+        fixed, around = jax.tree.flatten(static)
+        kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in leaves)
+        key = (structure, around, tuple(map(repr, fixed)), kinds)
+        program = self._programs.get(key)
+        if program is None:
+            program = self._programs[key] = self._taken_up(folder, key, static, leaves, structure)
+        return program(*leaves)
+
+    def _taken_up(self, folder: Path, key: Any, static: Any, leaves: list[Any], structure: Any) -> Callable[..., Any]:
+        """The program from its file, or made and written to it."""
+        from jax.experimental.serialize_executable import deserialize_and_load, serialize
+
+        def function(*leaves: Any) -> Any:
+            args, kwargs = eqx.combine(jax.tree.unflatten(structure, leaves), static)
+            return self._function(*args, **kwargs)
+
+        named = f"{self._function.__module__}.{self._function.__qualname__}"
+        text = repr((named, key, self._options))
+        if " at 0x" in text:  # something without a lasting name
+            return jax.jit(function, compiler_options=self._options)
+        path = folder / f"{hashlib.sha256((text + _surroundings()).encode()).hexdigest()[:40]}.program"
+        try:
+            payload, skeleton = pickle.loads(path.read_bytes())
+            return deserialize_and_load(payload, jax.tree.structure((tuple(leaves), {})), jax.tree.structure(skeleton))
+        except Exception:  # missing, damaged, or of a JAX that cannot read it: then it is made
+            program = jax.jit(function).lower(*leaves).compile(compiler_options=self._options)
+        try:
+            payload, _, out = serialize(program)
+            folder.mkdir(parents=True, exist_ok=True)
+            with whole(path) as part:
+                part.write_bytes(pickle.dumps((payload, jax.tree.unflatten(out, [0] * out.num_leaves))))
+            _thin_out(folder)
+        except Exception:  # a program that cannot be kept still runs; nor does a full disk matter to it
+            pass
+        return program
+
+
+@functools.cache
+def _surroundings() -> str:
+    """All that a program depends on beside its function and arguments."""
+    import mckibben
+
+    root = Path(mckibben.__file__).parent
+    files = sorted(
+        (str(path.relative_to(root)), path.stat().st_size, path.stat().st_mtime_ns) for path in root.rglob("*.py")
+    )
+    versions = [f"{name} {importlib.metadata.version(name)}" for name in ("jax", "jaxlib", "equinox", "numpy")]
+    return repr((files, versions, sys.version, os.environ.get("XLA_FLAGS"), jax.config.jax_enable_x64))  # type: ignore
+
+
+def _thin_out(folder: Path) -> None:
+    files = sorted(folder.glob("*.program"), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in files[_MOST:]:
+        path.unlink(missing_ok=True)

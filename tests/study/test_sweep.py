@@ -1,0 +1,393 @@
+"""Sweeps in Python: the numbers are those of single runs, whoever computes them, however often they are interrupted."""
+
+import errno
+import json
+import os
+import shutil
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+import xarray as xr
+
+from mckibben.errors import FileError, McKibbenWarning, ParameterError, SimulationError
+from mckibben.simulation import Metrics, Outcome
+from mckibben.simulation.reach import check_reference
+from mckibben.study import sweep as package
+from mckibben.study.parameters import Normal, Uniform, design, over, read_overs, with_values
+from mckibben.study.running import run_scenario
+from mckibben.study.scenario import Scenario
+from mckibben.study.sweep import InterruptedSweep, Sweep, sweep
+from mckibben.study.sweep.attainable import attainability
+from mckibben.study.sweep.plan import Asked, Plan, _sizes
+from mckibben.study.sweep.store import Store
+from mckibben.units import deg
+
+ROOT = Path(__file__).parents[2]
+OVER = ("load.mass2=0.2 kg..1.0 kg", "reference.stiffness.after=15..22 N*m/rad", "controller.position.kp=+-50 %")
+SOME = {"samples": 72, "seed": 1, "block": 16}
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    text = (ROOT / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
+    return Scenario.parse(text.replace("duration: 10 s", "duration: 100 ms").replace("at: 5 s", "at: 50 ms"))
+
+
+@pytest.fixture(scope="module")
+def kept(scenario, tmp_path_factory):
+    """An undisturbed sweep, and its folder."""
+    folder = tmp_path_factory.mktemp("sweep")
+    return sweep(scenario, OVER, out=folder, **SOME), folder
+
+
+def table_of(folder: Path) -> bytes:
+    return (folder / package.TABLE).read_bytes()
+
+
+def blocks_of(folder: Path) -> list[Path]:
+    return sorted((folder / package.BLOCKS).glob("*.block"))
+
+
+class Stopping:
+    """Interrupts once so many runs are done."""
+
+    def __init__(self, at: int) -> None:
+        self.at = at
+
+    def __call__(self, done: int, runs: int) -> None:
+        if done >= self.at:
+            raise KeyboardInterrupt
+
+
+def test_the_numbers_are_those_of_single_runs(kept, scenario):
+    swept, _ = kept
+    assert (swept.count, swept.computed, swept.metrics) == (72, 72, Metrics._fields)
+    assert swept.inputs == ("load.mass2", "reference.stiffness.after", "controller.position.kp")
+    for run in (0, 17, 71):
+        result, reach = run_scenario(swept.scenario(run))
+        row = swept.table.isel(run=run)
+        for name, value in result.metrics().items():
+            np.testing.assert_allclose(row[name], value, rtol=1e-9, atol=1e-12, err_msg=name)
+        assert swept.outcomes[run] is result.outcome
+        assert float(row["unheld"]) == 0
+        assert float(row["shortfall_max"]) == pytest.approx(reach.shortfall.max(), rel=1e-6, abs=1e-9)
+    assert 0 < (swept.table["shortfall_max"] > 0).sum() < 72
+
+
+def test_the_table_says_what_made_it(kept, scenario):
+    swept, folder = kept
+    again = Sweep.from_netcdf(folder / package.TABLE)
+    assert again.table.identical(swept.table)
+    mass = again.table["load.mass2"]
+    assert mass.dims == ("run",)
+    assert (mass.attrs["units"], mass.attrs["shown_units"]) == ("kg", "kg")
+    gain = again.table["controller.position.kp"].attrs
+    assert (gain["units"], gain["shown_units"]) == ("Pa/rad", "bar/rad")
+    assert again.table["angle_rmse"].attrs["units"] == "rad"
+    assert again.table["outcome"].attrs["flag_meanings"].split() == [outcome.name for outcome in Outcome]
+    manifest = json.loads((folder / package.MANIFEST).read_text(encoding="utf-8"))
+    assert json.loads(again.table.attrs["manifest"]) == manifest
+    assert Scenario.parse(again.table.attrs["scenario"], folder=folder) == scenario
+    assert (manifest["design"], manifest["samples"], manifest["seed"], manifest["block"]) == ("sobol", 72, 1, 16)
+    with xr.open_dataset(folder / package.TABLE, engine="h5netcdf") as plain:
+        assert plain.sizes == {"run": 72}
+
+
+def test_the_values_are_those_of_the_design(kept, scenario):
+    swept, _ = kept
+    for name, column in design(read_overs(OVER, scenario), "sobol", 72, 1).items():
+        np.testing.assert_array_equal(swept.table[name], column)
+
+
+def test_nothing_depends_on_the_number_of_threads(kept, scenario, tmp_path):
+    sweep(scenario, OVER, out=tmp_path, workers=1, **SOME)
+    assert table_of(tmp_path) == table_of(kept[1])
+
+
+def test_an_interrupted_sweep_goes_on_to_the_same_bytes(kept, scenario, tmp_path):
+    with pytest.raises(InterruptedSweep, match=r"of 72 runs are kept in .*; go on with --resume"):
+        sweep(scenario, OVER, out=tmp_path, workers=1, progress=Stopping(16), **SOME)
+    assert 1 <= len(blocks_of(tmp_path)) < 5
+    calls = []
+    swept = sweep(scenario, out=tmp_path, resume=True, progress=lambda *call: calls.append(call))
+    assert calls[0][0] == 72 - swept.computed > 0
+    assert calls[-1] == (72, 72)
+    assert table_of(tmp_path) == table_of(kept[1])
+
+
+def test_damaged_blocks_are_computed_again(kept, scenario, tmp_path):
+    sweep(scenario, OVER, out=tmp_path, **SOME)
+    (tmp_path / package.TABLE).unlink()
+    cut, flipped, emptied, taken, gone = blocks_of(tmp_path)
+    cut.write_bytes(cut.read_bytes()[:-7])
+    content = bytearray(flipped.read_bytes())
+    content[-300] ^= 1
+    flipped.write_bytes(content)
+    emptied.write_bytes(b"")
+    taken.write_bytes(blocks_of(kept[1])[0].read_bytes())  # whole, but of other rows
+    gone.unlink()
+    (tmp_path / package.BLOCKS / ".of-a-killed-process.part").write_bytes(b"half")
+    with pytest.warns(McKibbenWarning, match="is damaged and is computed again") as notes:
+        swept = sweep(scenario, OVER, out=tmp_path, resume=True, **SOME)
+    assert len(notes) == 4
+    assert swept.computed == 72
+    assert table_of(tmp_path) == table_of(kept[1])
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_a_damaged_table_is_made_again_from_the_blocks(kept, scenario, tmp_path):
+    sweep(scenario, OVER, out=tmp_path, **SOME)
+    (tmp_path / package.TABLE).write_bytes(b"no NetCDF")
+    assert sweep(scenario, out=tmp_path, resume=True).computed == 0
+    assert table_of(tmp_path) == table_of(kept[1])
+
+
+def test_a_complete_sweep_needs_nothing_but_its_table(kept, scenario, tmp_path):
+    sweep(scenario, OVER, out=tmp_path, **SOME)
+    for block in blocks_of(tmp_path):
+        block.unlink()
+    again = sweep(scenario, out=tmp_path, resume=True)
+    assert again.computed == 0
+    assert again.table.identical(kept[0].table)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"seed": 2}, "seed: the sweep was begun with 1, not 2"),
+        ({"samples": 73}, "samples: the sweep was begun with 72, not 73"),
+        ({"design": "random"}, "design: the sweep was begun with sobol, not random"),
+        ({"metrics": ["angle_rmse"]}, "metrics: the sweep was begun with angle_rmse, angle_max"),
+        ({"precision": 32}, "precision: the sweep was begun with 64, not 32"),
+        ({"block": 32}, "block: the sweep was begun with 16, not 32"),
+        (
+            {"over": [OVER[0], "reference.stiffness.after=15..21 N*m/rad", OVER[2]]},
+            "over: the sweep was begun with reference.stiffness.after=15 N*m/rad..22 N*m/rad, not "
+            "reference.stiffness.after=15 N*m/rad..21 N*m/rad",
+        ),
+        ({"over": OVER[:2]}, "over: the sweep was begun with controller.position.kp="),
+    ],
+)
+def test_another_sweep_is_not_mixed_in(kept, scenario, changed, said):
+    _, folder = kept
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    with pytest.raises(FileError) as refused:
+        sweep(scenario, out=folder, resume=True, **changed)
+    assert said in str(refused.value)
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
+def test_another_scenario_is_not_mixed_in(kept, scenario):
+    heavier = scenario.model_copy(update={"control_period": 0.002})
+    with pytest.raises(FileError, match="begun with 'control_period: 1 ms', not 'control_period: 2 ms'"):
+        sweep(heavier, out=kept[1], resume=True)
+
+
+def test_a_file_that_the_scenario_names_must_be_the_same(tmp_path):
+    text = (ROOT / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
+    text = text.replace("duration: 10 s", "duration: 50 ms").replace(
+        "angle: {sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "angle: {samples: {file: wish.csv}}"
+    )
+    (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
+    (tmp_path / "wish.csv").write_text("time_s,angle_deg\n0,0\n1,5\n", encoding="utf-8")
+    out = tmp_path / "out"
+    plan = Plan.of(Scenario.read(tmp_path / "s.yaml"), Asked(OVER[:1]), folder=str(out))
+    Store(out).begin(plan)
+    Store(out).go_on(plan, Store(out).begun())
+    (tmp_path / "wish.csv").write_text("time_s,angle_deg\n0,0\n1,6\n", encoding="utf-8")
+    with pytest.raises(FileError, match="scenario: a file that it names has changed since"):
+        sweep(Scenario.read(tmp_path / "s.yaml"), resume=True, out=out)
+
+
+def test_other_software_is_not_mixed_in(kept, scenario, monkeypatch):
+    monkeypatch.setattr(package.block, "software", lambda: {"mckibben": "9.9", "jax": "0", "platform": "cpu"})
+    monkeypatch.setattr(package.plan, "software", package.block.software)
+    with pytest.raises(FileError, match=r"mckibben: the sweep was begun with .*, not 9.9"):
+        sweep(scenario, out=kept[1], resume=True)
+    monkeypatch.undo()
+    job = Plan.of(scenario, Asked(OVER, **SOME)).job
+    monkeypatch.setattr(package.block, "software", lambda: {**job.software, "jax": "0.0"})
+    with pytest.raises(SimulationError, match=r"a worker has .*jax 0\.0.*same environment"):
+        job({})
+
+
+def test_a_folder_with_a_sweep_is_not_written_over(kept, scenario):
+    with pytest.raises(FileError, match="there is a sweep already; go on with --resume"):
+        sweep(scenario, OVER, out=kept[1])
+
+
+def test_there_must_be_something_to_go_on_with(scenario, tmp_path):
+    with pytest.raises(FileError, match=r"no sweep to go on with \(manifest.json\); leave --resume"):
+        sweep(scenario, OVER, out=tmp_path, resume=True)
+    with pytest.raises(ParameterError, match="say in which folder"):
+        sweep(scenario, OVER, resume=True)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"format": 1}', '{"format": 99}', '{"format": 1, "over": 3}'])
+def test_a_manifest_that_is_none(scenario, tmp_path, text):
+    (tmp_path / package.MANIFEST).write_text(text, encoding="utf-8")
+    with pytest.raises(FileError, match="it is no manifest of a sweep"):
+        sweep(scenario, OVER, out=tmp_path, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"over": None}, "nothing is varied; say what"),
+        ({"over": []}, "nothing is varied"),
+        ({"over": ["load.mas2=1..2 kg"]}, "did you mean 'load.mass2'"),
+        ({"over": ["load.mass2=2..1 kg"]}, "the range is empty"),
+        ({"over": ["load.mass2=1..2 N"]}, "not a unit of the kind 'kg'"),
+        ({"over": ["load.mass2=1..2 kg", "load.m2=1..2 kg"]}, "varied twice"),
+        ({"over": ["joint.connector_length=200..390 mm"]}, r"row \d+: with joint.connector_length"),
+        ({"samples": 0}, "samples is 0"),
+        ({"samples": 2, "seed": -1}, "seed is -1"),
+        ({"design": "gird"}, "choose sobol, random or grid"),
+        ({"design": "grid", "samples": 5}, "leave the number of samples out"),
+        ({"design": "grid"}, "how many points"),
+        ({"precision": 16}, "choose 64 or 32"),
+        ({"metrics": ["angle_rms"]}, "did you mean 'angle_rmse'"),
+        ({"metrics": []}, "no metric is asked for"),
+        ({"block": 0}, "a block of 0 runs"),
+        ({"dask": "here"}, "give local, or an address like tcp"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_before_anything_is_written(scenario, tmp_path, asked, said):
+    with pytest.raises(ParameterError, match=said):
+        sweep(scenario, asked.pop("over", OVER), out=tmp_path, **asked)
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_dask_it_says_what_to_install(scenario, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ParameterError, match=r"pip install 'mckibben\[sweep\]'"):
+        sweep(scenario, OVER, dask="local")
+
+
+def test_a_scheduler_that_does_not_answer(scenario, monkeypatch, tmp_path):
+    import distributed
+
+    def silent(*_, **__):
+        raise OSError("Timed out trying to connect to tcp://127.0.0.1:1 after 10 s")
+
+    monkeypatch.setattr(distributed, "Client", silent)
+    with pytest.raises(SimulationError, match=r"no answer: tcp://127\.0\.0\.1:1"):
+        sweep(scenario, OVER, dask="tcp://127.0.0.1:1", out=tmp_path)
+
+
+def test_a_full_disk_loses_nothing(kept, scenario, tmp_path, monkeypatch):
+    real, written = Path.write_bytes, []
+
+    def full(path, data):
+        if path.parent.name == package.BLOCKS:
+            if len(written) == 2:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            written.append(path)
+        return real(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(FileError, match="the disk is full; 32 of 72 runs are kept; make room, and go on"):
+        sweep(scenario, OVER, out=tmp_path, workers=1, **SOME)
+    monkeypatch.undo()
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(1, 1, 0))
+    with pytest.raises(FileError, match="the disk is full; 72 of 72 runs are kept"):
+        sweep(scenario, out=tmp_path, resume=True)
+    monkeypatch.undo()
+    assert sweep(scenario, out=tmp_path, resume=True).computed == 0
+    assert table_of(tmp_path) == table_of(kept[1])
+
+
+def test_a_grid_has_every_combination(scenario):
+    plan = Plan.of(scenario, Asked(["load.mass2=0.4 kg, 0.6 kg", "load.m1=0..1 kg in 3"], "grid"))
+    np.testing.assert_array_equal(plan.table["load.mass2"], [0.4, 0.4, 0.4, 0.6, 0.6, 0.6])
+    np.testing.assert_array_equal(plan.table["load.mass1"], [0, 0.5, 1, 0, 0.5, 1])
+    assert (plan.rows, plan.blocks, plan.manifest["samples"], plan.manifest["seed"]) == (6, 1, 6, 0)
+
+
+def test_random_values_and_spreads_made_in_python(scenario):
+    spreads = {"load.m2": Uniform(0.3, 0.5), "load.damping": Normal(0.015, 0.001)}
+    plan = Plan.of(scenario, Asked(spreads, "random", 5, 3, "angle_rmse,coupling"))
+    assert plan.job.metrics == ("angle_rmse", "coupling")
+    for name, column in design(over(scenario, spreads), "random", 5, 3).items():
+        np.testing.assert_array_equal(plan.table[name], column)
+    assert Plan.of(scenario, Asked(over(scenario, spreads), "random", 5, 3, "coupling_deg,angle_rmse")).identity == (
+        plan.identity
+    )
+    assert Plan.of(scenario, Asked(spreads, "random", 5, 4, "angle_rmse,coupling")).identity != plan.identity
+
+
+def test_half_the_precision_is_near_the_full_one(kept, scenario):
+    half = sweep(scenario, OVER, precision=32, samples=8, seed=1, metrics=["angle_rmse"]).table
+    assert half["angle_rmse"].dtype == np.float32
+    np.testing.assert_array_equal(half["load.mass2"], kept[0].table["load.mass2"][:8])
+    np.testing.assert_allclose(half["angle_rmse"], kept[0].table["angle_rmse"][:8], rtol=1e-3)
+
+
+def test_what_cannot_be_held_is_told(scenario):
+    offset = np.array([0.0, 15.0, 60.0]) * deg
+    found = attainability(scenario, {"reference.angle.offset": offset, "reference.angle.amplitude": offset}, 16)
+    for run in range(3):
+        one = with_values(scenario, {"reference.angle.offset": offset[run], "reference.angle.amplitude": offset[run]})
+        reach = check_reference(one.plant(), one.reference(), duration=0.1, control_period=1e-3)
+        assert found["unheld"][run] == pytest.approx(np.isnan(reach.shortfall).mean(), abs=0.011)
+        if not np.isnan(reach.shortfall).all():
+            assert found["shortfall_max"][run] == pytest.approx(np.nanmax(reach.shortfall), rel=0.02)
+    np.testing.assert_array_equal(np.isnan(found["shortfall_max"]), [False, False, True])
+    assert found["unheld"][2] == 1
+
+
+def test_the_reach_is_that_of_all_where_the_controller_alone_is_varied(scenario):
+    found = attainability(scenario, {"controller.position.kp": [1e5, 2e5]}, 16)
+    np.testing.assert_array_equal(found["unheld"], [0, 0])
+    np.testing.assert_array_equal(found["shortfall_max"], [0, 0])
+
+
+def test_the_program_depends_on_nothing_but_the_number_of_runs(monkeypatch):
+    assert _sizes(72, 16) == (16, 16)
+    assert _sizes(100, None) == (16, 16)
+    assert _sizes(20_000, None) == (256, 256)
+    lanes, block = _sizes(1_000_000, None)
+    assert (lanes, block % lanes) == (256, 0)
+    assert block <= 64 * 256
+    monkeypatch.setattr(package.plan.jax, "default_backend", lambda: "gpu")
+    assert _sizes(20_000, None) == (10_000, 10_000)
+
+
+def test_a_file_that_is_no_sweep(tmp_path, kept):
+    with pytest.raises(FileError, match="no such file"):
+        Sweep.from_netcdf(tmp_path / "nowhere.nc")
+    (tmp_path / "text.nc").write_text("text")
+    with pytest.raises(FileError, match="cannot be read as NetCDF"):
+        Sweep.from_netcdf(tmp_path / "text.nc")
+    xr.Dataset({"x": ("run", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
+    with pytest.raises(FileError, match="it is no sweep"):
+        Sweep.from_netcdf(tmp_path / "other.nc")
+    odd = kept[0].table.copy()
+    odd["outcome"] = ("run", np.full(72, 99, np.int8))
+    odd.to_netcdf(tmp_path / "odd.nc", engine="h5netcdf")
+    with pytest.raises(FileError, match="outcomes are none of ours"):
+        Sweep.from_netcdf(tmp_path / "odd.nc")
+    with pytest.raises(ParameterError, match="there is no run 72; choose 0 to 71"):
+        kept[0].scenario(72)
+
+
+def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_path):
+    killed = []
+
+    def kill(done: int, runs: int) -> None:
+        children = [] if killed or not done else psutil.Process().children(recursive=True)
+        for child in children:
+            if "--multiprocessing-fork" in child.cmdline() or "spawn_main" in " ".join(child.cmdline()):
+                child.send_signal(signal.SIGKILL)
+                killed.append(child.pid)
+                return
+
+    asked = {**SOME, "metrics": ["angle_rmse"]}  # less to compile for every worker
+    sweep(scenario, OVER, out=tmp_path / "here", **asked)
+    sweep(scenario, OVER, out=tmp_path / "there", dask="local", workers=2, progress=kill, **asked)
+    assert killed
+    assert table_of(tmp_path / "there") == table_of(tmp_path / "here")
