@@ -135,7 +135,7 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
 
 
 def _loop(problem: Problem, controller: Controller) -> Callable[[], object]:
-    traced = numeric((problem.plant, controller, problem.wishes, problem.start, PERIOD))
+    traced = jax.device_put(numeric((problem.plant, controller, problem.wishes, problem.start, PERIOD)))
     return lambda: jax.block_until_ready(compiled_episode(*traced, SUBSTEPS))
 
 

@@ -12,6 +12,7 @@ from mckibben.control.base import Controller, Loop, Measurement, Setpoint
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.numerics.derivative import derivative
+from mckibben.numerics.many import apart
 
 Scalar = Float[Array, ""]
 
@@ -64,7 +65,7 @@ class PositionStiffnessControl(Controller):
         self, state: PositionStiffnessState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[PositionStiffnessState, tuple[Scalar, Scalar]]:
         angle, pressures = measurement
-        estimate = self.model.stiffness(angle, pressures)
+        estimate = apart(self.model.stiffness, angle, pressures, witness=period)
         by_differential, by_cocontraction = self._sensitivities(measurement, estimate)
         position, differential = self.position.step(state.position, setpoint.angle, angle, by_differential, period)
         stiffness, cocontraction = self.stiffness.step(

@@ -48,10 +48,12 @@ class KeptProgram:
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         folder = programs_folder()
+        if folder is None:
+            return self._traced(*args, **kwargs)
         dynamic, static = eqx.partition((args, kwargs), eqx.is_array)
         leaves, structure = jax.tree.flatten(dynamic)
         traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
-        if folder is None or traced or jax.default_backend() != "cpu":
+        if traced or jax.default_backend() != "cpu":
             return self._traced(*args, **kwargs)
         fixed, around = jax.tree.flatten(static)
         kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in leaves)

@@ -79,6 +79,8 @@ def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> di
     ParameterError
         If there is no such leaf; the nearest name is suggested.
     """
+    if not values:
+        return dict(trees)
     known = leaves_named(trees, list(values))
     whole = {name: np.issubdtype(np.asarray(leaf).dtype, np.integer) for name, leaf in known.items()}
     kinds = {name: np.asarray(value).dtype if whole[name] else float for name, value in values.items()}

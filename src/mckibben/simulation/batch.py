@@ -19,6 +19,7 @@ from mckibben.errors import ParameterError, SimulationError
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled_batch
 from mckibben.numerics.lanes import cast, cores, padded, worked_off
+from mckibben.numerics.many import many_runs
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import check_substeps, sampling_times, wishes_at
 from mckibben.simulation.measured import measured_episode
@@ -206,18 +207,19 @@ def _chunk(
         start, exists = run.start(wish)
         change = last_change(wish.stiffness)
         plant, controller, wish, start, step = cast((run.plant, run.controller, wish, start, period), precision)
-        measured = measured_episode(
-            plant,
-            controller,
-            wish,
-            start,
-            step,
-            asked.substeps,
-            change=cast(change, precision),
-            split=split,
-            keep=asked.keep,
-            every=asked.apart,
-        )
+        with many_runs():
+            measured = measured_episode(
+                plant,
+                controller,
+                wish,
+                start,
+                step,
+                asked.substeps,
+                change=cast(change, precision),
+                split=split,
+                keep=asked.keep,
+                every=asked.apart,
+            )
         metrics = {name: jnp.where(exists, value, jnp.nan) for name, value in measured.metrics._asdict().items()}
         deciding = {f"_{name}": metrics[name] for name in _DECIDING}
         return {**{name: metrics[name] for name in asked.metrics}, **deciding, **measured.kept, "_started": exists}

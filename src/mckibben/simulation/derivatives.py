@@ -19,6 +19,7 @@ from mckibben.control.base import Controller, Reference
 from mckibben.errors import ParameterError
 from mckibben.numerics.compiled import compiled_as_given, compiled_batch
 from mckibben.numerics.lanes import by_name, leaves_named, padded, replaced, worked_off
+from mckibben.numerics.many import many_runs
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import check_substeps, sampling_times, wishes_at
 from mckibben.simulation.measured import measured_episode
@@ -201,14 +202,15 @@ def _metrics(run: Run, times: ArrayLike, period: ArrayLike, asked: _Asked) -> di
     if "coupling" in asked.metrics:
         change = last_change(wishes.stiffness)
         split = jnp.where(change.ends, change.at, jnp.size(times))
-    found = measured_episode(
-        run.plant,
-        run.controller,
-        wishes,
-        start,
-        period,
-        asked.substeps,
-        split=split,
-        checkpoint=asked.mode is Mode.REVERSE,
-    )
+    with many_runs(rolled=asked.many):
+        found = measured_episode(
+            run.plant,
+            run.controller,
+            wishes,
+            start,
+            period,
+            asked.substeps,
+            split=split,
+            checkpoint=asked.mode is Mode.REVERSE,
+        )
     return {name: jnp.where(exists, getattr(found.metrics, name), jnp.nan) for name in asked.metrics}

@@ -41,7 +41,12 @@ def started(controller: Controller, initial: PlantState) -> Running:
 
 
 def control_period(
-    plant: JointPlant, controller: Controller, running: Running, setpoint: Setpoint, period: ArrayLike, substeps: int
+    plant: JointPlant,
+    controller: Controller,
+    running: Running,
+    setpoint: Setpoint,
+    period: ArrayLike,
+    substeps: int,
 ) -> tuple[Running, Record]:
     """One control period: the controller's step, then the plant under the commands that it holds."""
     state, memory = running
@@ -50,7 +55,11 @@ def control_period(
     limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
     switched = plant.switched(state, commands)
     step = period / substeps
-    following = lax.fori_loop(0, substeps, lambda _, x: rk4(lambda s: plant.rate(s, commands), x, step), switched)
+
+    def integrate(_: Array, state: PlantState) -> PlantState:
+        return rk4(lambda s: plant.rate(s, commands), state, step)
+
+    following = lax.fori_loop(0, substeps, integrate, switched)
     return (following, memory), Record(state, *commands, limited, controller.telemetry(memory))
 
 

@@ -99,7 +99,7 @@ def measured_episode(
     def next_period(carried: _Carried, at: tuple[Array, Setpoint]) -> tuple[_Carried, dict[str, Array]]:
         index, setpoint = at
         running, record = following(carried.running, setpoint)
-        moment = trajectory(plant, setpoint, record, carried.undisturbed[0].angle)
+        moment = trajectory(plant, setpoint, record, carried.undisturbed[0].angle, period)
         at_change = jnp.where(index == change.at, moment.stiffness, carried.stiffness_at_change)
         added = tally(moment, index, change, at_change, SETTLING_PART)
         here = {name: getattr(moment, name) for name in keep}

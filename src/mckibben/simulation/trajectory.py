@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Setpoint
 from mckibben.numerics.compiled import compiled
+from mckibben.numerics.many import apart
 from mckibben.plant import JointPlant
 from mckibben.simulation.loop import Record
 
@@ -46,7 +47,9 @@ class Trajectory(NamedTuple):
     excursion: Array
 
 
-def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, undisturbed_angle: Array) -> Trajectory:
+def trajectory(
+    plant: JointPlant, setpoints: Setpoint, record: Record, undisturbed_angle: Array, period: ArrayLike = 1.0
+) -> Trajectory:
     """Work out the trajectory of a record. Pure and elementwise: of one control period or of all of them.
 
     Parameters
@@ -55,10 +58,12 @@ def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, undisturb
         As `episode` took and gave them.
     undisturbed_angle
         The angle [rad] of a run to the same wishes `without_last_change`; the same angle where there is none.
+    period
+        The control period [s]; only looked at in programs for many runs.
     """
     state, joint = record.state, plant.joint
-    torque, stiffness = joint.torque_and_stiffness(state.angle, state.pressures)
-    contraction1, contraction2 = joint.contractions(state.angle, state.pressures)
+    torque, stiffness = apart(joint.torque_and_stiffness, state.angle, state.pressures, witness=period)
+    contraction1, contraction2 = apart(joint.contractions, state.angle, state.pressures, witness=period)
     force1 = joint.muscle1.force(contraction1, state.pressure1)
     force2 = joint.muscle2.force(contraction2, state.pressure2)
     muscles = ((joint.muscle1, contraction1, state.pressure1), (joint.muscle2, contraction2, state.pressure2))
