@@ -22,7 +22,8 @@ TOLERANCE = {"f64": 1e-9, "f32": 1e-4}
 CHECKED = 32  # lanes
 LANES_OF_C, LANES_OF_NUMPY, PERIODS_OF_NUMPY = 32, 4096, 50
 MILLION = 1e6
-OURS = {"ours, simulate_many": ours.batch, "ours, bare loop": ours.bare_batch}
+BASE = "plain C, f64, 1 core"
+CHUNKS_OF_OURS = 4  # a core
 
 
 def batch(problem: Problem, folder: Path, *, quick: bool) -> Table:
@@ -75,14 +76,13 @@ def deviation(problem: Problem, folder: Path, masses: NDArray[np.float64], found
 
 def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, cores: int) -> None:
     dtype, where = DTYPES[precision], f"{precision}, {cores} core{'s' if cores > 1 else ''}"
-    base = f"plain C, {where}"
 
     def candidate(
         name: str, run: Callable[[], NDArray[Any]], masses: NDArray[np.float64], part: Problem = problem, note: str = ""
     ) -> Candidate:
         off = deviation(part, folder, masses, run())
         work = len(masses) * part.periods / MILLION
-        return Candidate(f"{name}, {where}", run, work, off, TOLERANCE[precision], note, base)
+        return Candidate(f"{name}, {where}", run, work, off, TOLERANCE[precision], note, BASE)
 
     def plain_c() -> Candidate:
         masses = loads(LANES_OF_C * cores)
@@ -94,9 +94,10 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
         run = threaded(SimdLanes(folder, dtype), problem, masses, cores)
         return candidate("SIMD by hand", run, masses, note=f"C++, {len(masses)} lanes: the limit")
 
-    def our_own(name: str, bound: Callable[..., Callable[[], NDArray[Any]]]) -> Candidate:
-        masses = loads(ours.CHUNK * cores)
-        return candidate(name, bound(problem, masses, dtype, cores=cores), masses, note=f"{len(masses)} lanes")
+    def our_own() -> Candidate:
+        masses = loads(CHUNKS_OF_OURS * ours.CHUNK * cores)
+        run = ours.batch(problem, masses, dtype, cores=cores)
+        return candidate("ours, simulate_many", run, masses, note=f"{len(masses)} lanes")
 
     def numpy() -> Candidate:
         from engines import plain_python
@@ -106,10 +107,9 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
         note = f"{LANES_OF_NUMPY} lanes, {PERIODS_OF_NUMPY} of {problem.periods} control periods"
         return candidate("NumPy", run, masses, short, note)
 
-    bench.add(base, plain_c)
+    bench.add(f"plain C, {where}", plain_c)
     bench.add(f"SIMD by hand, {where}", simd)
-    for name, bound in OURS.items():
-        bench.add(f"{name}, {where}", lambda name=name, bound=bound: our_own(name, bound))
+    bench.add(f"ours, simulate_many, {where}", our_own)
     if cores == 1:
         bench.add(f"NumPy, {where}", numpy)
 

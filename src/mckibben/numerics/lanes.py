@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -48,8 +49,10 @@ def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
         If leaves vary over different numbers of lanes, or over none, or have two axes too many.
     """
     count, first, flags = None, "", []
-    leaves, structure = jax.tree_util.tree_flatten_with_path(tree)
-    for path, leaf in leaves:
+    leaves, structure = jax.tree.flatten(tree)
+    if not any(np.ndim(leaf) for leaf in leaves if eqx.is_array_like(leaf)):
+        return None, jax.tree.unflatten(structure, [False] * len(leaves))
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
         axes = np.ndim(leaf) if eqx.is_array_like(leaf) else 0
         if axes == 0:
             flags.append(False)
@@ -100,12 +103,21 @@ def leaves_named(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, An
 
 def by_name(trees: Mapping[str, Any]) -> dict[str, Any]:
     """All leaves that are numbers or arrays, by their dotted names."""
-    return {
-        ".".join((root, jax.tree_util.keystr(path, simple=True, separator="."))): leaf
-        for root, tree in trees.items()
-        for path, leaf in jax.tree_util.tree_leaves_with_path(tree)
-        if eqx.is_array_like(leaf) and not isinstance(leaf, bool)
-    }
+    found = {}
+    for root, tree in trees.items():
+        leaves, structure = jax.tree.flatten(tree)
+        for name, leaf in zip(_names(structure), leaves, strict=True):
+            if eqx.is_array_like(leaf) and not isinstance(leaf, bool):
+                found[f"{root}.{name}"] = leaf
+    return found
+
+
+@functools.lru_cache(maxsize=256)
+def _names(structure: Any) -> tuple[str, ...]:
+    """The dotted names of the leaves of a structure."""
+    tree = jax.tree.unflatten(structure, range(structure.num_leaves))
+    paths = jax.tree_util.tree_leaves_with_path(tree)
+    return tuple(jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)
 
 
 def replaced(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
