@@ -249,12 +249,12 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
 def main() -> None:
     """Run the command line; errors of ours become one message and exit code 2, others exit code 1."""
-    from mckibben.numerics.runtime import use_compile_cache
+    from mckibben.numerics.runtime import keep_programs
 
     # Imports and the tracing of programs make many objects that stay: looking through them for garbage again and again
     # is a fifth of a command's time, and once more at the exit another fifth.
     gc.set_threshold(100_000, 10, 10)
-    use_compile_cache()
+    keep_programs()
     warnings.showwarning = _show_warning
     try:
         app()

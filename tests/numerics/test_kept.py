@@ -82,6 +82,23 @@ def test_a_folder_that_cannot_be_written_to_stops_nothing(tmp_path, monkeypatch)
     assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
 
 
+def test_where_jax_keeps_a_cache_of_its_own_nothing_is_kept_twice(folder, monkeypatch, tmp_path):
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "theirs"))
+    assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    assert not folder.exists()
+
+
+def test_a_program_that_does_not_run_again_is_not_kept(folder, monkeypatch):
+    from jax.experimental import serialize_executable
+
+    def unreadable(*_):
+        raise RuntimeError("no such function")
+
+    monkeypatch.setattr(serialize_executable, "deserialize_and_load", unreadable)
+    assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    assert list(folder.glob("*")) == []
+
+
 def test_inside_other_programs_it_is_a_part_of_them(folder):
     program = KeptProgram(square)
     slope = jax.grad(lambda x: program({"x": x}, 2, offset=Constant(0.5))["value"])(3.0)

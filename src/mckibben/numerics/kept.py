@@ -76,16 +76,18 @@ class KeptProgram:
         if " at 0x" in text:  # something without a lasting name
             return jax.jit(function, compiler_options=self._options)
         path = folder / f"{hashlib.sha256((text + _surroundings()).encode()).hexdigest()[:40]}.program"
+        taken = jax.tree.structure((tuple(leaves), {}))
         try:
             payload, skeleton = pickle.loads(path.read_bytes())
-            return deserialize_and_load(payload, jax.tree.structure((tuple(leaves), {})), jax.tree.structure(skeleton))
+            return deserialize_and_load(payload, taken, jax.tree.structure(skeleton))
         except Exception:  # missing, damaged, or of a JAX that cannot read it: then it is made
             program = jax.jit(function).lower(*leaves).compile(compiler_options=self._options)
         try:
-            payload, _, out = serialize(program)
+            payload, _, given = serialize(program)
+            jax.block_until_ready(deserialize_and_load(payload, taken, given)(*leaves))  # does it run again?
             folder.mkdir(parents=True, exist_ok=True)
             with whole(path) as part:
-                part.write_bytes(pickle.dumps((payload, jax.tree.unflatten(out, [0] * out.num_leaves))))
+                part.write_bytes(pickle.dumps((payload, jax.tree.unflatten(given, [0] * given.num_leaves))))
             _thin_out(folder)
         except Exception:  # a program that cannot be kept still runs; nor does a full disk matter to it
             pass

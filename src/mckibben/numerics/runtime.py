@@ -1,4 +1,4 @@
-"""Set JAX up before it starts: 64-bit numbers, fast loops on the CPU, and a compile cache for the command line.
+"""Set JAX up before it starts: 64-bit numbers, fast loops on the CPU, and programs that are kept for the command line.
 
 Nothing here imports JAX before it is used, so that `import mckibben` and `mckibben --help` stay quick.
 """
@@ -48,23 +48,22 @@ def with_loop_option(flags: str) -> str:
     return f"{flags} {_EXTRA_OPTIONS}{option}".strip()
 
 
-def use_compile_cache() -> None:
-    """Keep compiled programs in the user's cache folder, so that the next process need not compile them again."""
+def keep_programs() -> None:
+    """Keep finished programs in the user's cache folder, so that the next process need not make them again."""
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:  # no home: then nothing is kept
         return
-    folder = Path(base) / "mckibben"
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder / f"jax-{_processor()}"))
-    os.environ.setdefault(_PROGRAMS, str(folder / f"programs-{_processor()}"))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
+    os.environ.setdefault(_PROGRAMS, str(Path(base) / "mckibben" / f"programs-{_processor()}"))
 
 
 def programs_folder() -> Path | None:
-    """Where finished programs are kept between processes; None unless `use_compile_cache` was called."""
+    """Where finished programs are kept between processes; None unless `keep_programs` was called.
+
+    None as well where JAX keeps a cache of its own: a program that it took from there cannot be kept again.
+    """
     folder = os.environ.get(_PROGRAMS)
-    return Path(folder) if folder else None
+    return Path(folder) if folder and not os.environ.get("JAX_COMPILATION_CACHE_DIR") else None
 
 
 def _processor() -> str:
