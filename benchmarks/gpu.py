@@ -40,7 +40,8 @@ def measured(*, quick: bool) -> list[dict]:
     except RuntimeError:
         return [Row("ours, GPU", note="no GPU that JAX sees (pip install 'jax[cuda12]' where there is one)").as_dict()]
 
-    from batch import DTYPES, MILLION, OURS, TOLERANCE, deviation, loads
+    import ours
+    from batch import DTYPES, MILLION, TOLERANCE, deviation, loads
     from reference import reference_problem
 
     problem = reference_problem()
@@ -48,17 +49,16 @@ def measured(*, quick: bool) -> list[dict]:
     with tempfile.TemporaryDirectory() as folder:
         for precision, dtype in DTYPES.items():
             for count in LANES:
-                for engine, bound in OURS.items():
-                    name = f"{engine}, {precision}, {count} lanes"
+                name = f"ours, simulate_many, {precision}, {count} lanes"
 
-                    def build(name=name, bound=bound, precision=precision, dtype=dtype, count=count) -> Candidate:
-                        masses = loads(count)
-                        run = bound(problem, masses, dtype, chunk=count)
-                        off = deviation(problem, Path(folder), masses, run())
-                        work = count * problem.periods / MILLION
-                        return Candidate(name, run, work, off, TOLERANCE[precision], device.device_kind)
+                def build(name=name, precision=precision, dtype=dtype, count=count) -> Candidate:
+                    masses = loads(count)
+                    run = ours.batch(problem, masses, dtype, chunk=count)
+                    off = deviation(problem, Path(folder), masses, run())
+                    work = count * problem.periods / MILLION
+                    return Candidate(name, run, work, off, TOLERANCE[precision], device.device_kind)
 
-                    bench.add(name, build)
+                bench.add(name, build)
         return [row.as_dict() for row in bench.timed()]
 
 
