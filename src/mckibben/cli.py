@@ -251,9 +251,6 @@ def main() -> None:
     """Run the command line; errors of ours become one message and exit code 2, others exit code 1."""
     from mckibben.numerics.runtime import keep_programs
 
-    # Imports and the tracing of programs make many objects that stay: looking through them for garbage again and again
-    # is a fifth of a command's time, and once more at the exit another fifth.
-    gc.set_threshold(100_000, 10, 10)
     keep_programs()
     warnings.showwarning = _show_warning
     try:
@@ -270,6 +267,17 @@ def main() -> None:
             err=True,
         )
         sys.exit(1)
+
+
+def run() -> None:
+    """The installed command: `main` in a process of its own.
+
+    Imports and the tracing of programs make many objects that stay. To look through them for garbage again and again is
+    a fifth of a command's time, and once more at the exit another fifth.
+    """
+    gc.set_threshold(100_000, 10, 10)
+    try:
+        main()
     finally:
         gc.freeze()
 
@@ -327,4 +335,4 @@ def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__
 
 
 if __name__ == "__main__":
-    main()
+    run()

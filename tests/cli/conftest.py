@@ -25,8 +25,7 @@ class Answer(NamedTuple):
 def cli(monkeypatch, capsys, tmp_path) -> Callable[..., Answer]:
     """Call the command with arguments, in a folder of its own."""
     monkeypatch.chdir(tmp_path)
-    for name in ("CACHE_DIR", "CACHE_MIN_COMPILE_TIME_SECS", "CACHE_MIN_ENTRY_SIZE_BYTES"):
-        monkeypatch.setenv(f"JAX_COMPILATION_{name}" if name == "CACHE_DIR" else f"JAX_PERSISTENT_{name}", "0")
+    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")  # nothing is kept in, or taken from, the user's own cache
     monkeypatch.delenv("MCKIBBEN_DEBUG", raising=False)
     monkeypatch.setenv("COLUMNS", "160")
 

@@ -114,7 +114,7 @@ def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, 
             for each, now in zip(ranges, shown_values.values(), strict=True)
         ]
         table(
-            f"cost {tuned.cost_before:.4g} -> {tuned.cost:.4g}, {tuned.evaluated} points tried",
+            f"cost {metric('cost', tuned.cost_before)} -> {tuned.cost:.4g}, {tuned.evaluated} points tried",
             ("parameter", "before", "tuned"),
             rows,
         )

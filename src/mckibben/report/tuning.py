@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from mckibben.report.panels import beside, letter
+from mckibben.report.panels import letter
 from mckibben.report.style import BAND, BLUE, DOUBLE, VERMILLION, blank, styled
 from mckibben.study.tuning import Tuned
 from mckibben.study.tuning.problem import LOST
@@ -34,13 +34,14 @@ def tuning(tuned: Tuned) -> Figure:
     costs_axes.plot(tried, np.where(np.isfinite(best), best, np.nan), color=VERMILLION, label="the best so far")
     if np.isfinite(tuned.cost_before):
         costs_axes.axhline(tuned.cost_before, color="#555555", linewidth=0.8, linestyle=(0, (4, 2)), label="before")
-    costs_axes.set(xlabel="points tried", ylabel="cost", yscale="log", xlim=(0, costs.size + 1))
-    costs_axes.legend(loc="upper right")
     lost = int(np.sum(~finite))
-    if lost:
-        beside(costs_axes, f"{lost} not drawn: not allowed, or lost", x=0.015, y=0.03, ha="left", va="bottom")
+    besides = f"; {lost} not drawn: not allowed, or lost" if lost else ""
+    costs_axes.set(xlabel=f"points tried{besides}", ylabel="cost", yscale="log", xlim=(0, costs.size + 1))
+    low, high = costs_axes.get_ylim()
+    costs_axes.set_ylim(low, high * (high / low) ** 0.3)  # room for the legend
+    costs_axes.legend(loc="upper right")
 
-    letter(places_axes, "b", "where in its range each number ended")
+    letter(places_axes, "b", "where in its range each ended")
     names = list(tuned.values)
     points = np.array([trial.point for trial in tuned.trials])
     good = finite & (costs <= 1.1 * costs.min())
@@ -52,6 +53,6 @@ def tuning(tuned: Tuned) -> Figure:
     shown = [name.removeprefix("controller.") for name in names] if len(names) <= _FEW else [""] * len(names)
     places_axes.set(xlim=(-0.03, 1.03), ylim=(-0.7, len(names) - 0.3), yticks=rows, yticklabels=shown)
     places_axes.set_xticks([0, 0.5, 1], ["lower end", "middle", "upper end"])
-    places_axes.set_xlabel("blue: all within 10 % of the least cost", fontsize=7)
+    places_axes.set_xlabel("blue: within 10 % of the least cost", fontsize=7)
     places_axes.grid(False)
     return figure

@@ -138,15 +138,15 @@ def read_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False) -> Co
         metric, scale = found["metric"], found["scale"]
         Term(metric, 1.0)  # is it a metric at all?
         if scale is None and len(parts) > 1:
-            example = attributes(metric)["units"].replace("rad", "deg", 1) if metric.startswith("angle") else None
-            unit = example or attributes(metric)["units"]
+            unit = _unit(metric).replace("ratio", "%")
+            unit = "deg" if unit == "rad" else unit
             raise ParameterError(
                 f"{metric} has no scale, and cannot be added to other metrics",
                 remedy=f"write it like {metric}/0.1 {unit}",
             )
         try:
             weight = float(found["weight"] or 1.0)
-            size = 1.0 if scale is None else quantity(scale, attributes(metric)["units"])
+            size = 1.0 if scale is None else quantity(scale, _unit(metric))
         except UnitError as error:
             raise ParameterError(f"{part!r}: {error}", value=part) from None
         except ValueError:
@@ -157,5 +157,10 @@ def read_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False) -> Co
 
 def _written(term: Term) -> str:
     weight = "" if term.weight == 1 else f"{term.weight!r}*"
-    unit = attributes(term.metric)["units"]
-    return f"{weight}{term.metric}/{term.scale!r} {unit}".replace("+", "")
+    return f"{weight}{term.metric}/{term.scale!r} {_unit(term.metric)}".replace("+", "")
+
+
+def _unit(metric: str) -> str:
+    """In SI, as a quantity has it: a bare number would be no scale that one can read."""
+    unit = attributes(metric)["units"]
+    return "ratio" if unit == "1" else unit

@@ -125,5 +125,5 @@ def _floats(values: Any) -> tuple[float, ...]:
 
 def _difference(name: str, kept: Any, asked: Any) -> str:
     if len(str(kept)) + len(str(asked)) > 160:
-        return f"it is a search with another {name}; nothing was changed"
+        return f"it is a search that differs in {name}; nothing was changed"
     return f"it is a search with {name} {kept}, not {asked}; nothing was changed"

@@ -18,6 +18,7 @@ Costs = Callable[[Points], NDArray[np.float64]]
 CostsAndGradients = Callable[[Points], tuple[NDArray[np.float64], Points]]
 Progress = Callable[[float], None]
 
+_LINE_SEARCH = 8  # points along a direction: where a loop chatters the slope is huge, and more would find no end
 _STEP = 0.25
 """The first step of CMA-ES, as a part of each range."""
 
@@ -93,7 +94,7 @@ def by_gradient(
             method="L-BFGS-B",
             bounds=[(0.0, 1.0)] * start.size,
             callback=lambda _: count(number, steps[number] + 1),
-            options={"maxiter": iterations},
+            options={"maxiter": iterations, "maxls": _LINE_SEARCH},
         )
         count(number, iterations)
 

@@ -121,9 +121,8 @@ def tune(
     about = {
         "kind": "tuning",
         "version": version("mckibben"),
-        "scenarios": [scenario.dumps(folder=folder) for scenario in several],
-        "numbers of the scenarios": [_digest(scenario) for scenario in several],
-        "over": [each.text for each in task.over],
+        "scenarios or what they name": [(scenario.dumps(folder=folder), _digest(scenario)) for scenario in several],
+        "parameters": [each.text for each in task.over],
         "cost": cost.text,
         "gain margin": cost.gain_margin,
         "worst": cost.worst,
@@ -148,9 +147,9 @@ def tune(
 
     if past.best.cost >= LOST:
         raise ParameterError(
-            f"none of the {len(past.trials)} points that were tried has a cost: their numbers are not allowed together, "
-            "their runs did not stay finite, or a metric is not defined for them",
-            remedy="search other ranges, or with another cost",
+            f"none of the {len(past.trials)} points that were tried has a cost: their numbers are not allowed "
+            "together, their runs did not stay finite, or a metric is not defined for them",
+            remedy="search other ranges, from more starts, by another method or with another cost",
         )
     best = np.array(past.best.point)
     values = task.values(best[None])[0]
@@ -182,8 +181,7 @@ def tune(
 def _digest(scenario: Scenario) -> str:
     """Of all numbers that runs are made of: files that the scenario names, and the catalog, are in it."""
     leaves = jax.tree.leaves((scenario.plant(), scenario.control(), scenario.reference()))
-    arrays = [leaf if isinstance(leaf, str) else np.asarray(leaf).tolist() for leaf in leaves]
-    return hashlib.sha256(repr(arrays).encode()).hexdigest()
+    return hashlib.sha256(repr([np.asarray(leaf).tolist() for leaf in leaves]).encode()).hexdigest()
 
 
 class _Descents:

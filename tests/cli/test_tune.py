@@ -1,0 +1,273 @@
+"""mckibben tune, as people type it; and what is left when it is interrupted or killed."""
+
+import importlib.util
+import itertools
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from mckibben.study.numbers import METRICS
+from mckibben.study.scenario import Scenario
+from mckibben.study.tuning.problem import Problem
+
+SLOWLY = """
+import os, time
+fsync = os.fsync
+def slow(file):  # so that there is a middle to be interrupted in
+    fsync(file)
+    time.sleep(0.3)
+os.fsync = slow
+from mckibben.cli import main
+main()
+"""
+CHANGES = (
+    ("duration: 10 s", "duration: 100 ms"),
+    ("control_period: 1 ms", "control_period: 2 ms"),
+    ("{sine: {amplitude: 10 deg, frequency: 0.5 Hz}}", "2 deg"),
+    ("{step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 5 s}}", "15 N*m/rad"),
+)
+START = ("--parameters", "start.angle=-5..8 deg", "--parameters", "start.stiffness=11..20 N*m/rad log")
+COST = ("--cost", "angle_rmse/1 deg + stiffness_rmse/1 N*m/rad", "--margin", "1")
+SMALL = (*START, *COST, "--population", "8", "--starts", "2", "--iterations", "3", "--out", "kept")
+
+
+@pytest.fixture
+def text() -> str:
+    """The example, with nothing to do but to stay at 2 deg and 15 N*m/rad."""
+    said = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
+    for old, new in CHANGES:
+        assert old in said
+        said = said.replace(old, new)
+    return said
+
+
+@pytest.fixture(autouse=True)
+def nothing_from_earlier_processes(monkeypatch):
+    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
+
+
+@pytest.fixture
+def scenario(tmp_path, text) -> Path:
+    path = tmp_path / "s.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def mistaken(cli, tmp_path, scenario):
+    """Call with a mistake: it is bad input, said in one error without a progress bar; what is said."""
+
+    def call(*arguments: str) -> str:
+        found = cli("tune", *arguments)
+        assert (found.code, found.out) == (2, ""), found
+        assert found.err.startswith("error: ")
+        assert "Traceback" not in found.err
+        assert not list(tmp_path.glob("kept/*")), "something is in the way of the next try"
+        return found.err
+
+    return call
+
+
+@pytest.fixture
+def cache(tmp_path) -> Path:
+    """Where compiled programs are kept from one process to the next."""
+    return tmp_path / "cache"
+
+
+def lines(path):
+    return path.read_bytes().count(b"\n")
+
+
+@pytest.mark.parametrize("method", ["cma", "gradient", "evolution"])
+def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
+    found = cli("tune", "s.yaml", *SMALL, "--method", method)
+    assert found.code == 0
+    kept = tmp_path / "kept"
+    names = {"s-tuned.yaml", "history.jsonl", "results.json", "tuning.png", "tuning.svg"}
+    assert {path.name for path in kept.iterdir()} == names
+    assert all(name.removeprefix("tuning") in found.out for name in names)
+    numbers = json.loads((kept / "results.json").read_text(encoding="utf-8"))
+    assert numbers["cost"] <= numbers["cost_before"]
+    assert numbers["evaluated"] == lines(kept / "history.jsonl") - 1
+    (run,) = numbers["runs"]
+    assert set(run["before"]) == set(run["tuned"]) == set(METRICS)
+    assert run["scenario"] == "pre-contracted knee, stiffness step, PID"
+    tuned = run["tuned"]["angle_rmse_deg"] + run["tuned"]["stiffness_rmse"]
+    assert numbers["cost"] == pytest.approx(tuned, rel=1e-6)
+    assert f"cost {numbers['cost_before']:.4g} -> {numbers['cost']:.4g}" in found.out
+    values = numbers["values"]
+    assert list(values) == ["start.angle", "start.stiffness"]
+    assert re.search(rf"start\.angle +0 deg +{re.escape(values['start.angle']['shown'])}\s", found.out)
+
+    new = (kept / "s-tuned.yaml").read_text(encoding="utf-8")
+    read = Scenario.parse(new)
+    assert [read.start.angle, read.start.stiffness] == [each["si"] for each in values.values()]
+    changed = [(a, b) for a, b in zip(text.splitlines(), new.splitlines(), strict=True) if a != b]
+    assert len(changed) == 1, "its comments and order are kept"
+    assert changed[0][1].startswith("start: {angle: ")
+    again = cli("simulate", "kept/s-tuned.yaml", "--json")
+    assert json.loads(again.out)["metrics"] == run["tuned"]
+
+
+def test_json_alone_on_standard_output(cli, scenario, tmp_path):
+    found = cli("tune", "s.yaml", *SMALL, "--method", "cma", "--json")
+    assert found.code == 0
+    assert json.loads(found.out) == json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
+    assert re.fullmatch(r"kept s-tuned.yaml, history.jsonl.* in kept\n", found.err)
+
+
+def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, text, monkeypatch):
+    monkeypatch.setattr(Problem, "costs", lambda self, values: values[:, 1])  # what is found does not matter here
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    (tmp_path / "a" / "wish.csv").write_text("time_s,angle_deg\n0,2\n1,2\n", encoding="utf-8")
+    far = text.replace("angle: 2 deg", "angle: {samples: {file: wish.csv}}")
+    assert far != text
+    (tmp_path / "a" / "s.yaml").write_text(far, encoding="utf-8")
+    (tmp_path / "b" / "s.yaml").write_text(text, encoding="utf-8")
+    found = cli("tune", "a/s.yaml", "b/s.yaml", *SMALL, "--method", "cma")
+    assert found.code == 0, found.err
+    kept = tmp_path / "kept"
+    values = json.loads((kept / "results.json").read_text(encoding="utf-8"))["values"]
+    tuned = [Scenario.read(kept / name) for name in ("s-tuned.yaml", "s-tuned-2.yaml")]
+    before = [Scenario.read(tmp_path / name / "s.yaml") for name in "ab"]
+    for new, old in zip(tuned, before, strict=True):
+        assert new.model_copy(update={"start": old.start}) == old
+        assert [new.start.angle, new.start.stiffness] == [each["si"] for each in values.values()]
+    assert tuned[0].signals.angle.samples.file == tmp_path / "a" / "wish.csv"
+    assert "# The knee" in (kept / "s-tuned-2.yaml").read_text(encoding="utf-8")
+
+
+def test_a_scenario_that_cannot_start_is_mended(cli, scenario, tmp_path, text):
+    scenario.write_text(text.replace("stiffness: 12 N*m/rad", "stiffness: 99 N*m/rad"), encoding="utf-8")
+    found = cli("tune", "s.yaml", *SMALL, "--method", "cma")
+    assert found.code == 0, found.err
+    numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
+    assert numbers["cost_before"] is None
+    assert set(numbers["runs"][0]["before"].values()) == {None}
+    assert numbers["runs"][0]["tuned"]["angle_rmse_deg"] < 10
+    assert f"cost - -> {numbers['cost']:.4g}" in found.out
+    assert "nan" not in found.out
+
+
+def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
+    narrow = ("--parameters", "start.angle=-2..1 deg", *START[2:], *SMALL[4:])
+    found = cli("tune", "s.yaml", *narrow, "--method", "cma", "--iterations", "12")
+    assert "at an end of its range: start.angle; a wider range may hold better ones" in found.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (SMALL[:-2], "no folder for the search; say where to keep it: --out DIR"),
+        ((*SMALL, "--method", "newton"), "'newton' is no method; choose of gradient, evolution, cma"),
+        ((*SMALL, "--parameters", "load.mass9=1..2 kg"), "no number 'load.mass9'"),
+        ((*SMALL, "--parameters", "load.m2=2..1 kg"), "the range is empty"),
+        ((*SMALL, "--parameters", "load.m2=1..2 N"), "not a unit of the kind"),
+        ((*SMALL, "--parameters", "start.angle"), "zero, or not given: there is no range around it"),
+        ((*SMALL, "--parameters", "start.angle=0..1 deg"), "are the same number"),
+        ((*SMALL, "--cost", "stiffness_settling"), "has no gradient; use cma or evolution"),
+        ((*SMALL, "--cost", "coupling", "--method", "cma"), "coupling is not defined"),
+        ((*SMALL, "--cost", "angle_rmse/1 N"), "not a unit of the kind"),
+        ((*SMALL, "--margin", "0.5"), "the gain margin is 0.5"),
+        ((*START[:2], *COST, "--out", "kept", "--method", "cma"), "at least two numbers"),
+        ((*SMALL, "--method", "cma", "--population", "3"), "at least 4"),
+        ((*SMALL, "--method", "evolution", "--population", "4"), "at least 5"),
+        ((*SMALL, "--iterations", "0"), "iterations is 0"),
+        ((*SMALL, "--seed", "-1"), "seed is -1"),
+        ((*SMALL, "--resume"), "no search to go on with; start it without --resume"),
+        (("missing.yaml", *SMALL), "missing.yaml"),
+    ],
+)
+def test_a_mistake_is_one_error(mistaken, arguments, named):
+    assert named in mistaken("s.yaml", *arguments)
+
+
+def test_without_the_package_of_cma(mistaken, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "cmaes" else find(name, *rest))
+    assert "pip install 'mckibben[tune]'" in mistaken("s.yaml", *SMALL, "--method", "cma")
+
+
+def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
+    asked = ("tune", "s.yaml", *SMALL, "--method", "cma")
+    assert cli(*asked).code == 0
+    before = {path: path.read_bytes() for path in (tmp_path / "kept").iterdir()}
+    found = cli(*asked)
+    assert (found.code, found.out) == (2, "")
+    assert "history of a search already; go on with it (--resume), or choose another folder" in found.err
+    for change, named in (
+        (("--seed", "1"), "seed 0, not 1"),
+        (("--worst",), "worst False, not True"),
+        (("--margin", "2"), "gain margin 1.0, not 2.0"),
+        (("--cost", "angle_rmse"), "a search with cost"),
+        (("--parameters", "load.damping"), "a search (that differs in|with) parameters"),
+    ):
+        found = cli(*asked, *change, "--resume")
+        assert (found.code, found.out) == (2, "")
+        assert re.search(named, found.err)
+        assert "nothing was changed" in found.err
+    assert {path: path.read_bytes() for path in (tmp_path / "kept").iterdir()} == before
+
+
+class TestCutOff:
+    """The same search undisturbed, and cut off twice; then they are the same."""
+
+    KEPT = ("s-tuned.yaml", "results.json", "history.jsonl")
+
+    def cut_off(self, folder, cache, sent, *arguments):
+        """Send a signal when two more answers have been written: exit code, and what was said."""
+        history = folder / "kept" / "history.jsonl"
+        before = lines(history) if history.exists() else 1
+        process = subprocess.Popen(
+            [sys.executable, "-c", SLOWLY, *arguments],
+            cwd=folder,
+            env=os.environ | {"XDG_CACHE_HOME": str(cache)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        until = time.monotonic() + 100
+        while process.poll() is None and time.monotonic() < until:
+            if history.exists() and lines(history) > before + 2:
+                process.send_signal(sent)
+                break
+            time.sleep(0.01)
+        said, wrong = process.communicate(timeout=60)
+        assert said == ""
+        return process.returncode, wrong
+
+    @pytest.mark.parametrize("method", ["cma", "gradient"])
+    def test_killed_and_interrupted_it_ends_where_it_would_have(self, cli, scenario, tmp_path, text, cache, method):
+        asked = ("tune", "s.yaml", *SMALL, "--method", method, "--iterations", "6")
+        folder = tmp_path / "cut"
+        folder.mkdir()
+        (folder / "s.yaml").write_text(text, encoding="utf-8")
+        code, _ = self.cut_off(folder, cache, signal.SIGKILL, *asked)
+        assert code == -signal.SIGKILL
+        left = [(folder / "kept" / "history.jsonl").read_bytes()]
+        with (folder / "kept" / "history.jsonl").open("a") as file:
+            file.write('{"point": [0.2, 0.')
+        if method == "cma":
+            code, wrong = self.cut_off(folder, cache, signal.SIGINT, *asked, "--resume")
+            assert code == 130
+            assert "interrupted: what was tried is kept in kept/history.jsonl; go on with --resume" in wrong
+            assert "Traceback" not in wrong
+            left.append((folder / "kept" / "history.jsonl").read_bytes())
+
+        assert cli(*asked).code == 0
+        undisturbed = [(tmp_path / "kept" / name).read_bytes() for name in self.KEPT]
+        (tmp_path / "kept").rename(tmp_path / "undisturbed")
+        (folder / "kept").rename(tmp_path / "kept")
+        assert cli(*asked, "--resume").code == 0
+        assert [(tmp_path / "kept" / name).read_bytes() for name in self.KEPT] == undisturbed
+        for earlier, later in itertools.pairwise([*left, undisturbed[-1]]):
+            assert later.startswith(earlier)
+            assert len(later) > len(earlier)

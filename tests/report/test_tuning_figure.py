@@ -1,0 +1,83 @@
+"""The figure of a search: drawn for whatever a search may have been."""
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from mckibben.report import save, tuning
+from mckibben.study.tuning import Tuned
+from mckibben.study.tuning.history import Trial
+from mckibben.study.tuning.problem import LOST
+
+
+def searched(numbers, trials=40, *, lost=0, before=30.0, seed=0, named="controller.position.gain"):
+    """What a search of so many numbers leaves, the first trials lost."""
+    rng = np.random.default_rng(seed)
+    points = rng.random((trials, numbers))
+    costs = np.where(np.arange(trials) < lost, LOST, rng.uniform(1, 100, trials))
+    tried = tuple(Trial(tuple(p), float(c)) for p, c in zip(points.tolist(), costs, strict=True))
+    values = {f"{named}{i}": 1.0 for i in range(numbers)}
+    return Tuned(values, (), float(costs.min()), before, trials, (), tried)
+
+
+def drawn(tuned):
+    figure = tuning(tuned)
+    assert isinstance(figure, Figure)
+    return figure, *figure.axes
+
+
+def line(axes, label):
+    return next(each for each in axes.lines if each.get_label() == label)
+
+
+@pytest.mark.parametrize("numbers", [1, 2, 12, 13, 60])
+def test_one_row_a_number_with_its_best_place(numbers):
+    tuned = searched(numbers)
+    _, _, places = drawn(tuned)
+    best = min(tuned.trials, key=lambda trial: trial.cost)
+    (diamonds,) = [each for each in places.lines if each.get_marker() == "D"]
+    assert tuple(diamonds.get_xdata()) == best.point
+    assert list(diamonds.get_ydata()) == list(range(numbers))[::-1]
+    names = [label.get_text() for label in places.get_yticklabels()]
+    assert names == ([f"position.gain{i}" for i in range(numbers)] if numbers <= 12 else [""] * numbers)
+
+
+@pytest.mark.parametrize("lost", [0, 1, 39])
+def test_what_was_lost_is_counted_and_not_drawn(lost):
+    tuned = searched(3, lost=lost)
+    _, costs, _ = drawn(tuned)
+    points, best = line(costs, "a point"), line(costs, "the best so far")
+    assert len(points.get_xdata()) == 40 - lost
+    assert points.get_xdata()[0] == lost + 1
+    assert np.isnan(best.get_ydata()[:lost]).all()
+    kept = [trial.cost for trial in tuned.trials][lost:]
+    np.testing.assert_array_equal(best.get_ydata()[lost:], np.minimum.accumulate(kept))
+    assert costs.get_xlabel() == (f"points tried; {lost} not drawn: not allowed, or lost" if lost else "points tried")
+
+
+def test_the_cost_before_is_drawn_if_there_was_one():
+    _, costs, _ = drawn(searched(2, before=30.0))
+    assert list(line(costs, "before").get_ydata()) == [30.0, 30.0]
+    _, costs, _ = drawn(searched(2, before=float("nan")))
+    assert "before" not in [each.get_label() for each in costs.lines]
+
+
+def test_a_single_trial_is_a_search_too():
+    drawn(searched(1, trials=1))
+
+
+@pytest.mark.parametrize("named", ["controller.position.gain", "joint.geometry.connector_length"])
+def test_panels_have_their_names_and_nothing_hides_beyond_the_edge(tmp_path, named):
+    figure, costs, places = drawn(searched(5, trials=300, lost=4, named=named))
+    assert (costs.get_ylabel(), costs.get_yscale()) == ("cost", "log")
+    assert places.get_xlim()[0] < 0
+    assert places.get_xlim()[1] > 1
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    for axes in figure.axes:
+        box = axes.get_tightbbox(canvas.get_renderer())
+        assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+        assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1
+    save(figure, tmp_path, "tuning")
+    assert {path.name for path in tmp_path.iterdir()} == {"tuning.png", "tuning.svg"}
