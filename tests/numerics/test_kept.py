@@ -12,8 +12,11 @@ import pytest
 from mckibben.control import Constant, Sine
 from mckibben.numerics.kept import KeptProgram
 
+TRACED = []
+
 
 def square(tree, power, *, offset):
+    TRACED.append(power)
     return {"value": tree["x"] ** power + offset(jnp.asarray(0.0)), "sum": jnp.sum(tree["x"])}
 
 
@@ -34,15 +37,16 @@ def test_without_a_folder_nothing_is_written(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_program_is_written_once_and_taken_up_by_the_next(folder, monkeypatch):
+def test_a_program_is_written_once_and_taken_up_by_the_next(folder):
     first = asked(KeptProgram(square))
     files = list(folder.iterdir())
     assert len(files) == 1
-    monkeypatch.setattr(jax, "jit", lambda *_, **__: pytest.fail("it was traced again"))
+    TRACED.clear()
     again = asked(KeptProgram(square), x=(2.0, 3.0, 4.0))
     assert first["value"].tolist() == [1.5, 4.5, 9.5]
     assert again["value"].tolist() == [4.5, 9.5, 16.5]
     assert float(again["sum"]) == 9.0
+    assert TRACED == []
     assert list(folder.iterdir()) == files
 
 
@@ -118,3 +122,15 @@ def test_another_process_takes_it_up(folder):
         assert done.returncode == 0, done.stderr
         assert float(done.stdout) == pytest.approx(np.e, rel=1e-15)
         assert len(list(folder.iterdir())) == 1
+
+
+def test_another_context_is_another_program():
+    from mckibben.numerics.many import many_runs, traced_for
+
+    seen = []
+    program = KeptProgram(lambda x: (seen.append(traced_for()), x + 1)[1])
+    for _ in range(2):
+        program(np.asarray(1.0))
+        with many_runs():
+            program(np.asarray(1.0))
+    assert seen == [(False, False), (True, True)]

@@ -17,21 +17,35 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.core
+import numpy as np
 
 from mckibben.files import whole
+from mckibben.numerics.many import traced_for
 from mckibben.numerics.runtime import programs_folder
 
 _MOST = 200
 """Files in the folder; the oldest go."""
 
 
+_ARRAYS = (jax.Array, np.ndarray, np.generic)
+
+
+class _Array:
+    """Stands for an array among arguments that are not."""
+
+    def __repr__(self) -> str:
+        return "array"
+
+
+_ARRAY = _Array()
+
+
 class KeptProgram:
     """A function of arrays as programs, one for each structure of its arguments.
 
-    Arrays are traced, everything else is static, as with `equinox.filter_jit`; the answers are arrays.
+    Arrays are traced, everything else is static (and hashable), as with `equinox.filter_jit`; the answers are arrays.
 
     Parameters
     ----------
@@ -43,45 +57,51 @@ class KeptProgram:
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any] | None = None) -> None:
         self._function, self._options = function, options
-        self._traced = eqx.filter_jit(function, compiler_options=options)  # type: ignore[call-overload]
+        self._traced: dict[Any, Callable[..., Any]] = {}
         self._programs: dict[Any, Callable[..., Any]] = {}
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        leaves, structure = jax.tree.flatten((args, kwargs))
+        arrays = [leaf for leaf in leaves if isinstance(leaf, _ARRAYS)]
+        fixed = tuple(_ARRAY if isinstance(leaf, _ARRAYS) else leaf for leaf in leaves)
+        # What is traced for many runs is another program, even of the same arguments.
+        key = (structure, fixed, tuple(map(type, fixed)), traced_for())
+        traced = self._traced.get(key)
+        if traced is None:
+            function = functools.partial(self._called, structure, fixed)
+            traced = self._traced[key] = jax.jit(function, compiler_options=self._options)
         folder = programs_folder()
-        if folder is None:
-            return self._traced(*args, **kwargs)
-        dynamic, static = eqx.partition((args, kwargs), eqx.is_array)
-        leaves, structure = jax.tree.flatten(dynamic)
-        traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
-        if traced or jax.default_backend() != "cpu":
-            return self._traced(*args, **kwargs)
-        fixed, around = jax.tree.flatten(static)
-        kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in leaves)
-        key = (structure, around, tuple(map(repr, fixed)), kinds)
-        program = self._programs.get(key)
+        inside = any(isinstance(leaf, jax.core.Tracer) for leaf in arrays) if folder else True
+        if folder is None or inside or jax.default_backend() != "cpu":
+            return traced(*arrays)
+        kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in arrays)
+        program = self._programs.get((key, kinds))
         if program is None:
-            program = self._programs[key] = self._taken_up(folder, key, static, leaves, structure)
-        return program(*leaves)
+            program = self._programs[key, kinds] = self._taken_up(folder, (key, kinds), traced, arrays)
+        return program(*arrays)
 
-    def _taken_up(self, folder: Path, key: Any, static: Any, leaves: list[Any], structure: Any) -> Callable[..., Any]:
+    def _called(self, structure: Any, fixed: tuple[Any, ...], *arrays: Any) -> Any:
+        """The function, on arguments put together again."""
+        rest = iter(arrays)
+        leaves = [next(rest) if leaf is _ARRAY else leaf for leaf in fixed]
+        args, kwargs = jax.tree.unflatten(structure, leaves)
+        return self._function(*args, **kwargs)
+
+    def _taken_up(self, folder: Path, key: Any, traced: Any, leaves: list[Any]) -> Callable[..., Any]:
         """The program from its file, or made and written to it."""
         from jax.experimental.serialize_executable import deserialize_and_load, serialize
-
-        def function(*leaves: Any) -> Any:
-            args, kwargs = eqx.combine(jax.tree.unflatten(structure, leaves), static)
-            return self._function(*args, **kwargs)
 
         named = f"{self._function.__module__}.{self._function.__qualname__}"
         text = repr((named, key, self._options))
         if " at 0x" in text:  # something without a lasting name
-            return jax.jit(function, compiler_options=self._options)
+            return traced
         path = folder / f"{hashlib.sha256((text + _surroundings()).encode()).hexdigest()[:40]}.program"
         taken = jax.tree.structure((tuple(leaves), {}))
         try:
             payload, skeleton = pickle.loads(path.read_bytes())
             return deserialize_and_load(payload, taken, jax.tree.structure(skeleton))
         except Exception:  # missing, damaged, or of a JAX that cannot read it: then it is made
-            program = jax.jit(function).lower(*leaves).compile(compiler_options=self._options)
+            program = traced.lower(*leaves).compile()
         try:
             payload, _, given = serialize(program)
             jax.block_until_ready(deserialize_and_load(payload, taken, given)(*leaves))  # does it run again?

@@ -34,6 +34,11 @@ def many_runs(*, rolled: bool = True) -> Iterator[None]:
         _ROLLED.reset(tokens[1])
 
 
+def traced_for() -> tuple[bool, bool]:
+    """What makes the same function another program: whether pieces are kept apart, and stages a loop."""
+    return _APART.get(), _ROLLED.get()
+
+
 def rolled() -> bool:
     """Whether the stages of an integration step shall be a loop."""
     return _ROLLED.get()
