@@ -1,6 +1,9 @@
-"""Measured points of isobaric tests: the container, its files, and a reader for the files of others."""
+"""Measurements: points of isobaric tests, raw recordings, and readers for the files that labs have."""
 
 from mckibben.dataset.isobaric import IsobaricDataset
+from mckibben.dataset.points import Points
 from mckibben.dataset.reading import read_dataset
+from mckibben.dataset.recorded import read_recording
+from mckibben.dataset.recording import Recording
 
-__all__ = ["IsobaricDataset", "read_dataset"]
+__all__ = ["IsobaricDataset", "Points", "Recording", "read_dataset", "read_recording"]

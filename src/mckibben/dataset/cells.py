@@ -25,9 +25,15 @@ class DecimalSign:
     line: int | None = None
 
 
-def decimal_sign(columns: Iterable[Sequence[str]], lines: Sequence[int], delimiter: str) -> DecimalSign:
-    """The sign that the first number with one has; in a comma-separated file it is always the point."""
-    if delimiter == ",":
+def decimal_sign(
+    columns: Iterable[Sequence[str] | NDArray[np.float64]], lines: Sequence[int], delimiter: str
+) -> DecimalSign:
+    """The sign that the first number with one has; in a comma-separated file it is always the point.
+
+    Columns that are numbers already say nothing.
+    """
+    columns = [column for column in columns if not isinstance(column, np.ndarray)]
+    if delimiter == "," or not columns:
         return DecimalSign(".")
     for line, row in zip(lines, zip(*columns, strict=True), strict=False):
         for cell in row:
@@ -37,25 +43,28 @@ def decimal_sign(columns: Iterable[Sequence[str]], lines: Sequence[int], delimit
 
 
 def read_numbers(
-    cells: Sequence[str],
+    cells: Sequence[str] | NDArray[np.float64],
     lines: Sequence[int],
     *,
     field: str,
     decimal: DecimalSign,
     may_be_empty: bool = False,
+    kind: type[Problem] = Problem,
 ) -> tuple[NDArray[np.float64], list[Problem]]:
     r"""Convert one column.
 
     Parameters
     ----------
     cells, lines
-        The texts, and the number of the line of each.
+        The texts, or numbers; and the number of the line of each.
     field
         The name of the column, for the problems.
     decimal
         The decimal sign of the file; the other one is a problem.
     may_be_empty
-        An empty cell is NaN instead of a problem.
+        An empty cell is NaN instead of a problem, and NaN an empty cell.
+    kind
+        Of the problems: `RowProblem` where a line is a row.
 
     Returns
     -------
@@ -74,6 +83,13 @@ def read_numbers(
     line 3, force_N: the cell is empty
     line 4, force_N: '2.5' has a decimal point, but line 2 a decimal comma; use one of them in the whole file
     """
+    if isinstance(cells, np.ndarray):
+        wrong = ~np.isfinite(cells) & ~(np.isnan(cells) & may_be_empty)
+        found = [
+            kind(f"{cells[at]:g} is not a finite number", line=lines[int(at)], field=field)
+            for at in np.flatnonzero(wrong)
+        ]
+        return np.where(np.isfinite(cells), cells, np.nan), found
     joined = "\n".join(cells)
     if set(joined) <= _DIGITS | {decimal.sign}:  # so float() can take nothing that we would not
         try:
@@ -89,15 +105,15 @@ def read_numbers(
         text = cell.strip()
         if not text and may_be_empty:
             continue
-        message, remedy = _wrong(text, decimal)
+        message, remedy = _wrong(text, decimal, "line" if kind is Problem else "row")
         if message:
-            problems.append(Problem(message, line=line, field=field, remedy=remedy))
+            problems.append(kind(message, line=line, field=field, remedy=remedy))
         else:
             values[index] = float(text.replace(",", "."))
     return values, problems
 
 
-def _wrong(text: str, decimal: DecimalSign) -> tuple[str, str]:
+def _wrong(text: str, decimal: DecimalSign, place: str) -> tuple[str, str]:
     """What is wrong with a cell and what to do about it; two empty texts where nothing is."""
     shown = repr(text if len(text) <= 40 else f"{text[:37]}...")
     other = "," if decimal.sign == "." else "."
@@ -108,7 +124,7 @@ def _wrong(text: str, decimal: DecimalSign) -> tuple[str, str]:
     if text.count(other) == 1 and decimal.sign not in text and _NUMBER.fullmatch(text.replace(other, ".")):
         if decimal.line is None:
             return f"{shown} has a decimal {_NAMES[other]}", f"use a decimal {_NAMES[decimal.sign]}"
-        has = f"{shown} has a decimal {_NAMES[other]}, but line {decimal.line} a decimal {_NAMES[decimal.sign]}"
+        has = f"{shown} has a decimal {_NAMES[other]}, but {place} {decimal.line} a decimal {_NAMES[decimal.sign]}"
         return has, "use one of them in the whole file"
     if _THOUSANDS.fullmatch(text):
         return f"{shown} has a thousands separator", "write the number without it"

@@ -1,80 +1,15 @@
-"""The columns of a CSV file: a quantity and, after an underscore, its unit."""
+"""Which column of a file is which quantity, and in which unit."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
-from mckibben import units
+from mckibben.dataset.headers import ACCEPTED, Column, foreign_unit, names, recognise
+from mckibben.dataset.sheet import Sheet
 from mckibben.errors import Problem
 
-_PRESSURE = ("bar", "kPa", "MPa", "Pa", "mbar", "psi")
-
-ACCEPTED: Mapping[str, tuple[str, ...]] = {
-    "pressure": _PRESSURE,
-    "contraction": ("percent", "ratio"),
-    "length": ("mm", "m", "cm"),
-    "force": ("N", "kN"),
-    "direction": (),
-    "repeat": (),
-    "time": ("s", "ms"),
-    "set_pressure": _PRESSURE,
-}
-
-_HEADER = re.compile(rf"({'|'.join(ACCEPTED)})(?:_(.+))?", re.IGNORECASE | re.ASCII)
-
-
-class Column(NamedTuple):
-    """What a header says: a key of `ACCEPTED`, and its unit; `direction` and `repeat` have none."""
-
-    quantity: str
-    unit: str
-
-
-def names(quantity: str) -> str:
-    """The accepted headers of a quantity, as text.
-
-    >>> names("contraction")
-    'contraction_percent or contraction_ratio'
-    """
-    spelled = [f"{quantity}_{unit}" for unit in ACCEPTED[quantity]] or [quantity]
-    return " or ".join(filter(None, [", ".join(spelled[:-1]), spelled[-1]]))
-
-
-def recognise(header: str) -> Column | None:
-    """What a header says, or None where it is not one of ours.
-
-    The case of letters is free, except that of a leading m in a unit: MPa is not mPa, mbar is not Mbar.
-
-    >>> recognise("Pressure_KPA")
-    Column(quantity='pressure', unit='kPa')
-    >>> recognise("pressure_mPa") is None
-    True
-    """
-    if not (match := _HEADER.fullmatch(header.strip())):
-        return None
-    quantity, spelled = match[1].lower(), match[2] or ""
-    for unit in ACCEPTED[quantity] or ("",):
-        if spelled == unit or (spelled.lower() == unit.lower() and unit[0] not in "mM"):
-            return Column(quantity, unit)
-    return None
-
-
-def foreign_unit(header: str) -> str:
-    """Why a header names a quantity of ours in a unit that it cannot have; empty where it does not.
-
-    >>> foreign_unit("pressure_mPa")
-    "'mPa' is not a unit of pressure here"
-    >>> foreign_unit("pressure_sensor"), foreign_unit("pressure_bar")
-    ('', '')
-    """
-    match = _HEADER.fullmatch(header.strip())
-    known = {unit.lower() for unit in units.UNITS}
-    if not match or not match[2] or match[2].lower() not in known or recognise(header):
-        return ""
-    return f"{match[2]!r} is not a unit of {match[1].lower()} here"
+_SHOWN = 40  # names of the file's columns in a message
 
 
 @dataclass
@@ -96,54 +31,78 @@ class Layout:
     problems: list[Problem] = field(default_factory=list)
 
 
-def lay_out(header: Sequence[str], line: int, mapping: Mapping[str, str]) -> Layout:
-    """Find the columns of ours in a header.
+def lay_out(sheet: Sheet, mapping: Mapping[str, str], needed: Sequence[str]) -> Layout:
+    """Find the columns of ours in a file.
 
     Parameters
     ----------
-    header, line
-        The names in the file, and the number of their line.
+    sheet
+        Its columns.
     mapping
-        From names in the file to names of ours.
+        From names in the file to names of ours. They go before what a header says by itself.
+    needed
+        The quantities that must be there; a length does for a contraction.
 
     Examples
     --------
-    >>> layout = lay_out(["p [bar]", "contraction_percent", "note"], 1, {"p [bar]": "pressure_bar"})
+    >>> from mckibben.dataset.sheet import Channel
+    >>> headers = ["Druck [bar]", "contraction_percent", "note"]
+    >>> sheet = Sheet([Channel(header, [], []) for header in headers], header_line=1)
+    >>> layout = lay_out(sheet, {"Druck [bar]": "pressure_bar"}, ["pressure", "contraction", "force"])
     >>> layout.places["pressure"], layout.ignored
     ((0, Column(quantity='pressure', unit='bar')), ['note'])
     >>> print(*layout.problems)
-    line 1: no column for force; the file has 'p [bar]', 'contraction_percent', 'note'; name it force_N ...
+    line 1: no column for force; the file has 'Druck [bar]', 'contraction_percent', 'note'; name it force_N ...
     """
-    layout = Layout()
-    shown = ", ".join(map(repr, header))
+    layout = Layout(ignored=list(sheet.ignored))
+    header = sheet.names
+    shown = ", ".join(map(repr, header[:_SHOWN])) + (f" ... ({len(header)} in all)" if len(header) > _SHOWN else "")
 
     def problem(message: str, field: str = "", remedy: str = "") -> None:
-        layout.problems.append(Problem(message, line=line, field=field, remedy=remedy))
+        layout.problems.append(sheet.kind(message, line=sheet.header_line, field=field, remedy=remedy))
 
+    asked: set[str] = set()
     for given, name in mapping.items():
+        column = recognise(name)
         if given not in header:
             problem(f"columns has {given!r}, the file {shown}")
-        if recognise(name) is None:
+        if column is None:
             problem(f"columns gives {given!r} the unknown name {name!r}", remedy=f"accepted are {_accepted()}")
-    for index, text in enumerate(header):
-        column = recognise(mapping.get(text, text))
+        else:
+            asked.add(column.quantity)
+    for index, channel in enumerate(sheet.channels):
+        text = channel.name
+        mapped = text in mapping
+        column = recognise(mapping[text]) if mapped else recognise(channel.label, channel.unit)
         if text and text in header[:index]:
             problem("stands twice in the header", text)
-        elif column is None:
-            if reason := foreign_unit(text):
-                problem(reason, text, f"accepted are {_accepted(text)}")
+        elif column is None or (column.quantity in asked and not mapped):
+            if column is None and not mapped and (reason := foreign_unit(channel.label, channel.unit)):
+                problem(reason, text, f"accepted are {_accepted(channel.label)}")
             layout.ignored += [text] if text else []
         elif column.quantity in layout.places:
             first = header[layout.places[column.quantity][0]]
-            problem(f"gives {column.quantity} again, after {first!r}", text, "keep one of them")
+            remedy = "keep one of them, or tell by columns={...} which it is"
+            problem(f"gives {column.quantity} again, after {first!r}", text, remedy)
         else:
             layout.places[column.quantity] = index, column
-    for name in ("pressure", "contraction", "force"):
+    for name in needed:
         if name not in layout.places and not (name == "contraction" and "length" in layout.places):
             wanted = names(name) + (f" (or {names('length')})" if name == "contraction" else "")
             remedy = f"name it {wanted}, or tell by columns={{...}} which it is"
             problem(f"no column for {name}; the file has {shown}", remedy=remedy)
+    _same_length(sheet, layout)
     return layout
+
+
+def _same_length(sheet: Sheet, layout: Layout) -> None:
+    """Columns are read together row by row: they must be of one length."""
+    read = [sheet.channels[index] for index, _ in layout.places.values()]
+    for channel in read[1:]:
+        if len(channel.cells) != len(read[0].cells):
+            message = f"has {len(channel.cells)} values, {read[0].name!r} {len(read[0].cells)}"
+            remedy = "read columns of one length"
+            layout.problems.append(sheet.kind(message, field=channel.name, remedy=remedy))
 
 
 def _accepted(header: str = "") -> str:

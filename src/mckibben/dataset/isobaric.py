@@ -12,11 +12,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.dataset.netcdf import load_netcdf, write_netcdf
 from mckibben.dataset.plateaus import mean_and_spread
 from mckibben.dataset.schema import assemble, conform
 from mckibben.dataset.selection import among, listed, near
-from mckibben.dataset.writing import write_csv, write_netcdf
-from mckibben.errors import DatasetError, Problem, RangeError
+from mckibben.dataset.writing import write_csv
+from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, percent
 
 
@@ -30,10 +31,12 @@ class IsobaricDataset:
     ----------
     table
         Along ``point``: ``pressure`` [Pa, gauge], ``contraction`` [-, positive = shorter], ``force`` [N];
-        where known ``direction`` ("loading": being stretched; "unloading": shortening), ``repeat``, ``time``
-        [s], ``set_pressure`` [Pa, NaN where not known] and ``force_spread`` [N]. Along ``point`` and
+        where known ``direction`` ("loading": being stretched; "unloading": shortening; empty: not known), ``phase``
+        ("filling" or "venting" at a fixed length, else empty), ``repeat``, ``time`` [s], ``set_pressure`` [Pa, NaN
+        where not known] and ``force_spread`` [N]. Along ``point`` and
         ``sample`` the raw ``force_samples`` [N] and ``pressure_samples`` [Pa], where kept. Attributes:
-        ``specimen``, ``source``, ``slack_force`` [N] and, where known, ``initial_length`` [m].
+        ``specimen``, ``source``, ``slack_force`` [N] and, where known, ``initial_length`` [m]; ``repairs`` and
+        ``ignored_columns`` of the file it was read from, where there is something to say.
 
     Raises
     ------
@@ -68,6 +71,7 @@ class IsobaricDataset:
         contraction: ArrayLike,
         force: ArrayLike,
         direction: ArrayLike | None = None,
+        phase: ArrayLike | None = None,
         repeat: ArrayLike | None = None,
         time: ArrayLike | None = None,
         set_pressure: ArrayLike | None = None,
@@ -85,7 +89,9 @@ class IsobaricDataset:
         pressure, contraction, force
             Shape (points,): gauge pressure [Pa], contraction [-], axial pull [N].
         direction
-            Shape (points,): "loading" or "unloading".
+            Shape (points,): "loading" or "unloading", empty where it is not known.
+        phase
+            Shape (points,): "filling" or "venting" where the pressure was changed at a fixed length, else empty.
         repeat
             Shape (points,): integers from 0 up.
         time
@@ -113,6 +119,7 @@ class IsobaricDataset:
             "contraction": contraction,
             "force": force,
             "direction": direction,
+            "phase": phase,
             "repeat": repeat,
             "time": time,
             "set_pressure": set_pressure,
@@ -172,7 +179,12 @@ class IsobaricDataset:
     @property
     def directions(self) -> NDArray[np.str_]:
         """The distinct directions; empty where they are not recorded."""
-        return np.unique(self.table["direction"].to_numpy()) if "direction" in self.table else np.empty(0, "<U9")
+        return self._words("direction")
+
+    @property
+    def phases(self) -> NDArray[np.str_]:
+        """The distinct phases; empty where they are not recorded."""
+        return self._words("phase")
 
     def __len__(self) -> int:
         return self.table.sizes["point"]
@@ -188,6 +200,8 @@ class IsobaricDataset:
             parts.append(f"contraction {_span(contraction.min(), contraction.max())} %")
         if len(self.directions):
             parts.append(" and ".join(self.directions))
+        if len(self.phases):
+            parts.append(" and ".join(self.phases))
         if len(self.repeats):
             parts.append(f"repeats {listed(self.repeats)}")
         if samples := self.table.sizes.get("sample"):
@@ -288,14 +302,7 @@ class IsobaricDataset:
         DatasetError
             If the file is not there, is no NetCDF file, or does not hold an isobaric dataset.
         """
-        try:
-            with Path(path).open("rb"):
-                pass  # so that what the system objects to is told from what is wrong with the content
-            table = xr.load_dataset(Path(path), engine="h5netcdf", decode_times=False).drop_encoding()
-        except ImportError:
-            raise
-        except Exception as error:  # h5py and h5netcdf raise nearly every kind on a damaged file
-            raise DatasetError(str(path), [Problem(f"cannot be read as NetCDF: {_reason(error)}")]) from error
+        table = load_netcdf(Path(path))
         try:
             return cls(table)
         except DatasetError as error:
@@ -310,14 +317,13 @@ class IsobaricDataset:
         """
         write_csv(self.plateau_means().table, Path(path))
 
+    def _words(self, name: str) -> NDArray[np.str_]:
+        words = np.unique(self.table[name].to_numpy()) if name in self.table else np.empty(0, "<U9")
+        return words[words != ""]
+
     def _column(self, name: str) -> np.ndarray:
         return self.table[name].to_numpy() if name in self.table else np.empty(0, np.int64)
 
 
 def _span(low: float, high: float) -> str:
     return f"{low:.4g}..{high:.4g}" if f"{low:.4g}" != f"{high:.4g}" else f"{low:.4g}"
-
-
-def _reason(error: Exception) -> str:
-    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return text.splitlines()[0]

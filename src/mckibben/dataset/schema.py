@@ -15,7 +15,8 @@ from mckibben.errors import Problem
 VACUUM = -101325.0
 """The lowest gauge pressure there is [Pa]: absolute zero below a standard atmosphere."""
 
-DIRECTIONS = ("loading", "unloading")
+WORDS: Mapping[str, tuple[str, ...]] = {"direction": ("loading", "unloading"), "phase": ("filling", "venting")}
+"""The variables that hold words, and these; an empty text is a point of which it is not known."""
 
 
 class Variable(NamedTuple):
@@ -32,6 +33,7 @@ VARIABLES: Mapping[str, Variable] = {
     "contraction": Variable("1", "contraction, positive when shorter", required=True),
     "force": Variable("N", "axial pull", required=True),
     "direction": Variable("1", "loading (being stretched) or unloading (shortening)"),
+    "phase": Variable("1", "filling or venting at a fixed length"),
     "repeat": Variable("1", "number of the repeat"),
     "time": Variable("s", "time since the start of the test"),
     "set_pressure": Variable("Pa", "nominal gauge pressure"),
@@ -44,7 +46,7 @@ VARIABLES: Mapping[str, Variable] = {
 def conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
     """Bring a table to the one form that an `IsobaricDataset` holds.
 
-    Columns become float64 (`repeat` int64, `direction` text) and read-only; float32 samples stay so, and
+    Columns become float64 (`repeat` int64, `direction` and `phase` text) and read-only; float32 samples stay so, and
     samples are not copied. Every variable gets its `units` and `long_name`, the table its four attributes.
     Variables that are not ours pass through.
 
@@ -137,8 +139,8 @@ def _structure(table: xr.Dataset) -> Iterator[Problem]:
             problem = Problem(f"has dimensions {array.dims} instead of {variable.dims}", field=name)
         if problem is not None:
             yield problem
-        elif array.size and array.dtype.kind not in ("UOT" if name == "direction" else "fiu"):
-            what = "loading and unloading" if name == "direction" else "numbers"
+        elif array.size and array.dtype.kind not in ("UOT" if name in WORDS else "fiu"):
+            what = " and ".join(WORDS.get(name, ("numbers",)))
             yield Problem(f"holds something else than {what}", field=name)
         if (unit := array.attrs.get("units", variable.unit)) != variable.unit:
             yield Problem(f"is in {unit!r}", field=name, remedy=f"give it in {variable.unit!r}")
@@ -147,8 +149,8 @@ def _structure(table: xr.Dataset) -> Iterator[Problem]:
 def _settled(name: str, values: np.ndarray) -> np.ndarray:
     if name.endswith("_samples"):
         settled = values.view() if values.dtype == np.float32 else np.asarray(values, np.float64).view()
-    elif name == "direction":
-        settled = np.array(values, dtype="<U9") if _words(values) else np.array(values, dtype=str)
+    elif name in WORDS:
+        settled = np.array(values, dtype="<U9") if _words(name, values) else np.array(values, dtype=str)
     elif name == "repeat" and np.all(np.isfinite(values) & (values == np.round(values))):
         settled = np.array(values, dtype=np.int64)
     else:
@@ -157,14 +159,14 @@ def _settled(name: str, values: np.ndarray) -> np.ndarray:
     return settled
 
 
-def _words(values: np.ndarray) -> bool:
-    return bool(np.isin(values.astype(str), DIRECTIONS).all())
+def _words(name: str, values: np.ndarray) -> bool:
+    return bool(np.isin(values.astype(str), [*WORDS[name], ""]).all())
 
 
 def _values(name: str, values: np.ndarray) -> Iterator[Problem]:
-    if name == "direction":
-        if (bad := ~np.isin(values, DIRECTIONS)).any():
-            yield _first(bad, values, name, "is neither 'loading' nor 'unloading'")
+    if name in WORDS:
+        if (bad := ~np.isin(values, [*WORDS[name], ""])).any():
+            yield _first(bad, values, name, "is neither " + " nor ".join(map(repr, WORDS[name])))
         return
     finite = np.isfinite(values)
     if name == "set_pressure":

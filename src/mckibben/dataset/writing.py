@@ -1,4 +1,4 @@
-"""Datasets to files, each of which appears complete or not at all."""
+"""Datasets to CSV files, each of which appears complete or not at all."""
 
 from __future__ import annotations
 
@@ -15,19 +15,11 @@ CSV_COLUMNS = {
     "contraction": "contraction_ratio",
     "force": "force_N",
     "direction": "direction",
+    "phase": "phase",
     "repeat": "repeat",
     "time": "time_s",
     "set_pressure": "set_pressure_Pa",
 }
-
-
-def write_netcdf(table: xr.Dataset, path: Path) -> None:
-    """Write a table, samples included."""
-    # Not compressed: the low bits of samples are noise, so that gzip and lzf make the file smaller by a quarter to a
-    # half, but 5 to 10 times slower to read and 10 times slower to write (5.85 million samples: 47 MB in 20 ms).
-    encoding = {str(name): {"_FillValue": None} for name, values in table.variables.items() if values.dtype.kind == "f"}
-    with whole(path) as sibling:
-        table.to_netcdf(sibling, engine="h5netcdf", encoding=encoding)
 
 
 def write_csv(table: xr.Dataset, path: Path) -> None:
@@ -39,6 +31,8 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
     comments.append(f"# slack_force: {attrs['slack_force']!r} N")
     present = [name for name in CSV_COLUMNS if name in table]
     rows = zip(*(_cells(table[name].to_numpy()) for name in present), strict=True)
+    if "repairs" in attrs:
+        comments.append(f"# repairs: {plain(attrs['repairs'])}")
     header = ",".join(CSV_COLUMNS[name] for name in present)
     text = "\n".join([*comments, header, *map(",".join, rows)])
     with whole(path) as sibling:
@@ -62,4 +56,4 @@ def unplain(text: str) -> str:
 def _cells(values: np.ndarray) -> list[str]:
     if values.dtype.kind == "f":
         return ["" if value != value else repr(value) for value in values.tolist()]
-    return [str(value) for value in values.tolist()]
+    return [str(value) or "unknown" for value in values.tolist()]  # directions and phases

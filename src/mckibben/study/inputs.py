@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +23,7 @@ def data_named(
     initial_length: float | None = None,
     specimen: str = "",
     slack_force: float | None = None,
+    skip_corrupt: bool = False,
 ) -> IsobaricDataset:
     """A dataset of the catalog by its name, or a file of measurements by its path.
 
@@ -31,6 +33,8 @@ def data_named(
         Such as "festo-tool-10mm" or "rig.csv".
     columns, initial_length, specimen, slack_force
         As for `mckibben.read_dataset`; for files only.
+    skip_corrupt
+        Leave out rows that hold no number, and report them, instead of refusing the file.
     """
     from mckibben.dataset import read_dataset
 
@@ -48,7 +52,12 @@ def data_named(
             f"there is no file {name!r}, and no dataset of that name", value=name, remedy=f"did you mean {close[0]!r}?"
         )
     return read_dataset(
-        name, columns=columns, initial_length=initial_length, specimen=specimen, slack_force=slack_force
+        name,
+        columns=columns,
+        initial_length=initial_length,
+        specimen=specimen,
+        slack_force=slack_force,
+        on_corrupt="report" if skip_corrupt else "raise",
     )
 
 
@@ -82,15 +91,16 @@ def law_named(name: str, *, specimen: str = "") -> ForceLaw:
 
 
 def law_type_named(name: str) -> type[ForceLaw]:
-    """A kind of law by its name, with or without "Law", in any case.
+    """A kind of law by its name, with or without "Law", in any case, its words joined by hyphens or not.
 
-    >>> law_type_named("exponential").__name__
-    'ExponentialLaw'
+    >>> law_type_named("exponential").__name__, law_type_named("tondu-lopez").__name__
+    ('ExponentialLaw', 'TonduLopezLaw')
     """
     from mckibben.muscle import LAWS
 
+    plain = name.lower().replace("-", "").replace("_", "")
     for known, law_type in LAWS.items():
-        if name.lower() in (known.lower(), known.removesuffix("Law").lower()):
+        if plain in (known.lower(), known.removesuffix("Law").lower()):
             return law_type
-    short = ", ".join(known.removesuffix("Law").lower() for known in LAWS)
+    short = ", ".join(re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in LAWS)
     raise NotInCatalogError(f"there is no law {name!r}", value=name, remedy=f"known are {short}")

@@ -1,0 +1,170 @@
+"""MATLAB's .mat files, old and new, and other HDF5 files, to a `Sheet`."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mckibben.dataset.mat5 import DamagedError, Opaque, Value, variables
+from mckibben.dataset.sheet import Channel, RowProblem, Sheet, settled
+from mckibben.errors import DatasetError, Problem
+
+_DEEPEST = 6  # structs in structs
+_MOST = 4096  # columns of a file
+_WIDEST = 64  # columns of a matrix
+_LARGEST = 2**26  # bytes that a variable may claim without having them
+_SQUEEZED = 1100  # times smaller than its values a compressed variable may be: deflate's limit is 1032
+_TABLE = "is an object of MATLAB (a table?), which only MATLAB can open"
+_TABLE_REMEDY = "save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')"
+
+
+def read_matlab(path: Path, data: bytes) -> Sheet:
+    """Read the variables of a file of versions 4 to 7.
+
+    A column is a vector, named as the variable (``p``) or field (``rig.p``), or a column of a matrix (``rig(:,2)``).
+
+    Raises
+    ------
+    DatasetError
+        If it cannot be read, or holds no column.
+    """
+    sheet = Sheet(kind=RowProblem)
+    try:
+        for name, value in variables(data):
+            _add(sheet, name, value, 0)
+    except DamagedError as error:
+        raise _unreadable(path, "a MATLAB file", error) from error
+    return _checked(path, sheet)
+
+
+def read_hdf5(path: Path, data: bytes) -> Sheet:
+    """Read an HDF5 file: one of MATLAB 7.3, whose columns are named as above, or another, with ``group/name``.
+
+    Raises
+    ------
+    DatasetError
+        If it cannot be read, or holds no column.
+    """
+    import h5py
+
+    sheet = Sheet(kind=RowProblem)
+    matlab = data.startswith(b"MATLAB 7.3")
+    try:
+        with h5py.File(io.BytesIO(data), "r") as file:
+            for name, node in _nodes(file, "." if matlab else "/"):
+                _add_node(sheet, name, node, matlab)
+    except DatasetError:
+        raise
+    except Exception as error:  # h5py raises nearly every kind on a damaged file
+        raise _unreadable(path, "an HDF5 file", error) from error
+    return _checked(path, sheet)
+
+
+def _checked(path: Path, sheet: Sheet) -> Sheet:
+    if not sheet.channels and not sheet.problems:
+        ignored = f"; it has {', '.join(sheet.ignored[:20])}" if sheet.ignored else ""
+        raise DatasetError(str(path), [Problem(f"has no column of numbers{ignored}")])
+    return sheet
+
+
+def _unreadable(path: Path, what: str, error: Exception) -> DatasetError:
+    text = (str(error) or type(error).__name__).splitlines()[0]
+    return DatasetError(str(path), [Problem(f"cannot be read as {what}: {text}", remedy="save it again")])
+
+
+def _add(sheet: Sheet, name: str, value: Value, depth: int) -> None:
+    """Add what a variable of an old file holds."""
+    if isinstance(value, dict):
+        if depth >= _DEEPEST:
+            sheet.ignored.append(name)
+            return
+        for field, each in value.items():
+            _add(sheet, f"{name}.{field}", each, depth + 1)
+    elif isinstance(value, Opaque):
+        sheet.problems.append(Problem(_TABLE, field=name, remedy=_TABLE_REMEDY))
+    elif isinstance(value, np.ndarray):
+        _columns(sheet, name, value)
+    elif isinstance(value, list) and len(value) > 1:
+        cells = settled([_one(cell) for cell in value])
+        sheet.channels.append(Channel(name, cells, range(1, len(cells) + 1), short=name.rpartition(".")[2]))
+    else:
+        sheet.ignored.append(name)
+
+
+def _one(cell: Value) -> object:
+    """What a cell of a cell array holds, if that is one number or text."""
+    if isinstance(cell, np.ndarray):
+        return cell.item() if cell.size == 1 else None
+    return cell if isinstance(cell, str) else None
+
+
+def _columns(sheet: Sheet, name: str, array: np.ndarray) -> None:
+    """Add the columns of a matrix of numbers, as MATLAB counts them."""
+    matrix = array.reshape(-1, 1) if array.ndim == 1 or (array.ndim == 2 and 1 in array.shape) else array
+    if len(sheet.channels) >= _MOST or matrix.ndim > 2 or matrix.size <= 1 or matrix.shape[1] > _WIDEST:
+        sheet.ignored.append(name)
+        return
+    for column, values in enumerate(np.ascontiguousarray(matrix.T, dtype=np.float64)):
+        full = name if matrix.shape[1] == 1 else f"{name}(:,{column + 1})"
+        sheet.channels.append(Channel(full, values, range(1, len(values) + 1), short=full.rpartition(".")[2]))
+
+
+def _nodes(group: Any, separator: str, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """The datasets under a group, and under its groups. Links that lead out of the file are not followed."""
+    import h5py
+
+    for key in group:
+        if key.startswith("#") or not isinstance(group.get(key, getlink=True), h5py.HardLink):
+            continue
+        node = group[key]
+        name = f"{prefix}{separator}{key}" if prefix else key
+        if isinstance(node, h5py.Group) and depth < _DEEPEST:
+            yield from _nodes(node, separator, name, depth + 1)
+        elif isinstance(node, h5py.Dataset):
+            yield name, node
+
+
+def _add_node(sheet: Sheet, name: str, node: Any, matlab: bool) -> None:
+    kind = _text(node.attrs, "MATLAB_class") if matlab else ""
+    if node.is_virtual or node.external or node.ndim > 2 or node.shape is None:
+        sheet.ignored.append(name)
+        return
+    if node.nbytes > _LARGEST and node.nbytes > _SQUEEZED * node.id.get_storage_size():
+        message = f"claims {node.size} values, which the file does not hold"
+        sheet.problems.append(Problem(message, field=name, remedy="save the file again"))
+        return
+    if kind in ("table", "timetable", "string", "datetime", "duration"):
+        sheet.problems.append(Problem(_TABLE, field=name, remedy=_TABLE_REMEDY))
+    elif kind == "cell":
+        words = [_referred(node.file, reference) for reference in np.ravel(node[()])[:]]
+        sheet.channels.append(Channel(name, words, range(1, len(words) + 1), short=name.rpartition(".")[2]))
+    elif kind == "char" or node.dtype.kind not in "biuf":
+        sheet.ignored.append(name)
+    else:
+        before = len(sheet.channels)
+        values = node[()]
+        _columns(sheet, name, values.T if matlab else values)
+        if not matlab:
+            unit = _text(node.attrs, "units") or _text(node.attrs, "unit")
+            sheet.channels[before:] = [
+                Channel(each.name, each.cells, each.lines, each.name.rpartition("/")[2], unit)
+                for each in sheet.channels[before:]
+            ]
+
+
+def _referred(file: Any, reference: Any) -> str:
+    """The text that a cell of a cell array refers to."""
+    node = file[reference]
+    codes = np.ravel(node[()])
+    if codes.dtype.kind != "u" or codes.size > 1000:
+        return ""
+    return "".join(map(chr, codes.tolist()))
+
+
+def _text(attrs: Mapping[str, Any], name: str) -> str:
+    value = attrs.get(name, "")
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)

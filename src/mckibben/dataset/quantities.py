@@ -1,0 +1,237 @@
+"""The columns of a file in SI units, with all that is wrong in them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.dataset.cells import decimal_sign, read_numbers
+from mckibben.dataset.columns import lay_out
+from mckibben.dataset.schema import VACUUM, WORDS
+from mckibben.dataset.sheet import Sheet
+from mckibben.dataset.writing import unplain
+from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError
+from mckibben.units import factor, quantity
+
+OnCorrupt = Literal["raise", "report"]
+"""What to do about rows that hold no number: an error, or leave them out and report each."""
+
+_LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
+_LENGTH_ROUNDING = 0.5e-3, 0.002  # m and parts of the initial length: a rule's and a printed table's
+_WARNED = 5  # rows left out that a warning names
+
+_MEANINGS: Mapping[str, Mapping[str, str]] = {
+    "direction": {
+        **dict.fromkeys(("loading", "load", "stretching", "lengthening"), "loading"),
+        **dict.fromkeys(("unloading", "unload", "shortening"), "unloading"),
+        "unknown": "",
+    },
+    "phase": {
+        **dict.fromkeys(("filling", "inflating", "inflation"), "filling"),
+        **dict.fromkeys(("venting", "deflating", "deflation"), "venting"),
+        "unknown": "",
+    },
+}
+_WORD_REMEDY = {
+    "direction": "write loading (being stretched) or unloading (shortening)",
+    "phase": "write filling or venting",
+}
+
+
+class Quantities:
+    """One file on its way from cells to SI columns; `problems`, `corrupt` and `suspicions` gather as it goes."""
+
+    def __init__(
+        self, sheet: Sheet, mapping: Mapping[str, str], initial_length: float | None, needed: Sequence[str]
+    ) -> None:
+        self.sheet = sheet
+        self.initial_length = initial_length
+        layout = lay_out(sheet, mapping, needed)
+        self.places = layout.places
+        self.ignored = layout.ignored
+        self.problems = layout.problems + sheet.problems
+        self.corrupt = list(sheet.corrupt)
+        self.suspicions = list(sheet.suspicions)
+        read = [sheet.channels[index] for index, _ in self.places.values()]
+        if len({len(channel.cells) for channel in read}) > 1:  # then there are no rows
+            self.places, read = {}, []
+        self.lines: Sequence[int] = read[0].lines if read else []
+        numeric = [
+            sheet.channels[index].cells for index, column in self.places.values() if column.quantity not in WORDS
+        ]
+        self.decimal = decimal_sign(numeric, self.lines, sheet.delimiter)
+
+    def attributes(self, path: Path, specimen: str, slack_force: float | None) -> dict[str, Any]:
+        """The attributes from the comments, where no argument is given instead."""
+        comments = self.sheet.comments
+        found: dict[str, float] = {}
+        for key, unit in (("initial_length", "m"), ("slack_force", "N")):
+            line, text = comments.get(key, (0, ""))
+            try:
+                found |= {key: quantity(text, unit)} if text else {}
+            except UnitError as error:
+                self._problem(str(error), line, key)
+        if self.initial_length is None:
+            self.initial_length = found.get("initial_length")
+        return {
+            "specimen": specimen or unplain(comments.get("specimen", (0, ""))[1]),
+            "source": unplain(comments["source"][1]) if "source" in comments else path.name,
+            "slack_force": found.get("slack_force", 0.0) if slack_force is None else slack_force,
+        }
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The columns in SI units and our words, with lengths turned into contractions."""
+        data = {name: self._numbers(name) for name in self.places if name not in WORDS}
+        if (length := data.pop("length", None)) is not None:
+            if "contraction" in data:
+                self._compare(data["contraction"], length)
+            else:
+                data["contraction"] = self._contraction(length)
+        return data | {name: self._words(name) for name in self.places if name in WORDS}
+
+    def settle(
+        self, path: Path, data: dict[str, np.ndarray], on_corrupt: OnCorrupt
+    ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+        """The rows that hold numbers, and attributes that say what was left out; or the error with all problems.
+
+        Raises
+        ------
+        DatasetError
+            If something is wrong that leaving rows out does not mend, or half of the rows would go.
+
+        Warns
+        -----
+        McKibbenWarning
+            If rows are left out; and of each suspicion.
+        """
+        bad = {problem.line for problem in self.corrupt}
+        lines = np.asarray(self.lines)
+        kept = ~np.isin(lines, [line for line in bad if line is not None])
+        rows = len(set(lines.tolist()) | bad - {None}) if bad else len(lines)
+        left_out = rows - int(kept.sum())
+        if self.corrupt and on_corrupt == "report" and not self.problems and 2 * left_out > rows:
+            unit = f"{left_out} of {rows} rows hold no number: more than half cannot be left out"
+            self.problems.append(Problem(unit))
+        if self.problems or (self.corrupt and on_corrupt == "raise"):
+            found = sorted(self.problems + self.corrupt, key=self._place)
+            raise DatasetError(str(path), found)
+        for text in self.suspicions:
+            warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=4)
+        attrs = {"ignored_columns": ", ".join(self.ignored)} if self.ignored else {}
+        if "repairs" in self.sheet.comments:  # of the file from which this one was made
+            attrs["repairs"] = unplain(self.sheet.comments["repairs"][1])
+        if self.corrupt:
+            found = sorted(self.corrupt, key=self._place)
+            attrs["repairs"] = "\n".join([*filter(None, [attrs.get("repairs")]), *map(str, found)])
+            first = "; ".join(map(str, found[:_WARNED]))
+            more = f" ... and {len(found) - _WARNED} more, all in the attribute repairs" if len(found) > _WARNED else ""
+            text = f"{path}: {left_out} of {rows} rows are left out: {first}{more}"
+            warnings.warn(text, McKibbenWarning, stacklevel=4)
+            data = {name: values[kept] for name, values in data.items()}
+        return data, attrs
+
+    def _place(self, problem: Problem) -> tuple[int, int]:
+        names = self.sheet.names
+        return problem.line or 0, names.index(problem.field) if problem.field in names else len(names)
+
+    def _problem(self, message: str, line: int | None, name: str, remedy: str = "") -> None:
+        """Record a problem in the column of a quantity, or with an attribute."""
+        self.problems.append(self.sheet.kind(message, line=line, field=self._field(name), remedy=remedy))
+
+    def _field(self, name: str) -> str:
+        return self.sheet.channels[self.places[name][0]].name if name in self.places else name
+
+    def _words(self, name: str) -> NDArray[np.str_]:
+        """The directions or phases in our words."""
+        cells = [str(cell) for cell in self.sheet.channels[self.places[name][0]].cells]
+        meaning = {text: _MEANINGS[name].get(text.strip().lower()) for text in set(cells)}
+        for line, text in zip(self.lines, cells, strict=True):
+            if meaning[text] is None:
+                shown = repr(text.strip()[:40]) if text.strip() else "an empty cell"
+                self.corrupt.append(
+                    self.sheet.kind(
+                        f"{shown} is not a {name}", line=line, field=self._field(name), remedy=_WORD_REMEDY[name]
+                    )
+                )
+        return np.array([meaning[text] or "" for text in cells], dtype="<U9")
+
+    def _numbers(self, name: str) -> NDArray[np.float64]:
+        index, column = self.places[name]
+        channel = self.sheet.channels[index]
+        header = channel.name
+        values, problems = read_numbers(
+            channel.cells,
+            self.lines,
+            field=header,
+            decimal=self.decimal,
+            may_be_empty=name == "set_pressure",
+            kind=self.sheet.kind,
+        )
+        self.corrupt += problems
+        with np.errstate(over="ignore"):
+            si = values * factor(column.unit) if column.unit else values
+        unit = f" {column.unit}" if column.unit else ""
+        self._refuse(name, values, np.isinf(si), f"{{:g}}{unit} is too large")
+        if column.quantity.endswith("pressure"):
+            vacuum = f"a vacuum ({VACUUM / factor(column.unit):.5g}{unit}, gauge)"
+            self._refuse(name, values, si < VACUUM, f"{{:g}}{unit} is below {vacuum}")
+            if column.unit == "Pa" and 0 < np.nanmax(np.abs(si), initial=0.0) <= 100:
+                self.suspicions.append(f"{header} never exceeds 100 Pa; if these are bar, name it {name}_bar")
+        elif name == "contraction" and column.unit == "ratio":
+            remedy = "this looks like percent: name the column contraction_percent"
+            self._refuse(name, values, np.abs(si) >= 1, "{:g} is not between -1 and 1", remedy)
+        elif name == "contraction":
+            self._refuse(name, values, np.abs(si) >= 1, "{:g} % is not between -100 and 100 %")
+            if np.nanmax(np.abs(values), initial=0.0) <= 0.5 and len(np.unique(values)) > 3:
+                meant = "if these are ratios, name it contraction_ratio"
+                self.suspicions.append(f"{header} never exceeds 0.5 %; {meant}")
+        elif name == "length":
+            self._refuse(name, values, si <= 0, f"{{:g}}{unit} is not above 0")
+        elif name == "repeat":
+            # beyond 2**53 a float no longer tells one integer from the next
+            wrong = (si < 0) | (si != np.round(si)) | (si > 2**53)
+            self._refuse(name, values, wrong & ~np.isnan(si), "{:g} is not an integer from 0 up")
+        return si
+
+    def _refuse(
+        self, name: str, values: NDArray[np.float64], bad: NDArray[np.bool_], message: str, remedy: str = ""
+    ) -> None:
+        for row in np.flatnonzero(bad):
+            self._problem(message.format(values[row]), self.lines[int(row)], name, remedy)
+
+    def _contraction(self, length: NDArray[np.float64]) -> NDArray[np.float64]:
+        initial = self.initial_length
+        if initial is None or not (np.isfinite(initial) and initial > 0):
+            what = "is needed for lengths" if initial is None else f"{initial:g} m is not a positive length"
+            self._problem(what, None, "initial_length", _LENGTH_REMEDY)
+            return length
+        with np.errstate(over="ignore"):
+            contraction = 1 - length / initial
+        for row in np.flatnonzero((np.abs(contraction) >= 1) & (length > 0)):
+            times = f"{length[row]:g} m is {length[row] / initial:.3g} times the initial length"
+            self._problem(times, self.lines[int(row)], "length", "check its unit and initial_length")
+        return contraction
+
+    def _compare(self, contraction: NDArray[np.float64], length: NDArray[np.float64]) -> None:
+        """Find the initial length that contractions and lengths agree on, and the rows that do not."""
+        usable = np.isfinite(contraction) & np.isfinite(length) & (np.abs(contraction) < 1) & (length > 0)
+        if not usable.any():
+            return
+        agreed = round(float(np.median(length[usable] / (1 - contraction[usable]))), 9)
+        rounding, relative = _LENGTH_ROUNDING
+        tolerance = max(rounding, relative * agreed)
+        if self.initial_length is None:
+            self.initial_length = agreed
+        elif not abs(self.initial_length - agreed) <= tolerance:
+            text = f"{self.initial_length:g} m is given, but lengths and contractions agree on {agreed:g} m"
+            self._problem(text, None, "initial_length")
+        expected = agreed * (1 - contraction)
+        for row in np.flatnonzero(usable & (np.abs(length - expected) > tolerance)):
+            given = f"{length[row]:g} m does not go with contraction {contraction[row]:g}"
+            text = f"{given} of {agreed:g} m: {expected[row]:.4g} m would"
+            self._problem(text, self.lines[int(row)], "length")

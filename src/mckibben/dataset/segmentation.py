@@ -1,0 +1,185 @@
+"""Plateaus of a recording: where it was steady, at which level, and how it came there."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from mckibben.dataset.isobaric import IsobaricDataset
+from mckibben.dataset.points import Ledger, Points, account, check
+from mckibben.dataset.steady import steady_segments
+from mckibben.errors import RangeError
+from mckibben.units import kPa
+
+_WIDE = 3  # level tolerances that a level may span
+
+
+def plateaus(
+    table: xr.Dataset,
+    *,
+    pressure_tolerance: float,
+    contraction_tolerance: float,
+    force_tolerance: float | None,
+    dwell: float,
+    settle: float,
+    level_tolerance: float,
+    gap: float | None,
+) -> Points:
+    """`Recording.plateaus`, of the recording's table."""
+    check("pressure_tolerance", pressure_tolerance, "Pa")
+    check("contraction_tolerance", contraction_tolerance, "1")
+    check("dwell", dwell, "s")
+    check("dwell - settle", dwell - settle, "s")
+    check("settle", settle, "s", may_be_zero=True)
+    check("level_tolerance", level_tolerance, "Pa")
+    if force_tolerance is not None:
+        check("force_tolerance", force_tolerance, "N")
+    if "contraction" not in table:
+        raise RangeError(
+            "the recording has no contraction",
+            remedy="give contraction=... where it was fixed, or columns of lengths and initial_length, when reading it",
+        )
+    time, pressure, contraction, force = (
+        table[name].to_numpy() for name in ("time", "pressure", "contraction", "force")
+    )
+    ledger = Ledger(table, gap)
+    forward = np.diff(time)
+    forward = forward[forward > 0]
+    if not len(forward):
+        raise RangeError("the time of the recording does not pass", remedy="give its sample rate when reading it")
+    interval = float(np.median(forward))
+    signals = [(pressure, pressure_tolerance), (contraction, contraction_tolerance)]
+    if force_tolerance is not None:
+        signals.append((force, force_tolerance))
+    least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
+    found = steady_segments(signals, ledger.broken | (ledger.of >= 0), least)
+    ledger.put(found.drifting, "drifting")
+    first, last = found.first, found.last
+    firsts = zip(first, last, strict=True)
+    begins = first + np.array([np.searchsorted(time[a:b], time[a] + settle) for a, b in firsts], np.int64)
+    begins, ends = np.maximum(begins, first + found.edge), last - found.edge
+    # from the first to the last sample, and an interval: each stands for one
+    whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
+    for a, b in zip(first[~whole], last[~whole], strict=True):
+        ledger.put(slice(a, b), "steady too shortly")
+    for a, b, c, d in zip(first[whole], begins[whole], ends[whole], last[whole], strict=True):
+        ledger.put(slice(a, b), "settling")
+        ledger.put(slice(c, d), "at the end of a plateau")
+    first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
+    if not len(first):
+        counts = ledger.counts("not steady")
+        raise RangeError(
+            f"nothing in the recording is steady for {dwell:g} s\n  "
+            + account(counts, ledger.notes).replace("\n", "\n  "),
+            value=dwell,
+            unit="s",
+            remedy="allow a larger pressure_tolerance or contraction_tolerance, or a shorter dwell; for a record that "
+            "is never steady at a fixed length use isometric",
+        )
+    samples = ends - begins
+    owner = np.repeat(np.arange(len(first)), samples)
+    at = np.arange(len(owner)) + np.repeat(begins - np.concatenate([[0], np.cumsum(samples)[:-1]]), samples)
+    ledger.put(at, "used")
+
+    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        middle = values[begins]  # subtracted, so that sums of many samples keep their digits
+        return middle + np.bincount(owner, values[at] - middle[owner]) / samples
+
+    p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(time)
+    spread = np.sqrt(np.bincount(owner, (force[at] - f[owner]) ** 2) / samples)
+    if "set_pressure" in table:
+        set_pressure = mean(table["set_pressure"].to_numpy())
+    else:
+        set_pressure, wide = levels_of(p, level_tolerance)
+        if wide:
+            ledger.notes.append(
+                f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
+            )
+    direction, phase = _approach(table, first, last, c, p, contraction_tolerance, pressure_tolerance)
+    counts = ledger.counts("not steady")
+    attrs = {name: value for name, value in table.attrs.items() if name not in ("repairs", "ignored_columns")}
+    dataset = IsobaricDataset.of(
+        pressure=p,
+        contraction=c,
+        force=f,
+        direction=direction if np.any(direction != "") else None,
+        phase=phase if np.any(phase != "") else None,
+        time=t,
+        set_pressure=set_pressure,
+        **attrs,
+    )
+    dataset = IsobaricDataset(dataset.table.assign(force_spread=("point", spread)).assign_attrs(table.attrs))
+    return Points(dataset, samples, counts, tuple(ledger.notes))
+
+
+def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], int]:
+    """The level of each of some pressures: the mean, in whole kPa, of those that follow each other closely.
+
+    Parameters
+    ----------
+    pressures
+        Shape (n,) [Pa].
+    tolerance
+        Sorted pressures closer than this [Pa] are of one level; a chain of more than three times that is none.
+
+    Returns
+    -------
+    levels
+        Shape (n,) [Pa]; NaN where there is none.
+    chained
+        How many have none.
+
+    Examples
+    --------
+    >>> levels_of(np.array([99.2e3, 200.3e3, 101.0e3]), 10e3)
+    (array([100000., 200000., 100000.]), 0)
+    """
+    order = np.argsort(pressures, kind="stable")
+    ranked = pressures[order]
+    group = np.concatenate([[0], np.cumsum(np.diff(ranked) > tolerance)])
+    count = np.bincount(group)
+    mean = np.bincount(group, ranked) / count
+    starts = np.concatenate([[0], np.cumsum(count)[:-1]])
+    wide = ranked[starts + count - 1] - ranked[starts] > _WIDE * tolerance
+    level = np.where(wide, np.nan, np.round(mean / kPa) * kPa)
+    levels = np.empty(len(pressures))
+    levels[order] = level[group]
+    return levels, int(count[wide].sum())
+
+
+def _approach(
+    table: xr.Dataset,
+    first: NDArray[np.int64],
+    last: NDArray[np.int64],
+    contraction: NDArray[np.float64],
+    pressure: NDArray[np.float64],
+    contraction_tolerance: float,
+    pressure_tolerance: float,
+) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
+    """Direction and phase of each plateau, by what moved last between the one before it and it.
+
+    The side from which it came is that of the last sample out of twice the tolerance.
+    """
+    before = np.concatenate([[0], last[:-1]])
+    sides = []
+    for name, level, tolerance in (
+        ("contraction", contraction, contraction_tolerance),
+        ("pressure", pressure, pressure_tolerance),
+    ):
+        values = table[name].to_numpy()
+        side = np.zeros(len(first), int)
+        for i, (a, b) in enumerate(zip(before, first, strict=True)):
+            away = values[a:b] - level[i]
+            out = np.flatnonzero(np.abs(away) > 2 * tolerance)
+            if len(out):
+                side[i] = 1 if away[out[-1]] > 0 else -1
+        jump = np.diff(level, prepend=level[0])
+        sides.append(np.where((side == 0) & (np.abs(jump) > 2 * tolerance), -np.sign(jump), side).astype(int))
+    moved, pressed = sides
+    direction = np.array(["", "loading", "unloading"], dtype="<U9")[moved]  # from above: it was stretched
+    phase = np.where(moved != 0, "", np.array(["", "venting", "filling"], dtype="<U9")[pressed])
+    for i in range(1, len(first)):
+        if moved[i] == pressed[i] == 0:  # the same plateau, parted by a disturbance
+            direction[i], phase[i] = direction[i - 1], phase[i - 1]
+    return direction, phase.astype("<U9")

@@ -1,0 +1,262 @@
+"""A delimited text file to a `Sheet`."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, islice
+from typing import NamedTuple
+
+import numpy as np
+
+from mckibben.dataset.headers import is_unit
+from mckibben.dataset.sheet import Channel, Sheet
+from mckibben.errors import DatasetError, Problem
+
+_DELIMITERS = (",", ";", "\t")
+_PREAMBLE = 60  # lines in which a header is looked for
+_NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
+_SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]*[\])])?|\S+")
+
+_Known = Callable[[str, str], bool]
+
+
+def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> Sheet:
+    """Read a text of cells.
+
+    The delimiter is that of comma, semicolon and tab which gives the header most names that are `known`,
+    then most names; where there is none of these in it, white space. Blank lines, and rows of empty cells only,
+    are passed over. Lines before the header are, too, where the first line has no known name, a later one has two,
+    and none between is a row of numbers. A row under the header that has units instead of numbers says the units.
+
+    Parameters
+    ----------
+    text, source
+        The content of the file, and its name.
+    known
+        Whether a name, and a unit that stands elsewhere, are those of a column of ours.
+    zeros
+        Bytes that were cut from the end of the file.
+
+    Raises
+    ------
+    DatasetError
+        If there is no header or no row.
+    """
+    stream = io.StringIO(text, newline="")
+    comments: dict[str, tuple[int, str]] = {}
+    number = 0
+    for line in stream:
+        number += 1
+        stripped = line.strip()
+        if stripped and not stripped.startswith(("#", "%")):
+            break
+        key, colon, value = stripped.lstrip("#%").partition(":")
+        if colon:
+            comments[key.strip()] = (number, value.strip())
+    else:
+        raise DatasetError(source, [Problem("is empty" if not number else "has no header and no rows")])
+
+    lines, number = _header(line, stream, number, known)
+    lines += islice(stream, max(0, 2 - len(lines)))
+    delimiter = _delimiter(lines[0], known)
+    sheet = Sheet(header_line=number, comments=comments, delimiter=delimiter)
+    if (numbers := _numbers(lines, stream, number, sheet)) is None:
+        _cells(lines, stream, number, sheet)
+    else:
+        sheet.channels = numbers
+    _look_at_the_end(text, zeros, sheet)
+    if not any(len(channel.cells) for channel in sheet.channels) and not sheet.problems and not sheet.corrupt:
+        raise DatasetError(source, [Problem("has a header and no rows", line=sheet.header_line)])
+    return sheet
+
+
+def _header(line: str, stream: io.StringIO, number: int, known: _Known) -> tuple[list[str], int]:
+    """The lines from the header on that were taken from the stream, and the number of the header."""
+    if _merit(line, _delimiter(line, known), known)[0]:
+        return [line], number
+    lines = [line, *islice(stream, _PREAMBLE)]
+    for index, candidate in enumerate(lines):
+        delimiter = _delimiter(candidate, known)
+        cells = _split(candidate, delimiter)
+        if index and _merit(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
+            return lines[index:], number + index
+        if sum(bool(_NUMBER.fullmatch(cell)) for cell in cells) >= 2:
+            break  # a row: what follows is no header
+    return lines, number
+
+
+def _known_word(lines: Sequence[str], index: int, known: _Known) -> Callable[[str], bool]:
+    """Whether a cell is a name of ours with the unit that stands under it."""
+    below = lines[index + 1] if index + 1 < len(lines) else ""
+    delimiter = _delimiter(lines[index], known)
+    under = dict(zip(_split(lines[index], delimiter), _split(below, delimiter), strict=False))
+    return lambda cell: not known(cell, "") and known(cell, under.get(cell, ""))
+
+
+def _delimiter(header: str, known: _Known) -> str:
+    best = max(_DELIMITERS, key=lambda delimiter: _merit(header, delimiter, known))
+    words = _merit(header, " ", known)
+    return best if _merit(header, best, known)[1] > 1 or words[1] < 2 else " "
+
+
+def _merit(header: str, delimiter: str, known: _Known) -> tuple[int, int]:
+    cells = _split(header, delimiter)
+    return sum(known(cell, "") for cell in cells), len(cells)
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    """The cells of a line, stripped; none where it cannot be read."""
+    try:
+        cells = next(_reader([line], delimiter), [])
+    except csv.Error:
+        return []
+    return [cell.strip() for cell in cells]
+
+
+def _reader(lines: Iterator[str] | Sequence[str], delimiter: str) -> Iterator[list[str]]:
+    if delimiter == " ":
+        return ([word.strip('"') for word in _SPACED.findall(line)] for line in lines)
+    return csv.reader(lines, delimiter=delimiter)
+
+
+def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: Sheet) -> list[Channel] | None:
+    """The columns of a file that has nothing but rows of numbers, read by NumPy; None where there is anything else.
+
+    A row a line, so that millions of samples are read in seconds, and each still knows its line.
+    """
+    header, under = _split(lines[0], sheet.delimiter), _split("".join(lines[1:2]), sheet.delimiter)
+    skipped = 1 + _is_units(under)
+    at = stream.tell()
+    body = "".join(lines[skipped:]) + stream.read()
+    stream.seek(at)
+    sign = "," if "," in body and sheet.delimiter != "," else "."
+    allowed = f"0123456789+-eE\r\n{sign}" + (" \t" if sheet.delimiter == " " else sheet.delimiter)
+    if '"' in lines[0] or not body.isascii() or body.encode().translate(None, allowed.encode()):
+        return None
+    body = body.replace("\r\n", "\n").replace(",", "." if sign == "," else ",")
+    count = body.count("\n") + (not body.endswith("\n"))
+    if "\r" in body or not body.strip():
+        return None
+    delimiter = None if sheet.delimiter == " " else sheet.delimiter
+    try:
+        numbers = np.loadtxt(io.StringIO(body), delimiter=delimiter, ndmin=2)
+    except ValueError:  # an empty cell, or rows of unequal length: they are looked at one by one
+        return None
+    if numbers.shape != (count, len(header)) or not np.isfinite(numbers).all():
+        return None
+    units = under if skipped > 1 else [""] * len(header)
+    rows = range(first + skipped, first + skipped + count)
+    columns = np.ascontiguousarray(numbers.T)
+    return [Channel(name, column, rows, unit=unit) for name, column, unit in zip(header, columns, units, strict=False)]
+
+
+class _Row(NamedTuple):
+    """A row, the line on which it begins, and the one on which it ends."""
+
+    cells: list[str]
+    line: int
+    last: int
+
+
+def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: Sheet) -> None:
+    """The columns of any other file, and the rows of it that are none."""
+    rows: list[_Row] = []
+    reader = _reader(chain(lines, stream), sheet.delimiter)
+    try:
+        rows.extend(_numbered(reader, first))
+    except csv.Error as error:
+        at = getattr(reader, "line_num", 0)
+        sheet.problems.append(Problem(f"cannot be read further: {error}", line=first + at - 1))
+    if not rows:
+        return
+    header = [cell.strip() for cell in rows[0].cells]
+    sheet.header_line = rows[0].line
+    skipped = 1 + (len(rows) > 1 and _is_units(rows[1].cells))
+    units = [cell.strip() for cell in rows[1].cells] if skipped > 1 else []
+    rows = rows[skipped:]
+    if rows and all(len(row.cells) == len(header) + 1 and row.cells[0].strip().isdigit() for row in rows):
+        index = [int(row.cells[0]) for row in rows]
+        if np.array_equal(np.diff(index), np.ones(len(rows) - 1)) and index[0] in (0, 1) and len(rows) > 1:
+            header = ["", *header]  # the numbers of the rows, which some programs write without a name
+    good: list[_Row] = []
+    for row in rows:
+        if len(row.cells) == len(header) and row.line == row.last:
+            good.append(row)
+            continue
+        while len(row.cells) > len(header) and not row.cells[-1].strip():
+            row.cells.pop()
+        wrong = _wrong(row, header, sheet.delimiter)
+        if wrong is None:
+            good.append(row)
+        else:
+            sheet.corrupt.append(wrong)
+    columns = list(zip(*(row.cells for row in good), strict=True)) or [()] * len(header)
+    numbers = [row.line for row in good]
+    units += [""] * (len(header) - len(units))
+    sheet.channels = [
+        Channel(name, cells, numbers, unit=unit) for name, cells, unit in zip(header, columns, units, strict=False)
+    ]
+
+
+def _numbered(reader: Iterator[list[str]], first: int) -> Iterator[_Row]:
+    """The rows that are not blank."""
+    last = first - 1
+    for count, cells in enumerate(reader, 1):
+        line, last = last + 1, first - 1 + getattr(reader, "line_num", count)
+        if cells and ((cells[0] and not cells[0].isspace()) or "".join(cells).strip()):
+            yield _Row(cells, line, last)
+
+
+def _wrong(row: _Row, header: list[str], delimiter: str) -> Problem | None:
+    """That a row is none: it has another number of cells than the header, or a quotation mark swallowed other rows."""
+    found, expected = len(row.cells), len(header)
+    if found != expected:
+        decimals = found > expected and delimiter == ","
+        remedy = "decimal commas need semicolons between the columns" if decimals else ""
+        through = f", and goes on to line {row.last}" if row.last > row.line else ""
+        message = f"has {found} cell{'s' if found != 1 else ''}, the header {expected}{through}"
+        return Problem(message, line=row.line, remedy=remedy)
+    inside = [line for cell in row.cells for line in cell.splitlines()[1:]] if row.last > row.line else []
+    if any(line.count(delimiter) >= expected - 1 > 0 for line in inside):
+        return Problem(f"a quotation mark makes one row of lines {row.line} to {row.last}", line=row.line)
+    return None
+
+
+def _is_units(row: Sequence[str]) -> bool:
+    """Whether a row has units where others have numbers."""
+    cells = [cell.strip() for cell in row if cell.strip()]
+    found = sum(map(is_unit, cells))
+    return 2 * found >= len(cells) > 0 < found and not any(_NUMBER.fullmatch(cell) for cell in cells)
+
+
+def _look_at_the_end(text: str, zeros: int, sheet: Sheet) -> None:
+    """Say of a last line that was cut off that it was."""
+    last = text.count("\n") + 1
+    lengths = [channel.lines[-1] for channel in sheet.channels if len(channel.lines)]
+    ends = max([*lengths, *(problem.line or 0 for problem in sheet.corrupt)], default=0)
+    if zeros:
+        message = f"the file ends in {zeros} zero bytes: it was cut off while it was written"
+        sheet.corrupt.append(Problem(message, line=last))
+    if text.endswith(("\n", "\r")) or ends < last:
+        return
+    if sheet.corrupt and sheet.corrupt[-1].line == last and not zeros:
+        cut = sheet.corrupt[-1]
+        if "has" in cut.message and not cut.remedy:
+            sheet.corrupt[-1] = Problem(f"{cut.message}, and no line end: the file was cut off here", line=last)
+    elif sheet.channels and not zeros and (short := _short(text, sheet.delimiter)):
+        sheet.suspicions.append(f"line {last} has no line end and {short}; the file may have been cut off in it")
+
+
+def _short(text: str, delimiter: str) -> str:
+    """That the last number of a text has fewer decimals than those above it all have; empty where it has not."""
+    tail = [
+        re.search(r"\.([0-9]+)\s*$" if delimiter == "," else r"[.,]([0-9]+)\s*$", line)
+        for line in text.rsplit("\n", 12)[-12:]
+    ]
+    decimals = [len(match[1]) if match else 0 for match in tail]
+    if len(decimals) < 5 or len(set(decimals[:-1])) > 1 or decimals[-1] >= decimals[0]:
+        return ""
+    return f"its last number has {decimals[-1]} decimals where others have {decimals[0]}"

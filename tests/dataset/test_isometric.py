@@ -1,0 +1,129 @@
+import numpy as np
+import pytest
+import xarray as xr
+
+from mckibben import catalog
+from mckibben.dataset import IsobaricDataset, Recording, read_dataset
+from mckibben.errors import RangeError
+from mckibben.identification import identify
+from mckibben.muscle import ExponentialLaw
+from mckibben.units import bar, kPa, percent
+
+RATE = 500.0
+TURNS = [(0, 0), (1, 0), (8, 6 * bar), (10, 6 * bar), (17, 0), (18, 0), (19.5, 3 * bar), (21, 0)]  # s, Pa
+TIME = np.arange(0, 21, 1 / RATE)
+CLEAN = np.interp(TIME, *zip(*TURNS, strict=True))
+MOTION = np.sign(np.diff(CLEAN, prepend=0))
+SIDE = MOTION[np.maximum.accumulate(np.where(MOTION != 0, np.arange(len(TIME)), 0))]
+
+
+def truth(pressure, side):
+    """Curved, so that a mean over a band would be off, with a loop of 16 N [N]."""
+    return 20 + 8e-4 * pressure + 4e-10 * pressure**2 - 8 * side
+
+
+def record(noise=1.0, **other) -> Recording:
+    rng = np.random.default_rng(1)
+    pressure = CLEAN + noise * rng.normal(0, 500, len(TIME))
+    force = truth(CLEAN, SIDE) + noise * rng.normal(0, 0.5, len(TIME))
+    return Recording.of(**{"time": TIME, "pressure": pressure, "force": force, "contraction": 0.05} | other)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_points_at_given_pressures_for_filling_and_venting_apart(noise):
+    levels = np.array([1, 2, 4]) * bar
+    points = record(noise).isometric(levels)
+    data = points.dataset
+    assert data.pressure.tolist() == [1e5, 2e5, 4e5, 1e5, 2e5, 4e5, 1e5, 2e5, 1e5, 2e5]
+    assert data.table["phase"].values.tolist() == ["filling"] * 3 + ["venting"] * 3 + ["filling"] * 2 + ["venting"] * 2
+    assert data.table["repeat"].values.tolist() == [0] * 6 + [1] * 4
+    assert "direction" not in data.table and data.phases.tolist() == ["filling", "venting"]
+    side = np.where(data.table["phase"] == "filling", 1, -1)
+    np.testing.assert_allclose(data.force, truth(data.pressure, side), atol=0.05 + 0.25 * noise)
+    np.testing.assert_allclose(data.contraction, 0.05)
+    assert np.all(np.abs(data.table["force_spread"] - 0.65 * noise) < 0.12)  # of force and, times the slope, pressure
+    assert sum(points.counts.values()) == len(TIME)
+    assert points.counts["used"] == points.samples.sum()
+    assert "filling 1 does not pass 4 bar" in points.notes
+
+
+def test_the_line_is_that_of_numpy():
+    run = record()
+    points = run.isometric([2 * bar, 4 * bar], band=10 * kPa)
+    mine = (TIME > 1) & (TIME < 8) & (np.abs(run.pressure - 2 * bar) <= 10 * kPa)
+    line = np.polynomial.Polynomial.fit(run.pressure[mine] - 2 * bar, run.force[mine], 1).convert()
+    assert points.samples[0] == mine.sum()
+    assert points.dataset.force[0] == pytest.approx(line(0.0), rel=1e-12)
+
+
+def test_evenly_spaced_levels_lie_inside_the_range():
+    data = record().isometric(count=6).dataset
+    np.testing.assert_allclose(np.diff(data.pressures), 1 * bar, rtol=0.01)
+    assert data.pressures[0] == pytest.approx(0.5 * bar, abs=3 * kPa)
+
+
+def test_a_rest_at_the_top_belongs_to_the_filling():
+    points = record().isometric([5.998 * bar], band=1 * kPa)
+    assert points.dataset.table["phase"].values.tolist() == ["filling"]
+    assert points.counts["at rest or turning"] > 400
+
+
+def test_a_level_is_not_reached_from_one_side():
+    with pytest.raises(
+        RangeError, match=r"no level is passed\n  10500 samples: 0 used[^\n]*\n  filling 0 does not pass 7"
+    ):
+        record().isometric([7 * bar])
+
+
+def test_a_gap_parts_a_filling_and_the_ends_of_the_sensor_are_left_out():
+    time = TIME + 5 * (TIME >= 4)
+    points = record(time=time).isometric([1 * bar, 5 * bar])
+    assert points.dataset.table["repeat"].values.tolist() == [0, 1, 0, 0, 2, 1]
+    assert points.notes[0].startswith("gap: 3.998 to 9 s")
+    run = record()
+    clipped = record(force=np.minimum(run.force, 400))
+    points = clipped.isometric([1 * bar, 5.5 * bar])
+    assert 5.5 * bar not in points.dataset.pressures
+    assert points.counts["at the ceiling of force"] > 500
+    assert sum(points.counts.values()) == len(TIME)
+
+
+def test_the_length_must_be_known_and_fixed():
+    bare = Recording(record().table.drop_vars("contraction"))
+    with pytest.raises(RangeError, match="the contraction is not known; give contraction"):
+        bare.isometric()
+    assert bare.isometric(contraction=10 * percent).dataset.contraction[0] == 0.1
+    with pytest.raises(RangeError, match=r"made at contraction 0\.05, not 0\.1"):
+        record().isometric(contraction=0.1)
+    with pytest.raises(RangeError, match="the length was not fixed"):
+        record(contraction=0.2 * TIME / 21).isometric()
+    slipped = record(contraction=np.where(TIME > 17, 0.07, 0.05)).isometric()
+    assert slipped.counts["at another length"] == (TIME > 17).sum()
+
+
+@pytest.mark.parametrize(
+    "argument", [{"count": 0}, {"levels": []}, {"levels": [np.nan]}, {"band": -1.0}, {"reversal": 0.0}]
+)
+def test_arguments_without_a_meaning_are_refused(argument):
+    with pytest.raises(RangeError):
+        record().isometric(**argument)
+    with pytest.raises(RangeError, match="overlap"):
+        record().isometric([1e5, 1.1e5], band=6e3)
+
+
+def test_fillings_and_ventings_at_several_lengths_identify_a_law(tmp_path):
+    """The loop of filling and venting lies evenly about the law: a fit to both finds it."""
+    law = catalog.law("lei-mas-10-180n")
+    parts = []
+    for contraction in np.linspace(0, 0.18, 7):
+        clean = np.asarray(law.force(contraction=contraction, pressure=CLEAN))
+        run = record(force=clean - 5 * SIDE, contraction=contraction)
+        parts.append(run.isometric(np.array([2.5, 3.5, 4.5, 5.5]) * bar).dataset)
+    table = xr.concat([part.table for part in parts], "point", combine_attrs="drop")
+    IsobaricDataset(table).to_csv(tmp_path / "points.csv")
+    points = read_dataset(tmp_path / "points.csv")
+    assert len(points.phases) == 2
+    both = points.select((points.table["repeat"] == 0).to_numpy())
+    fit = identify(ExponentialLaw, both)
+    expected = law.force(contraction=both.contraction, pressure=both.pressure)
+    np.testing.assert_allclose(fit.law.force(contraction=both.contraction, pressure=both.pressure), expected, atol=0.4)

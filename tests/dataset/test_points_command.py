@@ -1,0 +1,95 @@
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from mckibben.commands.points import points
+from mckibben.dataset import read_dataset
+from mckibben.errors import DatasetError, UnitError
+from mckibben.units import bar
+
+APP = typer.Typer()
+APP.command()(points)
+
+TIME = np.arange(0, 30, 0.02)
+LEVEL = np.array([1.0, 2, 3, 2, 1])[np.minimum(TIME // 6, 4).astype(int)]  # bar, 6 s each
+RAMP = np.interp(TIME, [0, 14, 16, 30], [0, 6, 6, 0])
+
+
+@pytest.fixture
+def run(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
+
+    def call(*arguments: str, error: type[Exception] | None = None) -> str:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            done = CliRunner().invoke(APP, list(arguments))
+        if error is None:
+            assert done.exit_code == 0, (done.output, done.exception)
+            return done.stdout
+        assert isinstance(done.exception, error)
+        return str(done.exception)
+
+    return call
+
+
+def write(name: str, pressure: np.ndarray, lines: str = "") -> None:
+    rows = [f"{t:.2f},{p:.3f},{40 * p - 10:.2f}\n" for t, p in zip(TIME, pressure, strict=True)]
+    Path(name).write_text("Time (s),Druck [bar],Force (N)\n" + "".join(rows) + lines)
+
+
+COLUMN = ("--column", "Druck [bar]=pressure_bar", "--contraction", "10 %")
+
+
+def test_plateaus_become_a_file_that_is_read_as_points(run):
+    write("rig.csv", LEVEL)
+    text = run("rig.csv", *COLUMN, "--out", "points.csv", "--specimen", "DMSP-10")
+    assert "rig.csv: 5 points of 1500 samples" in text
+    assert "1500 samples: 1470 used" in text or "1500 samples: 1480 used" in text
+    assert "filling" in text and "venting" in text
+    assert "kept 5 points in points.csv; fit a law with: mckibben identify points.csv" in text
+    data = read_dataset("points.csv")
+    np.testing.assert_allclose(data.force, [30, 70, 110, 70, 30])
+    assert data.table["phase"].values.tolist() == ["", "filling", "filling", "venting", "venting"]
+    assert data.table.attrs["specimen"] == "DMSP-10"
+
+
+def test_an_isometric_record(run):
+    write("rig.csv", RAMP)
+    found = json.loads(run("rig.csv", *COLUMN, "--isometric", "--levels", "2, 4.5 bar", "--json", "--out", "points.nc"))
+    assert [(p["pressure_bar"], p["came_by"]) for p in found["points"]] == [
+        (2.0, "filling"),
+        (4.5, "filling"),
+        (2.0, "venting"),
+        (4.5, "venting"),
+    ]
+    assert sum(found["samples"].values()) == len(TIME)
+    assert read_dataset("points.nc").pressures.tolist() == [2 * bar, 4.5 * bar]
+    assert "12 points" in run("rig.csv", *COLUMN, "--isometric", "--count", "6")
+
+
+def test_corrupt_rows_are_refused_or_left_out_and_named(run):
+    write("rig.csv", LEVEL, "30.00,1.0,x\n30.0")
+    assert "line 1502, Force (N): 'x' is not a number" in run("rig.csv", *COLUMN, error=DatasetError)
+    repairs = json.loads(run("rig.csv", *COLUMN, "--skip-corrupt", "--json"))["repairs"]
+    assert repairs[0] == "line 1502, Force (N): 'x' is not a number"
+    assert "the file was cut off here" in repairs[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "expected"),
+    [
+        (("--dwell", "1"), UnitError, "--dwell: '1' is not a number and a unit"),
+        (("--levels", "2", "--isometric"), UnitError, "--levels '2' has no unit; write --levels '1, 2, 3 bar'"),
+        (("--column", "Druck"), UnitError, "--column 'Druck' names no column"),
+        (("--out", "points.txt"), DatasetError, "is neither .csv nor .nc; name it points.csv"),
+    ],
+)
+def test_options_that_cannot_be_read(arguments, error, expected, run):
+    write("rig.csv", LEVEL)
+    assert expected in run("rig.csv", *COLUMN, *arguments, error=error)

@@ -1,0 +1,298 @@
+import time as clock
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mckibben.dataset import Recording, read_dataset, read_recording
+from mckibben.dataset.glued import glued
+from mckibben.errors import DatasetError, RangeError
+from mckibben.units import bar, kPa, percent
+
+from .conftest import said_of
+
+RATE = 200.0  # Hz
+FRICTION = 6.0  # N
+
+
+def law(pressure, contraction):
+    """A muscle, slack where it would push [N]."""
+    return np.maximum(0, (1.1e-3 * pressure - 60) * (1 - 3.6 * contraction) - 200 * contraction)
+
+
+class Run:
+    """An isobaric test: at each pressure a stroke there and back in steps, each held for 3 s after 0.5 s of motion."""
+
+    def __init__(self, levels=(1 * bar, 2 * bar, 3 * bar), *, seed=0, noise=1.0, rate=RATE, top=0.2):
+        steps = np.arange(0, top + 1e-9, 0.04)
+        stroke = [*steps, *steps[-2::-1]]
+        self.plan = [(level, contraction) for level in levels for contraction in stroke]
+        move, hold = int(0.5 * rate), int(3 * rate)
+        before = np.array([(0.0, 0.0), *self.plan[:-1]])
+        ramp = np.linspace(0, 1, move, endpoint=False)[None, :, None]
+        moving = before[:, None] + (np.array(self.plan) - before)[:, None] * ramp
+        held = np.repeat(np.array(self.plan)[:, None], hold, axis=1)
+        self.pressure, self.contraction = np.concatenate([moving, held], axis=1).reshape(-1, 2).T
+        count = len(self.pressure)
+        motion = np.sign(np.diff(self.contraction, prepend=0))
+        side = motion[np.maximum.accumulate(np.where(motion != 0, np.arange(count), 0))]
+        clean = law(self.pressure, self.contraction)
+        self.force = clean - FRICTION * side * (clean > 0)
+        self.moved = np.sign(np.diff([0.0, *(c for _, c in self.plan)]))
+        rng = np.random.default_rng(seed)
+        self.pressure = self.pressure + noise * rng.normal(0, 500, count)
+        self.contraction = self.contraction + noise * rng.normal(0, 1e-5, count)
+        self.force = self.force + noise * rng.normal(0, 0.5, count)
+        self.time = np.arange(count) / rate
+
+    def record(self, **other) -> Recording:
+        columns = {"time": self.time, "pressure": self.pressure, "force": self.force, "contraction": self.contraction}
+        return Recording.of(**columns | other)
+
+
+RUN = Run()
+
+
+def accounted(points, record):
+    assert sum(points.counts.values()) == len(record)
+    assert points.counts["used"] == points.samples.sum()
+    return points
+
+
+@pytest.mark.parametrize("noise", [1.0, 0.0])
+def test_every_plateau_is_found_with_its_level_its_direction_and_its_means(noise):
+    test = Run(noise=noise)
+    points = accounted(test.record().plateaus(), test.record())
+    pressure, contraction = np.array(test.plan).T
+    data = points.dataset
+    assert len(data) == len(test.plan)
+    np.testing.assert_allclose(data.pressure, pressure, atol=120)
+    np.testing.assert_allclose(data.contraction, contraction, atol=3e-6)
+    clean = law(pressure, contraction)
+    moved = test.moved != 0
+    expected = (clean - FRICTION * test.moved * (clean > 0))[moved]
+    np.testing.assert_allclose(data.force[moved], expected, atol=0.12)  # 4.6 standard errors of 400 samples
+    np.testing.assert_allclose(data.table["force_spread"], 0.5 * noise, atol=0.08)
+    assert data.levels.tolist() == pressure.tolist()
+    words = {1: "unloading", -1: "loading", 0: ""}
+    assert data.table["direction"].values.tolist() == [words[int(m)] for m in test.moved]
+    assert data.table["phase"].values.tolist() == ["filling" if m == 0 else "" for m in test.moved]
+    assert sorted(data.directions) == ["loading", "unloading"]
+    assert points.counts["not steady"] + points.counts["used"] > 0.85 * len(test.time)
+
+
+def test_a_fixed_length_that_is_filled_and_vented_in_steps_has_phases_and_no_direction():
+    levels = [1, 2, 3, 2, 1]
+    pressure = np.repeat(np.array(levels) * bar, 400)
+    force = np.repeat([10.0, 20, 30, 26, 16], 400)
+    record = Recording.of(time=np.arange(2000) / RATE, pressure=pressure, force=force, contraction=0.1)
+    data = record.plateaus().dataset
+    assert data.force.tolist() == [10, 20, 30, 26, 16]
+    assert "direction" not in data.table
+    assert data.table["phase"].values.tolist() == ["", "filling", "filling", "venting", "venting"]
+
+
+def test_the_direction_is_that_of_the_last_motion_and_not_of_the_difference():
+    contraction = np.repeat([0.10, 0.15, 0.12], [400, 50, 400])
+    record = Recording.of(
+        time=np.arange(850) / RATE,
+        pressure=2 * bar + 0 * contraction,
+        force=50.0 + 0 * contraction,
+        contraction=contraction,
+    )
+    assert record.plateaus().dataset.table["direction"].values.tolist() == ["", "loading"]
+
+
+def test_the_ends_of_a_sensor_are_recognised_and_left_out():
+    low, high = 5.0, 180.0
+    record = RUN.record(force=np.clip(RUN.force, low, high))
+    points = accounted(record.plateaus(), record)
+    clean = RUN.record().plateaus().dataset
+    within = (clean.force > low + 2) & (clean.force < high - 2)
+    assert 10 < within.sum() < len(clean) - 4
+    found = points.dataset.force
+    np.testing.assert_allclose(found[(found > low + 2) & (found < high - 2)], clean.force[within], atol=1e-9)
+    assert found.max() < high and found.min() > low
+    clipped = ((RUN.force <= low) | (RUN.force >= high)).sum()
+    assert points.counts["at the floor of force"] + points.counts["at the ceiling of force"] >= clipped * 0.98
+    assert any("force sticks to 180 N, the ceiling of its channel" in note for note in points.notes)
+
+
+@pytest.mark.parametrize("step", [0.05, 2.0])
+def test_a_coarse_converter_is_no_end_of_the_channel(step):
+    record = RUN.record(force=np.round(RUN.force / step) * step, pressure=np.round(RUN.pressure / 200) * 200)
+    points = accounted(record.plateaus(), record)
+    slack = RUN.record().plateaus().dataset.force < 1
+    assert len(points.dataset) >= len(slack) - slack.sum()
+    assert not any("pressure" in note or "ceiling" in note for note in points.notes)
+
+
+def test_gaps_and_clocks_that_go_back_part_what_is_steady():
+    time = RUN.time.copy()
+    middle = int(3.5 * RATE * 4 - 1.5 * RATE)  # in the middle of the fourth plateau
+    time[middle:] += 7
+    time[2 * middle :] -= 11
+    record = RUN.record(time=time)
+    points = accounted(record.plateaus(), record)
+    assert len(points.dataset) == len(RUN.plan) + 1 + (abs(2 * middle / RATE % 3.5 - 2) < 1)
+    assert points.notes[0].startswith(f"gap: {time[middle - 1]:g} to {time[middle]:g} s")
+    assert points.notes[1].startswith("clock went back: ")
+    whole = record.plateaus(gap=100.0)
+    assert not any(note.startswith("gap") for note in whole.notes)
+
+
+def test_tolerance_dwell_and_settle_do_what_they_say():
+    creeping = RUN.record(force=RUN.force + 20 * np.exp(-(RUN.time % 3.5 - 0.5).clip(0) / 0.3))
+    plain, settled = creeping.plateaus(), creeping.plateaus(settle=0.99)
+    assert len(plain.dataset) == len(settled.dataset) == len(RUN.plan)
+    bias = plain.dataset.force - settled.dataset.force
+    assert np.all(bias > 1) and settled.counts["settling"] > 3 * plain.counts["settling"]
+    assert len(creeping.plateaus(force_tolerance=0.5).dataset) > 20
+    assert creeping.plateaus(force_tolerance=0.5).samples.sum() < plain.samples.sum()
+    with pytest.raises(
+        RangeError, match=r"nothing in the recording is steady for 4 s\n  23.00 samples: 0 used.*longer|shorter"
+    ):
+        RUN.record().plateaus(dwell=4.0)
+    assert len(RUN.record().plateaus(dwell=2.9).dataset) == len(RUN.plan)
+
+
+def test_a_slow_ramp_is_no_plateau():
+    time = np.arange(0, 60, 1 / RATE)
+    ramp = Recording.of(time=time, pressure=2e5 + 0 * time, force=100 - time, contraction=0.2 * time / 60)
+    with pytest.raises(RangeError, match="nothing in the recording is steady"):
+        ramp.plateaus()
+
+
+@given(
+    seed=st.integers(0, 20),
+    drop=st.floats(0, 0.4),
+    jitter=st.floats(0, 2e-3),
+    dwell=st.sampled_from([0.02, 0.5, 1.0, 2.5]),
+    settle=st.sampled_from([0.0, 0.01]),
+)
+def test_whatever_the_record_all_samples_are_accounted_for_and_plateaus_are_steady(seed, drop, jitter, dwell, settle):
+    rng = np.random.default_rng(seed)
+    kept = rng.uniform(size=len(RUN.time)) >= drop
+    record = Recording.of(
+        time=(RUN.time + rng.normal(0, jitter, len(kept)))[kept],
+        pressure=RUN.pressure[kept],
+        force=np.clip(RUN.force, 20 * (seed % 2), None)[kept],
+        contraction=RUN.contraction[kept],
+    )
+    try:
+        points = record.plateaus(dwell=dwell, settle=settle)
+    except RangeError as error:
+        assert "nothing in the recording" in str(error)
+        return
+    accounted(points, record)
+    assert np.all(np.diff(points.dataset.table["time"]) > -5 * jitter)
+    if dwell >= 0.5:
+        planned = np.array(RUN.plan)[:, 1]
+        assert np.abs(points.dataset.contraction[:, None] - planned).min(axis=1).max() < 1e-3
+
+
+def test_five_million_samples_take_a_second_or_so():
+    test = Run(rate=43_000)
+    record = test.record()
+    assert len(record) > 4.9e6
+    start = clock.process_time()
+    points = record.plateaus()
+    assert clock.process_time() - start < 4  # 0.5 s on a slow core that has nothing else to do
+    assert len(points.dataset) == len(test.plan)
+
+
+def test_set_pressures_of_the_record_go_before_clusters():
+    record = RUN.record(set_pressure=np.where(RUN.time < 35, 0.9 * bar, 2.9 * bar))
+    assert set(np.round(record.plateaus().dataset.levels)) <= {0.9 * bar, 2.9 * bar}
+
+
+def test_pressures_without_steps_have_no_level():
+    pressure = np.repeat(np.arange(1e5, 1e5 + 12 * 6 * kPa, 6 * kPa), 400)
+    record = Recording.of(time=np.arange(len(pressure)) / RATE, pressure=pressure, force=pressure / 1e4, contraction=0)
+    points = record.plateaus()
+    assert np.isnan(points.dataset.table["set_pressure"]).all()
+    assert points.notes == ("the pressures of 12 plateaus follow each other without a step: they get no set pressure",)
+
+
+def test_a_recording_round_trips_and_is_what_it_was_given(tmp_path):
+    record = RUN.record(specimen="DMSP-10", initial_length=0.25, slack_force=1.0, set_pressure=np.nan)
+    record.to_netcdf(tmp_path / "a.nc")
+    assert read_recording(tmp_path / "a.nc").table.identical(record.table)
+    assert read_recording(tmp_path / "a.nc", specimen="B").table.attrs["specimen"] == "B"
+    with pytest.raises(ValueError, match="read-only"):
+        record.force[0] = 0
+    points = record.plateaus().dataset
+    assert points.table.attrs["initial_length"] == 0.25
+    points.to_csv(tmp_path / "points.csv")
+    again = read_dataset(tmp_path / "points.csv")
+    assert again.table.identical(points.table.drop_vars("force_spread"))
+    assert "7.7" not in repr(record) and repr(record).startswith("<Recording 'DMSP-10': ")
+
+
+def test_files_of_samples(put):
+    header = "t / s;Pressure [bar];Length [mm];Force [N]\n"
+    rows = "".join(
+        f"{t:.3f};{p / bar:.5f};{180 * (1 - c):.5f};{f:.5f}\n"
+        for t, p, c, f in zip(RUN.time, RUN.pressure, RUN.contraction, RUN.force, strict=True)
+    )
+    path = put(header + rows.replace(".", ","))
+    record = read_recording(path, initial_length=0.18)
+    np.testing.assert_allclose(record.plateaus().dataset.force, RUN.record().plateaus().dataset.force, atol=1e-4)
+    assert "is needed for lengths" in said_of(path, read_recording)[0]
+    assert (
+        "sample_rate is given, and the file has times"
+        in said_of(path, read_recording, initial_length=0.18, sample_rate=5.0)[0]
+    )
+    bare = put("pressure_bar,force_N\n1,2\n1,2\n")
+    assert "no column for time, and no sample rate; give sample_rate" in said_of(bare, read_recording)[0]
+    assert "no column for time" in said_of(bare, read_recording, sample_rate=0.0)[0]
+    record = read_recording(bare, sample_rate=100.0, contraction=10 * percent)
+    assert record.time.tolist() == [0, 0.01]
+    assert record.contraction.tolist() == [0.1, 0.1]
+    with pytest.raises(RangeError, match="has no contraction; give contraction"):
+        read_recording(bare, sample_rate=100.0).plateaus()
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"force": np.full(len(RUN.time), np.inf)}, "force: inf at sample 0 is not finite .and"),
+        ({"contraction": 5.0}, "contraction: 5 at sample 0 is not between -1 and 1; .* percent"),
+        ({"pressure": RUN.pressure[1:]}, "pressure: has shape"),
+        ({"pressure": RUN.pressure - 3e5}, "is below -101325 Pa"),
+        ({"initial_length": -1.0}, "initial_length: -1 m is not above 0"),
+    ],
+)
+def test_what_cannot_have_been_recorded_is_refused(bad, message):
+    with pytest.raises(DatasetError, match=message):
+        RUN.record(**bad)
+
+
+@pytest.mark.parametrize(
+    "argument",
+    [{"dwell": 0.0}, {"settle": 2.0}, {"settle": -1.0}, {"pressure_tolerance": np.nan}, {"force_tolerance": -1.0}],
+)
+def test_arguments_without_a_meaning_are_refused(argument):
+    with pytest.raises(RangeError, match=r"is (not above|below) 0"):
+        RUN.record().plateaus(**argument)
+
+
+def test_a_pressure_that_a_motion_disturbs_is_no_filling():
+    contraction = np.repeat([0.10, 0.12], 400)
+    pressure = 2 * bar + 10 * kPa * np.isin(np.arange(800) // 20, (20, 21))
+    record = Recording.of(
+        time=np.arange(800) / RATE, pressure=pressure, force=50.0 + contraction, contraction=contraction
+    )
+    table = record.plateaus().dataset.table
+    assert table["direction"].values.tolist() == ["", "unloading"]
+    assert "phase" not in table
+
+
+def test_what_is_held_without_noise_or_read_in_coarse_steps_is_no_end_of_a_channel():
+    motion = np.interp(np.arange(3000), [0, 1000, 1500, 2500, 3000], [0, 0, 1, 1, 0.5])
+    assert glued(motion) == {}
+    jitter = np.random.default_rng(0).normal(0, 0.3, 3000)
+    stairs = np.repeat([0, 5, 2.5, 10], [1000, 1200, 300, 500])
+    assert glued(np.round(stairs + jitter / 3)) == {}
+    assert set(glued(np.clip(5 * motion + jitter, 0.5, 4.5))) == {"floor", "ceiling"}
