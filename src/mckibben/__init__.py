@@ -30,11 +30,11 @@ if TYPE_CHECKING:
         Sine,
         Step,
     )
-    from mckibben.dataset import IsobaricDataset, read_dataset
+    from mckibben.dataset import IsobaricDataset, Recording, read_dataset, read_recording
     from mckibben.errors import McKibbenError
-    from mckibben.identification import Fit, identify, validate
+    from mckibben.identification import Fit, identify, rank, validate
     from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
-    from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Muscle, Specimen
+    from mckibben.muscle import ChouLaw, Domain, DoubleExponentialLaw, ExponentialLaw, Muscle, Specimen
     from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load
     from mckibben.rig import IsobaricProtocol, VirtualRig
     from mckibben.simulation import Result, check_reference, differentiate, simulate, simulate_many
@@ -46,11 +46,11 @@ if TYPE_CHECKING:
 _MODULES = ("catalog", "report", "units")
 _HOMES = {
     "control": ("PID BackpropPID Constant Jacobian Multisine PositionStiffnessControl Reference Samples Sine Step"),
-    "dataset": "IsobaricDataset read_dataset",
+    "dataset": "IsobaricDataset Recording read_dataset read_recording",
     "errors": "McKibbenError",
-    "identification": "Fit identify validate",
+    "identification": "Fit identify rank validate",
     "joint": "AntagonisticJoint KneeGeometry RigidTendon SeriesSpring",
-    "muscle": "ChouLaw Domain ExponentialLaw Muscle Specimen",
+    "muscle": "ChouLaw Domain DoubleExponentialLaw ExponentialLaw Muscle Specimen",
     "plant": "FirstOrderValve IdealValve JointPlant Load",
     "rig": "IsobaricProtocol VirtualRig",
     "simulation": "Result check_reference differentiate simulate simulate_many",
@@ -68,6 +68,7 @@ __all__ = [
     "ChouLaw",
     "Constant",
     "Domain",
+    "DoubleExponentialLaw",
     "ExponentialLaw",
     "FirstOrderValve",
     "Fit",
@@ -82,6 +83,7 @@ __all__ = [
     "Multisine",
     "Muscle",
     "PositionStiffnessControl",
+    "Recording",
     "Reference",
     "Result",
     "RigidTendon",
@@ -96,7 +98,9 @@ __all__ = [
     "check_reference",
     "differentiate",
     "identify",
+    "rank",
     "read_dataset",
+    "read_recording",
     "report",
     "reproduce",
     "simulate",

@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import mckibben
+from mckibben.commands.identify import identify, validate
+from mckibben.commands.options import Json, Out, said
+from mckibben.commands.plan import plan
+from mckibben.commands.points import points
 from mckibben.commands.sweep import sweep
 from mckibben.commands.tune import tune
-from mckibben.errors import McKibbenError, McKibbenWarning, UnitError
+from mckibben.errors import McKibbenError, McKibbenWarning
 from mckibben.files import folder
 from mckibben.terminal import metric, progress, table
 
 if TYPE_CHECKING:
-    from mckibben.dataset import IsobaricDataset
     from mckibben.simulation import Result
     from mckibben.study.scenario import Scenario
 
@@ -32,19 +35,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-Json = Annotated[bool, typer.Option("--json", help="Print machine-readable results instead of a table.")]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Keep results, figures and data here.")]
-InitialLength = Annotated[
-    str, typer.Option(metavar="LENGTH", help="Of the deflated muscle, such as '180 mm'; where a file has lengths only.")
-]
-SlackForce = Annotated[
-    str, typer.Option(metavar="FORCE", help="Up to this force a muscle counts as slack, such as '1 N'.")
-]
-Column = Annotated[
-    list[str] | None,
-    typer.Option(metavar="'HEADER=NAME'", help="Read a column under another name; may be given several times."),
-]
 
 
 @app.command()
@@ -82,66 +72,9 @@ def reproduce(
     typer.echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
 
 
-@app.command()
-def identify(
-    data: Annotated[str, typer.Argument(metavar="DATA", help="A CSV or NetCDF file, or a dataset of the catalog.")],
-    law: Annotated[str, typer.Option(help="Which law: exponential (Eq. 2) or chou (Eq. 1).")] = "exponential",
-    initial_length: InitialLength = "",
-    slack_force: SlackForce = "",
-    column: Column = None,
-    json: Json = False,
-    out: Out = None,
-) -> None:
-    """Fit a force law to measured points: estimates with standard errors, and errors at unseen pressures."""
-    if out:
-        folder(out)
-    from mckibben.study.inputs import law_type_named
-
-    law_type = law_type_named(law)
-    measured = _measured(data, column, initial_length, slack_force)
-    from mckibben.identification import identify as run
-    from mckibben.study.numbers import fit_numbers, to_json, write_json
-
-    fit = run(law_type, measured)
-    numbers = fit_numbers(fit)
-    typer.echo(to_json(numbers) if json else fit.report())
-    if out:
-        from mckibben import report
-
-        fit.to_yaml(out / "fit.yaml")
-        measured.to_netcdf(out / "data.nc")
-        write_json(out / "results.json", numbers)
-        report.save(report.isobaric(measured, fit), out, "fit")
-        _said(f"kept fit.yaml, data.nc, results.json and fit.png and .svg in {out}", json)
-
-
-@app.command()
-def validate(
-    law: Annotated[str, typer.Argument(metavar="LAW", help="A fit file, a law of the catalog, or 'chou'.")],
-    data: Annotated[str, typer.Argument(metavar="DATA", help="A CSV or NetCDF file, or a dataset of the catalog.")],
-    specimen: Annotated[str, typer.Option(help="Whose braid angle and diameter 'chou' takes.")] = "",
-    initial_length: InitialLength = "",
-    slack_force: SlackForce = "",
-    column: Column = None,
-    json: Json = False,
-    out: Out = None,
-) -> None:
-    """Hold a force law against measured points: errors by pressure and direction."""
-    if out:
-        folder(out)
-    from mckibben.study.inputs import law_named
-
-    known = law_named(law, specimen=specimen)
-    measured = _measured(data, column, initial_length, slack_force)
-    from mckibben.identification import validate as run
-    from mckibben.study.numbers import to_json, write_json
-
-    validation = run({law: known}, measured)
-    numbers = {"slack": validation.slack, "errors": validation.records()}
-    typer.echo(to_json(numbers) if json else validation.report())
-    if out:
-        write_json(out / "results.json", numbers)
-        _said(f"kept results.json in {out}", json)
+app.command()(points)
+app.command()(identify)
+app.command()(validate)
 
 
 @app.command()
@@ -182,11 +115,12 @@ def simulate(
     if out:
         _keep_run(out, read, result)
         write_json(out / "results.json", numbers)
-        _said(f"kept result.nc, results.json, scenario.yaml and tracking.png and .svg in {out}", json)
+        said(f"kept result.nc, results.json, scenario.yaml and tracking.png and .svg in {out}", json)
     if result.outcome.lost:
         raise typer.Exit(1)
 
 
+app.command()(plan)
 app.command()(sweep)
 app.command()(tune)
 
@@ -282,51 +216,12 @@ def run() -> None:
         gc.freeze()
 
 
-def _reading(columns: list[str] | None, initial_length: str, slack_force: str) -> dict[str, Any]:
-    """The options of reading a file, as `data_named` takes them."""
-    from mckibben.units import quantity
-
-    named = {}
-    for text in columns or []:
-        header, equals, name = text.rpartition("=")
-        if not equals:
-            raise UnitError(f"--column {text!r} names no column", remedy="write --column 'Druck [bar]=pressure_bar'")
-        named[header] = name
-
-    def option(name: str, text: str, unit: str) -> float | None:
-        try:
-            return quantity(text, unit) if text else None
-        except UnitError as error:
-            raise UnitError(f"{name}: {error}", value=text, unit=unit) from None
-
-    return {
-        "columns": named or None,
-        "initial_length": option("--initial-length", initial_length, "m"),
-        "slack_force": option("--slack-force", slack_force, "N"),
-    }
-
-
-def _measured(data: str, columns: list[str] | None, initial_length: str, slack_force: str) -> IsobaricDataset:
-    """The data that a command names; columns of the file that are not read are named on standard error."""
-    from mckibben.study.inputs import data_named
-
-    measured = data_named(data, **_reading(columns, initial_length, slack_force))
-    ignored = measured.table.attrs.get("ignored_columns")
-    if ignored:
-        typer.echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
-    return measured
-
-
 def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:
     from mckibben import report
 
     scenario.to_yaml(out / "scenario.yaml")
     result.to_netcdf(out / "result.nc")
     report.save(report.tracking({scenario.name: result}), out, "tracking")
-
-
-def _said(text: str, json: bool) -> None:
-    typer.echo(text, err=json)
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:

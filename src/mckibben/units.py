@@ -26,6 +26,7 @@ Pa = 1.0
 kPa = 1e3  # noqa: N816
 MPa = 1e6
 bar = 1e5
+atm = 101325.0
 m = 1.0
 cm = 1e-2
 mm = 1e-3

@@ -42,7 +42,7 @@ def test_a_table_as_it_stands(cli):
     assert "119 points used, 1 slack left out; 10 pressures 0..8 bar" in found.out
     assert "residuals: RMSE 2.76 N" in found.out
     assert "leaving one pressure out: RMSE 3.42 N" in found.out
-    assert re.search(r"^decay +0\.3398\d+ +0\.0041 +1/percent", found.out, re.MULTILINE)
+    assert re.search(r"^decay +0\.3398\d+ +0\.0067 +1/percent", found.out, re.MULTILINE)
 
 
 def test_an_entry_of_the_catalog_is_the_same(cli):
@@ -177,3 +177,55 @@ def test_a_folder_that_cannot_be_made_is_said_before_the_work(cli, tmp_path):
     (tmp_path / "taken").write_text("a file")
     found = cli("identify", FESTO, "--out", "taken")
     assert (found.code, found.out) == (2, "")
+
+
+class TestEveryLaw:
+    @pytest.fixture
+    def ranked(self, cli, tmp_path):
+        found = cli("identify", "dmsp-10-250-martens2017", "--law", "all", "--out", "kept")
+        assert found.code == 0
+        return found, tmp_path / "kept"
+
+    def test_the_table_the_reasons_and_what_is_kept(self, ranked):
+        found, folder = ranked
+        lines = found.out.splitlines()
+        laws = [line.split()[0] for line in lines if re.match(r"^ +[A-Z]\w+ +\d ", line)]
+        assert laws[:3] == ["DoubleExponential", "Exponential", "Sarosi"]
+        assert "no error at unseen repeats: no repeat is recorded" in lines
+        assert any(line.startswith("flagged TonduLopez: braid_angle is at the bound") for line in lines)
+        numbers = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+        assert numbers["best"] == "DoubleExponentialLaw"
+        assert numbers["laws"][1]["unseen_pressure_rmse_N"] == pytest.approx(1.34, abs=0.01)
+        best = Fit.from_yaml(folder / "fit.yaml")
+        assert type(best.law).__name__ == "DoubleExponentialLaw"
+        kept = {path.stem for path in (folder / "fits").iterdir()}
+        assert kept == {entry["law"] for entry in numbers["laws"] if not entry["refused"]}
+        assert (folder / "ranking.png").stat().st_size > 20_000
+
+
+def test_a_law_is_named_with_or_without_hyphens(cli):
+    found = cli("identify", FESTO, "--law", "double-exponential", "--json")
+    assert json.loads(found.out)["leave_one_pressure_out_rmse_N"] < 2.4
+    assert "tondu-lopez" in cli("identify", FESTO, "--law", "tondu").err
+
+
+def test_how_sure_a_fit_is(cli, tmp_path):
+    options = ("--level", "0.9", "--profile", "--bootstrap", "20")
+    found = cli("identify", FESTO, *options, "--out", "kept")
+    assert (found.code, found.err) == (0, "")
+    assert "90 % interval" in found.out
+    assert re.search(r"^profile of decay: 90 % interval 0\.327\d* \.\. 0\.353\d* 1/percent$", found.out, re.MULTILINE)
+    assert "bootstrap: 20 refits to 10 pressures drawn anew" in found.out
+    assert {"bands.png", "profile-decay.svg"} <= {path.name for path in Path("kept").iterdir()}
+    uncertainty = json.loads(Path("kept/results.json").read_text())["uncertainty"]
+    assert (uncertainty["errors_by"], uncertainty["groups"], uncertainty["level"]) == ("pressure", 10, 0.9)
+    low, high = uncertainty["profiles"]["decay"]["interval"]
+    assert low < 0.3398 < high
+    assert uncertainty["bootstrap"]["intervals"]["decay"] != uncertainty["intervals"]["decay"]
+    for wrong, said in (
+        (("--level", "90"), r"a level of 90 is no probability; write 0\.95 for 95 %"),
+        (("--law", "all", "--profile"), "about one law; name it"),
+    ):
+        refused = cli("identify", FESTO, *wrong)
+        assert refused.code == 2
+        assert re.search(said, refused.err)

@@ -8,17 +8,33 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben import catalog
+from mckibben import catalog, muscle
 from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw
 from mckibben.units import factor
 
 BOX = Domain(-0.03, 0.25, 0.0, 6e5)
+ANGLE, DIAMETER = math.radians(25), 0.01
 EXAMPLES = {
-    "ChouLaw": lambda: ChouLaw(math.radians(25), 0.01, BOX),
+    "ChouLaw": lambda: ChouLaw(ANGLE, DIAMETER, BOX),
+    "TonduLopezLaw": lambda: muscle.TonduLopezLaw(ANGLE, DIAMETER, 1.25, BOX),
+    "TonduLopezVariableLaw": lambda: muscle.TonduLopezVariableLaw(ANGLE, DIAMETER, 0.2, 1.2, BOX),
+    "TsagarakisCaldwellLaw": lambda: muscle.TsagarakisCaldwellLaw(2e4, ANGLE, DIAMETER, 5e-4, 0.1, BOX),
+    "MartensBoblanLaw": lambda: muscle.MartensBoblanLaw(300.0, 20.0, ANGLE, DIAMETER, BOX),
+    "ReppergerLaw": lambda: muscle.ReppergerLaw(200.0, 3e-3, 0.28, BOX),
+    "ReynoldsLaw": lambda: muscle.ReynoldsLaw(100.0, 1.4e-3, 1400.0, 3e-3, BOX),
+    "HuntLaw": lambda: muscle.HuntLaw(254.3e3, 1230.0, 192e3, 0.22, Domain(0.0, 0.2, 0.0, 5e5)),
+    "SarosiLaw": lambda: catalog.law("sarosi-dmsp-10"),
     "ExponentialLaw": lambda: catalog.law("lei-mas-10-180n"),
+    "DoubleExponentialLaw": lambda: muscle.DoubleExponentialLaw(
+        -170.1, 8.12e-4, -1.0e-10, -2.332e-3, 98.0, 71.8, 5.0, 14.1, BOX
+    ),
 }
-CONTRACTION = np.linspace(-0.03, 0.25, 8)
-PRESSURE = np.linspace(0.5e5, 6e5, 5)
+PRESSURE = np.linspace(0.5e5, 5e5, 5)
+
+
+def contractions(law, count=8) -> np.ndarray:
+    """From end to end of a law's domain."""
+    return np.linspace(law.domain.contraction_min, law.domain.contraction_max, count)
 
 
 @pytest.fixture(scope="module", params=sorted(LAWS))
@@ -38,47 +54,54 @@ def test_scalars_give_scalars(law):
         assert answer.dtype == jnp.float64
 
 
-def test_arrays_broadcast_elementwise(law):
-    grid = law.force(CONTRACTION[:, None], PRESSURE)
+def test_arrays_broadcast_elementwise(law, force):
+    grid = force(contractions(law)[:, None], PRESSURE)
     assert grid.shape == (8, 5)
     for i, j in ((0, 0), (3, 4), (7, 2)):
-        assert float(grid[i, j]) == pytest.approx(float(law.force(CONTRACTION[i], PRESSURE[j])), rel=1e-13)
-    assert law.force(CONTRACTION, 3e5).shape == (8,)
-    assert law.force(0.1, PRESSURE).shape == (5,)
-    assert law.slope(CONTRACTION[:, None], PRESSURE).shape == (8, 5)
-    assert law.slope(0.1, PRESSURE).shape == (5,)
-    assert law.pressure_for(np.array([10.0, 20.0]), CONTRACTION[:, None]).shape == (8, 2)
+        assert float(grid[i, j]) == pytest.approx(float(force(contractions(law)[i], PRESSURE[j])), rel=1e-12)
+
+    def shape(function, *arguments):
+        return jax.eval_shape(function, *arguments).shape
+
+    assert shape(law.force, contractions(law), 3e5) == (8,)
+    assert shape(law.force, 0.1, PRESSURE) == (5,)
+    assert shape(law.slope, contractions(law)[:, None], PRESSURE) == (8, 5)
+    assert shape(law.slope, 0.1, PRESSURE) == (5,)
+    assert shape(law.pressure_for, np.array([10.0, 20.0]), contractions(law)[:, None]) == (8, 2)
 
 
 def test_the_same_question_gets_the_same_answer(law):
-    np.testing.assert_array_equal(law.force(CONTRACTION, 3e5), law.force(CONTRACTION, 3e5))
+    np.testing.assert_array_equal(law.force(contractions(law), 3e5), law.force(contractions(law), 3e5))
 
 
 def test_inputs_stay_as_they_were(law):
-    contraction, pressure = CONTRACTION.copy(), PRESSURE.copy()
+    contraction, pressure = contractions(law), PRESSURE.copy()
     law.force(contraction[:, None], pressure)
     law.slope(contraction[:, None], pressure)
     law.pressure_for(pressure / 1e4, contraction[:, None])
-    np.testing.assert_array_equal(contraction, CONTRACTION)
+    np.testing.assert_array_equal(contraction, contractions(law))
     np.testing.assert_array_equal(pressure, PRESSURE)
 
 
 def test_compiled_is_eager_to_rounding(law, force):
     np.testing.assert_allclose(
-        force(CONTRACTION[:, None], PRESSURE), law.force(CONTRACTION[:, None], PRESSURE), rtol=1e-13, atol=1e-10
+        force(contractions(law)[:, None], PRESSURE),
+        law.force(contractions(law)[:, None], PRESSURE),
+        rtol=1e-13,
+        atol=1e-10,
     )
 
 
 def test_pressure_for_inverts_force(law):
-    force = law.force(CONTRACTION[:, None], PRESSURE)
-    back = law.pressure_for(force, CONTRACTION[:, None])
+    force = law.force(contractions(law)[:, None], PRESSURE)
+    back = law.pressure_for(force, contractions(law)[:, None])
     np.testing.assert_allclose(back, np.broadcast_to(PRESSURE, back.shape), rtol=1e-11)
 
 
-def test_force_rises_with_pressure_in_the_domain(law):
+def test_force_rises_with_pressure_in_the_domain(law, force):
     pressure = np.linspace(law.domain.pressure_min, law.domain.pressure_max, 13)
     contraction = np.linspace(law.domain.contraction_min, law.domain.contraction_max, 29)
-    assert np.all(np.diff(law.force(contraction[:, None], pressure), axis=1) > 0)
+    assert np.all(np.diff(force(contraction[:, None], pressure), axis=1) > 0)
 
 
 def test_the_force_of_a_taut_muscle_falls_with_contraction_in_the_domain(law, force):
@@ -89,18 +112,20 @@ def test_the_force_of_a_taut_muscle_falls_with_contraction_in_the_domain(law, fo
 
 def test_the_slope_is_that_of_finite_differences(law, force):
     step = 1e-6
-    numeric = (force(CONTRACTION[:, None] + step, PRESSURE) - force(CONTRACTION[:, None] - step, PRESSURE)) / (2 * step)
-    np.testing.assert_allclose(law.slope(CONTRACTION[:, None], PRESSURE), numeric, rtol=1e-7, atol=1e-4)
+    numeric = (
+        force(contractions(law)[:, None] + step, PRESSURE) - force(contractions(law)[:, None] - step, PRESSURE)
+    ) / (2 * step)
+    np.testing.assert_allclose(law.slope(contractions(law)[:, None], PRESSURE), numeric, rtol=1e-7, atol=1e-4)
 
 
 @pytest.mark.parametrize("name", [name for name, law in LAWS.items() if issubclass(law, PressureAffineLaw)])
 def test_an_affine_law_has_an_offset_and_a_gain(name):
     law = EXAMPLES[name]()
     force = law.force
-    offset, gain = law.pressure_terms(CONTRACTION)
-    assert offset.shape == gain.shape == CONTRACTION.shape
-    np.testing.assert_allclose(offset + gain * 4.2e5, force(CONTRACTION, 4.2e5), rtol=1e-12)
-    np.testing.assert_allclose(force(CONTRACTION, 0.0), offset, rtol=1e-12, atol=1e-12)
+    offset, gain = law.pressure_terms(contractions(law))
+    assert offset.shape == gain.shape == contractions(law).shape
+    np.testing.assert_allclose(offset + gain * 4.2e5, force(contractions(law), 4.2e5), rtol=1e-12)
+    np.testing.assert_allclose(force(contractions(law), 0.0), offset, rtol=1e-12, atol=1e-12)
 
 
 def test_the_parameters_are_the_fields(law):
@@ -125,18 +150,19 @@ def test_shape_parameters_have_a_finite_range_that_holds_the_example(law):
 
 
 @pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.linear_parameters])
-def test_the_force_is_linear_in_the_linear_parameters(name):
+def test_the_force_is_affine_in_the_linear_parameters(name):
     law = EXAMPLES[name]()
 
     def at(values):
         changed = dataclasses.replace(law, **values)
-        return np.asarray(changed.force(CONTRACTION[:, None], PRESSURE))
+        return np.asarray(changed.force(contractions(law)[:, None], PRESSURE))
 
     start = {p.name: float(getattr(law, p.name)) for p in law.linear_parameters}
+    none = at(dict.fromkeys(start, 0.0))
     double = at({k: 2 * v for k, v in start.items()})
-    np.testing.assert_allclose(double, 2 * at(start), rtol=1e-12, atol=1e-9)
-    alone = sum(at({k: (v if k == name else 0.0) for k, v in start.items()}) for name in start)
-    np.testing.assert_allclose(alone, at(start), rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(double - none, 2 * (at(start) - none), rtol=1e-11, atol=1e-9)
+    alone = sum(at({k: (v if k == name else 0.0) for k, v in start.items()}) - none for name in start)
+    np.testing.assert_allclose(alone, at(start) - none, rtol=1e-11, atol=1e-9)
 
 
 def test_it_can_be_vmapped_over_its_parameters(law):

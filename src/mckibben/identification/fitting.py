@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
+from mckibben.identification.blocks import UndeterminedError, held, leave_out
+from mckibben.identification.evidence import Evidence
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
-from mckibben.identification.nonlinear import solve_by_optimistix
+from mckibben.identification.groups import Grouping
 from mckibben.identification.problem import FitProblem, Solution
-from mckibben.identification.projection import project, search, solve_by_projection
+from mckibben.identification.projection import project, search
+from mckibben.identification.solving import solve
 from mckibben.identification.uncertainty import CONDITION_LIMIT, condition, uncertainty, undetermined
 from mckibben.muscle import Domain, ForceLaw
 from mckibben.units import show
@@ -21,8 +23,6 @@ from mckibben.units import show
 _STRONG_CORRELATION = 0.999
 _FRICTION = 1.0  # a gap between the directions above this part of the RMSE is what the residuals consist of
 _MOST_LEVELS = 200
-
-Solver = Callable[[FitProblem, NDArray[np.float64]], Solution]
 
 
 def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Domain | None = None) -> Fit:
@@ -69,19 +69,22 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     points = means.taut
     parameters = law_type.parameters()
     _check_count(law_type, points, slack=len(means) - len(points))
+    _check_holds(law_type, points)
     problem = FitProblem.of(law_type, points)
-    solver = solve_by_projection if law_type.linear_parameters else solve_by_optimistix
 
     start = search(problem)
-    solution = solver(problem, start)
-    held = _held(problem, solution)
-    _check_determined(problem, solution, held, points)
-    spread = uncertainty(solution.jacobian, solution.residuals, held)
+    solution = solve(problem, start)
+    at_bound = held(problem, solution)
+    _check_determined(problem, solution, at_bound, points)
+    spread = uncertainty(solution.jacobian, solution.residuals, at_bound)
+    evidence = Evidence(points, problem, solution, at_bound)
+    grouping, ungrouped = evidence.rule
 
-    warnings = _bound_warnings(law_type, solution, held)
+    warnings = _bound_warnings(law_type, solution, at_bound)
     warnings += _correlation_warnings(problem.names, spread.correlations)
-    warnings += _direction_warnings(points, solution.residuals)
-    unseen, reason = _leave_one_pressure_out(problem, solution, points.levels, solver)
+    warnings += _direction_warnings(points, solution.residuals, grouping)
+    warnings += [f"the standard errors take all points as independent: {ungrouped}"] if ungrouped else []
+    unseen, reason = _leave_one_pressure_out(problem, solution, points.levels)
     warnings += [reason] if reason else []
     return Fit(
         law=dataclasses.replace(problem.law(solution.values), domain=domain or _domain_of(points)),
@@ -99,10 +102,12 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
             tuple(points.pressures.tolist()),
         ),
         residuals=solution.residuals,
+        robust=None if grouping is Grouping.POINT else evidence.robust_errors(grouping),
+        evidence=evidence,
     )
 
 
-def _direction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64]) -> list[str]:
+def _direction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64], grouping: Grouping) -> list[str]:
     """Friction shows in residuals that differ by direction: then they are not independent of each other."""
     if "direction" not in points.table:
         return []
@@ -111,19 +116,21 @@ def _direction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64])
     gap, rms = max(means) - min(means), float(np.sqrt(np.mean(residuals**2)))
     if len(means) < 2 or gap < _FRICTION * rms:
         return []
+    consequence = (
+        "the classical standard errors are not to be relied on, those by stroke take each pass for one error"
+        if grouping is Grouping.STROKE
+        else "the standard errors are not to be relied on"
+    )
     return [
         f"loading and unloading differ by {gap:.3g} N on average: most of the residual is friction, which is no "
-        "independent error, so the standard errors are not to be relied on"
+        f"independent error, so {consequence}"
     ]
 
 
 def _leave_one_pressure_out(
-    problem: FitProblem, full: Solution, levels: NDArray[np.float64], solver: Solver
+    problem: FitProblem, full: Solution, levels: NDArray[np.float64]
 ) -> tuple[LeaveOnePressureOut | None, str]:
-    """The errors at unseen pressures, or why there are none.
-
-    Each refit starts at the shape of the fit to all points and refines it like that one.
-    """
+    """The errors at unseen pressures, or why there are none."""
     distinct = np.unique(levels)
     if len(distinct) < 2:
         return None, "there is one pressure only: no error at unseen pressures can be given"
@@ -132,32 +139,15 @@ def _leave_one_pressure_out(
             f"there are {len(distinct)} distinct pressures, each taken for a level of its own: no error at "
             "unseen pressures is given; record the set pressure of each point"
         )
-    residuals = np.empty(len(levels))
-    by_pressure: dict[float, float] = {}
-    for level in distinct.tolist():
-        out = levels == level
-        rest = problem.keeping(~out)
-        if np.count_nonzero(~out) <= len(problem.names):
-            return None, f"without the points at {show(level, 'bar')} too few are left to fit: {_NO_UNSEEN}"
-        solution = solver(rest, full.position)
-        jacobian = solution.jacobian[:, ~_held(rest, solution)]
-        if not (solution.converged and condition(jacobian) < CONDITION_LIMIT):
-            return (
-                None,
-                f"without the points at {show(level, 'bar')} the law is not determined: {_NO_UNSEEN}",
-            )
-        residuals[out], _ = problem.keeping(out).response(solution.values)
-        by_pressure[level] = float(np.sqrt(np.mean(residuals[out] ** 2)))
-    rmse = float(np.sqrt(np.mean(residuals**2)))
-    return LeaveOnePressureOut(rmse, float(np.abs(residuals).max()), by_pressure), ""
+    try:
+        left_out = leave_out(problem, full, levels)
+    except UndeterminedError as error:
+        return None, f"without the points at {show(float(error.block), 'bar')} {error.reason}: {_NO_UNSEEN}"
+    by_pressure = {float(level): error for level, error in left_out.by_block.items()}
+    return LeaveOnePressureOut(left_out.rmse, left_out.max_error, by_pressure), ""
 
 
 _NO_UNSEEN = "no error at unseen pressures can be given"
-
-
-def _held(problem: FitProblem, solution: Solution) -> NDArray[np.bool_]:
-    """Which parameters lie at a bound of their range, shape (parameters,)."""
-    return np.concatenate([np.zeros(problem.linear, bool), problem.cube.at_bound(solution.position)])
 
 
 def _domain_of(points: IsobaricDataset) -> Domain:
@@ -177,17 +167,27 @@ def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) 
         )
 
 
+def _check_holds(law_type: type[ForceLaw], points: IsobaricDataset) -> None:
+    beyond = ~np.asarray(law_type.holds.contains(points.contraction, points.levels))
+    if beyond.any():
+        raise IdentificationError(
+            f"{law_type.__name__} means nothing at {np.count_nonzero(beyond)} of the {len(points)} taut points: it is "
+            f"made for {law_type.holds.bounds()}",
+            remedy="leave these points out, or take another law",
+        )
+
+
 def _check_determined(
-    problem: FitProblem, solution: Solution, held: NDArray[np.bool_], points: IsobaricDataset
+    problem: FitProblem, solution: Solution, at_bound: NDArray[np.bool_], points: IsobaricDataset
 ) -> None:
-    free = solution.jacobian[:, ~held]
-    names = [name for name, out in zip(problem.names, held, strict=True) if not out]
+    free = solution.jacobian[:, ~at_bound]
+    names = [name for name, out in zip(problem.names, at_bound, strict=True) if not out]
     number = condition(free)
-    if held.any() and number < CONDITION_LIMIT:
+    if at_bound.any() and number < CONDITION_LIMIT:
         # A shape that nothing determines may come to rest at a bound: then it is undetermined amid its range as well.
         middle = project(problem, np.full_like(solution.position, 0.5))
         amid = problem.response(middle.values)[1]
-        if not condition(amid) < CONDITION_LIMIT:
+        if np.isfinite(middle.cost) and not condition(amid) < CONDITION_LIMIT:
             free, names, number = amid, list(problem.names), condition(amid)
     if not number < CONDITION_LIMIT:
         contractions = len(np.unique(points.contraction.round(6)))
@@ -207,11 +207,11 @@ def _check_determined(
         )
 
 
-def _bound_warnings(law_type: type[ForceLaw], solution: Solution, held: NDArray[np.bool_]) -> list[str]:
+def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: NDArray[np.bool_]) -> list[str]:
     sentences = []
-    for p, value, at_bound in zip(law_type.parameters(), solution.values, held, strict=True):
+    for p, value, bound in zip(law_type.parameters(), solution.values, at_bound, strict=True):
         low, high = show(p.lower, p.shown), show(p.upper, p.shown)
-        if at_bound:
+        if bound:
             sentences.append(
                 f"{p.name} is at the bound of its range {low} .. {high}: the data ask for a value beyond it, and "
                 "its standard error is not known"

@@ -21,7 +21,7 @@ def solve_by_optimistix(problem: FitProblem, start: NDArray[np.float64]) -> Solu
     """Refine a position in the unit cube by Levenberg-Marquardt; it stays in the cube."""
     solve = _compiled(problem.law_type)
     scale = float(np.sqrt(np.mean(problem.measured**2)))
-    weights = problem.kept / scale
+    weights = problem.factors / scale
     found, converged = solve(start, problem.contraction, problem.pressure, problem.force, weights)
     position = np.clip(np.asarray(found), 0.0, 1.0)
     values = np.array(problem.cube.values(position))

@@ -61,7 +61,7 @@ class Projected:
 
 
 def project(problem: FitProblem, position: NDArray[np.float64], guess: NDArray[np.float64] | None = None) -> Projected:
-    """Solve for the linear parameters.
+    """Solve for the linear parameters; the cost is infinite where the law has no force at one of the points.
 
     All is read from the triangle of linear columns, columns of the shape, and residuals, side by side: below the linear
     columns stands what is left of the others after what the linear parameters undo. The guess of the linear parameters,
@@ -69,7 +69,11 @@ def project(problem: FitProblem, position: NDArray[np.float64], guess: NDArray[n
     """
     linear = problem.linear
     values = np.concatenate([np.zeros(linear) if guess is None else guess, problem.cube.values(position)])
-    factor = triangle(problem.rows(values).T)
+    rows = problem.rows(values)
+    if not np.isfinite(rows).all():  # the law has no force at some point for this shape
+        shape = len(position)
+        return Projected(position, values, np.inf, np.zeros((shape, shape)), np.zeros(shape), np.zeros((linear, shape)))
+    factor = triangle(rows.T)
     factor[:, linear:-1] *= problem.cube.rates(position)
     lengths = np.linalg.norm(factor[:, :linear], axis=0)  # of the columns: pressures are in Pa
     lengths[lengths == 0] = 1.0
@@ -107,7 +111,8 @@ def solve_by_projection(problem: FitProblem, start: NDArray[np.float64]) -> Solu
         moved = trial.position - best.position
         curvature = curvature + _curvature_missed(curvature, trial, trial.push - best.push, moved)
         followed = trial.values[:linear] - best.values[:linear]
-        drift = drift + np.outer(followed - (trial.following + drift) @ moved, moved) / (moved @ moved)
+        if moved.any():
+            drift = drift + np.outer(followed - (trial.following + drift) @ moved, moved) / (moved @ moved)
         best = trial
     residuals, jacobian = problem.response(best.values)
     return Solution(best.values, best.position, residuals, jacobian, converged)

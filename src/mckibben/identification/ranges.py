@@ -43,6 +43,19 @@ class UnitCube:
             for p, x in zip(self.parameters, position, strict=True)
         ]
 
+    def position(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where in the cube parameters [SI] are, shape (parameters,); 0 where a range has no width."""
+        return np.array(
+            [
+                0.0
+                if p.upper == p.lower
+                else math.log(value / p.lower) / math.log(p.upper / p.lower)
+                if p.lower > 0
+                else (value - p.lower) / (p.upper - p.lower)
+                for p, value in zip(self.parameters, values, strict=True)
+            ]
+        )
+
     def rates(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
         """The derivative of each parameter with respect to its own coordinate."""
         return np.array(

@@ -3,22 +3,59 @@
 from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
 from mckibben.muscle.chou import ChouLaw
 from mckibben.muscle.domain import Domain
+from mckibben.muscle.double_exponential import DoubleExponentialLaw
 from mckibben.muscle.exponential import ExponentialLaw
+from mckibben.muscle.friction import Friction, MaxwellSlip, Memory, NoFriction
+from mckibben.muscle.hunt import HuntLaw
+from mckibben.muscle.martens_boblan import MartensBoblanLaw
 from mckibben.muscle.muscle import Muscle, forces
+from mckibben.muscle.repperger import ReppergerLaw
+from mckibben.muscle.reynolds import ReynoldsLaw
+from mckibben.muscle.sarosi import SarosiLaw
 from mckibben.muscle.specimen import Specimen
+from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
+from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
 
-LAWS: dict[str, type[ForceLaw]] = {law.__name__: law for law in (ChouLaw, ExponentialLaw)}
+LAWS: dict[str, type[ForceLaw]] = {
+    law.__name__: law
+    for law in (
+        ChouLaw,
+        TonduLopezLaw,
+        TonduLopezVariableLaw,
+        TsagarakisCaldwellLaw,
+        MartensBoblanLaw,
+        ReppergerLaw,
+        ReynoldsLaw,
+        HuntLaw,
+        SarosiLaw,
+        ExponentialLaw,
+        DoubleExponentialLaw,
+    )
+}
 """Every law by its name, as files and the command line call it."""
 
 __all__ = [
     "LAWS",
     "ChouLaw",
     "Domain",
+    "DoubleExponentialLaw",
     "ExponentialLaw",
     "ForceLaw",
+    "Friction",
+    "HuntLaw",
+    "MartensBoblanLaw",
+    "MaxwellSlip",
+    "Memory",
     "Muscle",
+    "NoFriction",
     "Parameter",
     "PressureAffineLaw",
+    "ReppergerLaw",
+    "ReynoldsLaw",
+    "SarosiLaw",
     "Specimen",
+    "TonduLopezLaw",
+    "TonduLopezVariableLaw",
+    "TsagarakisCaldwellLaw",
     "forces",
 ]

@@ -55,9 +55,11 @@ class ForceLaw(eqx.Module):
     source: ClassVar[str]
     """Paper and equation."""
     linear_parameters: ClassVar[tuple[Parameter, ...]] = ()
-    """Parameters in which the force is linear once the shape is known."""
+    """Parameters in which the force is affine once the shape is known."""
     shape_parameters: ClassVar[tuple[Parameter, ...]] = ()
     """All others; each with a finite range."""
+    holds: ClassVar[Domain] = Domain()
+    """Where the formula has a meaning at all, whatever its parameters; `domain` is where to trust this law."""
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:

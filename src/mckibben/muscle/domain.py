@@ -66,6 +66,22 @@ class Domain(eqx.Module):
                 remedy=remedy,
             )
 
+    def bounds(self) -> str:
+        """Only the bounds that there are, as text.
+
+        >>> Domain(contraction_min=0.0).bounds()
+        'contraction from 0 %'
+        """
+        texts = []
+        for what, low, high, unit, scale in (
+            ("contraction", self.contraction_min, self.contraction_max, "%", percent),
+            ("pressure", self.pressure_min, self.pressure_max, "bar", bar),
+        ):
+            lower = f" from {low / scale:g} {unit}" if low > -jnp.inf else ""
+            upper = f" to {high / scale:g} {unit}" if high < jnp.inf else ""
+            texts += [f"{what}{lower}{upper}"] if lower or upper else []
+        return ", ".join(texts) or "everything"
+
     def __str__(self) -> str:
         return (
             f"contraction {self.contraction_min / percent:g}..{self.contraction_max / percent:g} %, "

@@ -1,4 +1,4 @@
-"""A muscle: a specimen that follows a law, inside a domain."""
+"""A muscle: a specimen that follows a law, inside a domain, and the friction that goes with it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mckibben.muscle.base import ForceLaw
 from mckibben.muscle.domain import Domain
+from mckibben.muscle.friction import Friction, Memory, NoFriction
 from mckibben.muscle.specimen import Specimen
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
@@ -28,13 +29,22 @@ class Muscle(eqx.Module):
         Dimensions and ratings.
     law
         Force over contraction and pressure.
+    friction
+        What the way to there adds to it; none unless given. `force` and all that follows from it (the torque and
+        stiffness of a joint, what it can attain) are the law's; `gripped` adds the friction.
     """
 
     specimen: Specimen
     law: ForceLaw
+    friction: Friction = NoFriction()
 
     def __check_init__(self) -> None:
-        check_kind("Muscle", specimen=(self.specimen, Specimen), law=(self.law, ForceLaw))
+        check_kind(
+            "Muscle",
+            specimen=(self.specimen, Specimen),
+            law=(self.law, ForceLaw),
+            friction=(self.friction, Friction),
+        )
 
     @property
     def domain(self) -> Domain:
@@ -46,6 +56,15 @@ class Muscle(eqx.Module):
         force = self.law.force(contraction, pressure)
         return jnp.where(force < 0, 0.0, force)  # this way round a lost state (NaN) is not taken for slack
 
+    def gripped(self, memory: Memory) -> GrippedMuscle:
+        """The muscle with its friction as it remembers the way: for short moves from where the memory is of."""
+        return GrippedMuscle(self.specimen, self.law, self.friction, memory)
+
+    def settled(self, memory: Memory, contraction: ArrayLike, pressure: ArrayLike) -> Memory:
+        """What its friction remembers after a move to a contraction [-] and a gauge pressure [Pa]."""
+        length = self.specimen.length_at(contraction)
+        return self.friction.settled(memory, length, self.force(contraction, pressure), pressure)
+
     def slope(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         """The derivative of `force` with respect to the contraction [N]; 0 where slack."""
         return derivative(lambda c: self.force(c, pressure), contraction)
@@ -53,6 +72,21 @@ class Muscle(eqx.Module):
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         """The gauge pressure [Pa] that gives a force [N] at a contraction [-]; it may lie outside the domain."""
         return self.law.pressure_for(force, contraction)
+
+
+class GrippedMuscle(Muscle):
+    """A muscle whose force contains its friction, the memory of it being held; `Muscle.gripped` makes it.
+
+    Its force is still a function of contraction and pressure alone, and still falls with the contraction.
+    """
+
+    memory: Memory = ()
+
+    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        """The force [N] with friction, never below half that without."""
+        tension = Muscle.force(self, contraction, pressure)
+        length = self.specimen.length_at(contraction)
+        return tension + self.friction.force(self.memory, length, tension, pressure)
 
 
 def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:

@@ -1,0 +1,178 @@
+"""`mckibben identify` and `mckibben validate`: laws from measured points, and laws against them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mckibben.commands.options import Column, Data, InitialLength, Json, Out, SkipCorrupt, SlackForce, measured, said
+from mckibben.errors import ParameterError
+from mckibben.files import folder
+from mckibben.terminal import progress, table
+
+if TYPE_CHECKING:
+    from mckibben.dataset import IsobaricDataset
+    from mckibben.identification import Ranked, Ranking
+
+_ALL = "all"
+
+
+def identify(
+    data: Data,
+    law: Annotated[
+        str, typer.Option(help="Which law, such as exponential (Eq. 2); 'mckibben laws' lists them. all: rank them.")
+    ] = "exponential",
+    level: Annotated[float, typer.Option(help="Of the intervals: the share that holds the truth.")] = 0.95,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Profile the shape parameters: are they determined?")
+    ] = False,
+    bootstrap: Annotated[int, typer.Option(metavar="N", help="Refit N times to blocks of points drawn anew.")] = 0,
+    initial_length: InitialLength = "",
+    slack_force: SlackForce = "",
+    column: Column = None,
+    skip_corrupt: SkipCorrupt = False,
+    json: Json = False,
+    out: Out = None,
+) -> None:
+    """Fit a force law to measured points: estimates with standard errors, and errors at unseen pressures.
+
+    With --law all every law is fitted, and they are ranked by their errors at whole pressures, directions and repeats
+    left out.
+    """
+    if out:
+        folder(out)
+    from mckibben.study.inputs import law_type_named
+
+    law_type = law_type_named(law) if law != _ALL else None
+    points = measured(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
+    if law_type is None:
+        if profile or bootstrap:
+            raise ParameterError(
+                "--profile and --bootstrap are about one law", remedy="name it, such as --law exponential"
+            )
+        _rank(points, json, out)
+        return
+    from mckibben.identification import identify as run
+    from mckibben.study.intervals import further, further_report, interval_numbers
+    from mckibben.study.numbers import fit_numbers, to_json, write_json
+
+    fit = run(law_type, points)
+    found = further(fit, level=level, profiles=profile, refits=bootstrap)
+    numbers = {**fit_numbers(fit), "uncertainty": interval_numbers(fit, found)}
+    typer.echo(to_json(numbers) if json else "\n".join(filter(None, [fit.report(level), further_report(fit, found)])))
+    if out:
+        from mckibben import report
+
+        fit.to_yaml(out / "fit.yaml")
+        points.to_netcdf(out / "data.nc")
+        write_json(out / "results.json", numbers)
+        report.save(report.isobaric(points, fit), out, "fit")
+        report.save(report.force_bands(points, fit, level=level), out, "bands")
+        for one in found.profiles:
+            report.save(report.profile_likelihood(one, fit), out, f"profile-{one.name}")
+        profiles = f", profile-{'/'.join(one.name for one in found.profiles)}" if found.profiles else ""
+        said(f"kept fit.yaml, data.nc, results.json and fit, bands{profiles} as .png and .svg in {out}", json)
+
+
+def validate(
+    law: Annotated[str, typer.Argument(metavar="LAW", help="A fit file, a law of the catalog, or 'chou'.")],
+    data: Data,
+    specimen: Annotated[str, typer.Option(help="Whose braid angle and diameter 'chou' takes.")] = "",
+    initial_length: InitialLength = "",
+    slack_force: SlackForce = "",
+    column: Column = None,
+    skip_corrupt: SkipCorrupt = False,
+    json: Json = False,
+    out: Out = None,
+) -> None:
+    """Hold a force law against measured points: errors by pressure and direction."""
+    if out:
+        folder(out)
+    from mckibben.study.inputs import law_named
+
+    known = law_named(law, specimen=specimen)
+    points = measured(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
+    from mckibben.identification import validate as run
+    from mckibben.study.numbers import to_json, write_json
+
+    validation = run({law: known}, points)
+    numbers = {"slack": validation.slack, "errors": validation.records()}
+    typer.echo(to_json(numbers) if json else validation.report())
+    if out:
+        write_json(out / "results.json", numbers)
+        said(f"kept results.json in {out}", json)
+
+
+def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
+    from mckibben.identification import rank
+    from mckibben.study.numbers import to_json, write_json
+
+    with progress() as report_progress:
+        ranking = rank(points, progress=report_progress)
+    best = ranking.best
+    numbers = {
+        "best": best.law,
+        "points": len(ranking.points),
+        "slack": ranking.slack,
+        "not_left_out": ranking.missing,
+        "laws": ranking.records(),
+    }
+    if json:
+        typer.echo(to_json(numbers))
+    else:
+        _show(ranking)
+    if out:
+        from mckibben import report
+
+        for entry in ranking.entries:
+            if entry.fit:
+                entry.fit.to_yaml(folder(out / "fits") / f"{entry.law}.yaml")
+        assert best.fit is not None
+        best.fit.to_yaml(out / "fit.yaml")
+        points.to_netcdf(out / "data.nc")
+        write_json(out / "results.json", numbers)
+        report.save(report.ranking(ranking), out, "ranking")
+        report.save(report.isobaric(points, best.fit), out, "fit")
+        said(f"kept fit.yaml ({best.law}), fits/, data.nc, results.json, ranking.png and fit.png in {out}", json)
+
+
+def _show(ranking: Ranking) -> None:
+    specimen = ranking.points.table.attrs["specimen"] or "unnamed specimen"
+    fitted = [entry for entry in ranking.entries if entry.fit]
+    least = min((entry.aicc for entry in fitted if entry.aicc == entry.aicc), default=0.0)
+    headers = (
+        "law",
+        "numbers",
+        "RMSE N",
+        *(f"unseen {name}s N" for name in ranking.blocks),
+        "AICc",
+        "pattern left along",
+    )
+    rows = [
+        (
+            entry.law.removesuffix("Law"),
+            str(entry.parameters),
+            f"{entry.fit.rmse:.2f}" if entry.fit else "-",
+            *(f"{entry.unseen[name].rmse:.2f}" if name in entry.unseen else "-" for name in ranking.blocks),
+            f"+{entry.aicc - least:.1f}" if entry.aicc == entry.aicc else "-",
+            (entry.structure.pattern if entry.structure else "") or "-",
+        )
+        for entry in fitted
+    ]
+    table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack left out", headers, rows)
+    for name, reason in ranking.missing.items():
+        typer.echo(f"no error at unseen {name}s: {reason}")
+    for entry in ranking.entries:
+        _remark(entry)
+    if ranking.best.flags:
+        typer.echo("every law is flagged: choose with care")
+
+
+def _remark(entry: Ranked) -> None:
+    name = entry.law.removesuffix("Law")
+    if entry.refused:
+        typer.echo(f"refused {name}: {entry.refused}")
+    for flag in entry.flags:
+        typer.echo(f"flagged {name}: {flag}")

@@ -1,0 +1,252 @@
+"""Every law fitted to the same points and ranked by what it makes of points that it has not seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
+from mckibben.identification.blocks import LeftOut, UndeterminedError, leave_out
+from mckibben.identification.fit import Fit
+from mckibben.identification.fitting import identify
+from mckibben.identification.physical import unphysical
+from mckibben.identification.structure import Structure, structure_of
+from mckibben.muscle import LAWS, ForceLaw
+
+BLOCKS = ("pressure", "direction", "repeat")
+"""What is left out as a whole, one after the other."""
+
+_MOST_BLOCKS = 200
+_STRONGEST = 0.999
+_COUNTED_SCATTER = 1  # the scatter is a number of the model too
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """One law in a ranking.
+
+    Attributes
+    ----------
+    law
+        The name of its kind.
+    fit
+        To all taut points; None where it was refused.
+    refused
+        Why there is no fit; empty where there is one.
+    unseen
+        Errors at blocks of points left out, by "pressure", "direction" and "repeat", as far as these are known.
+    aicc
+        Akaike's criterion with the correction for few points; NaN where there are too few.
+    structure
+        What the residuals have in common.
+    flags
+        Reasons not to trust the numbers, as sentences: a shape at its bound, parameters that trade off, forces that no
+        muscle has.
+    """
+
+    law: str
+    fit: Fit | None = None
+    refused: str = ""
+    unseen: dict[str, LeftOut] = field(default_factory=dict, repr=False)
+    aicc: float = math.nan
+    structure: Structure | None = None
+    flags: tuple[str, ...] = ()
+
+    @property
+    def error(self) -> float:
+        """What it is ranked by: the largest of its RMSEs at blocks left out [N]; infinite without any."""
+        return max((left_out.rmse for left_out in self.unseen.values()), default=math.inf)
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers the law has."""
+        return len(LAWS[self.law].parameters()) if self.law in LAWS else len(self.fit.estimates) if self.fit else 0
+
+    def record(self) -> dict[str, Any]:
+        """All numbers, for JSON; forces in N."""
+        unseen = {f"unseen_{name}_rmse_N": left_out.rmse for name, left_out in self.unseen.items()}
+        fit, structure = self.fit, self.structure
+        return {
+            "law": self.law,
+            "parameters": self.parameters,
+            "refused": self.refused or None,
+            "rmse_N": fit.rmse if fit else None,
+            "max_N": fit.max_error if fit else None,
+            **unseen,
+            "aicc": self.aicc,
+            "residual_correlation_along_contraction": structure.along_contraction if structure else None,
+            "residual_correlation_along_pressure": structure.along_pressure if structure else None,
+            "flags": list(self.flags),
+        }
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Laws by their errors at what they have not seen, the best first and the refused last.
+
+    Attributes
+    ----------
+    entries
+        One a law.
+    points
+        The taut plateau means that all were fitted to.
+    slack
+        How many slack points were left out.
+    missing
+        Why a kind of block could not be left out, by its name.
+    """
+
+    entries: tuple[Ranked, ...]
+    points: IsobaricDataset = field(repr=False)
+    slack: int
+    missing: dict[str, str]
+
+    @property
+    def best(self) -> Ranked:
+        """The first without a flag, or the first where all have one.
+
+        Raises
+        ------
+        IdentificationError
+            If every law was refused.
+        """
+        fitted = [entry for entry in self.entries if entry.fit]
+        if not fitted:
+            reasons = "\n  ".join(f"{entry.law}: {entry.refused}" for entry in self.entries)
+            raise IdentificationError(f"no law could be fitted\n  {reasons}", remedy="measure at more points")
+        return next((entry for entry in fitted if not entry.flags), fitted[0])
+
+    def of(self, law: str) -> Ranked:
+        """The entry of a law by the name of its kind.
+
+        Raises
+        ------
+        IdentificationError
+            If it was not ranked.
+        """
+        for entry in self.entries:
+            if entry.law == law:
+                return entry
+        ranked = ", ".join(entry.law for entry in self.entries)
+        raise IdentificationError(f"{law!r} was not ranked", value=law, remedy=f"ranked are {ranked}")
+
+    def records(self) -> list[dict[str, Any]]:
+        """One dictionary a law, in order."""
+        return [entry.record() for entry in self.entries]
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The kinds of blocks that were left out."""
+        return tuple(name for name in BLOCKS if any(name in entry.unseen for entry in self.entries))
+
+
+def rank(
+    dataset: IsobaricDataset,
+    laws: Iterable[type[ForceLaw]] = tuple(LAWS.values()),
+    *,
+    progress: Callable[[str, float], None] | None = None,
+) -> Ranking:
+    """Fit laws to a dataset and rank them by their errors at whole blocks of points left out.
+
+    Parameters
+    ----------
+    dataset
+        Measured points.
+    laws
+        Kinds of laws; all unless given.
+    progress
+        Called with what is done and which part of the work is done, 0 to 1.
+
+    Returns
+    -------
+    Ranking
+        A law that the points cannot determine stands in it with the reason.
+
+    Raises
+    ------
+    IdentificationError
+        If there is no taut point.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> from mckibben.muscle import ExponentialLaw, ReynoldsLaw
+    >>> ranking = rank(catalog.dataset("dmsp-10-250-martens2017"), [ReynoldsLaw, ExponentialLaw])
+    >>> [(entry.law, round(entry.error, 2)) for entry in ranking.entries]
+    [('ExponentialLaw', 1.34), ('ReynoldsLaw', 32.37)]
+    """
+    means = dataset.plateau_means()
+    points = means.taut
+    if not len(points):
+        raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")
+    blocks, missing = _blocks(points)
+    kinds = list(laws)
+    entries = []
+    for i, kind in enumerate(kinds):
+        if progress:
+            progress(kind.__name__, i / len(kinds))
+        entries.append(_ranked(kind, means, blocks))
+    if progress:
+        progress("ranked", 1.0)
+    entries.sort(key=lambda entry: (entry.fit is None, entry.error, entry.fit.rmse if entry.fit else 0.0))
+    return Ranking(tuple(entries), points, len(means) - len(points), missing)
+
+
+def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """What can be left out, and why the rest cannot."""
+    columns = {"pressure": points.levels}
+    columns |= {name: points.table[name].to_numpy() for name in BLOCKS[1:] if name in points.table}
+    blocks, missing = {}, {}
+    for name in BLOCKS:
+        count = len(np.unique(columns[name])) if name in columns else 0
+        if not count:
+            missing[name] = f"no {name} is recorded"
+        elif count == 1:
+            missing[name] = f"there is one {name} only"
+        elif count > _MOST_BLOCKS:
+            missing[name] = f"there are {count}: record the set pressure of each point"
+        else:
+            blocks[name] = columns[name]
+    return blocks, missing
+
+
+def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.ndarray]) -> Ranked:
+    try:
+        fit = identify(kind, means)
+    except IdentificationError as error:
+        return Ranked(kind.__name__, refused=str(error))
+    evidence = fit.evidence
+    assert evidence is not None
+    unseen: dict[str, LeftOut] = {}
+    flags = [text for text in fit.warnings if "bound" in text or "outside its range" in text or "correlated" in text]
+    for name, labels in blocks.items():
+        try:
+            unseen[name] = leave_out(evidence.problem, evidence.solution, labels)
+        except UndeterminedError as error:
+            flags.append(f"without {name} {error.block:g} {error.reason}" if name == "pressure" else str(error))
+    if reason := unphysical(fit.law):
+        flags.append(reason)
+    residuals = evidence.solution.residuals
+    return Ranked(
+        kind.__name__,
+        fit,
+        unseen=unseen,
+        aicc=_aicc(residuals, len(fit.estimates)),
+        structure=structure_of(evidence.points, residuals),
+        flags=tuple(flags),
+    )
+
+
+def _aicc(residuals: np.ndarray, parameters: int) -> float:
+    """Akaike's criterion for errors of one unknown size, corrected for few points (Hurvich and Tsai 1989)."""
+    count, numbers = len(residuals), parameters + _COUNTED_SCATTER
+    left = count - numbers - 1
+    if left <= 0:
+        return math.nan
+    squares = float(residuals @ residuals)
+    return count * math.log(max(squares, 1e-300) / count) + 2 * numbers + 2 * numbers * (numbers + 1) / left

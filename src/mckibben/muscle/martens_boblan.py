@@ -1,0 +1,85 @@
+"""The law of Martens and Boblan: the geometry of the braid, and the rubber that is stretched in it."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.muscle.base import Parameter, PressureAffineLaw
+from mckibben.muscle.domain import Domain
+from mckibben.numerics.checks import check_positive, check_within
+from mckibben.units import deg, mm
+
+_STRAIGHT = 1e-4  # the least square of the sine of the angle: threads cannot be stretched beyond straight
+
+
+class MartensBoblanLaw(PressureAffineLaw):
+    r"""The virtual work of the gas and of a rubber tube, stretched along and around.
+
+    .. math::
+
+        F = -p \frac{dV}{dL} + \frac{dU}{dL}, \quad \frac{dV}{dL} = \frac{L_f^2 - 3 L^2}{4\pi n^2}, \quad
+        U = \frac{l_0}{2} \left(S_l \varepsilon^2 + S_d (D/d_0 - 1)^2\right)
+
+    with the thread's length :math:`L_f = l_0/\cos\alpha_0`, its turns :math:`n = l_0 \tan\alpha_0/(\pi d_0)` and the
+    diameter :math:`D = \sqrt{L_f^2 - L^2}/(n\pi)`. The source derives the geometry and has rubber terms of its own;
+    the energy U, with one stiffness along and one around, is ours. The length l0 cancels.
+
+    Parameters
+    ----------
+    axial_stiffness, radial_stiffness
+        S_l and S_d [N]: modulus times cross-section of the rubber, along and around.
+    braid_angle, initial_diameter
+        alpha0 [rad] and d0 [m] of the deflated muscle.
+    domain
+        Where to trust it.
+
+    References
+    ----------
+    M. Martens and I. Boblan, "Modeling the static force of a Festo pneumatic muscle actuator: a new approach and a
+    comparison to existing models", Actuators 6 (2017) 33, doi 10.3390/act6040033.
+
+    Examples
+    --------
+    Without rubber it is Chou's law; rubber pulls back what it is stretched:
+
+    >>> from mckibben.units import bar, percent
+    >>> law = MartensBoblanLaw(0.0, 0.0, braid_angle=25 * deg, initial_diameter=10 * mm)
+    >>> round(float(law.force(0.0, 6 * bar)), 1)
+    386.3
+    >>> law = MartensBoblanLaw(300.0, 20.0, braid_angle=25 * deg, initial_diameter=10 * mm)
+    >>> round(float(law.force(10 * percent, 6 * bar)), 1), round(float(law.force(-3 * percent, 0.0)), 1)
+    (210.5, 25.9)
+    """
+
+    axial_stiffness: float
+    radial_stiffness: float
+    braid_angle: float
+    initial_diameter: float
+    domain: Domain = Domain()
+
+    def __check_init__(self) -> None:
+        check_within("MartensBoblanLaw", 0.01, 1.56, "rad", braid_angle=self.braid_angle)
+        check_positive("MartensBoblanLaw", "m", initial_diameter=self.initial_diameter)
+
+    equation = (
+        "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - eps)^2 - 1/sin^2(alpha0)) - S_l eps - S_d (D/d0 - 1) d(D/d0)/d(eps)"
+    )
+    source = "Martens and Boblan 2017; the rubber's energy ours"
+    linear_parameters = (
+        Parameter("axial_stiffness", "N", "N", "rubber, along"),
+        Parameter("radial_stiffness", "N", "N", "rubber, around"),
+    )
+    shape_parameters = (
+        Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),
+        Parameter("initial_diameter", "m", "mm", "diameter of the deflated muscle", 1 * mm, 100 * mm),
+    )
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        eps = jnp.asarray(contraction)
+        ratio, cosine, sine = 1 - eps, jnp.cos(self.braid_angle), jnp.sin(self.braid_angle)
+        widening = jnp.sqrt(jnp.maximum(1 - (cosine * ratio) ** 2, _STRAIGHT)) / sine  # D / d0
+        widening_rate = (cosine / sine) ** 2 * ratio / widening
+        rubber = -self.axial_stiffness * eps - self.radial_stiffness * (widening - 1) * widening_rate
+        gain = jnp.pi * self.initial_diameter**2 / 4 * (3 * (cosine / sine * ratio) ** 2 - 1 / sine**2)
+        return rubber, gain

@@ -1,0 +1,58 @@
+"""The law of Repperger and co-workers: a spring that is stiff inflated and soft deflated."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.muscle.base import Parameter, PressureAffineLaw
+from mckibben.muscle.domain import Domain
+from mckibben.units import percent
+
+
+class ReppergerLaw(PressureAffineLaw):
+    r"""A spring whose stiffness grows with pressure, and whose rest is the muscle fully contracted.
+
+    .. math:: F = (k_0 + k_1 p)\,(\varepsilon_0 - \varepsilon)
+
+    The source has a spring with two stiffnesses, inflated and deflated, and a transient force in between. This form,
+    ours, is its rest: the stiffness goes from one to the other with pressure, and the force is gone at one contraction.
+
+    Parameters
+    ----------
+    k0, k1
+        Stiffness [N] of the deflated muscle and its growth with pressure [N/Pa], per unit of contraction.
+    rest
+        The contraction eps0 [-] without force.
+    domain
+        Where to trust it.
+
+    References
+    ----------
+    D. Repperger, K. Johnson and C. Phillips, "A VSC position tracking system involving a large scale pneumatic muscle
+    actuator", IEEE Conf. Decision and Control (1998) 4302-4307.
+
+    Examples
+    --------
+    >>> from mckibben.units import bar
+    >>> law = ReppergerLaw(k0=200.0, k1=300.0 / bar, rest=25 * percent)
+    >>> round(float(law.force(5 * percent, 6 * bar)), 1)
+    400.0
+    """
+
+    k0: float
+    k1: float
+    rest: float
+    domain: Domain = Domain()
+
+    equation = "F = (k0 + k1 p) (eps0 - eps)"
+    source = "after Repperger et al. 1998, at rest (form ours)"
+    linear_parameters = (
+        Parameter("k0", "N", "N/percent", "spring, deflated"),
+        Parameter("k1", "N/Pa", "N/(bar*percent)", "spring, per pressure"),
+    )
+    shape_parameters = (Parameter("rest", "1", "percent", "contraction without force", 1 * percent, 60 * percent),)
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        left = self.rest - jnp.asarray(contraction)
+        return self.k0 * left, self.k1 * left

@@ -1,0 +1,133 @@
+"""The law of Tondu and Lopez: Chou's cylinder whose conical ends take part of the contraction."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
+from mckibben.muscle.domain import Domain
+from mckibben.muscle.inverse import pressure_for
+from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.elementary import exp
+from mckibben.units import bar, deg, mm
+
+_BRAID = (
+    Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),
+    Parameter("initial_diameter", "m", "mm", "diameter of the deflated muscle", 1 * mm, 100 * mm),
+)
+
+
+def _braid_gain(braid_angle: ArrayLike, initial_diameter: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+    """The force per pressure [N/Pa] of an ideal braid at a contraction [-] of its cylinder."""
+    a, b = 3 / jnp.tan(braid_angle) ** 2, 1 / jnp.sin(braid_angle) ** 2
+    return jnp.pi * jnp.asarray(initial_diameter) ** 2 / 4 * (a * (1 - jnp.asarray(contraction)) ** 2 - b)
+
+
+class TonduLopezLaw(PressureAffineLaw):
+    r"""The ideal braid with a constant end-effect factor k: the cylinder contracts k times as much as the muscle.
+
+    .. math:: F = \pi r_0^2 \, p \left(a (1 - k\varepsilon)^2 - b\right), \quad
+        a = \frac{3}{\tan^2\alpha_0}, \quad b = \frac{1}{\sin^2\alpha_0}
+
+    With k = 1 it is Chou's law.
+
+    Parameters
+    ----------
+    braid_angle
+        Angle alpha0 [rad] between thread and axis of the deflated muscle.
+    initial_diameter
+        Diameter 2 r0 [m] of the deflated muscle.
+    end_factor
+        k [-], 1 or more.
+    domain
+        Where to trust it.
+
+    References
+    ----------
+    B. Tondu and P. Lopez, "Modeling and control of McKibben artificial muscle robot actuators", IEEE Control Systems
+    Magazine 20 (2000) 15-38.
+
+    Examples
+    --------
+    >>> from mckibben.units import percent
+    >>> law = TonduLopezLaw(braid_angle=25 * deg, initial_diameter=10 * mm, end_factor=1.25)
+    >>> round(float(law.force(0.0, 6 * bar)), 1), round(float(law.force(20 * percent, 6 * bar)), 1)
+    (386.3, 101.9)
+    """
+
+    braid_angle: float
+    initial_diameter: float
+    end_factor: float
+    domain: Domain = Domain()
+
+    def __check_init__(self) -> None:
+        check_within("TonduLopezLaw", 0.01, 1.56, "rad", braid_angle=self.braid_angle)
+        check_positive("TonduLopezLaw", "m", initial_diameter=self.initial_diameter)
+        check_positive("TonduLopezLaw", "1", end_factor=self.end_factor)
+
+    equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - k eps)^2 - 1/sin^2(alpha0))"
+    source = "Tondu and Lopez 2000"
+    shape_parameters = (*_BRAID, Parameter("end_factor", "1", "1", "k, of the conical ends", 0.5, 3.0))
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        gain = _braid_gain(self.braid_angle, self.initial_diameter, self.end_factor * jnp.asarray(contraction))
+        return jnp.zeros_like(gain), gain
+
+
+class TonduLopezVariableLaw(ForceLaw):
+    r"""The ideal braid whose end-effect factor falls with pressure, as the ends fill out.
+
+    .. math:: F = \pi r_0^2 \, p \left(a (1 - k(p)\,\varepsilon)^2 - b\right), \quad k(p) = a_k e^{-p/p_1} + b_k,
+        \quad p_1 = 1\,\mathrm{bar}
+
+    Parameters
+    ----------
+    braid_angle, initial_diameter, domain
+        As for `TonduLopezLaw`.
+    end_rise, end_factor
+        a_k and b_k [-].
+
+    References
+    ----------
+    B. Tondu and P. Lopez, "Modeling and control of McKibben artificial muscle robot actuators", IEEE Control Systems
+    Magazine 20 (2000) 15-38; the pressure in bar in the exponent.
+
+    Examples
+    --------
+    >>> from mckibben.units import percent
+    >>> law = TonduLopezVariableLaw(25 * deg, 10 * mm, end_rise=0.5, end_factor=1.25)
+    >>> [round(float(law.force(20 * percent, p * bar)), 1) for p in (1, 6)]
+    [11.1, 101.6]
+    """
+
+    braid_angle: float
+    initial_diameter: float
+    end_rise: float
+    end_factor: float
+    domain: Domain = Domain()
+
+    def __check_init__(self) -> None:
+        check_within("TonduLopezVariableLaw", 0.01, 1.56, "rad", braid_angle=self.braid_angle)
+        check_positive("TonduLopezVariableLaw", "m", initial_diameter=self.initial_diameter)
+        check_positive("TonduLopezVariableLaw", "1", end_factor=self.end_factor)
+
+    equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - k(p) eps)^2 - 1/sin^2(alpha0)), k(p) = a_k exp(-p/1 bar) + b_k"
+    source = "Tondu and Lopez 2000, k(p)"
+    shape_parameters = (
+        *_BRAID,
+        Parameter("end_rise", "1", "1", "a_k, what the ends add at no pressure", -2.0, 5.0),
+        Parameter("end_factor", "1", "1", "b_k, of the ends at high pressure", 0.5, 3.0),
+    )
+    reference_pressure: ClassVar[float] = 1 * bar
+    """p_1 [Pa]: the source has the number of bar in the exponent."""
+
+    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        pressure = jnp.asarray(pressure)
+        factor = self.end_rise * exp(-pressure / self.reference_pressure) + self.end_factor
+        return pressure * _braid_gain(self.braid_angle, self.initial_diameter, factor * jnp.asarray(contraction))
+
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        return pressure_for(self, force, contraction)

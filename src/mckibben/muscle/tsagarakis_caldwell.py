@@ -1,0 +1,98 @@
+"""The law of Tsagarakis and Caldwell: ends, wall thickness, and a pressure lost to rubber and friction."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.muscle.base import Parameter, PressureAffineLaw
+from mckibben.muscle.domain import Domain
+from mckibben.numerics.checks import check_positive, check_within
+from mckibben.units import deg, mm
+
+_STRAIGHT = 1e-4  # the least square of the sine of the angle: threads cannot be stretched beyond straight
+
+
+class TsagarakisCaldwellLaw(PressureAffineLaw):
+    r"""The braid with ends that keep their length, a wall of some thickness, and a dead band of pressure.
+
+    .. math::
+
+        F = (p - p_t) \left[\frac{\pi d_0^2}{4}\left(a x^2 - b\right)
+            + \pi d_n t \left(2\sin\alpha - \frac{1}{\sin\alpha}\right) - \pi t^2\right]
+
+    with :math:`a = 3/\tan^2\alpha_0`, :math:`b = 1/\sin^2\alpha_0`, the cylinder's length over its initial one
+    :math:`x = 1 - \varepsilon/(1 - s)`, the braid angle :math:`\cos\alpha = x \cos\alpha_0` and the braid's diameter at
+    90 degrees :math:`d_n = d_0/\sin\alpha_0`. A share s of the muscle's length are its ends. The pressure p_t is what
+    rubber and friction of the threads take: below it nothing is pulled.
+
+    The source gives its corrections as a procedure. This form, ours, has one number for each of them: the ends as
+    lengths that do not contract, the wall as Chou and Hannaford write it, rubber and static friction as one lost
+    pressure. The sign-changing part of friction belongs to the muscle (`mckibben.muscle.MaxwellSlip`).
+
+    Parameters
+    ----------
+    threshold_pressure
+        p_t [Pa].
+    braid_angle, initial_diameter
+        alpha0 [rad] and d0 [m] of the deflated muscle.
+    wall_thickness
+        t [m] of bladder and braid.
+    end_share
+        s [-], of both ends together.
+    domain
+        Where to trust it.
+
+    References
+    ----------
+    N. Tsagarakis and D. Caldwell, "Improved modelling and assessment of pneumatic muscle actuators", IEEE Int. Conf.
+    Robotics and Automation (2000) 3641-3646; the wall's term: C.-P. Chou and B. Hannaford, IEEE Trans. Robotics and
+    Automation 12 (1996) 90-102.
+
+    Examples
+    --------
+    Without its corrections it is Chou's law:
+
+    >>> from mckibben.units import bar
+    >>> law = TsagarakisCaldwellLaw(0.0, 25 * deg, 10 * mm, wall_thickness=0.0, end_share=0.0)
+    >>> round(float(law.force(0.0, 6 * bar)), 1)
+    386.3
+    >>> law = TsagarakisCaldwellLaw(0.2 * bar, 25 * deg, 10 * mm, wall_thickness=1 * mm, end_share=0.1)
+    >>> round(float(law.force(0.0, 6 * bar)), 1)
+    306.0
+    """
+
+    threshold_pressure: float
+    braid_angle: float
+    initial_diameter: float
+    wall_thickness: float
+    end_share: float
+    domain: Domain = Domain()
+
+    def __check_init__(self) -> None:
+        check_within("TsagarakisCaldwellLaw", 0.01, 1.56, "rad", braid_angle=self.braid_angle)
+        check_positive("TsagarakisCaldwellLaw", "m", initial_diameter=self.initial_diameter)
+        check_positive("TsagarakisCaldwellLaw", "m", zero=True, wall_thickness=self.wall_thickness)
+        check_within("TsagarakisCaldwellLaw", 0.0, 0.9, "1", end_share=self.end_share)
+
+    equation = (
+        "F = (p - p_t) ((pi d0^2/4) (3/tan^2(alpha0) x^2 - 1/sin^2(alpha0)) + pi d_n t (2 sin(alpha) - 1/sin(alpha)) "
+        "- pi t^2), x = 1 - eps/(1 - s)"
+    )
+    source = "after Tsagarakis and Caldwell 2000 (form ours)"
+    linear_parameters = (Parameter("threshold_pressure", "Pa", "bar", "pressure lost to rubber and friction"),)
+    shape_parameters = (
+        Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),
+        Parameter("initial_diameter", "m", "mm", "diameter of the deflated muscle", 1 * mm, 100 * mm),
+        Parameter("wall_thickness", "m", "mm", "of bladder and braid", 0.0, 5 * mm),
+        Parameter("end_share", "1", "percent", "of the length that are ends", 0.0, 0.6),
+    )
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        x = 1 - jnp.asarray(contraction) / (1 - self.end_share)
+        a, b = 3 / jnp.tan(self.braid_angle) ** 2, 1 / jnp.sin(self.braid_angle) ** 2
+        sine = jnp.sqrt(jnp.maximum(1 - (x * jnp.cos(self.braid_angle)) ** 2, _STRAIGHT))
+        widest = self.initial_diameter / jnp.sin(self.braid_angle)
+        wall = jnp.pi * widest * self.wall_thickness * (2 * sine - 1 / sine) - jnp.pi * self.wall_thickness**2
+        gain = jnp.pi * self.initial_diameter**2 / 4 * (a * x**2 - b) + wall
+        return -self.threshold_pressure * gain, gain

@@ -1,0 +1,217 @@
+"""Friction of a muscle, against play operators in plain Python, and what holds for any way."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mckibben.errors import RangeError
+from mckibben.muscle import MaxwellSlip, Muscle, NoFriction
+from mckibben.muscle.friction import drawn, faded
+from mckibben.units import bar, mm
+
+FRICTION = MaxwellSlip(12.0, 0.5 * mm, growth=1 / bar, reference_pressure=3 * bar)
+PLAIN = MaxwellSlip(12.0, 0.5 * mm)
+FAR = 1e9  # N: a tension at which nothing fades
+
+
+@st.composite
+def ways(draw, closed=False):
+    """Lengths [m], tensions [N] and pressures [Pa]: none has to do with the others."""
+    count = draw(st.integers(2, 30))
+    length = 0.2 + 1e-3 * np.array(draw(st.lists(st.floats(-5, 5), min_size=count, max_size=count)))
+    tension = np.array(draw(st.lists(st.floats(0, 600), min_size=count, max_size=count)))
+    pressure = bar * np.array(draw(st.lists(st.floats(-1, 8), min_size=count, max_size=count)))
+    if closed:
+        length, tension, pressure = (np.append(column, column[0]) for column in (length, tension, pressure))
+    return length, tension, pressure
+
+
+def played(way, friction):
+    """The force along a way at a constant band: each element is the way less what its play lets through."""
+    forces = []
+    plays = [way[0]] * friction.elements
+    for x in way:
+        total = 0.0
+        for i, (k, w) in enumerate(zip(friction.stiffnesses, friction.shares, strict=True)):
+            r = w * friction.half_width / k
+            plays[i] = max(x - r, min(x + r, plays[i]))
+            total += k * (x - plays[i])
+        forces.append(total)
+    return forces
+
+
+@given(st.lists(st.floats(-5, 5), min_size=2, max_size=40), st.integers(1, 8))
+def test_it_is_a_sum_of_stops(millimetres, elements):
+    friction = MaxwellSlip(12.0, 0.5 * mm, elements=elements)
+    way = 0.2 + 1e-3 * np.array(millimetres)
+    np.testing.assert_allclose(friction.along(way, FAR, 0.0), played(way.tolist(), friction), atol=1e-9)
+
+
+def test_what_is_simulated_is_what_the_rig_feels():
+    generator = np.random.default_rng(1)
+    length = 0.2 + np.cumsum(generator.normal(0, 0.4e-3, 60))
+    tension, pressure = generator.uniform(0, 100, 60), generator.uniform(0, 6 * bar, 60)
+
+    @jax.jit
+    def step(memory, at):
+        force = FRICTION.force(memory, *at)
+        memory = FRICTION.settled(memory, *at)
+        return memory, (force, FRICTION.force(memory, *at))
+
+    start = FRICTION.unstressed(length[0])
+    _, (before, after) = jax.lax.scan(step, start, tuple(map(jnp.asarray, (length, tension, pressure))))
+    np.testing.assert_allclose(before, FRICTION.along(length, tension, pressure), atol=1e-9)
+    np.testing.assert_allclose(after, before, atol=1e-9)  # settling changes no force
+
+
+@given(ways(closed=True))
+def test_energy_is_only_lost_whatever_length_tension_and_pressure_do(way):
+    length, tension, pressure = way
+    limit = faded(np.maximum(12 + (pressure - 3 * bar) / bar, 0), tension, np)
+    travel = np.diff(length, prepend=length[:1])
+    stiffness = FRICTION.stiffnesses
+    deflection = drawn(travel, limit, stiffness, FRICTION.shares)
+    np.testing.assert_allclose(deflection @ stiffness, FRICTION.along(*way), atol=1e-12)
+    stored = (deflection**2 / 2) @ stiffness
+    put_in = (deflection @ stiffness) * travel
+    assert np.all(put_in[1:] >= np.diff(stored) - 1e-12)  # at each move: what is not stored is lost
+    assert put_in.sum() >= -1e-12  # and so over the closed way
+
+
+def test_a_large_loop_loses_its_area():
+    way = np.concatenate([np.linspace(0.2, 0.22, 4001), np.linspace(0.22, 0.2, 4001), np.linspace(0.2, 0.22, 4001)])
+    force = PLAIN.along(way, FAR, 0.0)
+    second = slice(4001, 12003)
+    lost = np.trapezoid(force[second], way[second])
+    # +-12 N over 20 mm each way, less what the two turns leave out: on each the force is late by s0 on average
+    assert lost == pytest.approx(2 * 12 * 0.02 - 2 * 24 * 0.5e-3, rel=5e-3)
+
+
+@given(ways())
+def test_the_muscle_never_pushes_and_stays_in_its_band(way):
+    _, tension, pressure = way
+    force = FRICTION.along(*way, side=1.0)
+    band = faded(12 + (pressure - 3 * bar) / bar, tension, np)
+    assert np.all(np.abs(force) <= band * (1 + 1e-9) + 1e-12)
+    assert np.all(band <= tension / 2 + 1e-12)
+    assert np.all(force[tension == 0] == 0)
+
+
+@given(st.lists(st.floats(-5, 5), min_size=2, max_size=20), st.floats(0, 1))
+def test_it_knows_the_way_and_not_the_steps(millimetres, cut):
+    """Along the way the tension rises with the length, as a muscle's does; moves cut in two end in the same forces."""
+    way = 0.2 + 1e-3 * np.array(millimetres)
+    middles = way[:-1] + cut * np.diff(way)
+    finer = np.append(np.stack([way[:-1], middles], axis=1).ravel(), way[-1])
+
+    def tension(x):
+        return np.maximum(60 + 5000 * (x - 0.2), 0.0)
+
+    np.testing.assert_allclose(
+        PLAIN.along(finer, tension(finer), 0.0)[::2], PLAIN.along(way, tension(way), 0.0), atol=1e-9
+    )
+
+
+@given(st.floats(-4, 4), st.floats(0.05, 3), st.floats(0, 1))
+def test_minor_loops_close_and_are_forgotten(turn, deep, part):
+    """Return-point memory: a smaller loop ends where it began, and the way goes on as if it had not been."""
+    up, down = 0.2 + 1e-3 * turn, 0.2 + 1e-3 * (turn - deep)
+    within = down + part * (up - down)
+    force = PLAIN.along([0.18, up, down, within, down, within, down, up, 0.23], FAR, 0.0)
+    assert force[2] == pytest.approx(force[4], abs=1e-9) and force[4] == pytest.approx(force[6], abs=1e-9)
+    assert force[3] == pytest.approx(force[5], abs=1e-9)
+    assert force[7] == pytest.approx(force[1], abs=1e-9) and force[8] == pytest.approx(12, abs=1e-9)
+
+
+@pytest.mark.parametrize(("elements", "off"), [(3, 0.037), (4, 0.023), (6, 0.0113), (8, 0.0068)])
+def test_the_virgin_curve_is_next_to_an_exponential(elements, off):
+    friction = MaxwellSlip(12.0, 0.5 * mm, elements=elements)
+    way = np.linspace(0, 3e-3, 3001)
+    deviation = friction.along(0.2 + way, FAR, 0.0) / 12 - (1 - np.exp(-2 * way / 0.5e-3))
+    assert np.abs(deviation).max() == pytest.approx(off, rel=0.05)
+    assert friction.shares.sum() == pytest.approx(1) and np.all(friction.stiffnesses > 0)
+
+
+def test_after_a_reversal_63_percent_are_done_after_the_presliding_length():
+    back = PLAIN.along([0.1, 0.2, 0.2 - 0.5e-3, 0.2 - 1e-3], FAR, 0.0)
+    done = (12 - back[2:]) / 24
+    np.testing.assert_allclose(done, 1 - np.exp([-1, -2]), atol=0.012)
+
+
+def test_the_band_grows_with_pressure_and_ends_at_none():
+    np.testing.assert_allclose(FRICTION.half_width_at(FAR, np.array([0, 3, 6]) * bar), [9, 12, 15])
+    shrinking = MaxwellSlip(2.0, 1e-3, growth=-1 / bar)
+    assert float(shrinking.half_width_at(100.0, 5 * bar)) < 1e-8
+    assert float(FRICTION.half_width_at(0.0, 3 * bar)) == 0.0
+    assert float(FRICTION.half_width_at(48.0, 3 * bar)) == pytest.approx(12 * np.tanh(2))
+
+
+def test_viscous_friction_is_linear_where_taut_and_fades_where_slack():
+    friction = dataclasses.replace(PLAIN, viscous=50.0)
+    assert float(friction.viscous_force(400.0, 0.1)) == pytest.approx(5.0, rel=1e-3)
+    rates = np.linspace(-100, 100, 41)
+    for tension in (0.0, 1e-12, 3.0, 400.0):
+        force = np.asarray(friction.viscous_force(tension, rates))
+        assert np.all(np.abs(force) <= tension / 2) and np.all(force * rates >= 0)
+    assert float(PLAIN.viscous_force(400.0, 0.1)) == 0.0
+
+
+def test_slopes_are_finite_everywhere():
+    memory = PLAIN.unstressed(0.2)
+
+    def total(numbers):
+        friction = MaxwellSlip(numbers[0], numbers[1], growth=numbers[2], viscous=numbers[3])
+        gripped = friction.force(memory, numbers[4], numbers[5], 2e5) + friction.viscous_force(numbers[5], numbers[6])
+        return gripped + sum(friction.settled(memory, numbers[4], numbers[5], 2e5))
+
+    slope = jax.jit(jax.grad(total))
+    for length, tension, rate in ((0.2, 0.0, 0.0), (0.21, 0.0, 1.0), (0.2001, 100.0, -0.1), (0.3, 1e6, 0.0)):
+        assert np.all(np.isfinite(slope(jnp.array([12.0, 5e-4, 1e-5, 20.0, length, tension, rate]))))
+
+
+def test_a_gripped_muscle_is_its_law_and_its_friction(specimen, law):
+    muscle = Muscle(specimen, law, FRICTION)
+    memory = FRICTION.unstressed(specimen.length_at(0.10))
+    for contraction in (0.095, 0.10, 0.1004, 0.23, 0.26):
+        tension, length = float(muscle.force(contraction, 4 * bar)), float(specimen.length_at(contraction))
+        way = FRICTION.along([float(specimen.length_at(0.10)), length], [tension, tension], 4 * bar)
+        force = float(muscle.gripped(memory).force(contraction, 4 * bar))
+        assert force == pytest.approx(tension + way[-1], abs=1e-9)
+        assert force >= tension / 2
+    assert muscle.gripped(memory).force(0.3, 4 * bar) == 0  # slack
+
+
+def test_none_is_none(specimen, law):
+    assert Muscle(specimen, law).friction == NoFriction()
+    none = NoFriction()
+    assert none.unstressed(0.2) == () and none.settled((), 0.2, 1.0, 1.0) == ()
+    assert jax.tree.leaves(none) == []
+    assert float(none.force((), 0.2, 100.0, 1e5)) == float(none.viscous_force(100.0, 1.0)) == 0.0
+    np.testing.assert_array_equal(none.along([0.1, 0.2], 1.0, 1.0), [0, 0])
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ({"half_width": 0.0}, "half_width is 0, outside 1e-06"),
+        ({"half_width": float("nan")}, "half_width is nan"),
+        ({"presliding_length": 0.0}, "presliding_length is 0 m"),
+        ({"presliding_length": 2.0}, "presliding_length is 2, outside 0..1 m"),
+        ({"viscous": -1.0}, "viscous is -1 N"),
+        ({"growth": 5.0}, "growth is 5, outside -1..1 N/Pa"),
+        ({"elements": 0}, "elements is 0, outside 1..16"),
+    ],
+)
+def test_numbers_without_meaning_are_refused(numbers, message):
+    with pytest.raises(RangeError, match=message):
+        MaxwellSlip(**{"half_width": 12.0, "presliding_length": 5e-4, **numbers})
+
+
+def test_a_muscle_takes_friction_only_as_friction(specimen, law):
+    with pytest.raises(RangeError, match="friction is 12"):
+        Muscle(specimen, law, 12.0)
