@@ -33,6 +33,27 @@ PRINTED = Scenario.read(EXAMPLES / "as-printed-constant-pid.yaml")
 NUMBERS = [(scenario, address) for scenario in (PID, BACKPROP, PRINTED) for address in addresses(scenario)]
 
 
+FORMS = "give a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal 10 %`"
+
+
+@pytest.mark.parametrize(
+    ("said", "remedy"),
+    [
+        *((said, FORMS) for said in ("1..2..3 kg", "0.2 kg...1.0 kg", "+/-10 %", "10 %", "1 kg to 2 kg", "1-2 kg")),
+        *((said, FORMS) for said in ("[1 kg, 2 kg]", "1 kg..", "..1 kg", "+-", "normal", "1 kg,", "foo", "1 kg in 5")),
+        ("1e400 kg", "give a finite one"),
+        ("1..1e400 kg", "give a finite one"),
+        ("1..2 N", "give it in a unit like kg"),
+        ("1..2 k g", "write units joined by"),
+    ],
+)
+def test_what_is_written_otherwise_gets_a_remedy_that_helps(said, remedy):
+    with pytest.raises(ParameterError) as refused:
+        read_over(f"load.mass2={said}", PID)
+    assert str(refused.value).startswith(f"'load.mass2={said}': ")
+    assert refused.value.remedy.startswith(remedy)
+
+
 def spread(text, scenario=BACKPROP):
     return read_over(text, scenario).spread
 
@@ -110,7 +131,7 @@ def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
         ("load.mass2=0 kg..inf kg", ["not a number and a unit"]),
         ("load.mass2=0 kg..1e999 kg", ["not a finite number"]),
         ("load.mass2=1 kg, 1 kg", ["listed twice"]),
-        ("load.mass2=1 kg,", ["has no value"]),
+        ("load.mass2=1 kg,", ["a value is missing"]),
         ("load.mass2=0 kg..1 kg log", ["0 kg to 1 kg has no even logarithm", "log"]),
         ("start.angle=-5 deg..5 deg log", ["-5 deg to 5 deg has no even logarithm"]),
         ("load.mass2=0..1 kg in 1", ["1 points"]),
@@ -121,8 +142,8 @@ def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
         ("load.mass2=+--10 %", ["no amount"]),
         ("load.mass2=+-0 kg", ["outside above 0"]),
         ("load.mass2=+-1 N", ["kg"]),
-        ("load.mass2=+-", ["has no value"]),
-        ("load.mass2=normal", ["has no value"]),
+        ("load.mass2=+-", ["a value is missing"]),
+        ("load.mass2=normal", ["a value is missing"]),
         ("load.mass2=normal 10 deg", ["kg"]),
         ("start.angle=+-10 %", ["nominal value of 0 deg", "give an amount in deg"]),
         ("start.angle=normal 10 %", ["nominal value of 0 deg"]),

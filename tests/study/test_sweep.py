@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -169,7 +170,11 @@ def test_a_complete_sweep_needs_nothing_but_its_table(kept, scenario, tmp_path):
             "over: the sweep was begun with reference.stiffness.after=15 N*m/rad..22 N*m/rad, not "
             "reference.stiffness.after=15 N*m/rad..21 N*m/rad",
         ),
-        ({"over": OVER[:2]}, "over: the sweep was begun with controller.position.kp="),
+        (
+            {"over": OVER[:2]},
+            "over: the sweep was begun with controller.position.kp=1 bar/rad..3 bar/rad too; leave it",
+        ),
+        ({"over": [*OVER, "load.m1=1..2 kg"]}, "over: the sweep was begun without load.mass1=1 kg..2 kg; leave it out"),
     ],
 )
 def test_another_sweep_is_not_mixed_in(kept, scenario, changed, said):
@@ -220,6 +225,49 @@ def test_a_folder_with_a_sweep_is_not_written_over(kept, scenario):
         sweep(scenario, OVER, out=kept[1])
 
 
+@pytest.mark.parametrize("name", ["sweep.nc", "blocks/000000.block", "blocks/000003.block"])
+def test_files_of_others_are_not_written_over(scenario, tmp_path, name):
+    (tmp_path / "blocks").mkdir()
+    (tmp_path / name).write_text("mine", encoding="utf-8")
+    with pytest.raises(FileError, match=f"{name}: it is there already; choose another folder, or move"):
+        sweep(scenario, OVER, out=tmp_path, **SOME)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / name]
+    assert (tmp_path / name).read_text(encoding="utf-8") == "mine"
+
+
+HOLDING = """
+import sys, time
+from pathlib import Path
+from mckibben.study.sweep.store import Store
+with Store(Path(sys.argv[1])).alone():
+    print("holding", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_two_processes_do_not_compute_the_same_sweep(kept, scenario, tmp_path):
+    folder = tmp_path / "kept"
+    shutil.copytree(kept[1], folder)
+    (folder / package.TABLE).unlink()
+    process = subprocess.Popen([sys.executable, "-c", HOLDING, str(folder)], stdout=subprocess.PIPE, text=True)
+    with process:
+        assert process.stdout.readline() == "holding\n"
+        before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+        said = rf"another process \(pid {process.pid} on .*\) is computing this sweep; wait for its end"
+        with pytest.raises(FileError, match=said):
+            sweep(scenario, out=folder, resume=True)
+        assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+        process.kill()
+    assert sweep(scenario, out=folder, resume=True).computed == 0  # who was killed holds it no longer
+    assert table_of(folder) == table_of(kept[1])
+    assert {path.name for path in folder.iterdir()} == {"manifest.json", "blocks", "sweep.nc"}
+
+
+def test_a_complete_sweep_is_looked_up_though_someone_is_at_it(kept, scenario):
+    with Store(kept[1]).alone():
+        assert sweep(scenario, out=kept[1], resume=True).computed == 0
+
+
 def test_there_must_be_something_to_go_on_with(scenario, tmp_path):
     with pytest.raises(FileError, match=r"no sweep to go on with \(manifest.json\); leave --resume"):
         sweep(scenario, OVER, out=tmp_path, resume=True)
@@ -242,7 +290,7 @@ def test_a_manifest_that_is_none(scenario, tmp_path, text):
         ({"over": ["load.mas2=1..2 kg"]}, "did you mean 'load.mass2'"),
         ({"over": ["load.mass2=2..1 kg"]}, "the range is empty"),
         ({"over": ["load.mass2=1..2 N"]}, "not a unit of the kind 'kg'"),
-        ({"over": ["load.mass2=1..2 kg", "load.m2=1..2 kg"]}, "varied twice"),
+        ({"over": ["load.mass2=1..2 kg", "load.m2=1..2 kg"]}, "are about the same number"),
         ({"over": ["joint.connector_length=200..390 mm"]}, r"row \d+: with joint.connector_length"),
         ({"samples": 0}, "samples is 0"),
         ({"samples": 2, "seed": -1}, "seed is -1"),
@@ -375,7 +423,7 @@ def test_a_file_that_is_no_sweep(tmp_path, kept):
         kept[0].scenario(72)
 
 
-def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_path):
+def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_path, monkeypatch):
     killed = []
 
     def kill(done: int, runs: int) -> None:
@@ -386,7 +434,8 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_
                 killed.append(child.pid)
                 return
 
-    asked = {**SOME, "metrics": ["angle_rmse"]}  # less to compile for every worker
+    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "programs"))  # compiled here, taken up by every worker
+    asked = {**SOME, "metrics": ["angle_rmse"]}
     sweep(scenario, OVER, out=tmp_path / "here", **asked)
     sweep(scenario, OVER, out=tmp_path / "there", dask="local", workers=2, progress=kill, **asked)
     assert killed

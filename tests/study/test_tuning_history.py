@@ -1,6 +1,7 @@
 """What was tried is kept: a search that was cut off goes on, and nothing else is taken for it or overwritten."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ RANGES = {"start.angle": Uniform(-5 * deg, 8 * deg), "start.stiffness": LogUnifo
 COST = Cost.of({"angle_rmse": deg, "stiffness_rmse": 1.0})
 ASKED = {"method": Method.CMA, "iterations": 4, "starts": 2, "population": 8, "seed": 3}
 ABOUT = {"kind": "tuning", "seed": 3}
+ONE = {"numbers": 1, "slopes": False}
 
 
 def run(path, *, scenarios=STILL, ranges=RANGES, cost=COST, **changes):
@@ -146,11 +148,11 @@ def test_it_does_not_matter_from_where_a_search_goes_on(tmp_path, monkeypatch):
 def test_an_existing_history_is_not_overwritten_and_a_missing_one_not_gone_on_with(tmp_path):
     path = tmp_path / "history.jsonl"
     with pytest.raises(FileError, match="no search to go on with; start it without --resume"):
-        History(path, ABOUT, resume=True)
+        History(path, ABOUT, **ONE, resume=True)
     assert not path.exists()
     path.write_text("my own notes", encoding="utf-8")
     with pytest.raises(FileError, match="history of a search already"):
-        History(path, ABOUT)
+        History(path, ABOUT, **ONE)
     assert path.read_text(encoding="utf-8") == "my own notes"
 
 
@@ -165,12 +167,6 @@ def test_an_existing_history_is_not_overwritten_and_a_missing_one_not_gone_on_wi
         b"3\n",
         b"null\n",
         b'"kind"\n',
-        b'{"kind": "tuning", "seed": 3}\n{"point": [0.5]}\n',
-        b'{"kind": "tuning", "seed": 3}\n{"point": [0.5], "cost": null, "gradient": null}\n',
-        b'{"kind": "tuning", "seed": 3}\n{"point": ["a"], "cost": 1.0, "gradient": null}\n',
-        b'{"kind": "tuning", "seed": 3}\n{"point": [0.5], "cost": 1.0, "gradient": 4}\n',
-        b'{"kind": "tuning", "seed": 3}\n[]\n',
-        b'{"kind": "tuning", "seed": 3}\n{"point": [0.5], "co\n{"point": [0.6], "cost": 1, "gradient": null}\n',
         b'{"kind": "sweep"}\n',
         b"{}\n",
     ],
@@ -179,19 +175,79 @@ def test_what_is_no_history_is_refused_and_left_alone(tmp_path, content):
     path = tmp_path / "history.jsonl"
     path.write_bytes(content)
     with pytest.raises(FileError, match=r"no history of a search|it is a search with"):
-        History(path, ABOUT, resume=True)
+        History(path, ABOUT, **ONE, resume=True)
     assert path.read_bytes() == content
+
+
+GOOD = '{"point": [0.5], "cost": 1.0, "gradient": null}'
+SLOPED = '{"point": [0.5], "cost": 1.0, "gradient": [2.0]}'
+
+
+@pytest.mark.parametrize("slopes", [False, True])
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('{"point": [0.5]}', "it has no point, cost and gradient"),
+        ("[]", "it has no point, cost and gradient"),
+        ("", "Expecting value"),
+        ('{"point": [0.5], "co', "Unterminated string"),
+        ('{"point": [0.5], "cost": null, "gradient": null}', "its cost is no number"),
+        ('{"point": [0.5], "cost": NaN, "gradient": null}', "its cost is no number"),
+        ('{"point": [0.5], "cost": Infinity, "gradient": null}', "its cost is no number"),
+        ('{"point": [0.5], "cost": "1.0", "gradient": null}', "its cost is no number"),
+        ('{"point": [0.5], "cost": true, "gradient": null}', "its cost is no number"),
+        ('{"point": ["a"], "cost": 1.0, "gradient": null}', "its point is no list of numbers"),
+        ('{"point": 0.5, "cost": 1.0, "gradient": null}', "its point is no list of numbers"),
+        ('{"point": [], "cost": 1.0, "gradient": null}', "its point has 0 numbers, not 1"),
+        ('{"point": [0.5, 0.5], "cost": 1.0, "gradient": null}', "its point has 2 numbers, not 1"),
+        ('{"point": [1.5], "cost": 1.0, "gradient": null}', "its point is outside the ranges"),
+        ('{"point": [NaN], "cost": 1.0, "gradient": null}', "its point is outside the ranges"),
+        (None, "it has a gradient|its gradient is no list of numbers"),
+        ('{"point": [0.5], "cost": 1.0, "gradient": 4}', "it has a gradient|its gradient is no list of numbers"),
+        ('{"point": [0.5], "cost": 1.0, "gradient": [1, 2]}', "it has a gradient|its gradient has 2 numbers, not 1"),
+    ],
+)
+def test_a_line_that_is_no_trial_of_this_search_is_named(tmp_path, line, said, slopes):
+    path = tmp_path / "history.jsonl"
+    good, other = (SLOPED, GOOD) if slopes else (GOOD, SLOPED)
+    line = other if line is None else line
+    content = "\n".join([json.dumps(ABOUT), good, line, good.replace("0.5", "0.6"), line, ""])
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(
+        FileError, match=f"line 3: it is no trial of this search: ({said}).*; remove the line"
+    ) as refused:
+        History(path, ABOUT, numbers=1, slopes=slopes, resume=True)
+    assert [problem.line for problem in refused.value.problems] == [3, 5]
+    assert path.read_text(encoding="utf-8") == content
+    path.write_text(content.replace(f"\n{line}\n", "\n"), encoding="utf-8")
+    assert len(History(path, ABOUT, numbers=1, slopes=slopes, resume=True).trials) == 2
+
+
+def test_a_search_that_another_process_goes_on_with_is_left_to_it(tmp_path):
+    path = tmp_path / "deep" / "history.jsonl"
+    with History.kept(path, ABOUT, **ONE) as first:
+        with (
+            pytest.raises(
+                FileError, match=rf"another process \(pid {os.getpid()} on .*\) is going on with this search"
+            ),
+            History.kept(path, ABOUT, **ONE, resume=True),
+        ):
+            pytest.fail("two at once")
+        first.add([Trial((0.5,), 1.0)])
+    with History.kept(path, ABOUT, **ONE, resume=True) as again:
+        assert len(again.trials) == 1
+    assert [file.name for file in path.parent.iterdir()] == ["history.jsonl"]
 
 
 def test_trials_come_back_to_the_last_bit(tmp_path):
     path, rng = tmp_path / "history.jsonl", np.random.default_rng(0)
     trials = [Trial(tuple(rng.random(3).tolist()), float(c), tuple(rng.normal(size=3))) for c in rng.random(20)]
-    trials.append(Trial((0.0, 1.0, 0.1 + 0.2), 1e6, None))
-    kept = History(path, ABOUT)
+    trials.append(Trial((0.0, 1.0, 0.1 + 0.2), 1e6, (0.0, 1e-300, -1e300)))
+    kept = History(path, ABOUT, numbers=3, slopes=True)
     kept.add(trials[:7])
     kept.add(trials[5:])  # two of them again
     kept.add([])
-    again = History(path, ABOUT, resume=True)
+    again = History(path, ABOUT, numbers=3, slopes=True, resume=True)
     assert again.trials == kept.trials == trials
     assert len(path.read_text().splitlines()) == 1 + len(trials)
     assert again.find(np.array(trials[3].point)) == trials[3]
@@ -203,7 +259,7 @@ def test_trials_come_back_to_the_last_bit(tmp_path):
 def test_of_equal_costs_the_best_does_not_depend_on_who_came_first():
     one, other = Trial((0.1, 0.9), 1.0), Trial((0.2, 0.1), 1.0)
     for order in ([one, other], [other, one]):
-        kept = History(None, ABOUT)
+        kept = History(None, ABOUT, numbers=2, slopes=False)
         kept.add(order)
         assert kept.best == one
 

@@ -48,8 +48,9 @@ def said():
 
 @pytest.fixture(scope="module")
 def found(method, said):
-    said[method] = []
-    return tune(STILL, RANGES, COST, method=method, progress=said[method].append, **SMALL)
+    said[method], said[method, "least"] = [], []
+    told = {"progress": said[method].append, "least": said[method, "least"].append}
+    return tune(STILL, RANGES, COST, method=method, **told, **SMALL)
 
 
 def test_each_method_finds_where_nothing_has_to_move(method):
@@ -71,6 +72,10 @@ def test_what_is_told_of_a_search(method, found, said):
     assert said[method][0] == 0.0
     assert said[method][-1] == 1.0
     assert said[method] == sorted(said[method])
+    least = said[method, "least"]
+    assert least == sorted(least, reverse=True)
+    assert len(least) == len(said[method]) - 1  # at the very beginning there is none
+    assert least[-1] == min(trial.cost for trial in found.trials)
     for name, value in found.values.items():
         assert RANGES[name].low <= value <= RANGES[name].high
         shown = value / (deg if name == "start.angle" else 1)

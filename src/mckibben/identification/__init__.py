@@ -1,21 +1,43 @@
 """From measured points to a force law: least squares, uncertainty, errors at unseen points."""
 
+from mckibben.identification.bands import Band, ForceBand, Interval
+from mckibben.identification.bootstrap import Bootstrap, bootstrap
 from mckibben.identification.design import design_matrix
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.fitting import identify
+from mckibben.identification.groups import Grouping
+from mckibben.identification.posterior import Noise, Posterior, posterior
+from mckibben.identification.profile import Profile, profile
+from mckibben.identification.ranking import Ranked, Ranking, rank
 from mckibben.identification.storage import read_law
+from mckibben.identification.structure import Structure
 from mckibben.identification.validation import Errors, HoldOut, Validation, hold_out, validate
 
 __all__ = [
+    "Band",
+    "Bootstrap",
     "DatasetSummary",
     "Errors",
     "Fit",
+    "ForceBand",
+    "Grouping",
     "HoldOut",
+    "Interval",
     "LeaveOnePressureOut",
+    "Noise",
+    "Posterior",
+    "Profile",
+    "Ranked",
+    "Ranking",
+    "Structure",
     "Validation",
+    "bootstrap",
     "design_matrix",
     "hold_out",
     "identify",
+    "posterior",
+    "profile",
+    "rank",
     "read_law",
     "validate",
 ]

@@ -8,8 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from mckibben.errors import IdentificationError
+from mckibben.identification.bands import ForceBand, Interval, force_band, parameter_interval
+from mckibben.identification.evidence import Evidence, RobustErrors
+from mckibben.identification.groups import Grouping
 from mckibben.muscle import ForceLaw
 from mckibben.units import bar, factor
 
@@ -61,8 +65,8 @@ class Fit:
     law
         The law with the estimates; its domain is the range of the points used.
     standard_errors
-        By parameter, in SI; NaN where the parameter is at a bound. See `mckibben.identification.uncertainty`
-        for what they assume.
+        By parameter, in SI; NaN where the parameter is at a bound. These are the classical ones, which take the
+        points as independent: see `mckibben.identification.uncertainty`, and `robust` for better ones.
     correlations
         Shape (parameters, parameters), in the order of `estimates`.
     rmse
@@ -80,6 +84,12 @@ class Fit:
     residuals
         Shape (points_used,): measured minus fitted force [N], in the order of the taut points of the
         dataset; None in a fit that was read from a file.
+    robust
+        Standard errors for points that may share an error, as the points of a stroke do: what the intervals rest on.
+        None where too few groups of points are there to have them; a warning then says why.
+    evidence
+        The points and the solution at them, from which bands, profiles and bootstraps are made; None in a fit that
+        was read from a file.
     """
 
     law: ForceLaw
@@ -93,6 +103,8 @@ class Fit:
     warnings: tuple[str, ...]
     dataset: DatasetSummary
     residuals: NDArray[np.float64] | None = field(default=None, repr=False)
+    robust: RobustErrors | None = field(default=None, repr=False)
+    evidence: Evidence | None = field(default=None, repr=False)
 
     @property
     def estimates(self) -> dict[str, float]:
@@ -105,6 +117,78 @@ class Fit:
         errors = np.array([self.standard_errors[name] for name in self.estimates])
         return self.correlations * np.outer(errors, errors)
 
+    def intervals(self, level: float = 0.95, *, by: Grouping | None = None) -> dict[str, Interval]:
+        """By parameter, in SI: an interval that holds the true value in this share of data sets.
+
+        Parameters
+        ----------
+        level
+            That share.
+        by
+            Which points may share an error; unless said, as `mckibben.identification.evidence.Evidence.rule` has it:
+            those of a stroke, or of a pressure where strokes are not recorded. ``Grouping.POINT`` gives the classical
+            intervals.
+
+        Raises
+        ------
+        IdentificationError
+            If there are no such groups, or the fit was read from a file that does not keep what is asked for.
+        """
+        errors, freedom = self._errors(by)
+        return {
+            name: parameter_interval(value, errors[name], freedom[name], level)
+            for name, value in self.estimates.items()
+        }
+
+    def force_band(
+        self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95, by: Grouping | None = None
+    ) -> ForceBand:
+        """The force of the law [N] with its uncertainty, and where a further measurement would lie.
+
+        Parameters
+        ----------
+        contraction, pressure
+            Where [-], [Pa]; they broadcast.
+        level, by
+            As for `intervals`; the intervals hold point by point, not for a whole curve at once.
+
+        Returns
+        -------
+        ForceBand
+            Of the law, which may turn negative where the muscle is slack.
+
+        Raises
+        ------
+        IdentificationError
+            As `intervals`; and if the fit was read from a file, which does not keep the points.
+        """
+        return force_band(self.law, self.known_evidence(), contraction, pressure, level=level, by=by)
+
+    def known_evidence(self) -> Evidence:
+        """What the fit rests on.
+
+        Raises
+        ------
+        IdentificationError
+            If the fit was read from a file, which does not keep the points.
+        """
+        if self.evidence is None:
+            raise IdentificationError(
+                f"this fit of {type(self.law).__name__} was read from a file, which does not keep its points",
+                remedy="identify it again from the data",
+            )
+        return self.evidence
+
+    def _errors(self, by: Grouping | None) -> tuple[Mapping[str, float], Mapping[str, float]]:
+        """Standard errors and degrees of freedom by parameter."""
+        if self.robust and by in (None, self.robust.by):
+            return self.robust.standard_errors, self.robust.degrees_of_freedom
+        if by in (None, Grouping.POINT):
+            free = sum(not np.isnan(error) for error in self.standard_errors.values())
+            return self.standard_errors, dict.fromkeys(self.standard_errors, float(self.points_used - free))
+        found = self.known_evidence().robust_errors(by)
+        return found.standard_errors, found.degrees_of_freedom
+
     def strongest_correlations(self, count: int = 3) -> list[tuple[str, str, float]]:
         """The pairs of parameters that the data tell apart worst, worst first."""
         names = list(self.estimates)
@@ -116,15 +200,26 @@ class Fit:
         ]
         return sorted(pairs, key=lambda pair: -abs(pair[2]))[:count]
 
-    def report(self) -> str:
-        """The fit as text: parameters in the units of publications, errors, correlations, warnings."""
+    def report(self, level: float = 0.95) -> str:
+        """The fit as text: parameters in the units of publications, errors, intervals, correlations, warnings."""
         law = type(self.law)
-        rows = [("parameter", "estimate", "standard error", "unit", "meaning")]
+        errors, intervals = self._errors(None)[0], self.intervals(level)
+        share = f"{100 * level:g} % interval"
+        rows = [("parameter", "estimate", "standard error", "unit", share, "meaning")]
         for p in law.parameters():
             scale = factor(p.shown)
-            error = self.standard_errors[p.name] / scale
-            shown_error = f"{error:.2g}" if np.isfinite(error) else "at its bound"
-            rows.append((p.name, f"{self.estimates[p.name] / scale:.6g}", shown_error, p.shown, p.meaning))
+            error, (low, high) = errors[p.name] / scale, intervals[p.name]
+            known = bool(np.isfinite(error))
+            rows.append(
+                (
+                    p.name,
+                    f"{self.estimates[p.name] / scale:.6g}",
+                    f"{error:.2g}" if known else "at its bound",
+                    p.shown,
+                    f"{low / scale:.5g} .. {high / scale:.5g}" if known else "-",
+                    p.meaning,
+                )
+            )
         levels = np.array(self.dataset.pressures) / bar
         lines = [
             f"{law.__name__}: {law.equation}",
@@ -133,6 +228,7 @@ class Fit:
             f"domain: {self.law.domain}",
             "",
             *_table(rows),
+            self._said_of_errors(),
             "",
             f"residuals: RMSE {self.rmse:.3g} N, maximum {self.max_error:.3g} N",
         ]
@@ -142,6 +238,19 @@ class Fit:
             lines.append("strongest correlations: " + ", ".join(f"{a}, {b} {r:+.4f}" for a, b, r in pairs))
         lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
+
+    def _said_of_errors(self) -> str:
+        if self.robust is None:
+            return "standard errors: classical, as if the errors of all points were independent"
+        ratios = [
+            e / self.standard_errors[n] for n, e in self.robust.standard_errors.items() if self.standard_errors[n]
+        ]
+        freedom = list(self.robust.degrees_of_freedom.values())
+        return (
+            f"standard errors: the points of a {self.robust.by.value} may share an error "
+            f"({self.robust.by.counted(self.robust.groups)}; CR2, {np.nanmin(freedom):.1f}..{np.nanmax(freedom):.1f} "
+            f"degrees of freedom); {np.nanmin(ratios):.2g}..{np.nanmax(ratios):.2g} times the classical ones"
+        )
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write all but the residuals to a file for people and `from_yaml`; numbers come back exactly."""

@@ -27,6 +27,8 @@ class FitProblem:
     kept
         Shape (n,): the points that count. The law is evaluated at all of them, so that leaving some out compiles
         nothing anew.
+    weights
+        Shape (n,): how often each point counts; once unless given.
     """
 
     law_type: type[ForceLaw]
@@ -34,6 +36,7 @@ class FitProblem:
     pressure: NDArray[np.float64] = field(repr=False)
     force: NDArray[np.float64] = field(repr=False)
     kept: NDArray[np.bool_] = field(repr=False)
+    weights: NDArray[np.float64] | None = field(default=None, repr=False)
 
     @classmethod
     def of(cls, law_type: type[ForceLaw], points: IsobaricDataset) -> FitProblem:
@@ -52,6 +55,10 @@ class FitProblem:
     def keeping(self, kept: NDArray[np.bool_]) -> FitProblem:
         """The same with only those points kept; shape (m,) with m <= n, in the order of the points."""
         return replace(self, kept=np.pad(kept, (0, len(self.kept) - len(kept))))
+
+    def weighing(self, weights: NDArray[np.float64]) -> FitProblem:
+        """The same with each point counted so many times; shape (m,) with m <= n, in the order of the points."""
+        return replace(self, weights=np.pad(weights, (0, len(self.kept) - len(weights))))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -82,17 +89,22 @@ class FitProblem:
 
         All 0 at points not kept: they change no sum of squares, and no array need be cut for each set of points.
         """
-        points = self.contraction, self.pressure, self.force, self._weights
+        points = self.contraction, self.pressure, self.force, self.factors
         return np.asarray(design_and_residuals(self.law_type, values, *points))
 
     def response(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Residuals [N], shape (kept,), and design matrix, shape (kept, parameters), at the kept points."""
+        """Residuals [N], shape (kept,), and design matrix, shape (kept, parameters), at the kept points.
+
+        Both times the root of the weights, where there are any.
+        """
         rows = self.rows(values)[:, self.kept]
         return rows[-1], rows[:-1].T
 
     @cached_property
-    def _weights(self) -> NDArray[np.float64]:
-        return self.kept.astype(np.float64)
+    def factors(self) -> NDArray[np.float64]:
+        """Shape (n,): what each residual is multiplied by, 0 where a point does not count."""
+        kept = self.kept.astype(np.float64)
+        return kept if self.weights is None else kept * np.sqrt(self.weights)
 
 
 @dataclass(frozen=True, eq=False)

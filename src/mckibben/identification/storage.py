@@ -17,8 +17,10 @@ import numpy as np
 
 from mckibben.errors import Problem, ScenarioError, UnitError
 from mckibben.files import whole
+from mckibben.identification.evidence import RobustErrors
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
-from mckibben.muscle import LAWS, Domain, ForceLaw
+from mckibben.identification.groups import Grouping
+from mckibben.muscle import LAWS, Domain, ForceLaw, Parameter
 from mckibben.units import factor, quantity, show
 
 
@@ -34,7 +36,12 @@ def write_fit(fit: Fit, path: Path) -> None:
     for p in law.parameters():
         estimate, error = fit.estimates[p.name], fit.standard_errors[p.name]
         numbers = f"estimate: {_number(estimate)}, standard_error: {_number(error)}"
+        if robust := fit.robust:
+            numbers += f", robust_error: {_number(robust.standard_errors[p.name])}"
+            numbers += f", degrees_of_freedom: {_number(robust.degrees_of_freedom[p.name])}"
         lines.append(f"  {p.name}: {{{numbers}, unit: {_text(p.unit)}}}  # {show(estimate, p.shown)}: {p.meaning}")
+    if robust := fit.robust:
+        lines.append(f"robust: {{by: {robust.by.value}, groups: {robust.groups}}}  # whose points may share an error")
     domain = fit.law.domain
     lines += [
         "domain:",
@@ -108,6 +115,7 @@ def read_fit(path: Path) -> Fit:
             page.number(lopo, "max", "N"),
             dict(zip(pressures, by_pressure, strict=False)),
         )
+    robust = page.robust(parameters) if "robust" in top else None
     data = page.section(top, "dataset")
     fit_fields = {
         "standard_errors": errors,
@@ -125,7 +133,7 @@ def read_fit(path: Path) -> Fit:
     }
     page.finish()
     assert law is not None
-    return Fit(law=law, leave_one_pressure_out=unseen, **fit_fields)
+    return Fit(law=law, leave_one_pressure_out=unseen, robust=robust, **fit_fields)
 
 
 class _Page:
@@ -177,6 +185,23 @@ class _Page:
             *(self.number(pressure, key, "Pa", infinite=True) for key in ("min", "max")),
         )
         return law_type(**values, domain=box) if len(self.problems) == before else None
+
+    def robust(self, parameters: Sequence[Parameter]) -> RobustErrors | None:
+        """Errors by groups of points; None where something is wrong with them."""
+        before = len(self.problems)
+        section, listed = self.section(self.top, "robust"), self.section(self.top, "parameters")
+        by, known = self.text(section, "by"), [g.value for g in Grouping if g is not Grouping.POINT]
+        if by not in known and len(self.problems) == before:
+            self.wrong(section, "by", f"{by!r} is no group of points", f"take one of {', '.join(known)}")
+        errors, freedom = {}, {}
+        for p in parameters:
+            row = self.section(listed, p.name)
+            errors[p.name] = self.number(row, "robust_error", p.unit, nan=True)
+            freedom[p.name] = self.entry(row, "degrees_of_freedom")
+            if freedom[p.name] is not None and not _is_number(freedom[p.name]):
+                self.wrong(row, "degrees_of_freedom", f"{freedom[p.name]!r} is no number")
+        groups = self.count(section, "groups")
+        return RobustErrors(Grouping(by), groups, errors, freedom) if len(self.problems) == before else None
 
     def wrong(self, section: Mapping[str, Any], key: str, message: str, remedy: str = "") -> None:
         marks = getattr(section, "lc", None)

@@ -5,11 +5,13 @@ from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.html import write_report
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric, isobaric_curves, law_comparison, measured_muscles
+from mckibben.report.ranking import ranking
 from mckibben.report.style import house_style, save
 from mckibben.report.sweep import sweep
 from mckibben.report.tracking import control_results, tracking
 from mckibben.report.tracking_errors import error_curves
 from mckibben.report.tuning import tuning
+from mckibben.report.uncertainty import force_bands, profile_likelihood
 
 __all__ = [
     "ReportFigure",
@@ -18,12 +20,15 @@ __all__ = [
     "controller_comparison",
     "error_curves",
     "figures",
+    "force_bands",
     "gain_histories",
     "house_style",
     "isobaric",
     "isobaric_curves",
     "law_comparison",
     "measured_muscles",
+    "profile_likelihood",
+    "ranking",
     "save",
     "sweep",
     "torque_stiffness_map",

@@ -1,0 +1,163 @@
+"""Whether 95 % intervals hold the truth 95 % of the time, over many synthetic data sets.
+
+    python benchmarks/coverage.py [--sets 2000]
+
+The truth is Eq. 3, measured as the rig does: loading and unloading at each pressure, noise within a plateau correlated
+from sample to sample (so that only its mean is a measurement), and in every other row an error common to each stroke.
+Each data set goes through the estimator of `identify`. Prints the table of docs/uncertainty.md; takes a few minutes.
+"""
+
+import argparse
+import dataclasses
+
+import equinox as eqx
+import numpy as np
+from scipy.signal import lfilter
+
+from mckibben import catalog
+from mckibben.dataset import IsobaricDataset
+from mckibben.identification import DatasetSummary, Fit, Grouping
+from mckibben.identification.evidence import Evidence
+from mckibben.identification.problem import FitProblem
+from mckibben.identification.projection import search, solve_by_projection
+from mckibben.identification.uncertainty import uncertainty
+from mckibben.muscle import ExponentialLaw, forces
+from mckibben.study.uncertainty import joint_bands
+from mckibben.units import bar, percent
+
+EQ_3 = catalog.law("lei-mas-10-180n")
+TRUTH = np.array([float(getattr(EQ_3, p.name)) for p in ExponentialLaw.parameters()])
+AT = (8 * percent, 3.3 * bar)
+ANGLE, PRESSURES = 0.1, (4 * bar, 4.5 * bar)
+SAMPLES, AGREEMENT = 40, 0.9  # of a plateau, and between neighbouring samples
+LEVELS = np.arange(2, 6.1, 0.5) * bar
+
+
+def design(levels, directions=2) -> IsobaricDataset:
+    """Where the muscle pulls by more than 10 N, so that noise makes nothing slack."""
+    rows = [
+        (p, eps, direction)
+        for p in levels
+        for direction in ("loading", "unloading")[:directions]
+        for eps in np.linspace(-3, 20, 13) * percent
+        if float(EQ_3.force(eps, p)) > 10
+    ]
+    pressure, contraction, direction = (np.array(column) for column in zip(*rows, strict=True))
+    return IsobaricDataset.of(
+        pressure=pressure, contraction=contraction, force=forces(EQ_3, contraction, pressure), direction=direction
+    )
+
+
+def plateaus(points: int, sets: int, seed: int) -> np.ndarray:
+    """Noise of 2 N within plateaus, shape (sets, points, samples): each sample agrees with the one before."""
+    white = np.random.default_rng(seed).normal(size=(sets, points, SAMPLES))
+    white[..., 1:] *= np.sqrt(1 - AGREEMENT**2)
+    return 2.0 * np.asarray(lfilter([1.0], [1.0, -AGREEMENT], white, axis=-1))
+
+
+def strokes(points: IsobaricDataset, labels, sets: int, seed: int, size=2.0) -> np.ndarray:
+    """An error common to the points of each stroke [N], shape (sets, points)."""
+    return size * np.random.default_rng(seed).normal(size=(sets, labels.max() + 1))[:, labels]
+
+
+def starts(problem: FitProblem, measured: np.ndarray) -> np.ndarray:
+    """What `search` finds for each row of forces, shape (sets, shape): all rows at a place of the grid at once."""
+    places = list(problem.cube.grid())
+    costs = []
+    for place in places:
+        values = np.concatenate([np.zeros(problem.linear), problem.cube.values(place)])
+        columns = dataclasses.replace(problem, force=np.zeros_like(problem.force)).response(values)[1]
+        linear = columns[:, : problem.linear]
+        q, _ = np.linalg.qr(linear / np.linalg.norm(linear, axis=0))
+        costs.append(np.sum(measured**2, axis=1) - np.sum((measured @ q) ** 2, axis=1))
+    return np.array(places)[np.argmin(costs, axis=0)]
+
+
+def fits(points: IsobaricDataset, measured: np.ndarray):
+    """The estimator on each row, without the refits to parts of the points."""
+    problem = FitProblem.of(ExponentialLaw, points)
+    pad = len(problem.force) - len(points)
+    for i, (row, start) in enumerate(zip(measured, starts(problem, measured), strict=True)):
+        this = dataclasses.replace(problem, force=np.pad(row, (0, pad), mode="edge"))
+        if i < 5:
+            np.testing.assert_array_equal(start, search(this))
+        solution = solve_by_projection(this, start)
+        held = np.zeros(7, bool)
+        evidence = Evidence(points, this, solution, held)
+        spread = uncertainty(solution.jacobian, solution.residuals, held)
+        by = evidence.rule[0]
+        yield Fit(
+            law=this.law(solution.values),
+            standard_errors=dict(zip(this.names, spread.standard_errors, strict=True)),
+            correlations=spread.correlations,
+            rmse=0.0,
+            max_error=0.0,
+            points_used=len(points),
+            points_slack=0,
+            leave_one_pressure_out=None,
+            warnings=(),
+            dataset=DatasetSummary("", "", ()),
+            robust=None if by is Grouping.POINT else evidence.robust_errors(by),
+            evidence=evidence,
+        )
+
+
+def covered(points, measured, further, knee, groupings):
+    """The share of data sets whose interval holds the truth, by grouping: 7 parameters, a force, a further measurement,
+    and for errors by stroke the stiffness of a joint."""
+    true_joint = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), knee, (EQ_3, EQ_3))
+    stiffness = float(true_joint.stiffness(ANGLE, PRESSURES))
+    force = float(EQ_3.force(*AT))
+    inside = {by: np.zeros(10 if by is Grouping.STROKE else 9) for by in groupings}
+    for fit, error in zip(fits(points, measured), further, strict=True):
+        for by in groupings:
+            bounds = list(fit.intervals(by=by).values())
+            band = fit.force_band(*AT, by=by)
+            bounds += [(band.mean.lower, band.mean.upper), (band.measurement.lower, band.measurement.upper)]
+            truths = [*TRUTH, force, force + error]
+            if by is Grouping.STROKE:
+                joint = joint_bands(knee, fit, ANGLE, PRESSURES, by=by).stiffness
+                bounds, truths = [*bounds, (joint.lower, joint.upper)], [*truths, stiffness]
+            inside[by] += [low <= truth <= high for (low, high), truth in zip(bounds, truths, strict=True)]
+    return {by: count / len(measured) for by, count in inside.items()}
+
+
+def stroke_labels(points: IsobaricDataset) -> np.ndarray:
+    """The number of each point's stroke."""
+    loading = points.table["direction"].to_numpy() == "loading"
+    return np.unique(np.stack([points.levels, loading]), axis=1, return_inverse=True)[1].reshape(-1)
+
+
+def shares(points, knee, sets: int, *, common: bool):
+    """`covered` for so many data sets, with or without an error common to each stroke."""
+    noise = plateaus(len(points) + 1, sets, seed=1).mean(axis=-1)
+    measured, further = points.force + noise[:, :-1], noise[:, -1]
+    if common:
+        measured = measured + strokes(points, stroke_labels(points), sets, seed=2)
+        further = further + 2.0 * np.random.default_rng(3).normal(size=sets)
+    return covered(points, measured, further, knee, (Grouping.POINT, Grouping.STROKE))
+
+
+def pre_contracted_knee():
+    """The knee of Table 2 with connectors of 208 mm."""
+    return eqx.tree_at(lambda j: j.geometry.connector_length, catalog.joint("knee-table-2"), 0.208)
+
+
+def main():
+    parser = argparse.ArgumentParser(description="How often 95 % intervals hold the truth.")
+    parser.add_argument("--sets", type=int, default=2000, help="data sets a row")
+    sets, knee = parser.parse_args().sets, pre_contracted_knee()
+    print("| strokes | points | errors | by stroke | classical |\n|---|---|---|---|---|")
+    for step in (0.5, 1.0, 2.0):
+        points = design(np.arange(2, 6.1, step) * bar)
+        for common, name in ((False, "independent"), (True, "2 N common to each stroke")):
+            found = shares(points, knee, sets, common=common)
+            cells = (
+                f"{100 * found[by].min():.1f} .. {100 * found[by].max():.1f} %"
+                for by in (Grouping.STROKE, Grouping.POINT)
+            )
+            print(f"| {stroke_labels(points).max() + 1} | {len(points)} | {name} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

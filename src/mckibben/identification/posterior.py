@@ -1,0 +1,290 @@
+r"""The posterior of a law's parameters, drawn by NUTS: where intervals and bands are to come from a full noise model.
+
+.. math:: F_i = F_\theta(\varepsilon_i, p_i) + u_{g(i)} + e_i, \qquad u_g \sim N(0, \tau^2)
+
+The :math:`e_i` are Gaussian of the size :math:`\sigma`, or Student with unknown degrees of freedom, which lets outliers
+be; the :math:`u_g` are an error common to the points of a group, and may be left out. The priors: flat for linear
+parameters, even in the coordinate of the search (the logarithm where a range is positive) for the shape, 1/sigma for
+sigma, half a normal of twice the residuals' size for tau, Gamma(2, 0.1) for the degrees of freedom. So with Gaussian
+errors alone and a law linear in its parameters the posterior is the classical t distribution.
+
+It needs the package numpyro: ``pip install 'mckibben[bayes]'``.
+
+References
+----------
+M. Hoffman and A. Gelman, "The No-U-Turn Sampler", J. Machine Learning Research 15 (2014) 1593-1623; M. Juarez and M.
+Steel, J. Business and Economic Statistics 28 (2010) 52-66, for the prior of the degrees of freedom.
+"""
+
+from __future__ import annotations
+
+import enum
+import functools
+import importlib.util
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mckibben.errors import IdentificationError, ParameterError, RangeError
+from mckibben.identification.bands import Band, Interval, check_level
+from mckibben.identification.draws import law_forces
+from mckibben.identification.evidence import Evidence
+from mckibben.identification.fit import Fit
+from mckibben.identification.groups import Grouping, group_labels
+from mckibben.identification.ranges import UnitCube
+from mckibben.muscle import ForceLaw
+
+_RHAT = 1.05
+_FEWEST_EFFECTIVE = 100
+
+
+class Noise(enum.Enum):
+    """How plateau means scatter about the law.
+
+    Attributes
+    ----------
+    GAUSSIAN
+        Normally.
+    STUDENT
+        With heavy tails: an outlier weighs less.
+    """
+
+    GAUSSIAN = "gaussian"
+    STUDENT = "student"
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Draws from the posterior.
+
+    Attributes
+    ----------
+    law
+        The least-squares fit, at which the chains started.
+    draws
+        Shape (draws, parameters), in SI, in the order of the law's parameters.
+    noise
+        Draws of what describes the errors: ``sigma`` [N], with groups ``tau`` [N], with Student ``freedom`` [-].
+    by
+        Whose points share an error; None if none do.
+    r_hat, effective
+        The worst potential scale reduction, and the smallest effective sample size, over all numbers.
+    divergences
+        Of the sampler.
+    warnings
+        Sentences: what is not to be trusted.
+    """
+
+    law: ForceLaw
+    draws: NDArray[np.float64] = field(repr=False)
+    noise: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    by: Grouping | None
+    r_hat: float
+    effective: float
+    divergences: int
+    warnings: tuple[str, ...]
+
+    @property
+    def standard_deviations(self) -> dict[str, float]:
+        """By parameter, in SI."""
+        return dict(zip(self._names, np.std(self.draws, axis=0, ddof=1).tolist(), strict=True))
+
+    def intervals(self, level: float = 0.95) -> dict[str, Interval]:
+        """By parameter, in SI: the share of the posterior with as much left out below as above."""
+        lower, upper = np.quantile(self.draws, _tails(level), axis=0)
+        return {n: Interval(*ends) for n, *ends in zip(self._names, lower.tolist(), upper.tolist(), strict=True)}
+
+    def force_band(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> Band:
+        """The force of the law [N] at contractions [-] and pressures [Pa]: posterior mean and interval."""
+        forces = law_forces(type(self.law), self.draws, contraction, pressure)
+        lower, upper = np.quantile(forces, _tails(level), axis=0)
+        value, error = forces.mean(axis=0), np.std(forces, axis=0, ddof=1)
+        return Band(level, value, error, np.full_like(value, np.inf), lower, upper)
+
+    @property
+    def _names(self) -> list[str]:
+        return [p.name for p in type(self.law).parameters()]
+
+
+def posterior(
+    fit: Fit,
+    *,
+    noise: Noise = Noise.GAUSSIAN,
+    by: Grouping | None = None,
+    draws: int = 1000,
+    warmup: int = 500,
+    chains: int = 2,
+    seed: int = 0,
+) -> Posterior:
+    """Draw from the posterior of the parameters.
+
+    Parameters
+    ----------
+    fit
+        As `identify` returned it; the chains start there.
+    noise
+        How plateau means scatter.
+    by
+        Whose points share an error, such as `Grouping.STROKE`; none unless said.
+    draws, warmup
+        Of each chain; what is drawn while the sampler adapts is thrown away.
+    chains
+        How many, one after the other.
+    seed
+        The same seed gives the same draws.
+
+    Raises
+    ------
+    ParameterError
+        If the package numpyro is missing.
+    IdentificationError
+        If the fit was read from a file, a parameter is at its bound, or the groups are not recorded.
+    RangeError
+        If there is nothing to draw.
+    """
+    if importlib.util.find_spec("numpyro") is None:
+        raise ParameterError("a posterior needs the package numpyro", remedy="pip install 'mckibben[bayes]'")
+    for name, value, lowest in (("draws", draws, 100), ("warmup", warmup, 100), ("chains", chains, 1)):
+        if value < lowest:
+            raise RangeError(f"{name} = {value} is too few", value=value, lower=lowest, remedy=f"give {lowest} or more")
+    evidence = fit.known_evidence()
+    if evidence.held.any():
+        held = ", ".join(name for name, out in zip(evidence.problem.names, evidence.held, strict=True) if out)
+        raise IdentificationError(
+            f"{held} of {type(fit.law).__name__} is at its bound: a posterior would pile up there",
+            remedy="take a law that the data determine, or measure where the parameter matters",
+        )
+
+    if by is Grouping.POINT:
+        by = None
+    data = _data(evidence, by)
+
+    import jax
+    from numpyro.diagnostics import (  # pyright: ignore[reportMissingImports]
+        effective_sample_size,
+        split_gelman_rubin,
+    )
+    from numpyro.infer import MCMC, NUTS, init_to_value  # pyright: ignore[reportMissingImports]
+
+    model = _model(type(fit.law), noise, by is not None)
+    start = {"white": np.zeros(len(evidence.problem.names)), "log_sigma": np.zeros(())}
+    if by is not None:
+        start |= {"tau": np.asarray(0.5)}
+    if noise is Noise.STUDENT:
+        start |= {"freedom": np.asarray(10.0)}
+    kernel = NUTS(model, init_strategy=init_to_value(values=start))
+    sampler = MCMC(
+        kernel, num_warmup=warmup, num_samples=draws, num_chains=chains, chain_method="sequential", progress_bar=False
+    )
+    sampler.run(jax.random.PRNGKey(seed), **data, extra_fields=("diverging",))
+    found = {name: np.asarray(values) for name, values in sampler.get_samples(group_by_chain=True).items()}
+    divergences = int(np.sum(np.asarray(sampler.get_extra_fields()["diverging"])))
+    found.pop("common", None)
+    scale = float(data["spread"])
+    scatter = {"sigma": scale * np.exp(found["log_sigma"]).ravel()}
+    if by is not None:
+        scatter["tau"] = scale * found["tau"].ravel()
+    if noise is Noise.STUDENT:
+        scatter["freedom"] = found["freedom"].ravel()
+    r_hat = max(float(np.max(split_gelman_rubin(values))) for values in found.values())
+    effective = min(float(np.min(effective_sample_size(values))) for values in found.values())
+    white = found["white"].reshape(-1, found["white"].shape[-1])
+    coordinates = data["centre"] + white @ data["whitening"].T
+    linear = evidence.problem.linear
+    values = coordinates.copy()
+    for column, shape in enumerate(evidence.problem.cube.values(coordinates[:, linear:].T), start=linear):
+        values[:, column] = shape
+    return Posterior(
+        fit.law, values, scatter, by, r_hat, effective, divergences, _doubts(r_hat, effective, divergences)
+    )
+
+
+def _tails(level: float) -> list[float]:
+    check_level(level)
+    return [(1 - level) / 2, (1 + level) / 2]
+
+
+def _doubts(r_hat: float, effective: float, divergences: int) -> tuple[str, ...]:
+    doubts = []
+    if not r_hat < _RHAT:
+        doubts.append(f"the chains do not agree (r_hat {r_hat:.3f}): draw more")
+    if effective < _FEWEST_EFFECTIVE:
+        doubts.append(f"the draws are worth {effective:.0f} independent ones: draw more")
+    if divergences:
+        doubts.append(f"the sampler diverged {divergences} times: part of the posterior may be missing")
+    return tuple(doubts)
+
+
+def _data(evidence: Evidence, by: Grouping | None) -> dict[str, Any]:
+    """What the model is about; its coordinates are white at the fit: centre + whitening times standard normals."""
+    problem, solution, points = evidence.problem, evidence.solution, evidence.points
+    rates = np.concatenate([np.ones(problem.linear), problem.cube.rates(solution.position)])
+    jacobian = solution.jacobian * rates
+    spread = float(np.sqrt(solution.residuals @ solution.residuals / (len(points) - len(rates))))
+    lengths = np.linalg.norm(jacobian, axis=0)
+    triangle = np.linalg.qr(jacobian / lengths, mode="r")
+    whitening = spread * np.linalg.inv(triangle) / lengths[:, None]
+    labels = group_labels(points, by) if by is not None else np.zeros(len(points), np.int64)
+    order = np.argsort(labels, kind="stable")
+    return {
+        "contraction": points.contraction[order],
+        "pressure": points.pressure[order],
+        "force": points.force[order],
+        "labels": labels[order],
+        "counts": np.bincount(labels).astype(float),
+        "centre": np.concatenate([solution.values[: problem.linear], solution.position]),
+        "whitening": whitening,
+        "spread": spread,
+    }
+
+
+@functools.cache
+def _model(law_type: type[ForceLaw], noise: Noise, grouped: bool) -> Callable[..., None]:
+    import jax.numpy as jnp
+    import numpyro  # pyright: ignore[reportMissingImports]
+    from numpyro import distributions as dist  # pyright: ignore[reportMissingImports]
+
+    names = [p.name for p in law_type.parameters()]
+    linear = len(law_type.linear_parameters)
+    cube = UnitCube(law_type.shape_parameters)
+
+    def model(
+        contraction: Any,
+        pressure: Any,
+        force: Any,
+        labels: Any,
+        counts: Any,
+        centre: Any,
+        whitening: Any,
+        spread: Any,
+    ) -> None:
+        white = numpyro.sample(
+            "white", dist.ImproperUniform(dist.constraints.real_vector, (), event_shape=(len(names),))
+        )
+        coordinates = centre + whitening @ white
+        position = coordinates[linear:]
+        numpyro.factor("range", jnp.where(jnp.all((position >= 0) & (position <= 1)), 0.0, -jnp.inf))
+        position = jnp.clip(position, 0.0, 1.0)
+        values = [*coordinates[:linear], *cube.values(position)]
+        sigma = jnp.exp(numpyro.sample("log_sigma", dist.ImproperUniform(dist.constraints.real, (), ())))
+        law = law_type(**dict(zip(names, values, strict=True)))
+        residuals = (force - law.force(contraction, pressure)) / spread
+        tau = numpyro.sample("tau", dist.HalfNormal(2.0)) if grouped else 0.0
+        if noise is Noise.STUDENT:
+            freedom = numpyro.sample("freedom", dist.Gamma(2.0, 0.1))
+            if grouped:
+                common = numpyro.sample("common", dist.Normal(0.0, 1.0).expand([counts.shape[0]]).to_event(1))
+                residuals = residuals - tau * jnp.asarray(common)[labels]
+            numpyro.factor("errors", jnp.sum(dist.StudentT(freedom, 0.0, sigma).log_prob(residuals)))
+            return
+        # The common errors are integrated out: each group has the covariance sigma^2 I + tau^2 1 1^T.
+        within = jnp.sum(residuals**2) / sigma**2 + 2 * len(residuals) * jnp.log(sigma)
+        sums = jnp.zeros_like(counts).at[labels].add(residuals)
+        ratio = tau**2 / sigma**2
+        between = jnp.sum(jnp.log1p(counts * ratio) - ratio / (1 + counts * ratio) * (sums / sigma) ** 2)
+        numpyro.factor("errors", -0.5 * (within + between))
+
+    return model

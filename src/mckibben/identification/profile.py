@@ -1,0 +1,254 @@
+r"""Profile likelihood: how much worse the best fit gets when a shape parameter is held at other values.
+
+The force is curved in a shape parameter, so an interval of so many standard errors to each side is a guess, and where
+the data hardly see the parameter a bad one. The profile asks directly: with all others refitted, the sum of squares
+:math:`S(\theta)` gives the signed root
+
+.. math:: \tau(\theta) = \mathrm{sign}(\theta - \hat\theta) \sqrt{(S(\theta) - S(\hat\theta)) / s^2}
+
+and the interval is where :math:`|\tau|` is below the quantile of t (its square is the F test with 1 degree of freedom).
+Where points may share an error, :math:`\tau` is divided by the ratio of the robust to the classical standard error, and
+t has the degrees of freedom of the robust one: a misspecified likelihood, rescaled.
+
+References
+----------
+D. Bates and D. Watts, "Nonlinear Regression Analysis and Its Applications", Wiley 1988, chapter 6; J. Kent, "Robust
+properties of likelihood ratio tests", Biometrika 69 (1982) 19-27, for the scaling.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import IdentificationError, ParameterError
+from mckibben.identification.bands import Interval, parameter_interval, quantile
+from mckibben.identification.evidence import Evidence
+from mckibben.identification.fit import Fit
+from mckibben.identification.groups import Grouping
+from mckibben.identification.holding import Refit, solve_holding
+from mckibben.identification.uncertainty import CONDITION_LIMIT, condition
+from mckibben.units import show
+
+_CURVE_POINTS = 41
+_ELSEWHERE = 48  # steps over the range in which a second valley is looked for
+_MARGIN = 0.3  # of the interval, shown beyond its ends
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """The profile of one shape parameter.
+
+    Attributes
+    ----------
+    name
+        Of the parameter.
+    estimate
+        In SI.
+    level
+        Of the interval.
+    interval
+        Where the root is within the threshold, in SI; an end is infinite where the range of the parameter ends first:
+        the data do not bound it on that side.
+    wald
+        The interval of so many standard errors to each side, for comparison; NaN at a bound.
+    values
+        Shape (m,), in SI, ascending: where the curve was evaluated.
+    root
+        Shape (m,): the signed root tau there.
+    threshold
+        Of the root.
+    by
+        Which points may share an error.
+    reasons
+        Sentences: why the interval is open, or not to be trusted; empty where all is well.
+    """
+
+    name: str
+    estimate: float
+    level: float
+    interval: Interval
+    wald: Interval
+    values: NDArray[np.float64] = field(repr=False)
+    root: NDArray[np.float64] = field(repr=False)
+    threshold: float
+    by: Grouping
+    reasons: tuple[str, ...]
+
+    @property
+    def identified(self) -> bool:
+        """Whether the data bound the parameter on both sides."""
+        return bool(np.all(np.isfinite(self.interval)))
+
+
+def profile(fit: Fit, name: str, *, level: float = 0.95, by: Grouping | None = None) -> Profile:
+    """The profile likelihood of a shape parameter and the interval that it gives.
+
+    Parameters
+    ----------
+    fit
+        As `identify` returned it.
+    name
+        Of a shape parameter, such as "decay".
+    level
+        The share of data sets for which the interval holds the true value.
+    by
+        Which points may share an error; as for `Fit.intervals`.
+
+    Raises
+    ------
+    ParameterError
+        If the law has no such shape parameter.
+    IdentificationError
+        If the fit was read from a file, or a fit with the parameter held does not converge.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> from mckibben.identification.fitting import identify
+    >>> from mckibben.muscle import ExponentialLaw
+    >>> found = profile(identify(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017")), "decay")
+    >>> round(found.estimate, 1), found.identified
+    (40.0, True)
+    """
+    shape = type(fit.law).shape_parameters
+    index = next((i for i, p in enumerate(shape) if p.name == name), None)
+    if index is None:
+        known = ", ".join(p.name for p in shape)
+        raise ParameterError(
+            f"{name!r} is no shape parameter of {type(fit.law).__name__}",
+            value=name,
+            remedy=f"profile one of {known}" if known else "it is linear in all: Fit.intervals is exact",
+        )
+    curve = _Curve(fit, index, by)
+    threshold = float(quantile(level, curve.freedom))
+    lower, reasons_below = curve.end(-1, threshold)
+    upper, reasons_above = curve.end(+1, threshold)
+    reasons = [*curve.reasons, *reasons_below, *reasons_above]
+    low, high = (0.0 if lower is None else lower), (1.0 if upper is None else upper)
+    far = curve.elsewhere(low, high, threshold)
+    if far:
+        parameter = shape[index]
+        at = ", ".join(show(curve.value(u), parameter.shown, 4) for u in far)
+        reasons.append(f"apart from the interval, {name} near {at} describes the data no worse: it has several valleys")
+    margin = _MARGIN * max(high - low, 1e-6)
+    positions = np.linspace(max(low - margin, 0.0), min(high + margin, 1.0), _CURVE_POINTS)
+    positions = np.unique(np.append(positions, curve.start))
+    return Profile(
+        name=name,
+        estimate=curve.value(curve.start),
+        level=level,
+        interval=Interval(
+            -np.inf if lower is None else curve.value(lower), np.inf if upper is None else curve.value(upper)
+        ),
+        wald=parameter_interval(curve.value(curve.start), curve.error, curve.freedom, level),
+        values=np.array([curve.value(u) for u in positions]),
+        root=np.array([curve.root(u) for u in positions]),
+        threshold=threshold,
+        by=curve.by,
+        reasons=tuple(reasons),
+    )
+
+
+class _Curve:
+    """The signed root over the coordinate of one parameter in the unit cube."""
+
+    def __init__(self, fit: Fit, index: int, by: Grouping | None) -> None:
+        evidence = fit.known_evidence()
+        self.problem, self.solution, self.index = evidence.problem, evidence.solution, index
+        self.parameter = self.problem.law_type.shape_parameters[index]
+        self.start = float(self.solution.position[index])
+        self.least = float(self.solution.residuals @ self.solution.residuals)
+        self.by = evidence.rule[0] if by is None else by
+        self.reasons: list[str] = []
+        best = Refit(self.solution.values, self.solution.position, self.least, True)
+        self._known: dict[float, Refit] = {self.start: best}
+        column = self.problem.linear + index
+        at_bound = bool(evidence.held[column])
+        if at_bound:
+            self.reasons.append(f"the estimate of {self.parameter.name} is at the end of its range")
+        evidence = _freed(evidence, column)
+        gradient = (np.flatnonzero(~evidence.held) == column).astype(float)[None]
+        points, count = len(self.solution.residuals), np.count_nonzero(~evidence.held)
+        self.variance = self.least / (points - count)
+        self.error, self.freedom, self.ratio = np.nan, float(points - count), 1.0
+        if condition(self.solution.jacobian[:, ~evidence.held]) < CONDITION_LIMIT:
+            variance, freedom = evidence.error_model(self.by).variance(gradient)
+            classical, _ = evidence.error_model(Grouping.POINT).variance(gradient)
+            self.error, self.freedom = float(np.sqrt(variance[0])), float(freedom[0])
+            self.ratio = float(np.sqrt(variance[0] / classical[0])) if classical[0] > 0 else 1.0
+        if at_bound:
+            self.error = np.nan
+        rate = float(self.problem.cube.rates(self.solution.position)[index])
+        self.width = float(np.clip(self.error / abs(rate), 1e-6, 0.1)) if np.isfinite(self.error) else 0.02
+
+    def value(self, u: float) -> float:
+        """The parameter in SI."""
+        position = self.solution.position.copy()
+        position[self.index] = u
+        return float(self.problem.cube.values(position)[self.index])
+
+    def root(self, u: float) -> float:
+        """How much worse the fit is with the parameter held there, with the side as its sign."""
+        if u == self.start:
+            return 0.0
+        if u not in self._known:
+            nearest = min(self._known, key=lambda known: abs(known - u))
+            found = solve_holding(self.problem, self._known[nearest].position, self.index, u)
+            if not found.converged:
+                shown = show(self.value(u), self.parameter.shown)
+                raise IdentificationError(
+                    f"the fit with {self.parameter.name} held at {shown} did not converge",
+                    value=self.value(u),
+                    unit=self.parameter.unit,
+                    remedy="look for outliers and wrong units in the data",
+                )
+            self._known[u] = found
+        worse = max(self._known[u].cost - self.least, 0.0)
+        return float(np.sign(u - self.start) * np.sqrt(worse / self.variance) / self.ratio) if worse else 0.0
+
+    def end(self, side: int, threshold: float) -> tuple[float | None, list[str]]:
+        """Where the root passes the threshold on one side; None, and why, if the range ends first."""
+        from scipy.optimize import brentq  # 0.1 s, which no import of the package should wait for
+
+        bound = 1.0 if side > 0 else 0.0
+        inside, step = self.start, self.width
+        while inside != bound:
+            outside = float(np.clip(inside + side * step, 0.0, 1.0))
+            if abs(self.root(outside)) > threshold:
+                crossing = brentq(lambda u: abs(self.root(float(u))) - threshold, inside, outside, xtol=1e-10)
+                return float(crossing), []  # type: ignore[arg-type]
+            inside, step = outside, 2 * step
+        end, p = self.value(bound), self.parameter
+        word = "above" if side > 0 else "below"
+        return None, [
+            f"the data do not bound {p.name} {word}: even at {show(end, p.shown)}, where its range ends, the others "
+            f"make up for it (tau = {self.root(bound):.2g}, the threshold is {threshold:.2g})"
+        ]
+
+    def elsewhere(self, low: float, high: float, threshold: float) -> list[float]:
+        """The bottoms of other valleys, outside an interval, in which the fit is no worse than at its ends."""
+        from scipy.optimize import minimize_scalar
+
+        places = np.arange(_ELSEWHERE + 1) / _ELSEWHERE
+        heights = np.array([abs(self.root(u)) for u in places.tolist()])
+        found = []
+        for i, u in enumerate(places.tolist()):
+            before, after = max(i - 1, 0), min(i + 1, _ELSEWHERE)
+            if low <= u <= high or heights[i] > min(heights[before], heights[after]):
+                continue
+            span = (float(places[before]), float(places[after]))
+            bottom = minimize_scalar(lambda x: abs(self.root(float(x))), bounds=span, method="bounded")
+            if bottom.fun < threshold and not low <= bottom.x <= high:  # type: ignore[attr-defined]
+                found.append(float(bottom.x))  # type: ignore[attr-defined]
+        return found
+
+
+def _freed(evidence: Evidence, column: int) -> Evidence:
+    """The same with one parameter not held."""
+    held = evidence.held.copy()
+    held[column] = False
+    return dataclasses.replace(evidence, held=held)

@@ -1,0 +1,156 @@
+r"""How sure the torque and stiffness of a joint are, given the fits of its muscles.
+
+Both depend on the parameters of the muscles' laws; their gradients come from forward differentiation through the joint,
+and the delta method gives their variance. Two muscles of one make that share a fit share its errors, too: much of them
+cancels in the torque of a symmetric joint and adds up in its stiffness. Two fits are independent of each other.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import ArrayLike, NDArray
+
+from mckibben.errors import ParameterError
+from mckibben.identification.bands import Band, band, check_level, force_band, variance_of
+from mckibben.identification.fit import Fit
+from mckibben.identification.groups import Grouping
+from mckibben.joint import AntagonisticJoint
+from mckibben.muscle import ForceLaw
+from mckibben.numerics.compiled import compiled
+
+
+@dataclass(frozen=True)
+class JointBands:
+    """What a joint does, and how sure that is.
+
+    Attributes
+    ----------
+    torque
+        Of the muscles [N*m].
+    stiffness
+        At constant pressures [N*m/rad].
+    may_be_slack
+        Where the interval of a muscle's force reaches from below zero to above it: whether the muscle pulls at all is
+        then not known, and the bands, which follow the law on one side, are too narrow.
+    """
+
+    torque: Band
+    stiffness: Band
+    may_be_slack: NDArray[np.bool_]
+
+
+def joint_bands(
+    joint: AntagonisticJoint,
+    fits: Fit | tuple[Fit, Fit],
+    angle: ArrayLike,
+    pressures: tuple[ArrayLike, ArrayLike],
+    *,
+    level: float = 0.95,
+    by: Grouping | None = None,
+) -> JointBands:
+    """Torque and stiffness of a joint with their uncertainty.
+
+    Parameters
+    ----------
+    joint
+        Its muscles get the laws of the fits; all else stays.
+    fits
+        One for both muscles, whose errors are then the same; or one for each, independent of each other.
+    angle, pressures
+        Where [rad], [Pa]; they broadcast.
+    level, by
+        As for `Fit.intervals`.
+
+    Returns
+    -------
+    JointBands
+        Where a muscle is slack its law has no part in them; see `JointBands.may_be_slack`.
+
+    Raises
+    ------
+    IdentificationError
+        If a fit was read from a file, or there are no such groups.
+    ParameterError
+        If there are not one or two fits.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> from mckibben.identification import identify
+    >>> from mckibben.muscle import ExponentialLaw
+    >>> from mckibben.units import bar
+    >>> fit = identify(ExponentialLaw, catalog.dataset("festo-tool-10mm"))
+    >>> bands = joint_bands(catalog.joint("knee-table-2"), fit, 0.0, (3 * bar, 3 * bar))
+    >>> print(f"{float(bands.stiffness.value):.1f} +- {float(bands.stiffness.standard_error):.1f} N*m/rad")
+    52.3 +- 0.3 N*m/rad
+    >>> float(bands.torque.standard_error) < 1e-12  # both muscles err alike
+    True
+    """
+    check_level(level)
+    one = isinstance(fits, Fit)
+    pair: Sequence[Fit] = (fits,) if one else fits
+    if not all(isinstance(fit, Fit) for fit in pair) or len(pair) not in (1, 2):
+        raise ParameterError("a joint has two muscles", remedy="give one fit for both, or a tuple of two")
+    first, last = pair[0], pair[-1]
+    values = tuple(np.array(list(fit.estimates.values())) for fit in pair)
+    both = first, last
+    with_laws = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, (first.law, last.law))
+    shape = np.broadcast_shapes(*(np.shape(x) for x in (angle, *pressures)))
+    where = [np.broadcast_to(np.asarray(x, np.float64), shape) for x in (angle, *pressures)]
+    answers = _derivatives(with_laws, values, *where, one=one)
+    found, gradients, contractions = jax.tree.map(np.asarray, answers)
+    bands: list[Band] = []
+    for i in range(2):
+        parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+        for fit, gradient in zip(pair, gradients, strict=True):
+            evidence = fit.known_evidence()
+            columns = np.moveaxis(gradient[i], 0, -1)[..., evidence.free]
+            parts.append(variance_of(evidence.error_model(by), columns))
+        bands.append(band(level, found[i], parts))
+    doubtful = np.zeros(shape, bool)
+    for contraction, pressure, fit in zip(contractions, where[1:], both, strict=True):
+        force = force_band(fit.law, fit.known_evidence(), contraction, pressure, level=level, by=by).mean
+        doubtful |= (force.lower < 0) & (force.upper > 0)
+    return JointBands(bands[0], bands[1], doubtful)
+
+
+@compiled
+def _derivatives(
+    joint: AntagonisticJoint,
+    values: tuple[Any, ...],
+    angle: Any,
+    pressure1: Any,
+    pressure2: Any,
+    *,
+    one: bool,
+) -> tuple[Array, list[Array], tuple[Array, Array]]:
+    """Torque and stiffness, shape (2, ...); for each fit its gradients, shape (2, parameters, ...); contractions."""
+
+    def answer(given: tuple[Any, ...]) -> Array:
+        laws = _with(joint.muscle1.law, given[0]), _with(joint.muscle2.law, given[-1])
+        changed = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, laws)
+        return jnp.stack(changed.torque_and_stiffness(angle, (pressure1, pressure2)))
+
+    def gradient(i: int) -> Array:
+        def column(direction: Array) -> Array:
+            directions = tuple(direction if j == i else jnp.zeros_like(jnp.asarray(v)) for j, v in enumerate(values))
+            return jax.jvp(answer, (values,), (directions,))[1]
+
+        return jax.vmap(column, out_axes=1)(jnp.eye(jnp.size(values[i])))
+
+    gradients = [gradient(i) for i in range(1 if one else 2)]
+    return answer(values), gradients, joint.contractions(angle, (pressure1, pressure2))
+
+
+def _with(law: ForceLaw, values: Array) -> ForceLaw:
+    names = [p.name for p in type(law).parameters()]
+    return dataclasses.replace(law, **dict(zip(names, values, strict=True)))

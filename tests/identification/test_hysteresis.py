@@ -1,0 +1,203 @@
+"""Friction, law and drift from loading and unloading curves of the virtual rig, whose truth is known."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
+from mckibben.identification import identify
+from mckibben.identification.hysteresis import identify_hysteresis
+from mckibben.identification.strokes import DriftBasis, Strokes
+from mckibben.identification.way import FRICTION, WayModel
+from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellSlip, Muscle, forces
+from mckibben.rig import IsobaricProtocol, VirtualRig
+from mckibben.units import bar, mm, percent
+
+SPECIMEN, LAW = catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n")
+MUSCLE = Muscle(SPECIMEN, LAW)
+PROTOCOL = IsobaricProtocol(pressures=np.arange(1, 7) * bar, step=2 * mm, repeats=2, samples=100)
+
+
+def off(law):
+    """RMSE of a law from the true one [N], over the taut domain."""
+    contraction, pressure = np.meshgrid(np.linspace(0, 0.2, 21), np.linspace(1, 6, 6) * bar)
+    true = forces(LAW, contraction, pressure)
+    there = (true > 10) & (true < 600)
+    return float(np.sqrt(np.mean((forces(law, contraction, pressure) - true)[there] ** 2)))
+
+
+@pytest.fixture(scope="module")
+def drifting():
+    """Hysteresis, which grows with pressure, and a sensor that drifts."""
+    friction = MaxwellSlip(10.0, 1.5 * mm, growth=1 / bar, reference_pressure=3.5 * bar)
+    data = VirtualRig(Muscle(SPECIMEN, LAW, friction), force_drift=0.5).run(PROTOCOL, seed=1).plateau_means()
+    return data, identify_hysteresis(ExponentialLaw, data)
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("sensor", [{}, {"force_drift": -0.5, "force_wander": 0.1}])
+def test_hysteresis_and_law_are_found_as_well_as_the_law_without(seed, sensor):
+    found = identify_hysteresis(ExponentialLaw, VirtualRig(MUSCLE, **sensor).run(PROTOCOL, seed=seed))
+    assert found.friction.half_width == pytest.approx(12, rel=2e-3)
+    assert found.friction.presliding_length == pytest.approx(0.5 * mm, rel=0.1)
+    assert found.friction.growth == 0.0 and np.isnan(found.standard_errors["growth"])
+    clean = off(identify(ExponentialLaw, VirtualRig(MUSCLE, hysteresis=0).run(PROTOCOL, seed=seed)).law)
+    assert off(found.law) < 2.5 * clean < 0.05  # both are a few hundredths of a newton
+    assert (found.drift is None) == (not sensor)
+
+
+def test_growth_and_drift_are_found_with_their_errors(drifting):
+    _, found = drifting
+    friction, errors = found.friction, found.standard_errors
+    assert friction.reference_pressure == pytest.approx(3.5 * bar)
+    for name, true in (("half_width", 10.0), ("growth", 1 / bar), ("presliding_length", 1.5 * mm)):
+        assert abs(getattr(friction, name) - true) < 4 * errors[name] < 0.1 * true
+    assert found.drift.rate * 3600 == pytest.approx(0.5, rel=0.1)
+    for name, true in (("a2", LAW.a2), ("decay", LAW.decay)):
+        assert abs(getattr(found.law, name) - true) < 4 * errors[name] < 0.1 * abs(true)
+    assert found.warnings == () and found.rmse < 0.12
+    order = list(errors)
+    assert found.correlations.shape == (len(order), len(order))
+    np.testing.assert_allclose(np.diag(found.correlations), 1.0)
+
+
+def test_the_parts_add_up_to_what_was_measured(drifting):
+    data, found = drifting
+    np.testing.assert_allclose(found.force + found.residuals, data.force, rtol=1e-12)
+    np.testing.assert_allclose(found.tension, np.maximum(forces(found.law, data.contraction, data.pressure), 0))
+    assert found.rmse == pytest.approx(np.sqrt(np.mean(found.residuals**2)))  # slack points tell the zero, and count
+    assert found.points_used == len(data) and found.points_slack == np.count_nonzero(data.slack)
+    text = found.report()
+    assert "half width               10" in text and "N/h on average" in text
+
+
+def test_a_static_fit_to_the_corrected_points_is_the_same_law(drifting):
+    data, found = drifting
+    assert off(identify(ExponentialLaw, data).law) > 0.5  # as they are, it is out by far
+    corrected = found.corrected(data)
+    assert off(identify(ExponentialLaw, corrected).law) < 1.5 * off(found.law) + 0.01
+    with pytest.raises(IdentificationError, match="is not the dataset"):
+        found.corrected(corrected)
+
+
+def test_a_known_law_may_be_given(drifting):
+    data, _ = drifting
+    found = identify_hysteresis(LAW, data)
+    assert found.law is LAW
+    assert list(found.standard_errors) == ["half_width", "growth", "presliding_length"]
+    assert found.friction.half_width == pytest.approx(10, rel=5e-3)
+    assert found.muscle(SPECIMEN).friction is found.friction
+
+
+def test_a_presliding_shorter_than_a_step_is_said_not_to_be_known():
+    coarse = dataclasses.replace(PROTOCOL, step=5 * mm)
+    found = identify_hysteresis(LAW, VirtualRig(MUSCLE).run(coarse, seed=1))
+    assert np.isnan(found.standard_errors["presliding_length"])
+    assert found.friction.presliding_length < 5 * mm / 4
+    assert len(found.warnings) == 1 and "the presliding length is not determined (steps of 5 mm)" in found.warnings[0]
+    assert found.friction.half_width == pytest.approx(12, rel=5e-3)
+
+
+def test_two_pressures_tell_no_growth():
+    few = dataclasses.replace(PROTOCOL, pressures=[2 * bar, 4 * bar])
+    found = identify_hysteresis(LAW, VirtualRig(MUSCLE).run(few, seed=1))
+    assert found.friction.growth == 0 and "fewer than three pressures" in found.warnings[0]
+
+
+def test_data_that_cannot_tell_are_refused(drifting):
+    data, _ = drifting
+    direction = data.table["direction"].to_numpy()
+
+    def refused(match, changed):
+        with pytest.raises(IdentificationError, match=match):
+            identify_hysteresis(LAW, changed)
+
+    refused("the dataset has loading alone", data.select(direction == "loading"))
+    refused("the dataset has no directions", IsobaricDataset(data.table.drop_vars("direction")))
+    nameless = data.table.copy()
+    del nameless.attrs["initial_length"]
+    refused("the initial length is not known", IsobaricDataset(nameless))
+    shuffled = np.random.default_rng(0).permutation(len(data))
+    timeless = data.table.drop_vars("time")
+    refused("ways at constant pressure|against the direction", IsobaricDataset(timeless.isel(point=shuffled)))
+    refused("ways at constant pressure", IsobaricDataset(data.table.drop_vars("set_pressure")))
+    by_length = np.lexsort([data.contraction, data.levels])
+    refused("the direction changes .* times in .* moves", IsobaricDataset(timeless.isel(point=by_length)))
+    refused("the data show no hysteresis", VirtualRig(MUSCLE, hysteresis=0).run(PROTOCOL, seed=1).plateau_means())
+    apart = data.select((direction == "loading") == (np.round(data.contraction * 90) % 2 == 0))
+    refused("in both directions|against the direction", apart)
+
+
+def test_rows_may_be_in_any_order_where_there_are_times(drifting):
+    data, found = drifting
+    shuffled = np.random.default_rng(0).permutation(len(data))
+    again = identify_hysteresis(ExponentialLaw, IsobaricDataset(data.table.isel(point=shuffled)))
+    assert again.friction.half_width == pytest.approx(found.friction.half_width, rel=1e-6)
+    np.testing.assert_allclose(again.residuals, found.residuals[shuffled], atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def model(drifting):
+    data, _ = drifting
+    strokes = Strokes.of(data)
+    line = DriftBasis.candidates(strokes, data)[1]
+    return WayModel(LAW, strokes, data, line, np.ones(len(data), bool), 3 * bar, 6)
+
+
+def test_the_force_along_the_way_is_that_of_the_rig(model):
+    quiet = {"force_noise": 0, "pressure_noise": 0, "regulator_offset": 0}
+    own = MaxwellSlip(9.0, 1 * mm, growth=1 / bar, reference_pressure=3 * bar)
+    data = VirtualRig(Muscle(SPECIMEN, LAW, own), **quiet).run(PROTOCOL, seed=0)
+    exact = dataclasses.replace(model, strokes=Strokes.of(data), means=data)
+    tension, friction = exact.parts({"half_width": 9.0, "growth": 1 / bar, "log_presliding": np.log(1e-3)})
+    np.testing.assert_allclose(tension + friction, data.force, atol=1e-9)
+
+
+def test_the_jacobian_is_that_of_small_changes(model):
+    names = ("a2", "decay", *FRICTION)
+    values = {name: float(getattr(LAW, name)) for name in model.law_names}
+    values |= {"half_width": 10.0, "growth": 1 / bar, "log_presliding": float(np.log(1.3e-3))}
+    offsets = np.array([0.2, 0.4])
+    columns = model.jacobian(values, names)
+    for k, name in enumerate(names):
+        small = 1e-6 * max(abs(values[name]), 1e-9)
+        up, down = ({**values, name: values[name] + sign * small} for sign in (1, -1))
+        quotient = (model.residuals(up, offsets) - model.residuals(down, offsets)) / (2 * small)
+        smooth = np.abs(columns[:, k] - quotient) < 1e-3 * np.abs(quotient).max()
+        assert smooth.mean() > 0.98  # but at points where a slider just gives way
+    drift = model.residuals(values, np.array([0.2, 1.4])) - model.residuals(values, offsets)
+    np.testing.assert_allclose(columns[:, -1], drift, atol=1e-9)
+
+
+def test_the_drift_is_straight_between_its_knots():
+    data = VirtualRig(MUSCLE).run(PROTOCOL, seed=1).plateau_means()
+    none, line, bent = DriftBasis.candidates(Strokes.of(data), data)
+    time = data.table["time"].to_numpy()
+    assert none.points.shape[1] == 0 and line.points.shape[1] == 2
+    assert bent.points.shape[1] == len(bent.time) == 6  # one a pressure
+    np.testing.assert_allclose(line.points @ [1.0, 3.0], np.interp(time, line.time, [1.0, 3.0]))
+    inside = (time >= bent.time[0]) & (time <= bent.time[-1])
+    values = np.array([0.0, 1.0, -1.0, 2.0, 0.0, 1.0])
+    np.testing.assert_allclose((bent.points @ values)[inside], np.interp(time[inside], bent.time, values))
+    straight = 2 + 0.1 * bent.time
+    np.testing.assert_allclose(bent.points @ straight, 2 + 0.1 * time)  # and goes on as it is beyond them
+
+
+def test_a_law_of_another_kind_leaves_what_it_cannot_say_to_the_residuals():
+    """Chou's law has no exponential: the friction is still found, roughly, and the residuals show the rest."""
+    chou = Muscle(SPECIMEN, ChouLaw.of(SPECIMEN))
+    narrow = dataclasses.replace(PROTOCOL, contraction_min=2 * percent)
+    found = identify_hysteresis(ExponentialLaw, VirtualRig(chou).run(narrow, seed=1))
+    assert found.friction.half_width == pytest.approx(12, rel=0.02)
+    assert any("decay is held at the bound" in warning for warning in found.warnings)
+
+
+def test_a_law_that_fits_badly_is_said_to_spoil_the_friction(drifting):
+    data, found = drifting
+    assert found.rmse < 0.25 * 10
+    bad = identify_hysteresis(ChouLaw.of(SPECIMEN), data)
+    assert bad.rmse > 50
+    assert "ChouLaw leaves residuals of" in bad.warnings[-1] and "may pass for friction" in bad.warnings[-1]

@@ -1,0 +1,382 @@
+"""Errors grouped by stroke or pressure, bands, profiles and bootstraps, each against something written anew."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.optimize import brentq
+
+from mckibben import catalog
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError, ParameterError, RangeError
+from mckibben.identification import Fit, Grouping, bootstrap, identify, profile
+from mckibben.identification.groups import group_labels
+from mckibben.identification.robust import ClusterRobust
+from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw
+from mckibben.units import bar, deg, mm, percent
+
+EQ_3 = catalog.law("lei-mas-10-180n")
+
+
+@pytest.fixture(scope="module")
+def map_of_martens():
+    return catalog.dataset("dmsp-10-250-martens2017")
+
+
+@pytest.fixture(scope="module")
+def chart():
+    """The maker's chart: 119 points at 10 pressures."""
+    return catalog.dataset("festo-tool-10mm")
+
+
+@pytest.fixture(scope="module")
+def fit(chart):
+    return identify(ExponentialLaw, chart)
+
+
+def measured(law, levels, contractions, noise, seed=0, **columns):
+    pressure, contraction = (a.ravel() for a in np.meshgrid(levels, contractions, indexing="ij"))
+    force = np.asarray(law.force(contraction, pressure)) + noise * np.random.default_rng(seed).normal(
+        size=pressure.shape
+    )
+    return IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, **columns)
+
+
+# --- groups -------------------------------------------------------------------------------------------------
+
+
+def test_a_stroke_is_a_level_a_direction_and_a_repeat_as_far_as_they_are_recorded():
+    columns = {"pressure": [1e5, 1.01e5, 2e5, 2e5], "contraction": [0.0, 0.1, 0.0, 0.1], "force": [80, 40, 170, 90]}
+    bare = IsobaricDataset.of(**columns, set_pressure=[1e5, 1e5, 2e5, 2e5])
+    assert group_labels(bare, Grouping.STROKE).tolist() == [0, 0, 1, 1]  # the set pressure, not the measured one
+    repeats = IsobaricDataset.of(**columns, set_pressure=[1e5, 1e5, 2e5, 2e5], repeat=[0, 1, 0, 0])
+    assert group_labels(repeats, Grouping.STROKE).tolist() == [0, 1, 2, 2]
+    assert group_labels(repeats, Grouping.PRESSURE).tolist() == [0, 0, 1, 1]
+    assert group_labels(repeats, Grouping.REPEAT).tolist() == [0, 1, 0, 0]
+    assert group_labels(bare, Grouping.POINT).tolist() == [0, 1, 2, 3]
+    with pytest.raises(IdentificationError, match="record a column 'repeat'"):
+        group_labels(bare, Grouping.REPEAT)
+
+
+# --- the sandwich -------------------------------------------------------------------------------------------
+
+
+def textbook(jacobian, residuals, labels, gradient):
+    """CR2 and the degrees of freedom of Bell and McCaffrey with matrices of all points."""
+    bread = np.linalg.inv(jacobian.T @ jacobian)
+    left = np.eye(len(residuals)) - jacobian @ bread @ jacobian.T
+    variance, columns = 0.0, []
+    for group in np.unique(labels):
+        i = labels == group
+        values, vectors = np.linalg.eigh(left[np.ix_(i, i)])
+        adjustment = vectors @ np.diag(values**-0.5) @ vectors.T
+        weights = adjustment @ jacobian[i] @ bread @ gradient
+        variance += (residuals[i] @ weights) ** 2
+        columns.append(left[:, i] @ weights)
+    omega = np.array(columns) @ np.array(columns).T
+    return variance, np.trace(omega) ** 2 / np.sum(omega**2)
+
+
+def test_the_sandwich_is_the_textbooks():
+    generator = np.random.default_rng(0)
+    jacobian = generator.normal(size=(60, 4)) * [1.0, 1e5, 1e-3, 1.0]
+    labels = generator.permutation(np.repeat(np.arange(9), [2, 3, 4, 5, 6, 8, 9, 11, 12]))
+    residuals = generator.normal(size=60)
+    gradients = generator.normal(size=(5, 4)) * [1.0, 1e5, 1e-3, 1.0]
+    variance, freedom = ClusterRobust.of(jacobian, residuals, labels).variance(gradients)
+    for i, gradient in enumerate(gradients):
+        expected = textbook(jacobian / [1, 1e5, 1e-3, 1], residuals, labels, gradient / [1, 1e5, 1e-3, 1])
+        assert (variance[i], freedom[i]) == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_sandwich_of_points_is_that_of_welch():
+    """Two means with a variance each: the difference has Welch's variance, s1^2/n1 + s2^2/n2."""
+    a, b = np.array([1.0, 3.0, 2.0, 6.0]), np.array([10.0, 11.0, 15.0])
+    jacobian = np.array([[1.0, 0.0]] * 4 + [[0.0, 1.0]] * 3)
+    residuals = np.concatenate([a - a.mean(), b - b.mean()])
+    variance, _ = ClusterRobust.of(jacobian, residuals, np.arange(7)).variance(np.array([[1.0, -1.0]]))
+    assert variance[0] == pytest.approx(a.var(ddof=1) / 4 + b.var(ddof=1) / 3)
+
+
+def test_a_group_that_alone_determines_a_parameter_is_named():
+    jacobian = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 1.0]])
+    labels = np.array([0, 0, 1, 2, 2])
+    assert ClusterRobust.of(jacobian, np.zeros(5), labels).alone == (2,)
+
+
+def test_the_scatter_of_a_plateau_is_as_sure_as_there_are_errors():
+    """Errors of one size: 100 of them, or 10 that ten points share."""
+    jacobian, labels = np.ones((100, 1)), np.repeat(np.arange(10), 10)
+    sides = np.tile([3.0, -3.0], 50)
+    apart = ClusterRobust.of(jacobian, sides, labels).scatter
+    assert apart == pytest.approx((9.0, 99.0))
+    together = ClusterRobust.of(jacobian, np.repeat(sides[:10], 10), labels).scatter
+    assert together[0] == pytest.approx(9.0 * (1 / 0.9))  # as s^2 of ten numbers
+    assert 8 < together[1] < 10.5
+
+
+# --- the rule -----------------------------------------------------------------------------------------------
+
+
+def test_the_rule_looks_at_where_was_measured(map_of_martens, chart, fit):
+    assert (fit.robust.by, fit.robust.groups) == (Grouping.PRESSURE, 10)
+    assert identify(ExponentialLaw, map_of_martens).robust.groups == 16
+    both = IsobaricDataset.of(
+        pressure=chart.pressure,
+        contraction=chart.contraction,
+        force=chart.force,
+        direction=np.where(np.arange(len(chart)) % 2, "loading", "unloading"),
+    )
+    by_stroke = identify(ExponentialLaw, both)
+    assert (by_stroke.robust.by, by_stroke.robust.groups) == (Grouping.STROKE, 20)
+    assert "the points of a stroke may share an error (20 strokes; CR2" in by_stroke.report()
+    scattered = chart.pressure + np.linspace(0, 500, len(chart))
+    alone = identify(
+        ExponentialLaw, IsobaricDataset.of(pressure=scattered, contraction=chart.contraction, force=chart.force)
+    )
+    assert alone.robust is None
+    assert any("independent: the 119 points are at 119 pressures, hardly two" in w for w in alone.warnings)
+    assert "classical, as if" in alone.report()
+    few = identify(ExponentialLaw, measured(EQ_3, np.array([3, 4, 5, 6]) * bar, np.linspace(0, 0.1, 9), 1.0))
+    assert few.robust is None
+    assert any("independent: 4 pressures are too few to tell" in warning for warning in few.warnings)
+
+
+def test_intervals_are_t_intervals_of_the_errors_that_they_are_asked_for(fit):
+    name = "decay"
+    error, freedom = fit.robust.standard_errors[name], fit.robust.degrees_of_freedom[name]
+    reach = stats.t.ppf(0.95, freedom) * error
+    assert fit.intervals(0.9)[name] == pytest.approx((fit.law.decay - reach, fit.law.decay + reach))
+    reach = stats.t.ppf(0.975, 119 - 7) * fit.standard_errors[name]
+    assert fit.intervals(by=Grouping.POINT)[name] == pytest.approx((fit.law.decay - reach, fit.law.decay + reach))
+    model = ClusterRobust.of(
+        fit.evidence.solution.jacobian, fit.residuals, group_labels(fit.evidence.points, Grouping.PRESSURE)
+    )
+    assert error == pytest.approx(np.sqrt(model.variance(np.eye(7)[6:])[0][0]))
+    with pytest.raises(RangeError, match=r"a level of 95 is no probability; write 0\.95 for 95 %"):
+        fit.intervals(95)
+    with pytest.raises(IdentificationError, match="record a column 'repeat'"):
+        fit.intervals(by=Grouping.REPEAT)
+
+
+def test_one_group_gives_no_errors(chart):
+    once = identify(
+        ExponentialLaw,
+        IsobaricDataset.of(
+            pressure=chart.pressure, contraction=chart.contraction, force=chart.force, repeat=np.zeros(len(chart), int)
+        ),
+    )
+    with pytest.raises(IdentificationError, match="no errors can be given for 1 repeat"):
+        once.intervals(by=Grouping.REPEAT)
+
+
+def test_a_parameter_at_its_bound_has_no_interval():
+    law = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=0.2)
+    fit = identify(ExponentialLaw, measured(law, np.arange(1, 7) * bar, np.linspace(0, 0.2, 9), 0.5))
+    assert np.all(np.isnan(fit.intervals()["decay"]))
+    assert np.all(np.isfinite(fit.intervals()["a1"]))
+    assert np.all(np.isfinite(fit.force_band(0.1, 3 * bar).mean.standard_error))
+    found = profile(fit, "decay")
+    assert found.interval.lower == -np.inf
+    assert not found.identified
+    assert any("at the end of its range" in reason for reason in found.reasons)
+    assert any("do not bound decay below" in reason for reason in found.reasons)
+
+
+def test_a_fit_from_a_file_keeps_its_intervals_and_says_what_it_lacks(fit, tmp_path):
+    fit.to_yaml(tmp_path / "fit.yaml")
+    again = Fit.from_yaml(tmp_path / "fit.yaml")
+    assert again.intervals(0.9) == fit.intervals(0.9)
+    assert again.intervals(by=Grouping.POINT) == fit.intervals(by=Grouping.POINT)
+    for ask in (lambda: again.force_band(0.1, 3 * bar), lambda: profile(again, "decay"), lambda: bootstrap(again)):
+        with pytest.raises(IdentificationError, match="read from a file, which does not keep its points; identify it"):
+            ask()
+
+
+# --- bands --------------------------------------------------------------------------------------------------
+
+
+def test_a_force_band_is_what_draws_of_the_parameters_give(fit):
+    generator = np.random.default_rng(0)
+    errors = np.array(list(fit.standard_errors.values()))
+    draws = np.linalg.cholesky(fit.correlations) @ generator.normal(size=(7, 20000)) * errors[:, None]
+    a1, a2, b1, b2, c1, c2, decay = np.array(list(fit.estimates.values()))[:, None] + draws
+    for eps, p in ((0.05, 4 * bar), (0.18, 6 * bar)):
+        forces = (a1 + a2 * p) + (b1 + b2 * p) * eps + (c1 + c2 * p) * np.exp(-decay * eps)
+        band = fit.force_band(eps, p, by=Grouping.POINT).mean
+        assert float(band.standard_error) == pytest.approx(forces.std(), rel=0.03)
+        assert float(band.value) == pytest.approx(float(fit.law.force(eps, p)))
+
+
+def test_bands_broadcast_and_a_further_measurement_is_less_sure(fit):
+    band = fit.force_band(np.linspace(0, 0.2, 5)[:, None], np.array([3, 6]) * bar, level=0.9)
+    assert band.mean.value.shape == band.measurement.upper.shape == (5, 2)
+    assert np.all(band.measurement.upper > band.mean.upper)
+    assert np.all(band.mean.degrees_of_freedom < 10)
+    single = fit.force_band(0.05, 3 * bar, level=0.9)
+    assert single.mean.value.shape == ()
+    assert float(single.mean.upper) == pytest.approx(fit.force_band([0.05], [3 * bar], level=0.9).mean.upper[0])
+    independent = fit.force_band(0.05, 3 * bar, by=Grouping.POINT)
+    total = independent.mean.standard_error**2 + fit.rmse**2 * 119 / 112
+    assert float(independent.measurement.standard_error) == pytest.approx(np.sqrt(total))
+
+
+# --- profiles -----------------------------------------------------------------------------------------------
+
+
+def residual_sum(data, decay):
+    """The least squares of Eq. 2 at a decay, in bar and percent."""
+    eps, p, e = data.contraction / percent, data.pressure / bar, np.exp(-decay * data.contraction)
+    design = np.stack([np.ones_like(p), p, eps, eps * p, e, e * p], axis=1)
+    return float(np.linalg.lstsq(design, data.force, rcond=None)[1][0])
+
+
+def test_a_profile_is_the_least_squares_at_each_value(chart, fit):
+    found, data = profile(fit, "decay", by=Grouping.POINT), chart.taut
+    least = residual_sum(data, fit.law.decay)
+    scale = least / (119 - 7)
+    for value, root in zip(found.values[::8], found.root[::8], strict=True):
+        worse = np.sqrt(max(residual_sum(data, value) - least, 0.0) / scale)
+        assert abs(root) == pytest.approx(worse, rel=1e-5, abs=1e-4)
+        assert np.sign(root) == np.sign(value - fit.law.decay) or abs(root) < 1e-6
+    limit = scale * stats.f.ppf(0.95, 1, 112)
+    for end, far in zip(found.interval, (20.0, 50.0), strict=True):
+        expected = brentq(lambda mu: residual_sum(data, mu) - least - limit, fit.law.decay, far, xtol=1e-10)
+        assert end == pytest.approx(expected, rel=1e-6)
+    assert found.identified
+    assert found.reasons == ()
+
+
+def test_a_profile_for_errors_by_pressure_is_as_much_wider_as_the_standard_error(fit):
+    by_point, by_pressure = profile(fit, "decay", by=Grouping.POINT), profile(fit, "decay")
+    assert by_pressure.by is Grouping.PRESSURE
+    assert by_pressure.wald == fit.intervals()["decay"]
+    ratio = fit.robust.standard_errors["decay"] / fit.standard_errors["decay"]
+    at = fit.law.decay + 1.0
+    roots = [np.interp(at, found.values, found.root) for found in (by_point, by_pressure)]
+    assert roots[0] / roots[1] == pytest.approx(ratio, rel=0.02)
+
+
+def test_a_decay_that_data_do_not_bound_is_said():
+    """With contractions from 4 % on, a fast decay is seen at one contraction only: however fast does as well."""
+    law = ExponentialLaw(50.0, 1e-3, 200.0, -4e-3, 200.0, 1e-4, decay=100.0)
+    data = measured(law, np.arange(2, 8) * bar, np.array([4, 8, 12, 16, 20]) * percent, 0.3, seed=3)
+    found = profile(identify(ExponentialLaw, data), "decay")
+    assert np.isfinite(found.interval.lower)
+    assert found.interval.upper == np.inf
+    assert not found.identified
+    assert any("do not bound decay above: even at 3 1/percent" in reason for reason in found.reasons)
+
+
+class WaveLaw(PressureAffineLaw):
+    """F = a p cos(w eps)."""
+
+    a: float
+    w: float
+    domain: Domain = Domain()
+
+    equation = "F = a p cos(w eps)"
+    source = "these tests"
+    linear_parameters = (Parameter("a", "N/Pa", "N/bar", "amplitude"),)
+    shape_parameters = (Parameter("w", "1", "1/percent", "angular frequency", 10.0, 120.0),)
+
+    def pressure_terms(self, contraction):
+        return 0.0 * contraction, self.a * jnp.cos(self.w * contraction)
+
+
+def test_a_second_valley_is_named():
+    """At steps of 5 % the frequencies w and 2 pi/5 % - w are the same."""
+    law = WaveLaw(1e-4, 30.0)
+    fit = identify(WaveLaw, measured(law, np.arange(1, 7) * bar, np.arange(6) * 5 * percent, 0.5, slack_force=-1e3))
+    found = profile(fit, "w", by=Grouping.POINT)
+    alias = 2 * np.pi / 0.05 - fit.law.w
+    assert any(f"apart from the interval, w near {alias * percent:.4g} 1/percent" in r for r in found.reasons)
+    assert found.interval.upper - found.interval.lower < 1.0
+
+
+def test_profiles_of_a_law_that_is_linear_in_nothing():
+    law = ChouLaw(25 * deg, 10 * mm)
+    data = measured(law, np.arange(1, 7) * bar, np.linspace(0, 0.2, 9), 2.0)
+    fit = identify(ChouLaw, data)
+    for name in ("braid_angle", "initial_diameter"):
+        found = profile(fit, name, by=Grouping.POINT)
+        assert found.interval == pytest.approx(found.wald, rel=1e-3)
+        assert found.interval.lower < getattr(law, name) < found.interval.upper
+
+
+def test_a_linear_parameter_has_no_profile(fit):
+    with pytest.raises(ParameterError, match="'a1' is no shape parameter of ExponentialLaw; profile one of decay"):
+        profile(fit, "a1")
+
+
+# --- bootstrap ----------------------------------------------------------------------------------------------
+
+
+def test_a_bootstrap_agrees_with_the_sandwich_and_with_refits_to_repeated_points(map_of_martens):
+    fit = identify(ExponentialLaw, map_of_martens)
+    found = bootstrap(fit, 300, seed=1)
+    assert (found.by, found.blocks, found.draws.shape) == (Grouping.PRESSURE, 16, (300, 7))
+    again = bootstrap(fit, 2, seed=1)
+    np.testing.assert_array_equal(again.draws, found.draws[:2])
+    ratio = found.standard_errors["decay"] / fit.robust.standard_errors["decay"]
+    assert 0.7 < ratio < 1.4
+    low, high = found.intervals()["decay"]
+    assert low < fit.law.decay < high
+    assert (high - low) > 2 * 1.96 * np.std(found.draws[:, 6]) * 0.9  # wider than plain percentiles, about
+    band = found.force_band(np.array([0.05, 0.1]), 4 * bar)
+    robust = fit.force_band(np.array([0.05, 0.1]), 4 * bar).mean
+    assert np.all(
+        (band.standard_error / robust.standard_error > 0.5) & (band.standard_error / robust.standard_error < 2)
+    )
+    np.testing.assert_allclose(band.value, robust.value)
+
+
+def test_a_weight_is_a_repeated_point(chart):
+    fit = identify(ExponentialLaw, chart)
+    counts = np.random.default_rng(0).integers(0, 3, 119)
+    problem = fit.evidence.problem.weighing(counts.astype(float))
+    from mckibben.identification.projection import solve_by_projection
+
+    rows = np.repeat(np.flatnonzero(chart.force > 0), counts)
+    repeated = IsobaricDataset.of(
+        pressure=chart.pressure[rows], contraction=chart.contraction[rows], force=chart.force[rows]
+    )
+    values = solve_by_projection(problem, fit.evidence.solution.position).values
+    np.testing.assert_allclose(values, list(identify(ExponentialLaw, repeated).estimates.values()), rtol=1e-6)
+
+
+def test_what_a_bootstrap_draws(fit, chart):
+    def with_repeats(count):
+        repeat = np.arange(len(chart)) % count
+        return identify(
+            ExponentialLaw,
+            IsobaricDataset.of(
+                pressure=chart.pressure, contraction=chart.contraction, force=chart.force, repeat=repeat
+            ),
+        )
+
+    assert bootstrap(with_repeats(8), 3).by is Grouping.REPEAT
+    few = with_repeats(3)
+    assert bootstrap(few, 3).by is Grouping.STROKE
+    with pytest.raises(IdentificationError, match="3 repeats are too few to draw from; repeat the test"):
+        bootstrap(few, by=Grouping.REPEAT)
+    with pytest.raises(RangeError, match="1 refits have no spread"):
+        bootstrap(fit, 1)
+
+
+def test_draws_that_determine_nothing_are_refused():
+    """Eight pressures, but all contractions at two of them only."""
+    levels = np.arange(1, 9) * bar
+    rows = [(p, eps) for p in levels for eps in (np.linspace(0, 0.2, 9) if p in levels[[3, 7]] else [0.0, 0.02])]
+    pressure, contraction = np.array(rows).T
+    force = np.asarray(EQ_3.force(contraction, pressure)) + 300 + np.random.default_rng(0).normal(size=len(rows))
+    fit = identify(ExponentialLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force))
+    with pytest.raises(IdentificationError, match="draws of 8 pressures do not determine ExponentialLaw"):
+        bootstrap(fit, 50)
+
+
+def test_a_fit_stays_a_value(fit):
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        fit.evidence.points = None
