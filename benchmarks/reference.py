@@ -86,7 +86,7 @@ class Problem:
     @property
     def first(self) -> NDArray[np.float64]:
         """The state at the start: angle, velocity, p1, p2."""
-        return np.array([float(value) for value in self.start])
+        return np.array([float(value) for value in self.start[:4]])
 
     @property
     def numbers(self) -> Numbers:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         PID,
         BackpropPID,
         Constant,
+        FrictionCompensation,
         Jacobian,
         Multisine,
         PositionStiffnessControl,
@@ -32,29 +33,34 @@ if TYPE_CHECKING:
     )
     from mckibben.dataset import IsobaricDataset, Recording, read_dataset, read_recording
     from mckibben.errors import McKibbenError
-    from mckibben.identification import Fit, identify, rank, validate
+    from mckibben.identification import Fit, identify, identify_hysteresis, rank, validate
     from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
-    from mckibben.muscle import ChouLaw, Domain, DoubleExponentialLaw, ExponentialLaw, Muscle, Specimen
+    from mckibben.muscle import ChouLaw, Domain, DoubleExponentialLaw, ExponentialLaw, MaxwellSlip, Muscle, Specimen
     from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load
     from mckibben.rig import IsobaricProtocol, VirtualRig
     from mckibben.simulation import Result, check_reference, differentiate, simulate, simulate_many
     from mckibben.study.paper import reproduce
+    from mckibben.study.planning import plan
     from mckibben.study.scenario import Scenario
     from mckibben.study.sweep import sweep
     from mckibben.study.tuning import tune
 
 _MODULES = ("catalog", "report", "units")
 _HOMES = {
-    "control": ("PID BackpropPID Constant Jacobian Multisine PositionStiffnessControl Reference Samples Sine Step"),
+    "control": (
+        "PID BackpropPID Constant FrictionCompensation Jacobian Multisine PositionStiffnessControl Reference Samples "
+        "Sine Step"
+    ),
     "dataset": "IsobaricDataset Recording read_dataset read_recording",
     "errors": "McKibbenError",
-    "identification": "Fit identify rank validate",
+    "identification": "Fit identify identify_hysteresis rank validate",
     "joint": "AntagonisticJoint KneeGeometry RigidTendon SeriesSpring",
-    "muscle": "ChouLaw Domain DoubleExponentialLaw ExponentialLaw Muscle Specimen",
+    "muscle": "ChouLaw Domain DoubleExponentialLaw ExponentialLaw MaxwellSlip Muscle Specimen",
     "plant": "FirstOrderValve IdealValve JointPlant Load",
     "rig": "IsobaricProtocol VirtualRig",
     "simulation": "Result check_reference differentiate simulate simulate_many",
     "study.paper": "reproduce",
+    "study.planning": "plan",
     "study.scenario": "Scenario",
     "study.sweep": "sweep",
     "study.tuning": "tune",
@@ -72,6 +78,7 @@ __all__ = [
     "ExponentialLaw",
     "FirstOrderValve",
     "Fit",
+    "FrictionCompensation",
     "IdealValve",
     "IsobaricDataset",
     "IsobaricProtocol",
@@ -79,6 +86,7 @@ __all__ = [
     "JointPlant",
     "KneeGeometry",
     "Load",
+    "MaxwellSlip",
     "McKibbenError",
     "Multisine",
     "Muscle",
@@ -98,6 +106,8 @@ __all__ = [
     "check_reference",
     "differentiate",
     "identify",
+    "identify_hysteresis",
+    "plan",
     "rank",
     "read_dataset",
     "read_recording",

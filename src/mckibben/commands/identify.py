@@ -29,6 +29,9 @@ def identify(
         bool, typer.Option("--profile", help="Profile the shape parameters: are they determined?")
     ] = False,
     bootstrap: Annotated[int, typer.Option(metavar="N", help="Refit N times to blocks of points drawn anew.")] = 0,
+    hysteresis: Annotated[
+        bool, typer.Option("--hysteresis", help="Find friction and sensor drift with the law, from both directions.")
+    ] = False,
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     column: Column = None,
@@ -39,7 +42,7 @@ def identify(
     """Fit a force law to measured points: estimates with standard errors, and errors at unseen pressures.
 
     With --law all every law is fitted, and they are ranked by their errors at whole pressures, directions and repeats
-    left out.
+    left out. With --hysteresis the friction between loading and unloading is found with the law.
     """
     if out:
         folder(out)
@@ -48,32 +51,40 @@ def identify(
     law_type = law_type_named(law) if law != _ALL else None
     points = measured(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
     if law_type is None:
-        if profile or bootstrap:
+        if profile or bootstrap or hysteresis:
             raise ParameterError(
-                "--profile and --bootstrap are about one law", remedy="name it, such as --law exponential"
+                "--profile, --bootstrap and --hysteresis are about one law",
+                remedy="name it, such as --law exponential",
             )
         _rank(points, json, out)
         return
     from mckibben.identification import identify as run
+    from mckibben.identification import identify_hysteresis
     from mckibben.study.intervals import further, further_report, interval_numbers
-    from mckibben.study.numbers import fit_numbers, to_json, write_json
+    from mckibben.study.numbers import fit_numbers, hysteresis_numbers, to_json, write_json
 
-    fit = run(law_type, points)
+    way = identify_hysteresis(law_type, points) if hysteresis else None
+    static = way.corrected(points) if way else points
+    fit = run(law_type, static)
     found = further(fit, level=level, profiles=profile, refits=bootstrap)
     numbers = {**fit_numbers(fit), "uncertainty": interval_numbers(fit, found)}
-    typer.echo(to_json(numbers) if json else "\n".join(filter(None, [fit.report(level), further_report(fit, found)])))
+    if way:
+        numbers["hysteresis"] = hysteresis_numbers(way)
+    texts = [way.report() + "\n\nThe law, of the points without friction and drift:\n" if way else ""]
+    texts += [fit.report(level), further_report(fit, found)]
+    typer.echo(to_json(numbers) if json else "\n".join(filter(None, texts)))
     if out:
         from mckibben import report
 
         fit.to_yaml(out / "fit.yaml")
         points.to_netcdf(out / "data.nc")
         write_json(out / "results.json", numbers)
-        report.save(report.isobaric(points, fit), out, "fit")
-        report.save(report.force_bands(points, fit, level=level), out, "bands")
-        for one in found.profiles:
-            report.save(report.profile_likelihood(one, fit), out, f"profile-{one.name}")
-        profiles = f", profile-{'/'.join(one.name for one in found.profiles)}" if found.profiles else ""
-        said(f"kept fit.yaml, data.nc, results.json and fit, bands{profiles} as .png and .svg in {out}", json)
+        figures = {"fit": report.isobaric(static, fit), "bands": report.force_bands(static, fit, level=level)}
+        figures |= {f"profile-{one.name}": report.profile_likelihood(one, fit) for one in found.profiles}
+        figures |= {"loops": report.loops(points, way)} if way else {}
+        for name, figure in figures.items():
+            report.save(figure, out, name)
+        said(f"kept fit.yaml, data.nc, results.json and {', '.join(figures)} as .png and .svg in {out}", json)
 
 
 def validate(

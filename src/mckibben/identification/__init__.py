@@ -1,4 +1,4 @@
-"""From measured points to a force law: least squares, uncertainty, errors at unseen points."""
+"""From measured points to a force law and its friction: least squares, uncertainty, errors at unseen points."""
 
 from mckibben.identification.bands import Band, ForceBand, Interval
 from mckibben.identification.bootstrap import Bootstrap, bootstrap
@@ -6,6 +6,8 @@ from mckibben.identification.design import design_matrix
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.fitting import identify
 from mckibben.identification.groups import Grouping
+from mckibben.identification.hysteresis import identify_hysteresis
+from mckibben.identification.hysteresis_fit import Drift, HysteresisFit
 from mckibben.identification.posterior import Noise, Posterior, posterior
 from mckibben.identification.profile import Profile, profile
 from mckibben.identification.ranking import Ranked, Ranking, rank
@@ -17,11 +19,13 @@ __all__ = [
     "Band",
     "Bootstrap",
     "DatasetSummary",
+    "Drift",
     "Errors",
     "Fit",
     "ForceBand",
     "Grouping",
     "HoldOut",
+    "HysteresisFit",
     "Interval",
     "LeaveOnePressureOut",
     "Noise",
@@ -35,6 +39,7 @@ __all__ = [
     "design_matrix",
     "hold_out",
     "identify",
+    "identify_hysteresis",
     "posterior",
     "profile",
     "rank",

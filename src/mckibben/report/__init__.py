@@ -3,8 +3,10 @@
 from mckibben.report.comparison import controller_comparison, gain_histories
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.html import write_report
+from mckibben.report.hysteresis import loops
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric, isobaric_curves, law_comparison, measured_muscles
+from mckibben.report.plan import planned
 from mckibben.report.ranking import ranking
 from mckibben.report.style import house_style, save
 from mckibben.report.sweep import sweep
@@ -26,7 +28,9 @@ __all__ = [
     "isobaric",
     "isobaric_curves",
     "law_comparison",
+    "loops",
     "measured_muscles",
+    "planned",
     "profile_likelihood",
     "ranking",
     "save",

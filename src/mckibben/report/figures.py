@@ -19,6 +19,7 @@ from mckibben.study.paper import Reproduction
 from mckibben.study.paper.identification import CHOU, EXPERIMENTAL, RIG
 from mckibben.study.paper.settings import FREE, SETTINGS, Setting, Wish
 from mckibben.study.paper.tracking import BP, PID, TUNED_BP, Run
+from mckibben.study.scenario.building import build_loop
 from mckibben.units import deg
 
 
@@ -209,5 +210,5 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
 
 def gain_ratio(run: Run) -> float:
     """By what factor the position loop of a run under BP may move its gains."""
-    loop = run.scenario.control().position
+    loop = build_loop(run.scenario.controller.position)
     return float(loop.gain_ratio) if isinstance(loop, BackpropPID) else 1.0

@@ -14,7 +14,7 @@ from mckibben.files import whole
 from mckibben.units import deg, factor, percent
 
 if TYPE_CHECKING:
-    from mckibben.identification import Fit
+    from mckibben.identification import Fit, HysteresisFit
 
 METRICS: dict[str, tuple[str, str, float]] = {
     "angle_rmse_deg": ("angle_rmse", "deg", deg),
@@ -62,6 +62,25 @@ def fit_numbers(fit: Fit) -> dict[str, Any]:
             for name, value in fit.estimates.items()
         },
         "warnings": list(fit.warnings),
+    }
+
+
+def hysteresis_numbers(found: HysteresisFit) -> dict[str, Any]:
+    """Friction and drift in the units in which they are shown."""
+    friction, errors = found.friction, found.standard_errors
+    per_bar = factor("N/bar")
+    return {
+        "half_width_N": friction.half_width,
+        "half_width_standard_error_N": errors["half_width"],
+        "growth_N_per_bar": friction.growth / per_bar,
+        "growth_standard_error_N_per_bar": errors["growth"] / per_bar,
+        "reference_pressure_bar": friction.reference_pressure / factor("bar"),
+        "presliding_length_mm": friction.presliding_length / factor("mm"),
+        "presliding_length_standard_error_mm": errors["presliding_length"] / factor("mm"),
+        "drift_N_per_hour": found.drift.rate * 3600 if found.drift else 0.0,
+        "rmse_N": found.rmse,
+        "max_N": found.max_error,
+        "warnings": list(found.warnings),
     }
 
 

@@ -1,0 +1,265 @@
+"""What a test is to make sure: coefficients of the law, force in a region, torque or stiffness of a joint.
+
+A quantity is to a plan no more than its gradients with respect to the parameters of the law.
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
+
+from mckibben.errors import ParameterError, RangeError
+from mckibben.identification.bands import force_gradients
+from mckibben.joint import AntagonisticJoint
+from mckibben.muscle import Domain, ForceLaw, forces
+from mckibben.numerics.compiled import compiled
+from mckibben.study.planning.candidates import States
+from mckibben.units import bar, deg, factor, percent
+
+_SIDE = 21  # places along each side of a region
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A quantity at the estimate of the parameters.
+
+    Attributes
+    ----------
+    gradients
+        Shape (numbers, parameters): of each number of the quantity with respect to the parameters, in SI.
+    values
+        Shape (numbers,): what they are at the estimate.
+    joint
+        Whether the volume of their joint confidence region counts (numbers of different units), and not the mean of
+        their variances.
+    states
+        Shape (states, 2): contraction [-] and pressure [Pa] of the muscle that they are about; empty where about none
+        in particular.
+    doubts
+        Sentences on what the answer is worth.
+    """
+
+    gradients: NDArray[np.float64] = field(repr=False)
+    values: NDArray[np.float64] = field(repr=False)
+    joint: bool = False
+    states: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)), repr=False)
+    doubts: tuple[str, ...] = ()
+
+
+class Quantity(abc.ABC):
+    """Something that depends on the parameters of a law."""
+
+    @abc.abstractmethod
+    def target(self, law: ForceLaw, states: States) -> Target:
+        """Its gradients at a law; `states` are those that can be measured."""
+
+    @abc.abstractmethod
+    def unit(self, law_type: type[ForceLaw]) -> str:
+        """In which its standard error is shown; empty where several units make it a bare ratio."""
+
+
+@dataclass(frozen=True)
+class Coefficients(Quantity):
+    """Parameters of the law: one, or several at once.
+
+    Of one it is the variance that counts, of several the volume of their confidence ellipsoid (D-optimal, which does
+    not depend on their units).
+
+    Parameters
+    ----------
+    names
+        Which; all of them unless given.
+    """
+
+    names: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return ", ".join(self.names) or "all coefficients"
+
+    def unit(self, law_type: type[ForceLaw]) -> str:
+        names = self._of(law_type)
+        return next(p.shown for p in law_type.parameters() if p.name == names[0]) if len(names) == 1 else ""
+
+    def target(self, law: ForceLaw, states: States) -> Target:
+        known = [p.name for p in type(law).parameters()]
+        names = self._of(type(law))
+        gradients = np.eye(len(known))[[known.index(name) for name in names]]
+        return Target(gradients, np.array([float(getattr(law, name)) for name in names]), joint=len(names) > 1)
+
+    def _of(self, law_type: type[ForceLaw]) -> tuple[str, ...]:
+        known = [p.name for p in law_type.parameters()]
+        for name in self.names:
+            if name not in known:
+                raise ParameterError(
+                    f"{law_type.__name__} has no coefficient {name!r}", value=name, remedy=f"it has {', '.join(known)}"
+                )
+        return self.names or tuple(known)
+
+
+@dataclass(frozen=True)
+class Force(Quantity):
+    """The force in a region, on average over it (V-optimal).
+
+    Parameters
+    ----------
+    region
+        A box of contraction and pressure, of which the taut part counts; all that can be measured unless given.
+    """
+
+    region: Domain | None = None
+
+    def __str__(self) -> str:
+        return f"force at {self.region}" if self.region else "force"
+
+    def unit(self, law_type: type[ForceLaw]) -> str:
+        return "N"
+
+    def target(self, law: ForceLaw, states: States) -> Target:
+        if self.region is None:
+            rows, columns = states.places.T
+            contraction, pressure = states.contractions[columns], states.pressures[rows]
+            force, asked = states.force[rows, columns], np.empty((0, 2))
+        else:
+            box = self.region
+            sides = (
+                np.linspace(float(low), float(high), _SIDE if high > low else 1)
+                for low, high in (
+                    (box.contraction_min, box.contraction_max),
+                    (box.pressure_min, box.pressure_max),
+                )
+            )
+            contraction, pressure = (axis.ravel() for axis in np.meshgrid(*sides))
+            force = forces(law, contraction, pressure)
+            with np.errstate(invalid="ignore"):
+                taut = (force > 0) & np.asarray(type(law).holds.contains(contraction, pressure))
+            if not taut.any():
+                raise RangeError(
+                    f"nothing in the region {box} is known to pull: the law has no force there",
+                    remedy="choose a region where the muscle is taut",
+                )
+            contraction, pressure, force = contraction[taut], pressure[taut], force[taut]
+            asked = np.stack([contraction, pressure], axis=1)
+        names = [p.name for p in type(law).parameters()]
+        gradients = force_gradients(law, names, contraction, pressure)
+        return Target(gradients, force, states=asked)
+
+
+@dataclass(frozen=True)
+class _OfJoint(Quantity):
+    """What both kinds of a joint's quantity share."""
+
+    joint: AntagonisticJoint
+    angle: float | Sequence[float] = 0.0
+    pressures: tuple[float, float] = (3 * bar, 3 * bar)
+
+    _row = 0
+    _name = ""
+    _unit = ""
+
+    def __str__(self) -> str:
+        angles = np.atleast_1d(np.asarray(self.angle, float)) / deg
+        shown = f"{angles[0]:.4g}" if len(angles) == 1 else f"{angles[0]:.4g}..{angles[-1]:.4g}"
+        p1, p2 = (pressure / bar for pressure in self.pressures)
+        return f"{self._name} at {shown} deg, {p1:.4g} bar, {p2:.4g} bar"
+
+    def unit(self, law_type: type[ForceLaw]) -> str:
+        return self._unit
+
+    def target(self, law: ForceLaw, states: States) -> Target:
+        angles = np.atleast_1d(np.asarray(self.angle, np.float64))
+        pressures = [np.full(len(angles), float(pressure)) for pressure in self.pressures]
+        joint = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), self.joint, (law, law))
+        values = np.array([float(getattr(law, p.name)) for p in type(law).parameters()])
+        answers = jax.tree.map(np.asarray, _derivatives(joint, values, angles, *pressures))
+        found, gradients, contractions = answers
+        doubts: list[str] = []
+        muscles = self.joint.muscle1, self.joint.muscle2
+        for number, muscle, contraction, pressure in zip((1, 2), muscles, contractions, pressures, strict=True):
+            domain, name = muscle.specimen.domain, muscle.specimen.name
+            for one in contraction:
+                domain.check_contraction(
+                    float(one), f"{name} (muscle {number}, {self})", "choose a smaller angle or a longer connector"
+                )
+            low, high = float(domain.pressure_min), float(domain.pressure_max)
+            if not low <= pressure[0] <= high:
+                raise RangeError(
+                    f"{pressure[0] / bar:g} bar is outside {low / bar:g}..{high / bar:g} bar of {name}",
+                    value=pressure[0],
+                    lower=low,
+                    upper=high,
+                    unit="Pa",
+                )
+            if np.any(forces(law, contraction, pressure) <= 0):
+                doubts.append(f"muscle {number} is slack there, and has no part in the {self._name}")
+        places = np.stack([np.concatenate(contractions), np.concatenate(pressures)], axis=1)
+        return Target(gradients[self._row].T, found[self._row], states=places, doubts=tuple(doubts))
+
+
+@dataclass(frozen=True)
+class JointTorque(_OfJoint):
+    """The torque of a joint's muscles, which both follow the law.
+
+    Parameters
+    ----------
+    joint
+        Geometry, specimens and tendon; the laws of its muscles are replaced.
+    angle
+        [rad]; of several the mean variance counts.
+    pressures
+        Of muscle 1 and muscle 2 [Pa].
+    """
+
+    _row = 0
+    _name = "torque"
+    _unit = "N*m"
+
+
+@dataclass(frozen=True)
+class JointStiffness(_OfJoint):
+    """The stiffness of a joint at constant pressures; parameters as for `JointTorque`."""
+
+    _row = 1
+    _name = "stiffness"
+    _unit = "N*m/rad"
+
+
+def shown(value: float, unit: str) -> float:
+    """A number in SI in the unit in which it is shown."""
+    return value / factor(unit) if unit else value
+
+
+def in_words(contraction: float, pressure: float) -> str:
+    """A state as text.
+
+    >>> in_words(0.124, 3e5)
+    '12.4 % and 3 bar'
+    """
+    return f"{contraction / percent:.4g} % and {pressure / bar:.4g} bar"
+
+
+@compiled
+def _derivatives(
+    joint: AntagonisticJoint, values: ArrayLike, angle: ArrayLike, pressure1: ArrayLike, pressure2: ArrayLike
+) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Torque and stiffness, shape (2, angles); their gradients, shape (2, parameters, angles); contractions."""
+    names = [p.name for p in type(joint.muscle1.law).parameters()]
+
+    def answer(given: Array) -> Array:
+        law = dataclasses.replace(joint.muscle1.law, **dict(zip(names, given, strict=True)))
+        changed = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, (law, law))
+        return jnp.stack(changed.torque_and_stiffness(angle, (pressure1, pressure2)))
+
+    def column(direction: Array) -> Array:
+        return jax.jvp(answer, (jnp.asarray(values),), (direction,))[1]
+
+    gradients = jax.vmap(column, out_axes=1)(jnp.eye(len(names)))
+    return answer(jnp.asarray(values)), gradients, joint.contractions(angle, (pressure1, pressure2))

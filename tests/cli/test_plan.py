@@ -1,0 +1,125 @@
+"""mckibben plan: its table, what it keeps, and what it says of wrong input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.dataset import IsobaricDataset
+from mckibben.units import bar
+
+MARTENS = "dmsp-10-250-martens2017"
+EXAMPLE = str(Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml")
+
+
+@pytest.fixture
+def loading(tmp_path) -> str:
+    """Eq. 3 with noise and friction, in loading alone."""
+    contraction, pressure = (x.ravel() for x in np.meshgrid(np.arange(0, 0.13, 0.02), np.array([2, 3, 4]) * bar))
+    force = np.asarray(catalog.law("lei-mas-10-180n").force(contraction, pressure)) + 3.0
+    force = force + np.random.default_rng(0).normal(size=force.size)
+    IsobaricDataset.of(
+        pressure=pressure,
+        contraction=contraction,
+        force=force.clip(min=0),
+        direction=["loading"] * force.size,
+        specimen="MAS-10-180N-AA-MC-O",
+        slack_force=8.0,
+    ).to_csv(tmp_path / "loading.csv")
+    return "loading.csv"
+
+
+def test_the_points_and_what_they_gain(cli):
+    found = cli("plan", MARTENS, "--law", "exponential", "--for", "stiffness", "--points", "5")
+    assert (found.code, found.err) == (0, "")
+    assert "DMSP-10-250, Exponential law: 5 points to measure next" in found.out
+    assert (
+        "stiffness at 0 deg, 3 bar, 3 bar: 74.24 N*m/rad, standard error now 1.98 N*m/rad; after these 5" in found.out
+    )
+    assert "not seen: no point above 6.5 bar, where 8 bar is allowed" in found.out
+    assert "not seen: directions are not recorded" in found.out
+
+
+def test_what_is_kept(cli, tmp_path):
+    options = ("--for", "decay", "--pressure", "1..6 bar", "--contraction-step", "2 mm", "--pressure-step", "0.5 bar")
+    found = cli("plan", MARTENS, *options, "--json", "--out", "next")
+    assert found.code == 0 and found.err == "kept plan.csv, results.json and plan.png and .svg in next\n"
+    numbers = json.loads(found.out)
+    assert numbers == json.loads((tmp_path / "next" / "results.json").read_text(encoding="utf-8"))
+    assert numbers["unit"] == "1/percent" and numbers["value"] == pytest.approx(0.4, abs=5e-4)
+    assert numbers["standard_error_after"] < numbers["standard_error_even"] < numbers["standard_error_now"]
+    assert numbers["standard_error_after"] == pytest.approx(numbers["parameters"]["decay"]["after"])
+    assert numbers["points"][-1]["standard_error"] == numbers["standard_error_after"]
+    rows = (tmp_path / "next" / "plan.csv").read_text(encoding="utf-8").splitlines()
+    assert rows[0] == "pressure_bar,contraction_percent,direction,repeat,expected_N,rank"
+    assert sorted(int(row.split(",")[-1]) for row in rows[1:]) == list(range(1, 9))
+    for point in numbers["points"]:
+        assert 1 <= point["pressure_bar"] <= 6 and point["pressure_bar"] % 0.5 == 0
+        assert point["contraction_percent"] / 0.8 == pytest.approx(round(point["contraction_percent"] / 0.8))
+    assert (tmp_path / "next" / "plan.png").stat().st_size > 20_000
+
+
+def test_one_direction_and_a_joint_of_a_scenario(cli, loading):
+    found = cli("plan", loading, "--for", "stiffness at 10 deg, 2 bar, 4 bar", "--joint", EXAMPLE)
+    assert (found.code, found.err) == (0, "")
+    assert "standard error now not determined; after these 8 points" in found.out
+    assert "not seen: all points are loading: the data at hand cannot tell friction from force; measure unloading" in (
+        found.out
+    )
+    alone = cli("plan", loading, "--directions", "loading")
+    assert alone.code == 2 and "plan without friction" in alone.err
+    without = cli("plan", loading, "--directions", "loading", "--no-friction", "--points", "2")
+    assert (without.code, without.err) == (0, "")
+
+
+def test_too_few_points_for_a_fit(cli, tmp_path, loading):
+    lines = (tmp_path / loading).read_text(encoding="utf-8").splitlines()
+    (tmp_path / "few.csv").write_text("\n".join(lines[: lines.index(next(x for x in lines if x[0] != "#")) + 5]) + "\n")
+    found = cli("plan", "few.csv", "--points", "12", "--noise", "1 N")
+    assert (found.code, found.err) == (0, "")
+    assert "note: the plan begins with a guess, ExponentialLaw as it fits the chart festo-tool-10mm" in found.out
+    given = cli("plan", "few.csv", "--points", "12", "--noise", "1 N", "--guess", "lei-mas-10-180n")
+    assert given.code == 0 and "the guess given" in given.out
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--for", "happiness"), "'happiness' is no quantity; give stiffness, torque, force, coefficients"),
+        (("--for", "decay", "--law", "chou"), "'decay' is no quantity"),
+        (("--law", "newton"), "there is no law 'newton'"),
+        (("--for", "stiffness at 50 deg"), "contraction -12.8 % is outside -3..25 %"),
+        (("--for", "stiffness at 3 bar"), "is an angle and pressures, but 'bar' is not a unit"),
+        (("--for", "stiffness at 1 deg, 1 bar, 2 bar, 3 bar"), "too many places"),
+        (("--for", "stiffness at 0 deg, 0 bar"), "there is nothing to gain"),
+        (("--for", "torque at 0 deg, 3 bar"), "there is nothing to gain"),
+        (("--for", "force at 0..10 %"), "is no region"),
+        (("--for", "force at 20..25 %, 0..1 bar"), "the law has no force there"),
+        (("--for", "torque", "--joint", "elbow"), "there is no joint 'elbow'"),
+        (("--for", "torque", "--joint", "elbow.yaml"), "elbow.yaml"),
+        (("--points", "0"), "0 points cannot be planned; 1 to 200 can"),
+        (("--repeats", "0"), "0 repeats"),
+        (("--directions", "up"), "'up' is no direction"),
+        (
+            ("--contraction", "3"),
+            "the limits contraction 300..300 %, pressure 0..8 bar lie outside contraction -3..25 %",
+        ),
+        (("--contraction-step", "0 mm"), "a contraction step of 0 is none"),
+        (("--contraction-step", "1 bar"), "--contraction-step: 'bar' is not a unit"),
+        (("--pressure-step", "-1 bar"), "a pressure step of -100000 Pa is none"),
+        (("--pressure", "1..2 mm"), "--pressure: 'mm' is not a unit"),
+        (("--noise", "3"), "--noise: '3' is not a number and a unit"),
+        (("--noise", "0 N"), "a noise of 0 N is not above 0"),
+        (("--stroke-error", "-1 N"), "a stroke error of -1 N is not 0 or above"),
+        (("--specimen", "worm"), "the catalog has no specimen 'worm'"),
+        (("--guess", "nothing"), "there is no law 'nothing'"),
+    ],
+)
+def test_wrong_input_is_one_sentence(cli, options, said):
+    found = cli("plan", MARTENS, *options)
+    assert (found.code, found.out) == (2, "")
+    assert said in found.err and found.err.startswith("error: ")
