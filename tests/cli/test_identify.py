@@ -10,7 +10,9 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit
-from mckibben.units import percent
+from mckibben.muscle import Muscle
+from mckibben.rig import IsobaricProtocol, VirtualRig
+from mckibben.units import bar, mm, percent
 
 TABLES = Path(__file__).parents[2] / "src" / "mckibben" / "catalog" / "tables"
 FESTO = str(TABLES / "festo-tool_10mm.csv")
@@ -229,3 +231,20 @@ def test_how_sure_a_fit_is(cli, tmp_path):
         refused = cli("identify", FESTO, *wrong)
         assert refused.code == 2
         assert re.search(said, refused.err)
+
+
+def test_hysteresis_is_found_with_the_law(cli, tmp_path):
+    muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+    protocol = IsobaricProtocol(pressures=[2 * bar, 4 * bar, 6 * bar], step=2 * mm, repeats=2, samples=50)
+    VirtualRig(muscle, force_drift=0.5).run(protocol, seed=4).to_csv(tmp_path / "rig.csv")
+    found = cli("identify", "rig.csv", "--hysteresis", "--json", "--out", "kept")
+    assert found.code == 0
+    numbers = json.loads(found.out)
+    assert numbers["hysteresis"]["half_width_N"] == pytest.approx(12, rel=0.01)
+    assert numbers["hysteresis"]["drift_N_per_hour"] == pytest.approx(0.5, rel=0.2)
+    assert numbers["decay_per_percent"] == pytest.approx(0.3, rel=1e-3)
+    assert (tmp_path / "kept" / "loops.png").stat().st_size > 20_000
+    refused = cli("identify", FESTO, "--hysteresis")
+    assert refused.code == 2
+    assert "the dataset has no directions" in refused.err
+    assert "are about one law" in cli("identify", FESTO, "--law", "all", "--hysteresis").err

@@ -2,6 +2,7 @@
 
 from mckibben.control.backprop import BackpropPID, Jacobian
 from mckibben.control.base import Controller, Loop, Measurement, Reference, Setpoint
+from mckibben.control.friction import FrictionCompensation
 from mckibben.control.pid import PID
 from mckibben.control.position_stiffness import PositionStiffnessControl
 from mckibben.control.signal import Constant, Multisine, Samples, Signal, Sine, Step
@@ -11,6 +12,7 @@ __all__ = [
     "BackpropPID",
     "Constant",
     "Controller",
+    "FrictionCompensation",
     "Jacobian",
     "Loop",
     "Measurement",

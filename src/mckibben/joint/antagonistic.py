@@ -12,9 +12,9 @@ from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import attainable
 from mckibben.joint.geometry import KneeGeometry, Pair
 from mckibben.joint.tendon import RigidTendon, Tendon
-from mckibben.muscle import Muscle, PressureAffineLaw
+from mckibben.muscle import MaxwellSlip, Muscle, PressureAffineLaw
 from mckibben.numerics.arrays import floating
-from mckibben.numerics.checks import check_kind
+from mckibben.numerics.checks import check_kind, check_within
 from mckibben.numerics.derivative import derivative, value_and_derivative
 from mckibben.units import deg
 
@@ -91,6 +91,11 @@ class AntagonisticJoint(eqx.Module):
             muscle2=(self.muscle2, Muscle),
             tendon=(self.tendon, Tendon),
         )
+        if not isinstance(self.tendon, RigidTendon):  # then the rate of a muscle's length is no function of the state
+            owner = f"muscle in series with a {type(self.tendon).__name__}"
+            for friction in (self.muscle1.friction, self.muscle2.friction):
+                if isinstance(friction, MaxwellSlip):
+                    check_within(owner, 0.0, 0.0, "N*s/m", viscous=friction.viscous)
 
     def contractions(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
         """The contraction [-] of each muscle."""

@@ -6,11 +6,14 @@ import math
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from mckibben.joint import AntagonisticJoint
+from mckibben.joint import AntagonisticJoint, friction
 from mckibben.joint.attainable import Hold, hold
+from mckibben.joint.friction import Memories
+from mckibben.muscle import Memory
 from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
@@ -21,17 +24,27 @@ Scalar = Float[Array, ""]
 
 
 class PlantState(NamedTuple):
-    """Angle [rad], angular velocity [rad/s] and the gauge pressures [Pa] of muscles 1 and 2."""
+    """Angle [rad], angular velocity [rad/s] and the gauge pressures [Pa] of muscles 1 and 2.
+
+    With friction also what each muscle remembers of its way; nothing without.
+    """
 
     angle: Scalar
     velocity: Scalar
     pressure1: Scalar
     pressure2: Scalar
+    memory1: Memory = ()
+    memory2: Memory = ()
 
     @property
     def pressures(self) -> tuple[Scalar, Scalar]:
         """Both pressures, (p1, p2)."""
         return self.pressure1, self.pressure2
+
+    @property
+    def memories(self) -> Memories:
+        """Both memories."""
+        return self.memory1, self.memory2
 
 
 class JointPlant(eqx.Module):
@@ -79,15 +92,46 @@ class JointPlant(eqx.Module):
         )
 
     def rate(self, state: PlantState, commands: tuple[ArrayLike, ArrayLike]) -> PlantState:
-        """The derivative of the state with respect to time, Eq. 6, while the commands are held."""
+        """The derivative of the state with respect to time, Eq. 6, while the commands are held.
+
+        What the muscles remember stands still; `settled` moves it after each step of the integration.
+        """
         resisting = self.load.gravity_torque(state.angle) - self.load.damping * state.velocity
-        torque = self.joint.torque(state.angle, state.pressures) + resisting
+        torque = self._torque(state) + resisting
         return PlantState(
             angle=state.velocity,
             velocity=torque * (1 / self.load.total_inertia),
             pressure1=self.valve.rate(state.pressure1, commands[0]),
             pressure2=self.valve.rate(state.pressure2, commands[1]),
+            memory1=jax.tree.map(jnp.zeros_like, state.memory1),
+            memory2=jax.tree.map(jnp.zeros_like, state.memory2),
         )
+
+    def settled(self, state: PlantState) -> PlantState:
+        """The state after a step of the integration: the muscles remember the way; no force changes by it."""
+        if not friction.has_friction(self.joint):
+            return state
+        memory1, memory2 = friction.settled(self.joint, state.memories, state.angle, state.pressures)
+        return state._replace(memory1=memory1, memory2=memory2)
+
+    def still(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> PlantState:
+        """The state that stands at an angle [rad] and gauge pressures [Pa], come to without friction."""
+        angle = floating(angle)
+        pressure1, pressure2 = map(floating, pressures)
+        return self.remembering(PlantState(angle, jnp.zeros_like(angle), pressure1, pressure2))
+
+    def remembering(self, state: PlantState) -> PlantState:
+        """The state, with muscles that are without stress from friction unless it says what they remember."""
+        if state.memories != ((), ()) or not friction.has_friction(self.joint):
+            return state
+        memory1, memory2 = friction.unstressed(self.joint, state.angle, state.pressures)
+        return state._replace(memory1=memory1, memory2=memory2)
+
+    def _torque(self, state: PlantState) -> Scalar:
+        """Of the muscles, friction included [N*m]."""
+        if not friction.has_friction(self.joint):
+            return self.joint.torque(state.angle, state.pressures)
+        return friction.pull(self.joint, state.memories, state.angle, state.velocity, state.pressures).torque
 
     def resting(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
         """The state of `at_rest`, and whether there is one: for traced numbers, which cannot raise.
@@ -98,7 +142,7 @@ class JointPlant(eqx.Module):
         return state, found.exists
 
     def at_rest(self, angle: float = 0.0, *, stiffness: float | None = None) -> PlantState:
-        """The state that rests at an angle with both muscles taut.
+        """The state that rests at an angle with both muscles taut, and without stress from friction.
 
         Parameters
         ----------
@@ -124,5 +168,4 @@ def _rest(plant: JointPlant, angle: ArrayLike, stiffness: ArrayLike) -> tuple[Pl
     """The state at rest, the muscles' torque [N*m] in it, and how it was found; all in one program."""
     holding = -plant.load.gravity_torque(angle)
     found = hold(plant.joint, angle, holding, stiffness)
-    angle = floating(angle)
-    return PlantState(angle, jnp.zeros_like(angle), *found.pressures), holding, found
+    return plant.still(angle, found.pressures), holding, found

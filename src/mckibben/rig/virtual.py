@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError
-from mckibben.muscle import Muscle, forces
-from mckibben.rig.friction import presliding
+from mckibben.muscle import Friction, MaxwellSlip, Muscle, NoFriction, forces
+from mckibben.muscle.friction import NARROWEST
 from mckibben.rig.protocol import IsobaricProtocol, Plateaus
 from mckibben.units import N, bar, kPa, mm, percent
+
+_HOUR = 3600.0  # s
 
 
 @dataclass(frozen=True)
@@ -23,22 +25,24 @@ class VirtualRig:
     At a plateau the muscle has the true pressure :math:`p` = set pressure + regulator offset, its law the
     tension :math:`T` there, and the rig feels
 
-    .. math:: F = T + z B \tanh(T/2B)
+    .. math:: F = T + f + d
 
-    with the hysteresis :math:`B` and the share :math:`-1 \le z \le 1` of `presliding`. The friction of a
-    muscle fades with its tension and a slack one has none, so the muscle never pushes (F is at least T/2);
-    that form is ours, and 96 % of the band are there at T = 4B. The device is adjusted before each pressure
-    so that the first plateau is reached by stretching (z = 1). Every loop is then closed, as measured ones
-    are: the first plateaus after a turn still lie on the side of the pass before. To a fit that is a bias:
-    refitting Eq. 3 is out by up to 7 N, by 0.1 N without the two most stretched plateaus of each pressure.
+    with the friction :math:`f` of the muscle along the way, and the drift :math:`d` of the force sensor. A muscle
+    without friction of its own is given a `MaxwellSlip`: what it feels within the band :math:`\pm B \tanh(T/2B)`,
+    which fades with the tension, so that it never pushes (T + f is at least T/2); that form is ours, and 96 % of
+    the band are there at T = 4B. The device is adjusted before each pressure so that the first plateau is reached by
+    stretching. Every loop is then closed, as measured ones are: the first plateaus after a turn still lie on the
+    side of the pass before. To a fit that is a bias: refitting Eq. 3 is out by up to 7 N, by 0.1 N without the two
+    most stretched plateaus of each pressure.
 
     Parameters
     ----------
     muscle
-        What is tested; its law is the truth that an identification should find.
+        What is tested; its law is the truth that an identification should find. Friction of its own takes the place
+        of the next two numbers.
     hysteresis
         Half the width B [N] of the loop between loading (above) and unloading (below). Hunt (2017) finds
-        +-15.6 kPa for a 10 mm muscle, which is +-12..17 N: 12 N.
+        +-15.6 kPa for a 10 mm muscle, which is +-12..17 N: 12 N. 0 is no friction at all.
     presliding_length
         Way [m] s0 of the friction's change of sides after a reversal: 0.5 mm (ours), so that it is done 86 %
         after 1 mm and 98 % after 2 mm.
@@ -52,11 +56,15 @@ class VirtualRig:
         Largest deviation [Pa] of the true from the set pressure; drawn once per pressure and repeat, evenly
         from minus to plus that: 4.5 kPa (ours; 0.5 % of a regulator's 9 bar). A true pressure is not below 0:
         the regulator vents, and pulls no vacuum.
+    force_drift
+        What the force sensor's zero moves in an hour [N/h], evenly from the start of the test: 0.
+    force_wander
+        Standard deviation of its random walk after an hour [N]; it grows with the square root of time: 0.
 
     Raises
     ------
     RangeError
-        If one of the numbers is negative or not finite, or the presliding length is 0.
+        If one of the numbers is not finite, or negative (only a drift may be), or the presliding length is 0.
 
     Examples
     --------
@@ -75,6 +83,8 @@ class VirtualRig:
     force_noise: float = 0.5 * N
     pressure_noise: float = 0.5 * kPa
     regulator_offset: float = 4.5 * kPa
+    force_drift: float = 0.0
+    force_wander: float = 0.0
 
     def __post_init__(self) -> None:
         problems: list[Problem] = []
@@ -84,9 +94,12 @@ class VirtualRig:
             ("force_noise", "N"),
             ("pressure_noise", "Pa"),
             ("regulator_offset", "Pa"),
+            ("force_drift", "N/h"),
+            ("force_wander", "N"),
         ):
             value = getattr(self, name)
-            if not 0 <= value < math.inf or (name == "presliding_length" and value == 0):
+            lowest = -math.inf if name == "force_drift" else 0
+            if not (math.isfinite(value) and value >= lowest) or (name == "presliding_length" and value == 0):
                 remedy = (
                     "take a tenth of the step for almost none" if name == "presliding_length" else "0 switches it off"
                 )
@@ -95,6 +108,15 @@ class VirtualRig:
             heading = f"virtual rig: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
             raise RangeError("\n  ".join([heading, *map(str, problems)]))
 
+    @property
+    def friction(self) -> Friction:
+        """The muscle's own, or one of the hysteresis and the presliding length."""
+        if not isinstance(self.muscle.friction, NoFriction):
+            return self.muscle.friction
+        if self.hysteresis < NARROWEST:
+            return NoFriction()
+        return MaxwellSlip(self.hysteresis, self.presliding_length)
+
     def run(self, protocol: IsobaricProtocol, *, seed: int) -> IsobaricDataset:
         """Run the test and return what the sensors read.
 
@@ -102,10 +124,10 @@ class VirtualRig:
         a point are the means of its samples. Samples are float32: a rounding of 6e-8, below one step of an 18
         bit card; those of a sensor without noise are float64, so that nothing stands between the law and the
         data. `slack_force` is five standard errors of a plateau mean: a slack muscle reads more in one of 3
-        million plateaus.
+        million plateaus. What the sensor has drifted upwards at most comes on top.
 
-        The three draws (regulator, force sensor, pressure sensor) are independent streams of the seed:
-        switching one off leaves the others as they were.
+        The four draws (regulator, force sensor, pressure sensor, wander of the force sensor) are independent
+        streams of the seed: switching one off leaves the others as they were.
 
         Parameters
         ----------
@@ -122,13 +144,14 @@ class VirtualRig:
         """
         rows = protocol.plateaus(self.muscle)
         self._check_rating(protocol, rows)
-        regulator, force_sensor, pressure_sensor = np.random.default_rng(seed).spawn(3)
+        regulator, force_sensor, pressure_sensor, wander = np.random.default_rng(seed).spawn(4)
 
         set_pressure = np.array(protocol.pressures)[rows.level]
         offsets = regulator.uniform(-1, 1, (len(protocol.pressures), protocol.repeats)) * self.regulator_offset
         pressure = np.maximum(set_pressure + offsets[rows.level, rows.repeat], np.minimum(set_pressure, 0.0))
         tension = forces(self.muscle, rows.contraction, pressure)
-        force = tension + self._shares(rows) * self._friction(tension)
+        drift = self._drift(rows.time, wander)
+        force = tension + self._friction(rows, tension, pressure) + drift
 
         force_samples = _sampled(force, self.force_noise, protocol.samples, force_sensor)
         pressure_samples = _sampled(pressure, self.pressure_noise, protocol.samples, pressure_sensor)
@@ -144,29 +167,42 @@ class VirtualRig:
             pressure_samples=pressure_samples,
             specimen=self.muscle.specimen.name,
             initial_length=float(self.muscle.specimen.initial_length),
-            source=f"virtual rig: {type(self.muscle.law).__name__}, hysteresis {self.hysteresis:g} N over "
-            f"{self.presliding_length / mm:g} mm, noise {self.force_noise:g} N and "
-            f"{self.pressure_noise:g} Pa, regulator offset {self.regulator_offset:g} Pa, seed {seed}",
-            slack_force=5 * self.force_noise / math.sqrt(protocol.samples),
+            source=f"virtual rig: {type(self.muscle.law).__name__}, {self._described()}, seed {seed}",
+            slack_force=5 * self.force_noise / math.sqrt(protocol.samples) + max(0.0, float(drift.max())),
         )
 
-    def _shares(self, rows: Plateaus) -> NDArray[np.float64]:
-        """Of the friction band, per plateau; each pressure begins stretched."""
+    def _friction(
+        self, rows: Plateaus, tension: NDArray[np.float64], pressure: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """The force of friction [N] at each plateau; each pressure begins stretched."""
+        length = np.asarray(self.muscle.specimen.length_at(rows.contraction))
         starts = np.flatnonzero(np.diff(rows.level)) + 1
-        return np.concatenate(
-            [presliding(travel, self.presliding_length, start=1.0) for travel in np.split(rows.travel, starts)]
-        )
+        ways = zip(*(np.split(column, starts) for column in (length, tension, pressure)), strict=True)
+        return np.concatenate([self.friction.along(*way, side=1.0) for way in ways])
 
-    def _friction(self, tension: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Half the width [N] of the loop at a tension [N]."""
-        if self.hysteresis == 0:
-            return np.zeros_like(tension)
-        return self.hysteresis * np.tanh(tension / (2 * self.hysteresis))
+    def _drift(self, time: NDArray[np.float64], generator: np.random.Generator) -> NDArray[np.float64]:
+        """Of the force sensor's zero [N]."""
+        since = (time - time[0]) / _HOUR
+        steps = generator.standard_normal(len(time)) * np.sqrt(np.diff(since, prepend=0.0))
+        return self.force_drift * since + self.force_wander * np.cumsum(steps)
+
+    def _described(self) -> str:
+        friction = self.friction
+        parts = [
+            f"hysteresis {friction.half_width:g} N over {friction.presliding_length / mm:g} mm"
+            if isinstance(friction, MaxwellSlip)
+            else f"hysteresis 0 N over {self.presliding_length / mm:g} mm",
+            f"noise {self.force_noise:g} N and {self.pressure_noise:g} Pa",
+            f"regulator offset {self.regulator_offset:g} Pa",
+        ]
+        if self.force_drift or self.force_wander:
+            parts.append(f"drift {self.force_drift:g} N/h, wander {self.force_wander:g} N after an hour")
+        return ", ".join(parts)
 
     def _check_rating(self, protocol: IsobaricProtocol, rows: Plateaus) -> None:
         pressures = np.array(protocol.pressures)[rows.level]
         tension = forces(self.muscle, rows.contraction, pressures + self.regulator_offset)
-        highest = tension + self._friction(tension)
+        highest = tension + np.asarray(self.friction.half_width_at(tension, pressures + self.regulator_offset))
         at, rated = int(np.argmax(highest)), float(self.muscle.specimen.rated_force)
         if highest[at] > rated:
             raise RangeError(

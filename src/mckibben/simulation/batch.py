@@ -34,8 +34,10 @@ if TYPE_CHECKING:
 
 CHUNK = 256
 """Lanes that are computed together: what they hold fits a core's fast memory, and fills its vectors."""
-_ON_ACCELERATOR = 16384
-_LEAST = 16  # lanes: a piece smaller than a vector of 32-bit numbers would waste part of it
+ON_ACCELERATOR = 16384
+"""The same on an accelerator."""
+VECTOR = 16
+"""Lanes: a piece smaller than a vector of 32-bit numbers would waste part of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,8 +285,8 @@ def _workers(workers: int | None) -> int:
 def _chunk_size(chunk: int | None, count: int, workers: int) -> int:
     """Lanes a piece: a few hundred, fewer where that leaves cores idle."""
     if chunk is None:
-        chunk = CHUNK if jax.default_backend() == "cpu" else _ON_ACCELERATOR
+        chunk = CHUNK if jax.default_backend() == "cpu" else ON_ACCELERATOR
     if isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1:
         raise SimulationError(f"{chunk} runs a chunk", value=chunk, remedy="give a whole number from 1 up")
     even = -(-count // workers)
-    return min(chunk, max(_LEAST, -(-even // _LEAST) * _LEAST))
+    return min(chunk, max(VECTOR, -(-even // VECTOR) * VECTOR))

@@ -57,7 +57,7 @@ def control_period(
     step = period / substeps
 
     def integrate(_: Array, state: PlantState) -> PlantState:
-        return rk4(lambda s: plant.rate(s, commands), state, step)
+        return plant.settled(rk4(lambda s: plant.rate(s, commands), state, step))
 
     following = lax.fori_loop(0, substeps, integrate, switched)
     return (following, memory), Record(state, *commands, limited, controller.telemetry(memory))

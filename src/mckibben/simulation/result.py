@@ -31,6 +31,8 @@ UNITS = {
     "total_stiffness": (_STIFFNESS, "joint stiffness of the plant's muscles and of gravity"),
     "stiffness_estimate": (_STIFFNESS, "joint stiffness as the controller's model has it"),
     "torque": ("N*m", "torque of the muscles"),
+    "friction_torque": ("N*m", "part of the torque that is the muscles' friction"),
+    "friction_compensation": ("N*m", "torque of friction that the controller expects and makes up for"),
     "pressure1": (_PRESSURE, "gauge pressure in muscle 1"),
     "pressure2": (_PRESSURE, "gauge pressure in muscle 2"),
     "command1": (_PRESSURE, "commanded pressure of muscle 1"),

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
@@ -36,7 +37,7 @@ class Run(NamedTuple):
     def start(self, wish: Setpoint) -> tuple[PlantState, Array]:
         """The state to start from, for wishes of shape (periods,), and whether there is one."""
         if isinstance(self.initial, PlantState):
-            return PlantState(*(floating(part) for part in self.initial)), jnp.asarray(True)
+            return self.plant.remembering(jax.tree.map(floating, self.initial)), jnp.asarray(True)
         return self.plant.resting(*self.rest(wish))
 
     def rest(self, wish: Setpoint) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, ReachabilityWarning, SimulationError
 from mckibben.joint.attainable import hold_and_range
+from mckibben.joint.friction import friction_torque, has_friction
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.lanes import by_name
 from mckibben.plant import JointPlant, PlantState
@@ -121,6 +122,8 @@ def checked_run(
 
     moved, record = run_episode(run.plant, run.controller, before.wishes, before.start, control_period, substeps)
     telemetry = {name: np.asarray(value) for name, value in record.telemetry.items()}
+    if has_friction(plant.joint):
+        telemetry["friction_torque"] = np.asarray(_friction_torque(run.plant, record.state))
     band = (reach.lowest, reach.highest)
     return CheckedRun(Result.of(moved, control_period, band=band, telemetry=telemetry, scenario=scenario), reach)
 
@@ -144,8 +147,13 @@ def _before(run: Run, times: ArrayLike) -> _Before:
     angles = jnp.concatenate([angle[None], wishes.angle])
     torques = -run.plant.load.gravity_torque(angles)
     found, (lowest, highest) = hold_and_range(run.plant.joint, angles, torques, stiffness)
-    start = PlantState(angle, jnp.zeros_like(angle), *found.pressures)
+    start = run.plant.still(angle, found.pressures)
     return _Before(wishes, start, found.exists, (lowest[1:], highest[1:]))
+
+
+@compiled
+def _friction_torque(plant: JointPlant, state: PlantState) -> Array:
+    return friction_torque(plant.joint, state.memories, state.angle, state.velocity, state.pressures)
 
 
 def _tell_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:
@@ -165,7 +173,7 @@ def run_episode(
     substeps: int,
 ) -> tuple[Trajectory, Record]:
     """The trajectory and the record of an episode; where the stiffness steps, against one without the step."""
-    plant, controller, start, period = numeric((plant, controller, start, control_period))
+    plant, controller, start, period = numeric((plant, controller, plant.remembering(start), control_period))
     _, record = compiled_episode(plant, controller, setpoints, start, period, substeps)
     held = without_last_change(setpoints)
     undisturbed = record if held is None else compiled_episode(plant, controller, held, start, period, substeps)[1]

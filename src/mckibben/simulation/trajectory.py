@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Setpoint
+from mckibben.joint.friction import has_friction, pull
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.many import apart
 from mckibben.plant import JointPlant
@@ -17,10 +19,10 @@ from mckibben.simulation.loop import Record
 class Trajectory(NamedTuple):
     """An episode over time; every leaf has shape (periods,), SI units.
 
-    Stiffness, torque, forces and contractions are the plant's own, not the controller's belief. ``stiffness`` is that
-    of the muscles, ``total_stiffness`` that and gravity's. ``undisturbed_angle`` is the angle of the same run without
-    the last change of the desired stiffness, where there is one to leave out. ``excursion`` is how far the worse of the
-    two contractions lies outside its domain.
+    Stiffness, torque, forces and contractions are the plant's own, not the controller's belief. Torque and forces
+    contain the muscles' friction; ``stiffness`` is that of the muscles' laws, ``total_stiffness`` that and gravity's.
+    ``undisturbed_angle`` is the angle of the same run without the last change of the desired stiffness, where there is
+    one to leave out. ``excursion`` is how far the worse of the two contractions lies outside its domain.
     """
 
     angle: Array
@@ -63,9 +65,14 @@ def trajectory(
     """
     state, joint = record.state, plant.joint
     torque, stiffness = apart(joint.torque_and_stiffness, state.angle, state.pressures, witness=period)
-    contraction1, contraction2 = apart(joint.contractions, state.angle, state.pressures, witness=period)
-    force1 = joint.muscle1.force(contraction1, state.pressure1)
-    force2 = joint.muscle2.force(contraction2, state.pressure2)
+    if has_friction(joint):
+        motion = state.angle, state.velocity, state.pressures
+        pulled = apart(functools.partial(pull, joint), state.memories, *motion, witness=period)
+        (force1, force2), torque, (contraction1, contraction2) = pulled
+    else:
+        contraction1, contraction2 = apart(joint.contractions, state.angle, state.pressures, witness=period)
+        force1 = joint.muscle1.force(contraction1, state.pressure1)
+        force2 = joint.muscle2.force(contraction2, state.pressure2)
     muscles = ((joint.muscle1, contraction1, state.pressure1), (joint.muscle2, contraction2, state.pressure2))
     inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in muscles]
     beyond = [

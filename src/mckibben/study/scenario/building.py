@@ -11,6 +11,7 @@ from mckibben.control import (
     PID,
     BackpropPID,
     Constant,
+    FrictionCompensation,
     Jacobian,
     Multisine,
     PositionStiffnessControl,
@@ -21,10 +22,10 @@ from mckibben.control import (
     Step,
 )
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
-from mckibben.muscle import ChouLaw, Muscle
+from mckibben.muscle import ChouLaw, Friction, MaxwellSlip, Muscle, NoFriction
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load, PlantState, Valve
 from mckibben.study.scenario.controller import BackpropSpec, ControllerSpec, LoopSpec, PIDSpec
-from mckibben.study.scenario.joint import GeometrySpec, JointSpec, MuscleSpec, SpringSpec
+from mckibben.study.scenario.joint import FrictionSpec, GeometrySpec, JointSpec, MuscleSpec, SpringSpec
 from mckibben.study.scenario.part import Part
 from mckibben.study.scenario.plant import LoadSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
@@ -53,6 +54,11 @@ def build_geometry(spec: JointSpec) -> KneeGeometry:
     return dataclasses.replace(geometry, connector_length=spec.connector_length)
 
 
+def build_friction(spec: FrictionSpec | None) -> Friction:
+    """What a muscle's way adds to its law."""
+    return NoFriction() if spec is None else MaxwellSlip(**_given(spec))
+
+
 def build_tendon(spec: SpringSpec | None) -> RigidTendon | SeriesSpring:
     """What lies between muscle and path."""
     return RigidTendon() if spec is None else SeriesSpring(**_given(spec))
@@ -69,11 +75,11 @@ def build_valve(spec: ValveSpec | None) -> Valve:
     return IdealValve() if spec is None else FirstOrderValve(spec.time_constant)
 
 
-def build_control(spec: ControllerSpec, plant: JointSpec) -> PositionStiffnessControl:
+def build_control(spec: ControllerSpec, plant: JointSpec) -> PositionStiffnessControl | FrictionCompensation:
     """The controller; its model is an object of its own even where it is that of the plant."""
-    return PositionStiffnessControl(
-        build_loop(spec.position), build_loop(spec.stiffness), model=build_joint(spec.model or plant)
-    )
+    model = build_joint(spec.model or plant)
+    control = PositionStiffnessControl(build_loop(spec.position), build_loop(spec.stiffness), model=model)
+    return FrictionCompensation(control, model=model) if spec.friction_compensation else control
 
 
 def build_loop(spec: LoopSpec[Any, Any, Any, Any]) -> PID | BackpropPID:
@@ -118,12 +124,12 @@ def _geometry(spec: GeometrySpec) -> KneeGeometry:
 
 
 def _muscle(spec: MuscleSpec) -> Muscle:
-    specimen = catalog.specimen(spec.specimen)
+    specimen, friction = catalog.specimen(spec.specimen), build_friction(spec.friction)
     if isinstance(spec.law, Path):
         from mckibben.identification import Fit
 
-        return Muscle(specimen, Fit.from_yaml(spec.law).law)
-    return Muscle(specimen, ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law))
+        return Muscle(specimen, Fit.from_yaml(spec.law).law, friction)
+    return Muscle(specimen, ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law), friction)
 
 
 def _base(spec: BackpropSpec[Any, Any, Any, Any]) -> PID:

@@ -101,8 +101,12 @@ StiffnessLoopSpec = LoopSpec[StiffnessGain, StiffnessIntegralGain, StiffnessDeri
 
 
 class ControllerSpec(Part):
-    """Both loops of `PositionStiffnessControl`, and its model of the joint; the plant's own joint unless given."""
+    """Both loops of `PositionStiffnessControl`, and its model of the joint; the plant's own joint unless given.
+
+    `friction_compensation` adds what `FrictionCompensation` does with the friction of that model's muscles.
+    """
 
     position: PositionLoopSpec
     stiffness: StiffnessLoopSpec
     model: JointSpec | None = None
+    friction_compensation: Flag | None = None

@@ -6,7 +6,18 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
-from mckibben.study.scenario.fields import Distance, Force, Law, Length, SpringRate
+from mckibben.study.scenario.fields import (
+    Distance,
+    Force,
+    FrictionForce,
+    FrictionGrowth,
+    Law,
+    Length,
+    Presliding,
+    Pressure,
+    SpringRate,
+    Viscosity,
+)
 from mckibben.study.scenario.part import Part, refuse
 from mckibben.study.scenario.words import Entry
 
@@ -52,11 +63,30 @@ class GeometrySpec(Part):
         return shortened(handler(self))
 
 
+class FrictionSpec(Part):
+    """Hysteresis and viscous friction of a muscle, see `MaxwellSlip`; SI: N, m, N/Pa, Pa, N*s/m."""
+
+    half_width: FrictionForce
+    presliding_length: Presliding
+    growth: FrictionGrowth = 0.0
+    reference_pressure: Pressure = 0.0
+    viscous: Viscosity = 0.0
+
+    @model_serializer(mode="wrap", when_used="json")
+    def _write(self, handler: Any) -> Any:
+        given = {"half_width", "presliding_length"} | {name for name, value in self if value}
+        return {name: text for name, text in handler(self).items() if name in given}
+
+
 class MuscleSpec(Part):
-    """A make of muscle from the catalog, and its law: of the catalog, ``chou``, or the path of a fit's file."""
+    """A make of muscle from the catalog, and its law: of the catalog, ``chou``, or the path of a fit's file.
+
+    Without `friction` it has none.
+    """
 
     specimen: Annotated[str, Entry("specimens")]
     law: Law
+    friction: FrictionSpec | None = None
 
 
 class SpringSpec(Part):
@@ -79,6 +109,22 @@ class JointSpec(Part):
     muscle2: MuscleSpec | None = None
     muscle: MuscleSpec | None = Field(None, validate_default=True)
     spring: SpringSpec | None = None
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether one of its muscles has."""
+        return any(muscle and muscle.friction for muscle in (self.muscle, self.muscle1, self.muscle2))
+
+    @field_validator("spring", mode="after")
+    @classmethod
+    def _rate_known(cls, value: SpringSpec | None, info: ValidationInfo) -> SpringSpec | None:
+        muscles = [info.data.get(key) for key in ("muscle", "muscle1", "muscle2")]
+        if value is not None and any(muscle and muscle.friction and muscle.friction.viscous for muscle in muscles):
+            refuse(
+                "stands in series with a muscle of viscous friction, the rate of whose length is then not known",
+                "leave out `viscous` or the spring",
+            )
+        return value
 
     @field_validator("connector_length", mode="after")
     @classmethod

@@ -23,7 +23,7 @@ from mckibben.study.scenario.words import Whole
 from mckibben.study.scenario.writing import to_text
 
 if TYPE_CHECKING:
-    from mckibben.control import PositionStiffnessControl, Reference
+    from mckibben.control import FrictionCompensation, PositionStiffnessControl, Reference
     from mckibben.plant import JointPlant, PlantState
 
 _MOST_PERIODS = 10_000_000
@@ -78,6 +78,17 @@ class Scenario(Part):
             return None
         if isinstance(value, str) and value:
             refuse(f"{value[:40]!r} is no valve", "write ideal, or {time_constant: 20 ms}")
+        return value
+
+    @field_validator("controller", mode="after")
+    @classmethod
+    def _friction_known(cls, value: ControllerSpec, info: ValidationInfo) -> ControllerSpec:
+        model = value.model or info.data.get("joint")
+        if value.friction_compensation and model is not None and not model.has_friction:
+            refuse(
+                "has friction_compensation, but no muscle of its model has friction",
+                "give the muscles of the model `friction`, or leave the compensation out",
+            )
         return value
 
     @field_validator("control_period", mode="after")
@@ -172,7 +183,7 @@ class Scenario(Part):
 
         return build_plant(self.joint, self.load, self.valve)
 
-    def control(self) -> PositionStiffnessControl:
+    def control(self) -> PositionStiffnessControl | FrictionCompensation:
         """The controller, with its own model of the joint."""
         from mckibben.study.scenario.building import build_control
 

@@ -1,0 +1,232 @@
+"""A joint whose muscles have friction: against tiny steps in plain Python, its energy, and how it sticks."""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from mckibben.control import Setpoint
+from mckibben.errors import RangeError
+from mckibben.joint import SeriesSpring, friction
+from mckibben.muscle import MaxwellSlip
+from mckibben.numerics.compiled import numeric
+from mckibben.numerics.many import many_runs
+from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation.loop import compiled_episode, episode
+from mckibben.units import bar, mm
+
+PERIODS, PERIOD = 1500, 1e-3
+P1, P2 = 4e5, 3.6e5
+SLIP = MaxwellSlip(12.0, 0.5 * mm, growth=0.5 / bar, reference_pressure=3 * bar, viscous=30.0, elements=3)
+
+
+def with_friction(joint, slip=SLIP, **changes):
+    muscle = dataclasses.replace(joint.muscle1, friction=slip)
+    return dataclasses.replace(joint, muscle1=muscle, muscle2=muscle, **changes)
+
+
+@pytest.fixture(scope="module")
+def rubbing(ideal_plant, knee, load):
+    return numeric(JointPlant(with_friction(knee), load, ideal_plant.valve))
+
+
+@pytest.fixture(scope="module")
+def swung(rubbing, playback):
+    """At held pressures, from a state; all with one program."""
+    held = Setpoint(jnp.full(PERIODS, P1), jnp.full(PERIODS, P2))
+
+    def run(start, *, viscous=0.0, half_width=12.0, damping=0.0):
+        def numbers(plant):
+            pair = plant.joint.muscle1.friction, plant.joint.muscle2.friction
+            return (*(f.viscous for f in pair), *(f.half_width for f in pair), plant.load.damping)
+
+        given = (viscous, viscous, half_width, half_width, damping)
+        chosen = eqx.tree_at(numbers, rubbing, tuple(map(jnp.asarray, given)))
+        start = numeric(chosen.remembering(jax.tree.map(jnp.asarray, start)))
+        return compiled_episode(chosen, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
+
+    return run
+
+
+def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
+    """Angles each millisecond by Heun's method; each element is a stop that follows the length, and slips."""
+    shares, stiffnesses = SLIP.shares, SLIP.stiffnesses.tolist()
+    deflections = [[0.0] * SLIP.elements for _ in range(2)]
+
+    def lengths(angle):
+        return [paper.l0 * (1 - c) for c in paper.contractions(angle, math)]
+
+    def moved(length, before, tension, pressure, deflection):
+        width = 12 + 0.5 * (pressure - 3e5) / 1e5
+        limit = width * math.tanh(tension / (2 * width))
+        return [
+            max(-w * limit / k, min(w * limit / k, x + length - before))
+            for x, w, k in zip(deflection, shares, stiffnesses, strict=True)
+        ]
+
+    def acceleration(angle, velocity, before, pending):
+        arms, eps, now = paper.eq5(angle, math), paper.contractions(angle, math), lengths(angle)
+        torque, kept = 0.0, []
+        for i, (sign, pressure) in enumerate(((-1, P1), (1, P2))):
+            tension = max(paper.eq3(eps[i], pressure, math), 0.0)
+            kept.append(moved(now[i], before[i], tension, pressure, pending[i]))
+            stuck = sum(k * x for k, x in zip(stiffnesses, kept[i], strict=True))
+            rate = -sign * arms[i] * velocity
+            viscous = tension / 2 * math.tanh(2 * SLIP.viscous * rate / tension) if tension else 0.0
+            torque += sign * arms[i] * (tension + stuck + viscous)
+        return (torque + paper.G * math.sin(math.pi / 6 - angle) - damping * velocity) / paper.inertia, kept
+
+    angles = []
+    each = round(1e-3 / step)
+    for n in range(round(seconds / step)):
+        if n % each == 0:
+            angles.append(angle)
+        before = lengths(angle)
+        first, _ = acceleration(angle, velocity, before, deflections)
+        ahead = angle + step * velocity, velocity + step * first
+        second, deflections = acceleration(*ahead, before, deflections)
+        angle, velocity = angle + step / 2 * (velocity + ahead[1]), velocity + step / 2 * (first + second)
+        # what the elements remember is of the length that was predicted: bring them to the one that was reached
+        ahead_lengths, reached = lengths(ahead[0]), lengths(angle)
+        deflections = [
+            [x + r - a for x in deflection]
+            for deflection, r, a in zip(deflections, reached, ahead_lengths, strict=True)
+        ]
+    return np.array(angles)
+
+
+def test_it_moves_as_in_tiny_steps_of_plain_python(swung, paper_precontracted):
+    start = PlantState(math.radians(12), 0.5, P1, P2)
+    state = swung(start, viscous=SLIP.viscous, damping=0.02)
+    expected = tiny_steps(paper_precontracted, math.radians(12), 0.5, 0.4, 0.02)
+    assert np.ptp(expected) > math.radians(5)
+    np.testing.assert_allclose(np.asarray(state.angle)[: len(expected)], expected, atol=2e-6)
+
+
+def energy(paper, state):
+    """Kinetic energy, minus the work of the law's torque by quadrature, height, and what the elements store."""
+    every = slice(None, None, 50)
+    angles, velocities = np.asarray(state.angle)[every], np.asarray(state.velocity)[every]
+    work = [quad(lambda a: paper.torque(a, (P1, P2)), 0, x, epsabs=1e-11, epsrel=1e-11)[0] for x in angles]
+    plain = paper.inertia * velocities**2 / 2 - np.array(work) - paper.G * np.cos(np.pi / 6 - angles)
+    lengths = [paper.l0 * (1 - c) for c in paper.contractions(angles)]
+    stored = sum(
+        k * (length - np.asarray(anchor)[every]) ** 2 / 2
+        for length, memory in zip(lengths, state.memories, strict=True)
+        for k, anchor in zip(SLIP.stiffnesses, memory, strict=True)
+    )
+    return plain + stored
+
+
+def test_a_free_swing_only_loses_energy(swung, paper_precontracted):
+    state = swung(PlantState(math.radians(15), 0.3, P1, P2))
+    total = energy(paper_precontracted, state)
+    assert np.ptp(np.asarray(state.angle)) > 0.3
+    assert np.diff(total).max() < 1e-6 * (total[0] - total[-1])
+    assert total[0] - total[-1] > 0.5
+    # it ends within the band, where the elements are springs, and swings there no more than a little
+    assert np.ptp(np.asarray(state.angle)[-300:]) < math.radians(1.0)
+
+
+def test_it_sticks_where_friction_holds_it(swung, rubbing):
+    """Half the friction's torque off balance: with friction it stays to a fraction of a degree, without it it goes."""
+    balanced = brentq(lambda angle: float(_net(rubbing, angle)), math.radians(-25), math.radians(25))
+    start = PlantState(balanced + math.radians(0.8), 0.0, P1, P2)
+    assert 0.1 < abs(float(_net(rubbing, start.angle))) < 0.4  # the two muscles can hold some 0.7 N*m
+    stuck, loose = swung(start, damping=2.0), swung(start, damping=2.0, half_width=1e-6)
+    moved = np.asarray(stuck.angle) - float(start.angle)
+    assert np.abs(moved).max() < math.radians(0.6)
+    assert np.ptp(np.asarray(stuck.angle)[-500:]) < 1e-5  # and does not creep
+    assert abs(np.asarray(loose.angle)[-1] - balanced) < 0.3 * math.radians(0.8)
+
+
+@jax.jit
+def _net(plant, angle):
+    return plant.joint.torque(angle, (P1, P2)) + plant.load.gravity_torque(angle)
+
+
+def test_at_rest_there_is_no_stress_and_nothing_moves(rubbing):
+    state = rubbing.at_rest(math.radians(10))
+    assert len(state.memory1) == len(state.memory2) == SLIP.elements
+    rates = jax.tree.leaves(rubbing.rate(state, state.pressures))
+    np.testing.assert_allclose(np.array(rates, float), 0.0, atol=1e-9)
+    settled = rubbing.settled(state)
+    np.testing.assert_allclose(np.array(settled.memories), np.array(state.memories), atol=1e-12)
+
+
+def test_without_friction_nothing_is_remembered(plant):
+    state = plant.at_rest(0.1)
+    assert state.memories == ((), ()) and plant.settled(state) is state
+    assert friction.gripped(plant.joint, state.memories) is plant.joint
+    assert len(jax.tree.leaves(state)) == 4
+
+
+def test_its_torque_is_against_the_motion_and_that_of_the_tensions(rubbing):
+    joint, pressures = rubbing.joint, (P1, P2)
+    memories = friction.unstressed(joint, 0.0, pressures)
+    assert float(friction.friction_torque(joint, memories, 0.0, 0.0, pressures)) == pytest.approx(0.0, abs=1e-12)
+    up = float(friction.friction_torque(joint, memories, 0.1, 0.5, pressures))
+    down = float(friction.friction_torque(joint, memories, -0.1, -0.5, pressures))
+    assert up < -0.5 and down > 0.5
+    pulled = friction.pull(joint, memories, 0.1, 0.5, pressures)
+    arm1, arm2 = joint.geometry.moment_arms(0.1)
+    assert float(pulled.torque) == pytest.approx(float(pulled.tensions[1] * arm2 - pulled.tensions[0] * arm1))
+    assert float(pulled.tensions[0]) > float(joint.tensions(0.1, pressures)[0])  # muscle 1 is being stretched
+    settled = friction.settled(joint, memories, 0.1, pressures)
+    again = friction.friction_torque(joint, settled, 0.1, 0.5, pressures)
+    assert float(again) == pytest.approx(up, abs=1e-12)
+
+
+def test_with_a_series_spring_muscle_and_spring_carry_the_same(knee):
+    spring = SeriesSpring(stiffness=20e3, preload=10.0, travel=18 * mm)
+    joint = with_friction(knee, dataclasses.replace(SLIP, viscous=0.0), tendon=spring)
+    memories = friction.unstressed(joint, 0.0, (P1, P2))
+    pulled = friction.pull(joint, memories, 0.15, 0.0, (P1, P2))
+    for muscle, tension, contraction, path in zip(
+        (joint.muscle1, joint.muscle2),
+        pulled.tensions,
+        pulled.contractions,
+        joint.geometry.path_lengths(0.15),
+        strict=True,
+    ):
+        length = float(muscle.specimen.length_at(contraction))
+        assert float(tension) == pytest.approx(10.0 + 20e3 * (float(path) - length), abs=1e-6)
+    plain = joint.tensions(0.15, (P1, P2))
+    assert float(pulled.tensions[0]) > float(plain[0]) + 2 and float(pulled.tensions[1]) < float(plain[1]) - 2
+    with pytest.raises(RangeError, match="in series with a SeriesSpring: viscous is 30"):
+        with_friction(knee, tendon=spring)
+
+
+def test_a_derivative_is_that_of_a_small_change(rubbing, playback):
+    held = Setpoint(jnp.full(40, P1), jnp.full(40, P2))
+
+    @jax.jit
+    def final(width):
+        chosen = eqx.tree_at(lambda p: p.joint.muscle1.friction.half_width, rubbing, width)
+        start = chosen.remembering(PlantState(*map(jnp.asarray, (0.1, 0.8, P1, P2))))
+        with many_runs():  # a smaller program
+            return jax.jvp(
+                lambda w: (
+                    episode(
+                        eqx.tree_at(lambda p: p.joint.muscle1.friction.half_width, chosen, w),
+                        playback,
+                        held,
+                        start,
+                        1e-3,
+                        1,
+                    )[0].angle
+                ),
+                (width,),
+                (jnp.ones_like(width),),
+            )
+
+    _, slope = final(jnp.asarray(12.0))
+    quotient = (final(jnp.asarray(12.001))[0] - final(jnp.asarray(11.999))[0]) / 0.002
+    assert float(slope) < 0
+    assert float(slope) == pytest.approx(float(quotient), rel=1e-4)
