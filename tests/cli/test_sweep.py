@@ -1,7 +1,6 @@
 """mckibben sweep, as people type it; and what is left when it is interrupted or killed."""
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -17,10 +16,27 @@ from mckibben.study.parameters import addresses
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep import Sweep
 
-ON_ONE_CORE = """
-import os
-if hasattr(os, "sched_setaffinity"):  # with more cores all may be done before the signal comes
-    os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])
+HOLDING = """
+import signal, threading, time
+from pathlib import Path
+from mckibben.study.sweep.store import Store
+
+keep, kept, interrupted = Store.keep, [], threading.Event()
+
+def slowly(store, block, columns):  # the third block is kept; then nothing goes on but an interruption
+    keep(store, block, columns)
+    kept.append(block)
+    if len(kept) >= 3:
+        Path("holding").touch()
+        interrupted.wait()
+        time.sleep(0.3)
+
+def interrupt(*_):
+    interrupted.set()
+    raise KeyboardInterrupt
+
+Store.keep = slowly
+signal.signal(signal.SIGINT, interrupt)
 from mckibben.cli import main
 main()
 """
@@ -114,6 +130,11 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
         (["s.yaml", "--out", "x"], "nothing is varied; say what, like --over"),
         (["s.yaml", "--out", "x", "--over", "load.mas2=1..2 kg"], "did you mean 'load.mass2'?"),
         (["s.yaml", "--out", "x", "--over", "load.m2=2..1 kg"], "the range is empty: 2 kg is not below 1 kg"),
+        (["s.yaml", "--out", "x", "--over", "load.m2=1..2..3 kg"], "give a range (0.2 kg..1.0 kg), values (1 kg"),
+        (
+            ["s.yaml", "--out", "x", *MASS, "--over", "load.mass2=1..2 kg"],
+            "'load.m2=0.2 kg..1.0 kg' and 'load.mass2=1..2 kg' are about the same number; keep one of them",
+        ),
         (["s.yaml", "--out", "x", "--over", "load.m2=1..2 N"], "give it in a unit like kg"),
         (["s.yaml", "--out", "x", "--over", "load.m2=1..2"], "has no unit; write it like '2 kg'"),
         (["s.yaml", "--out", "x", *MASS, "--samples", "0"], "samples is 0; choose a whole number"),
@@ -129,12 +150,13 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
         (["nowhere.yaml", "--list"], "nowhere.yaml: 1 problem"),
     ],
 )
-def test_mistakes(cli, scenario, arguments, said):
+def test_mistakes(cli, scenario, tmp_path, arguments, said):
     found = cli("sweep", *arguments)
     assert (found.code, found.out) == (2, "")
     assert found.err.startswith("error: ")
     assert said in found.err
     assert "Traceback" not in found.err
+    assert [path.name for path in tmp_path.iterdir()] == ["s.yaml"], "a folder is in the way of the next try"
 
 
 def test_ctrl_c_in_the_middle_says_how_to_go_on(cli, scenario, monkeypatch):
@@ -149,42 +171,47 @@ def test_ctrl_c_in_the_middle_says_how_to_go_on(cli, scenario, monkeypatch):
     assert found.err == "interrupted: 512 of 1024 runs are kept in kept; go on with --resume\n"
 
 
-def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, scenario, tmp_path):
-    text = scenario.read_text(encoding="utf-8").replace("duration: 200 ms", "duration: 2 s")
-    scenario.write_text(text, encoding="utf-8")
-    asked = (*MASS, "--samples", "4096", "--metrics", "angle_rmse")
+def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, scenario, tmp_path, monkeypatch):
+    asked = (*MASS, "--samples", "512", "--metrics", "angle_rmse")
+    blocks = tmp_path / "kept" / "blocks"
+    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "programs"))  # what is compiled once serves all
 
     def stopped(sent: signal.Signals, *arguments: str) -> tuple[int, str, int]:
-        """Run on one core until one more block is there, then send a signal: exit code, what was said, blocks."""
-        blocks = tmp_path / "kept" / "blocks"
-        before = len(list(blocks.glob("*.block")))
+        """Run until three more blocks are there, then send a signal: exit code, what was said, blocks."""
         process = subprocess.Popen(
-            [sys.executable, "-c", ON_ONE_CORE, "sweep", "s.yaml", *arguments, "--out", "kept"],
+            [sys.executable, "-c", HOLDING, "sweep", "s.yaml", *arguments, "--out", "kept"],
             cwd=tmp_path,
-            env=os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
-        until = time.monotonic() + 100
-        while process.poll() is None and time.monotonic() < until:
-            if len(list(blocks.glob("*.block"))) > before:
-                process.send_signal(sent)
-                break
-            time.sleep(0.002)
-        _, said = process.communicate(timeout=60)
+        while process.poll() is None and not (tmp_path / "holding").exists():
+            time.sleep(0.01)
+        process.send_signal(sent)
+        _, said = process.communicate(timeout=100)
+        (tmp_path / "holding").unlink()
         return process.returncode, said, len(list(blocks.glob("*.block")))
 
     code, said, first = stopped(signal.SIGINT, *asked)
     assert code == 130, said
-    assert f"interrupted: {256 * first} of 4096 runs are kept in kept; go on with --resume" in said
+    assert f"interrupted: {32 * first} of 512 runs are kept in kept; go on with --resume" in said
     assert "Traceback" not in said
-    assert 0 < first < 16
+    assert 3 <= first < 12
     code, said, second = stopped(signal.SIGKILL, "--resume")
-    assert code == -signal.SIGKILL
-    assert first < second < 16
+    assert code == -signal.SIGKILL, said
+    assert first + 3 <= second < 16
     assert not (tmp_path / "kept" / "sweep.nc").exists()
     assert cli("sweep", "s.yaml", "--resume", "--out", "kept").code == 0
     assert cli("sweep", "s.yaml", *asked, "--out", "undisturbed").code == 0
     tables = [(tmp_path / name / "sweep.nc").read_bytes() for name in ("kept", "undisturbed")]
     assert tables[0] == tables[1]
+
+
+@pytest.mark.parametrize("name", ["results.json", "sweep.svg", "sweep.nc"])
+def test_files_that_others_put_there_stay(cli, scenario, tmp_path, name):
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / name).write_text("mine", encoding="utf-8")
+    found = cli("sweep", "s.yaml", *MASS, "--out", "kept")
+    assert (found.code, found.out) == (2, "")
+    assert f"{name}: it is there already; choose another folder, or move what is there out of the way" in found.err
+    assert [(path.name, path.read_text(encoding="utf-8")) for path in (tmp_path / "kept").iterdir()] == [(name, "mine")]

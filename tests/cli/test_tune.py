@@ -3,7 +3,6 @@
 import importlib.util
 import itertools
 import json
-import os
 import re
 import signal
 import subprocess
@@ -17,13 +16,18 @@ from mckibben.study.numbers import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.tuning.problem import Problem
 
-SLOWLY = """
-import os, time
-fsync = os.fsync
-def slow(file):  # so that there is a middle to be interrupted in
+HOLDING = """
+import os, signal, time
+from pathlib import Path
+fsync, written = os.fsync, []
+def slowly(file):  # the second answer is on disk; then nothing goes on but an interruption
     fsync(file)
-    time.sleep(0.3)
-os.fsync = slow
+    written.append(file)
+    if len(written) >= 2:
+        Path("holding").touch()
+        time.sleep(1000)
+os.fsync = slowly
+signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests may run in the background, where it is ignored
 from mckibben.cli import main
 main()
 """
@@ -48,9 +52,16 @@ def text() -> str:
     return said
 
 
-@pytest.fixture(autouse=True)
-def nothing_from_earlier_processes(monkeypatch):
-    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory):
+    """Where compiled programs are kept: what one test, or its process, has compiled serves the others."""
+    return tmp_path_factory.mktemp("programs")
+
+
+@pytest.fixture
+def cli(cli, monkeypatch, programs):
+    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(programs))
+    return cli
 
 
 @pytest.fixture
@@ -69,20 +80,10 @@ def mistaken(cli, tmp_path, scenario):
         assert (found.code, found.out) == (2, ""), found
         assert found.err.startswith("error: ")
         assert "Traceback" not in found.err
-        assert not list(tmp_path.glob("kept/*")), "something is in the way of the next try"
+        assert [path.name for path in tmp_path.iterdir()] == ["s.yaml"], "something is in the way of the next try"
         return found.err
 
     return call
-
-
-@pytest.fixture
-def cache(tmp_path) -> Path:
-    """Where compiled programs are kept from one process to the next."""
-    return tmp_path / "cache"
-
-
-def lines(path):
-    return path.read_bytes().count(b"\n")
 
 
 @pytest.mark.parametrize("method", ["cma", "gradient", "evolution"])
@@ -95,7 +96,9 @@ def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
     assert all(name.removeprefix("tuning") in found.out for name in names)
     numbers = json.loads((kept / "results.json").read_text(encoding="utf-8"))
     assert numbers["cost"] <= numbers["cost_before"]
-    assert numbers["evaluated"] == lines(kept / "history.jsonl") - 1
+    tried = [json.loads(line) for line in (kept / "history.jsonl").read_text(encoding="utf-8").splitlines()[1:]]
+    assert numbers["evaluated"] == len(tried)
+    assert f"searching, least cost so far {min(trial['cost'] for trial in tried):.4g}" in found.err
     (run,) = numbers["runs"]
     assert set(run["before"]) == set(run["tuned"]) == set(METRICS)
     assert run["scenario"] == "pre-contracted knee, stiffness step, PID"
@@ -172,7 +175,15 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
         ((*SMALL, "--parameters", "load.m2=2..1 kg"), "the range is empty"),
         ((*SMALL, "--parameters", "load.m2=1..2 N"), "not a unit of the kind"),
         ((*SMALL, "--parameters", "start.angle"), "zero, or not given: there is no range around it"),
-        ((*SMALL, "--parameters", "start.angle=0..1 deg"), "are the same number"),
+        (
+            (*SMALL, "--parameters", "start.angle=0..1 deg"),
+            "'start.angle=-5..8 deg' and 'start.angle=0..1 deg' are about the same number",
+        ),
+        (
+            (*SMALL, "--parameters", "controller.position.kp", "--parameters", "controller.position.pid.kp"),
+            "'controller.position.kp' and 'controller.position.pid.kp' are about the same number; keep one of them",
+        ),
+        ((*SMALL, "--parameters", "load.m2=10 %"), "give a range (0.2 kg..1.0 kg), values"),
         ((*SMALL, "--cost", "stiffness_settling"), "has no gradient; use cma or evolution"),
         ((*SMALL, "--cost", "coupling", "--method", "cma"), "coupling is not defined"),
         ((*SMALL, "--cost", "angle_rmse/1 N"), "not a unit of the kind"),
@@ -194,6 +205,16 @@ def test_without_the_package_of_cma(mistaken, monkeypatch):
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "cmaes" else find(name, *rest))
     assert "pip install 'mckibben[tune]'" in mistaken("s.yaml", *SMALL, "--method", "cma")
+
+
+@pytest.mark.parametrize("name", ["s-tuned.yaml", "s-tuned-2.yaml", "results.json", "tuning.png"])
+def test_files_that_others_put_there_stay(cli, scenario, tmp_path, name):
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / name).write_text("mine", encoding="utf-8")
+    found = cli("tune", "s.yaml", "s.yaml", *SMALL)
+    assert (found.code, found.out) == (2, "")
+    assert f"{name}: it is there already; choose another folder, or move what is there out of the way" in found.err
+    assert [(path.name, path.read_text(encoding="utf-8")) for path in (tmp_path / "kept").iterdir()] == [(name, "mine")]
 
 
 def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
@@ -222,41 +243,36 @@ class TestCutOff:
 
     KEPT = ("s-tuned.yaml", "results.json", "history.jsonl")
 
-    def cut_off(self, folder, cache, sent, *arguments):
+    def cut_off(self, folder, sent, *arguments):
         """Send a signal when two more answers have been written: exit code, and what was said."""
-        history = folder / "kept" / "history.jsonl"
-        before = lines(history) if history.exists() else 1
         process = subprocess.Popen(
-            [sys.executable, "-c", SLOWLY, *arguments],
+            [sys.executable, "-c", HOLDING, *arguments],
             cwd=folder,
-            env=os.environ | {"XDG_CACHE_HOME": str(cache)},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
-        until = time.monotonic() + 100
-        while process.poll() is None and time.monotonic() < until:
-            if history.exists() and lines(history) > before + 2:
-                process.send_signal(sent)
-                break
+        while process.poll() is None and not (folder / "holding").exists():
             time.sleep(0.01)
-        said, wrong = process.communicate(timeout=60)
-        assert said == ""
+        process.send_signal(sent)
+        said, wrong = process.communicate(timeout=100)
+        assert said == "", wrong
+        (folder / "holding").unlink()
         return process.returncode, wrong
 
     @pytest.mark.parametrize("method", ["cma", "gradient"])
-    def test_killed_and_interrupted_it_ends_where_it_would_have(self, cli, scenario, tmp_path, text, cache, method):
+    def test_killed_and_interrupted_it_ends_where_it_would_have(self, cli, scenario, tmp_path, text, method):
         asked = ("tune", "s.yaml", *SMALL, "--method", method, "--iterations", "6")
         folder = tmp_path / "cut"
         folder.mkdir()
         (folder / "s.yaml").write_text(text, encoding="utf-8")
-        code, _ = self.cut_off(folder, cache, signal.SIGKILL, *asked)
+        code, _ = self.cut_off(folder, signal.SIGKILL, *asked)
         assert code == -signal.SIGKILL
         left = [(folder / "kept" / "history.jsonl").read_bytes()]
         with (folder / "kept" / "history.jsonl").open("a") as file:
             file.write('{"point": [0.2, 0.')
         if method == "cma":
-            code, wrong = self.cut_off(folder, cache, signal.SIGINT, *asked, "--resume")
+            code, wrong = self.cut_off(folder, signal.SIGINT, *asked, "--resume")
             assert code == 130
             assert "interrupted: what was tried is kept in kept/history.jsonl; go on with --resume" in wrong
             assert "Traceback" not in wrong

@@ -1,15 +1,23 @@
 """Programs that are kept in files: taken up again as they were, made anew where they cannot be."""
 
 import os
+import shutil
 import subprocess
 import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import mckibben
 from mckibben.control import Constant, Sine
+from mckibben.numerics import kept, lasting
 from mckibben.numerics.kept import KeptProgram
 
 TRACED = []
@@ -20,9 +28,13 @@ def square(tree, power, *, offset):
     return {"value": tree["x"] ** power + offset(jnp.asarray(0.0)), "sum": jnp.sum(tree["x"])}
 
 
+square.__module__ = "mckibben.pretended"  # what comes from elsewhere is not kept
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "programs"))
+    monkeypatch.setattr(lasting, "_files", lambda: lasting._AT_IMPORT)  # whoever edits ours while the tests run
     return tmp_path / "programs"
 
 
@@ -80,6 +92,133 @@ def test_a_damaged_file_is_made_anew(folder):
         assert file.stat().st_size > 1000
 
 
+def test_a_damaged_file_is_not_even_looked_into(folder, monkeypatch):
+    """Native code that is damaged crashes the process."""
+    asked(KeptProgram(square))
+    (file,) = folder.iterdir()
+    good = file.read_bytes()
+    opened = []
+    monkeypatch.setattr(kept.pickle, "loads", lambda content: opened.append(content))
+    for place in np.linspace(0, len(good) - 1, 9).astype(int):
+        file.write_bytes(good[:place] + bytes([good[place] ^ 4]) + good[place + 1 :])
+        assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
+        assert opened == []
+        good = file.read_bytes()
+
+
+def test_the_program_of_another_is_not_taken(folder):
+    asked(KeptProgram(square))
+    (first,) = folder.iterdir()
+    asked(KeptProgram(square), power=3)
+    (second,) = {*folder.iterdir()} - {first}
+    shutil.copy(first, second)
+    assert asked(KeptProgram(square), power=3)["value"].tolist() == [1.5, 8.5, 27.5]
+
+
+def users_own(factor):
+    """A signal as it stands in a user's file; the class has the same name whatever the factor."""
+    names = {"__name__": "users_own", "eqx": eqx}
+    exec(f"class Mine(eqx.Module):\n    def __call__(self, time):\n        return {factor} * (time + 1.0)", names)
+    return names["Mine"]()
+
+
+def test_a_class_of_the_users_that_was_edited_is_the_new_one(folder):
+    for factor in (1.0, 7.0):
+        assert asked(KeptProgram(square), offset=users_own(factor))["value"].tolist() == [
+            1 + factor,
+            4 + factor,
+            9 + factor,
+        ]
+    assert not folder.exists()
+
+
+def test_functions_of_one_name_are_not_taken_for_each_other(folder):
+    def times(factor):
+        def product(x):
+            return factor * x
+
+        product.__module__ = "mckibben.pretended"
+        return KeptProgram(product)
+
+    assert [float(times(factor)(np.asarray(2.0))) for factor in (3.0, 5.0)] == [6.0, 10.0]
+    assert [float(KeptProgram(each)(np.asarray(2.0))) for each in (lambda x: x + 1, lambda x: x + 2)] == [3.0, 4.0]
+    assert not folder.exists()
+
+
+def test_source_that_was_edited_in_the_meantime_is_not_taken_for_what_runs(folder, monkeypatch):
+    files = lasting._AT_IMPORT
+    for now in ((*files[:-1], (files[-1][0], 1, 1)), files[:-1], ()):
+        monkeypatch.setattr(lasting, "_files", lambda now=now: now)
+        assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    monkeypatch.setattr(lasting, "_AT_IMPORT", ())  # as in a zip file
+    assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    assert not folder.exists()
+
+
+def test_another_process_takes_it_up_unless_the_source_was_edited_in_between(folder, tmp_path):
+    shutil.copytree(Path(mckibben.__file__).parent, tmp_path / "mckibben", ignore=shutil.ignore_patterns("__pycache__"))
+    script = (
+        "import os, numpy as np, pathlib, mckibben, sys\n"
+        "from mckibben.numerics import kept, elementary\n"
+        "file = pathlib.Path(elementary.__file__)\n"
+        "assert file.is_relative_to(os.getcwd())\n"
+        "for name in sys.argv[1:]:\n"
+        "    file.write_text(file.read_text() + '\\n')\n"
+        "print(kept.KeptProgram(elementary.exp)(np.asarray(1.0)))\n"
+    )
+    left = []
+    for arguments in (["edit"], [], []):
+        done = subprocess.run(
+            [sys.executable, "-c", script, *arguments], cwd=tmp_path, capture_output=True, text=True, env=os.environ
+        )
+        assert done.returncode == 0, done.stderr
+        assert float(done.stdout) == pytest.approx(np.e, rel=1e-15)
+        left.append([(path.name, path.stat().st_mtime_ns) for path in folder.glob("*")])
+    assert left[0] == []
+    assert len(left[1]) == 1
+    assert left[2] == left[1]
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_threads_that_ask_at_once_wait_for_one_that_makes_it(folder, monkeypatch, keeps):
+    """Each would take a core for the same seconds."""
+    from jax import monitoring
+
+    if not keeps:
+        monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
+    made, together = [], threading.Barrier(4)
+    monitoring.register_event_duration_secs_listener(lambda event, *_, **__: made.append(event))
+
+    def slow(x):
+        time.sleep(0.05)
+        return x * 2 + len(os.environ)
+
+    slow.__module__, slow.__qualname__ = "mckibben.pretended", f"slow_{keeps}"
+    program = KeptProgram(slow)
+
+    def ask(number):
+        together.wait()
+        return float(program(np.asarray(float(number))))
+
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            found = list(pool.map(ask, range(4)))
+    finally:
+        monitoring.clear_event_listeners()
+    assert found == [2.0 * number + len(os.environ) for number in range(4)]
+    assert sum("backend_compile" in event for event in made) == 1
+    assert len(list(folder.glob("*"))) == keeps
+
+
+def test_another_processor_has_programs_of_its_own(folder, monkeypatch):
+    for name in ("this", "that"):
+        monkeypatch.setattr(lasting, "processor", lambda name=name: name)
+        lasting.surroundings.cache_clear()
+        asked(KeptProgram(square))
+    assert len(list(folder.iterdir())) == 2
+    lasting.surroundings.cache_clear()
+
+
 def test_a_folder_that_cannot_be_written_to_stops_nothing(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "file" / "programs"))
@@ -108,20 +247,6 @@ def test_inside_other_programs_it_is_a_part_of_them(folder):
     slope = jax.grad(lambda x: program({"x": x}, 2, offset=Constant(0.5))["value"])(3.0)
     assert float(slope) == 6.0
     assert not folder.exists()
-
-
-def test_another_process_takes_it_up(folder):
-    script = (
-        "import numpy as np, mckibben, sys\n"
-        "from mckibben.numerics.kept import KeptProgram\n"
-        "from mckibben.numerics.elementary import exp\n"
-        "print(KeptProgram(exp)(np.asarray(1.0)))\n"
-    )
-    for _ in range(2):
-        done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=dict(os.environ))
-        assert done.returncode == 0, done.stderr
-        assert float(done.stdout) == pytest.approx(np.e, rel=1e-15)
-        assert len(list(folder.iterdir())) == 1
 
 
 def test_another_context_is_another_program():

@@ -134,6 +134,46 @@ def test_whole_numbers_are_floats_where_a_float_stood():
     assert after["a.first.count"].dtype == np.int64
 
 
+@pytest.mark.parametrize(
+    "bad",
+    ["0.4", ["0.4", "0.5"], [1j], [True, False], True, None, [None], [[1.0], [1.0, 2.0]], {"a": 1}, [10**30], object()],
+    ids=repr,
+)
+@pytest.mark.parametrize("leaf", ["size", "count"])
+def test_values_that_are_no_numbers_are_refused(bad, leaf):
+    with pytest.raises(
+        ParameterError, match=rf"^the values of a\.first\.{leaf} are no numbers; give one, or"
+    ) as caught:
+        with_leaves({"a": outer()}, {f"a.first.{leaf}": bad})
+    assert caught.value.value is bad
+
+
+class Seeded(eqx.Module):
+    seed: "int | Int[Array, '']" = 0
+
+
+@pytest.mark.parametrize("bad", [0.5, [1.0, 2.0], [np.nan], jnp.ones(2)], ids=repr)
+def test_a_whole_number_by_nature_takes_no_float(bad):
+    for tree, name in ((outer(), "a.first.count"), (Seeded(), "a.seed")):
+        with pytest.raises(ParameterError, match=f"^{name} is a whole number; give integers"):
+            with_leaves({"a": tree}, {name: bad})
+
+
+def test_a_float_that_was_written_without_a_point_takes_floats():
+    after = by_name(with_leaves({"a": outer(2), "b": Pair(1, 2)}, {"a.first.size": [0.5], "b.left": [0.5]}))
+    assert (after["a.first.size"].tolist(), after["b.left"].tolist()) == ([0.5], [0.5])
+
+
+def test_short_floats_and_unsigned_integers_are_numbers():
+    after = by_name(
+        with_leaves(
+            {"a": outer()}, {"a.first.size": jnp.ones(2, jnp.bfloat16), "a.first.count": np.arange(2, dtype=np.uint32)}
+        )
+    )
+    assert after["a.first.size"].dtype == np.float64
+    assert after["a.first.count"].tolist() == [0, 1]
+
+
 def test_one_object_in_two_places_is_changed_in_one():
     inner = Inner(1.0)
     after = with_leaves({"a": Outer(inner), "b": Outer(inner)}, {"a.first.size": [2.0]})

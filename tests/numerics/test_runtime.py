@@ -1,5 +1,8 @@
+import os
+
 import pytest
 
+from mckibben.numerics import runtime
 from mckibben.numerics.runtime import with_loop_option
 
 LOOP = "xla_cpu_small_while_loop_byte_threshold"
@@ -27,3 +30,77 @@ def test_a_choice_of_the_users_about_the_same_option_is_kept(mine):
 def test_adding_twice_is_adding_once():
     once = with_loop_option("--xla_a=1")
     assert with_loop_option(once) == once
+
+
+X86 = """processor	: 0
+vendor_id	: GenuineIntel
+model name	: A
+cpu MHz		: {mhz}
+flags		: fpu sse2 {more}
+
+processor	: 1
+flags		: something else
+"""
+ARM = """processor	: 0
+BogoMIPS	: 50.00
+Features	: fp asimd {more}
+CPU implementer	: 0x41
+CPU part	: 0xd0c
+
+"""
+RISC = "processor	: 0\nhart		: 0\nisa		: rv64imafdc{more}\n"
+
+
+@pytest.fixture
+def on(tmp_path, monkeypatch):
+    """Ask, on a processor of which Linux says this, for its short name; None stands for a system that says nothing."""
+    caches = (runtime.processor, runtime._about_processor)
+    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def ask(text):
+        for cached in caches:
+            cached.cache_clear()
+        (tmp_path / "cpuinfo").unlink(missing_ok=True)
+        if text is not None:
+            (tmp_path / "cpuinfo").write_text(text, encoding="utf-8")
+        monkeypatch.setattr(runtime, "_CPUINFO", tmp_path / "cpuinfo")
+        return runtime.processor()
+
+    yield ask
+    for cached in caches:
+        cached.cache_clear()
+
+
+@pytest.mark.parametrize("form", [X86.replace("{mhz}", "1"), ARM], ids=["x86", "ARM"])
+def test_processors_that_can_do_different_things_have_different_names(on, form):
+    plain, wide = on(form.format(more="")), on(form.format(more="avx512f"))
+    assert plain is not None
+    assert wide not in (None, plain)
+    assert on(form.format(more="")) == plain
+
+
+def test_what_changes_from_start_to_start_is_not_in_the_name(on):
+    assert on(X86.format(mhz="1000", more="avx2")) == on(X86.format(mhz="2000", more="avx2"))
+    assert on(X86.format(mhz="1000", more="avx2")) != on(X86.format(mhz="1000", more="avx2").replace(": A", ": B"))
+
+
+@pytest.mark.parametrize("said", [None, "", RISC.format(more="v"), "flags\t\t: \n"])
+def test_where_the_processor_cannot_be_told_nothing_is_kept(on, monkeypatch, tmp_path, said):
+    assert on(said) is None
+    monkeypatch.delenv("MCKIBBEN_PROGRAMS_DIR")
+    runtime.keep_programs()
+    assert "MCKIBBEN_PROGRAMS_DIR" not in os.environ
+    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "asked for"))
+    assert runtime.programs_folder() is None
+
+
+def test_the_folder_is_one_for_each_kind_of_processor(on, monkeypatch, tmp_path):
+    folders = set()
+    for more in ("", "avx2"):
+        name = on(X86.format(mhz="1", more=more))
+        monkeypatch.delenv("MCKIBBEN_PROGRAMS_DIR")
+        runtime.keep_programs()
+        assert runtime.programs_folder() == tmp_path / "mckibben" / f"programs-{name}"
+        folders.add(runtime.programs_folder())
+    assert len(folders) == 2

@@ -2,6 +2,7 @@
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben.control import Setpoint
-from mckibben.plant import PlantState
+from mckibben.joint import AntagonisticJoint, SeriesSpring
+from mckibben.numerics.compiled import numeric
+from mckibben.numerics.many import many_runs
+from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import SETTLING_PART, Metrics, Trajectory, episode, measure, trajectory, without_last_change
 from mckibben.simulation.measured import measured_episode
 from mckibben.simulation.metrics import Tally, last_change, metrics_of, tally
@@ -130,8 +134,8 @@ def commands(*changes: tuple[int, float]) -> Setpoint:
 
 @pytest.fixture(scope="module")
 def on_the_way(plant, playback):
-    @functools.partial(jax.jit, static_argnames=("keep", "every", "coupled", "checkpoint"))
-    def run(setpoints, split, *, keep=(), every=1, coupled=True, checkpoint=False):
+    @functools.partial(jax.jit, static_argnames=("keep", "every", "coupled"))
+    def run(setpoints, split, *, keep=(), every=1, coupled=True):
         return measured_episode(
             plant,
             playback,
@@ -142,7 +146,6 @@ def on_the_way(plant, playback):
             split=split if coupled else None,
             keep=keep,
             every=every,
-            checkpoint=checkpoint,
         )
 
     return run
@@ -185,7 +188,7 @@ def test_an_episode_measured_on_the_way_is_the_episode_measured_afterwards(on_th
     final, _, expected = afterwards(wish)
     found = on_the_way(wish, split)
     same(found.metrics, expected, rtol=1e-11)
-    np.testing.assert_allclose(found.final, final, rtol=1e-12)
+    np.testing.assert_allclose(jax.tree.leaves(found.final), jax.tree.leaves(final), rtol=1e-12)
     assert bool(found.metrics.coupling > 0) == bool(change.ends)
 
 
@@ -220,6 +223,44 @@ def test_without_coupling_the_second_run_is_not_computed(on_the_way):
     assert "cond[" not in text[False]
 
 
-def test_computing_periods_again_changes_nothing(on_the_way):
+def by_differences(function, size: int):
+    """Derivatives at ones, by central differences of the fourth order; a row for each number."""
+    moves = 1e-4 * np.array([-2, -1, 1, 2])[:, None, None] * np.eye(size)
+    low2, low1, high1, high2 = np.asarray(jax.jit(jax.vmap(function))(1 + moves.reshape(-1, size))).reshape(4, size, -1)
+    return (8 * (high1 - low1) - (high2 - low2)) / 12e-4
+
+
+def test_in_reverse_derivatives_are_those_of_finite_differences(plant, playback):
+    """With the run beside for the coupling, and periods that are computed again on the way back."""
     wish = CASES["one step"]
-    same(on_the_way(wish, 20, checkpoint=True).metrics, on_the_way(wish, 20).metrics)
+    change = last_change(wish.stiffness)
+
+    def measures(by, checkpoint):
+        mass, delay, pressure, step = jnp.array([0.5, 0.02, 3.2e5, 3e4]) * by
+        moved = eqx.tree_at(lambda p: (p.load.mass2, p.valve.time_constant), plant, (mass, delay))
+        stepped = wish._replace(stiffness=3.3e5 + jnp.where(jnp.arange(SIZE) < 20, 0.0, step))
+        start = START._replace(pressure1=pressure)
+        with many_runs():
+            run = (moved, playback, stepped, start, PERIOD, 1)
+            found = measured_episode(*run, change=change, split=20, checkpoint=checkpoint).metrics
+        return jnp.stack([found.coupling, found.force_max])
+
+    slopes = jax.jit(jax.jacrev(functools.partial(measures, checkpoint=True)))(jnp.ones(4))
+    expected = by_differences(functools.partial(measures, checkpoint=False), 4)
+    assert np.all(expected != 0)
+    np.testing.assert_allclose(slopes, expected.T, rtol=1e-5)
+
+
+def test_in_reverse_springs_have_the_slopes_of_finite_differences(plant):
+    joint = plant.joint
+    joint = AntagonisticJoint(joint.geometry, joint.muscle1, joint.muscle2, SeriesSpring(20e3, 5.0, 18e-3))
+    springy = numeric(JointPlant(joint, plant.load, plant.valve))
+
+    def acceleration(by):
+        stiffness, preload, angle, pressure = jnp.array([20e3, 5.0, 0.05, 3.2e5]) * by
+        moved = eqx.tree_at(lambda p: (p.joint.tendon.stiffness, p.joint.tendon.preload), springy, (stiffness, preload))
+        state = START._replace(angle=angle, pressure1=pressure)
+        return moved.rate(state, (3.2e5, 3.3e5)).velocity[None]
+
+    slopes = jax.jit(jax.jacrev(acceleration))(jnp.ones(4))
+    np.testing.assert_allclose(slopes, by_differences(acceleration, 4).T, rtol=1e-7)

@@ -190,7 +190,7 @@ def test_ranges_around_what_numbers_are():
     ("texts", "named"),
     [
         (["controller.stiffness.kd"], "controller.stiffness.kd is zero, or not given: there is no range"),
-        (["load.mass2", "load.m2=1..2 kg"], "are the same number"),
+        (["load.mass2", "load.m2=1..2 kg"], "are about the same number"),
         (["load.mass9"], "no number 'load.mass9'"),
         (["load.mass2=2..1 kg"], "the range is empty"),
         (["load.mass2=1..2 N"], "not a unit of the kind"),

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mckibben.commands.interruptible import INTERRUPTED, late_progress
 from mckibben.errors import ParameterError
-from mckibben.files import folder
-from mckibben.terminal import progress, table
+from mckibben.terminal import table
 
 if TYPE_CHECKING:
     from mckibben.study.scenario import Scenario
     from mckibben.study.sweep import Sweep
-
-_INTERRUPTED = 130
 
 
 def sweep(
@@ -63,13 +60,16 @@ def sweep(
             return
         if out is None:
             raise ParameterError("there is no folder for the sweep", remedy="say where to keep it: --out DIR")
-        folder(out)  # before the work, so that nothing is lost
+        from mckibben.study.keeping import check_free
         from mckibben.study.scenario import Scenario
+        from mckibben.study.sweep import MANIFEST
         from mckibben.study.sweep import sweep as run
 
         read = Scenario.read(scenario)
+        if not resume and not (out / MANIFEST).exists():  # else `run` says what to do
+            check_free(out, ("results.json", "sweep.png", "sweep.svg"))
         names = None if metrics is None else [name.strip() for each in metrics for name in each.split(",")]
-        with _progress(quiet=json) as report:
+        with late_progress(quiet=json) as bar:
             swept = run(
                 read,
                 over or None,
@@ -82,12 +82,12 @@ def sweep(
                 resume=resume,
                 dask=dask,
                 source=str(scenario),
-                progress=report,
+                progress=_progress(bar),
             )
         _show(swept, out, json)
     except KeyboardInterrupt as stop:
         typer.echo(f"interrupted: {stop}" if str(stop) else "interrupted", err=True)
-        raise typer.Exit(_INTERRUPTED) from None
+        raise typer.Exit(INTERRUPTED) from None
 
 
 def _show(swept: Sweep, out: Path, json: bool) -> None:
@@ -132,30 +132,24 @@ def _list(path: Path, json: bool) -> None:
     table(read.name, ("can be varied", "nominal", "may be", "unit"), rows)
 
 
-@contextmanager
-def _progress(*, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Runs done, runs a second and time left, on standard error."""
-    if quiet:
-        yield None
-        return
+def _progress(bar: Callable[[str, float], None] | None) -> Callable[[int, int], None] | None:
+    """What tells a bar of runs that are done: runs a second, and the time left."""
+    if bar is None:
+        return None
     calls, began = 0, (0.0, 0)
-    with ExitStack() as stack:
-        bar: list[Callable[[str, float], None]] = []
 
-        def show(done: int, runs: int) -> None:
-            nonlocal calls, began
-            if not bar:  # not before there is something to do: mistakes come first
-                bar.append(stack.enter_context(progress()))
-            calls, now = calls + 1, time.monotonic()
-            if calls <= 2:  # the first block waits for the compiler
-                began = (now, done)
-            said = f"{done} of {runs} runs"
-            if done > began[1] and now > began[0] + 1:
-                rate = (done - began[1]) / (now - began[0])
-                said += f", {rate:.4g} runs/s, {_time((runs - done) / rate)} left"
-            bar[0](said, done / runs)
+    def show(done: int, runs: int) -> None:
+        nonlocal calls, began
+        calls, now = calls + 1, time.monotonic()
+        if calls <= 2:  # the first block waits for the compiler
+            began = (now, done)
+        said = f"{done} of {runs} runs"
+        if done > began[1] and now > began[0] + 1:
+            rate = (done - began[1]) / (now - began[0])
+            said += f", {rate:.4g} runs/s, {_time((runs - done) / rate)} left"
+        bar(said, done / runs)
 
-        yield show
+    return show
 
 
 def _time(seconds: float) -> str:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mckibben.commands.interruptible import INTERRUPTED, late_progress
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError
-from mckibben.files import folder, whole
-from mckibben.terminal import metric, progress, table
+from mckibben.files import whole
+from mckibben.terminal import metric, table
 
 if TYPE_CHECKING:
     from mckibben.study.scenario import Scenario
     from mckibben.study.tuning import Tuned
 
-_INTERRUPTED = 130
 _METHODS = ("gradient", "evolution", "cma")
 
 
@@ -29,8 +28,9 @@ def tune(
         list[str] | None,
         typer.Option(
             metavar="'NAME=RANGE'",
-            help="Search this, such as 'controller.position.kp=0.2..20 bar/rad log'; a name alone goes from a "
-            "hundredth to a hundredfold. May be given several times; all gains unless given.",
+            help="Search this number over a range, such as 'controller.position.kp=0.2..20 bar/rad log' or "
+            "'load.damping=+-50 %'; a name alone goes from a hundredth to a hundredfold. May be given several times; "
+            "all gains unless given. `mckibben sweep SCENARIO.yaml --list` shows the names.",
         ),
     ] = None,
     cost: Annotated[
@@ -56,6 +56,7 @@ def tune(
         raise ParameterError("there is no folder for the search", remedy="say where to keep it: --out DIR")
     if method not in _METHODS:
         raise ParameterError(f"{method!r} is no method", value=method, remedy=f"choose of {', '.join(_METHODS)}")
+    from mckibben.study.keeping import check_free
     from mckibben.study.scenario import Scenario
 
     read = [Scenario.read(path) for path in scenarios]
@@ -64,9 +65,12 @@ def tune(
 
     ranges = read_ranges(parameters or [], read[0])
     asked = read_cost(cost, gain_margin=margin, worst=worst)
-    history = folder(out) / "history.jsonl"
+    history = out / "history.jsonl"
+    if not resume and not history.exists():  # else `run` says what to do
+        check_free(out, ("results.json", "tuning.png", "tuning.svg", *_tuned_names(scenarios)))
     try:
-        with _progress(quiet=json) as report:
+        with late_progress(quiet=json) as bar:
+            shown = None if bar is None else _Shown(bar)
             tuned = run(
                 read,
                 ranges,
@@ -78,11 +82,12 @@ def tune(
                 seed=seed,
                 history=history,
                 resume=resume,
-                progress=report,
+                progress=shown and shown.part,
+                least=shown and shown.least,
             )
     except KeyboardInterrupt:
         typer.echo(f"interrupted: what was tried is kept in {history}; go on with --resume", err=True)
-        raise typer.Exit(_INTERRUPTED) from None
+        raise typer.Exit(INTERRUPTED) from None
     _show(tuned, read, scenarios, ranges, out, json)
 
 
@@ -146,11 +151,8 @@ def _keep_scenarios(tuned: Tuned, paths: list[Path], out: Path) -> list[str]:
     from mckibben.study.parameters import rewritten
     from mckibben.study.scenario import Scenario
 
-    names = []
-    for i, (scenario, path) in enumerate(zip(tuned.scenarios, paths, strict=True)):
-        name = f"{path.stem}-tuned.yaml"
-        name = name if name not in names else f"{path.stem}-tuned-{i + 1}.yaml"
-        names.append(name)
+    names = _tuned_names(paths)
+    for name, scenario, path in zip(names, tuned.scenarios, paths, strict=True):
         text = rewritten(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
         try:
             same = Scenario.parse(text, folder=out) == scenario
@@ -164,17 +166,23 @@ def _keep_scenarios(tuned: Tuned, paths: list[Path], out: Path) -> list[str]:
     return names
 
 
-@contextmanager
-def _progress(*, quiet: bool) -> Iterator[Callable[[float], None] | None]:
-    if quiet:
-        yield None
-        return
-    with ExitStack() as shown:
-        bars: list[Callable[[str, float], None]] = []
+def _tuned_names(paths: list[Path]) -> list[str]:
+    """What the tuned scenarios are called, no two of them the same."""
+    names: list[str] = []
+    for i, path in enumerate(paths, start=1):
+        name = f"{path.stem}-tuned.yaml"
+        names.append(name if name not in names else f"{path.stem}-tuned-{i}.yaml")
+    return names
 
-        def report(part: float) -> None:
-            if not bars:  # what is wrong with the options is said without a bar
-                bars.append(shown.enter_context(progress()))
-            bars[0]("searching", part)
 
-        yield report
+class _Shown:
+    """A bar with the part of the search that is done, and the least cost so far."""
+
+    def __init__(self, bar: Callable[[str, float], None]) -> None:
+        self._bar, self._least = bar, ""
+
+    def part(self, part: float) -> None:
+        self._bar(f"searching{self._least}", part)
+
+    def least(self, cost: float) -> None:
+        self._least = f", least cost so far {cost:.4g}"

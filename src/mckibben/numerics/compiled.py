@@ -60,13 +60,10 @@ def compiled_as_given(function: Callable[P, R]) -> Callable[P, R]:
 
 def compiled_batch(function: Callable[P, R]) -> Callable[P, R]:
     """`compiled_as_given` for functions over many lanes, with the options that suit the processor."""
-
-    @functools.cache
-    def program() -> KeptProgram:  # not before the first call: the options depend on the device
-        return KeptProgram(function, batch_options() or None)
+    program = KeptProgram(function, batch_options)  # not before the first call: they depend on the device
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        return program()(*args, **kwargs)
+        return program(*args, **kwargs)
 
     return call

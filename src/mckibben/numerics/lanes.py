@@ -80,14 +80,40 @@ def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> di
     Raises
     ------
     ParameterError
-        If there is no such leaf; the nearest name is suggested.
+        If there is no such leaf; the nearest name is suggested. If a value is no number, or no whole one where the leaf
+        is one by nature.
     """
     if not values:
         return dict(trees)
     known = leaves_named(trees, list(values))
-    whole = {name: np.issubdtype(np.asarray(leaf).dtype, np.integer) for name, leaf in known.items()}
-    kinds = {name: np.asarray(value).dtype if whole[name] else float for name, value in values.items()}
-    return replaced(trees, {name: np.asarray(value, kinds[name]) for name, value in values.items()})
+    return replaced(trees, {name: _numbers(trees, name, known[name], value) for name, value in values.items()})
+
+
+def _numbers(trees: Mapping[str, Any], name: str, leaf: Any, value: ArrayLike) -> np.ndarray:
+    """Values of a leaf as an array, of the kind that it takes."""
+    try:
+        given = np.asarray(value)
+    except (TypeError, ValueError, OverflowError):  # rows of different lengths, or nothing that NumPy can hold
+        given = np.asarray(None)
+    whole = jnp.issubdtype(given.dtype, jnp.integer)
+    if not (whole or jnp.issubdtype(given.dtype, jnp.floating)):
+        raise ParameterError(
+            f"the values of {name} are no numbers", value=value, remedy="give one, or an array of one a run"
+        )
+    if not whole and _is_whole(trees, name):
+        raise ParameterError(f"{name} is a whole number", value=value, remedy="give integers")
+    keeps = whole and jnp.issubdtype(np.asarray(leaf).dtype, jnp.integer)
+    return given if keeps else given.astype(float)
+
+
+def _is_whole(trees: Mapping[str, Any], name: str) -> bool:
+    """Whether a leaf is a whole number by nature, such as a seed, and not a float that was written without a point."""
+    root, *steps = name.split(".")
+    owner = _descend(trees[root], tuple(steps[:-1])) if steps else trees
+    kind = getattr(type(owner), "__annotations__", {}).get(steps[-1] if steps else root, "")
+    fields = {field.name: field.type for field in dataclasses.fields(owner)} if dataclasses.is_dataclass(owner) else {}
+    kind = fields.get(steps[-1] if steps else root, kind)
+    return kind is int or str(kind).startswith("int ") or kind == "int"
 
 
 def leaves_named(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:

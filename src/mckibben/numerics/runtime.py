@@ -11,11 +11,17 @@ import importlib.metadata
 import os
 import platform
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 _LOOP_OPTION = "xla_cpu_small_while_loop_byte_threshold"
 _PROGRAMS = "MCKIBBEN_PROGRAMS_DIR"
 _EXTRA_OPTIONS = "--xla_backend_extra_options="
+_CPUINFO = Path("/proc/cpuinfo")
+_LASTING = {
+    *("vendor_id", "cpu family", "model", "model name", "stepping", "flags"),  # x86
+    *("CPU implementer", "CPU architecture", "CPU variant", "CPU part", "CPU revision", "Features"),  # ARM
+}
 
 
 def configure() -> None:
@@ -54,30 +60,55 @@ def keep_programs() -> None:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:  # no home: then nothing is kept
         return
-    os.environ.setdefault(_PROGRAMS, str(Path(base) / "mckibben" / f"programs-{_processor()}"))
+    known = processor()
+    if known is not None:
+        os.environ.setdefault(_PROGRAMS, str(Path(base) / "mckibben" / f"programs-{known}"))
 
 
 def programs_folder() -> Path | None:
     """Where finished programs are kept between processes; None unless `keep_programs` was called.
 
-    None as well where JAX keeps a cache of its own: a program that it took from there cannot be kept again.
+    None as well where JAX keeps a cache of its own: a program that it took from there cannot be kept again. And none
+    where it is not known what the processor can do, which so far is known on Linux alone.
     """
     folder = os.environ.get(_PROGRAMS)
-    return Path(folder) if folder and not os.environ.get("JAX_COMPILATION_CACHE_DIR") else None
-
-
-def _processor() -> str:
-    """A short name for what the processor can do: programs compiled for one do not run on every other."""
-    return hashlib.sha256(" ".join([platform.machine(), *sorted(_cpu_flags())]).encode()).hexdigest()[:8]
+    usable = folder and not os.environ.get("JAX_COMPILATION_CACHE_DIR") and processor() is not None
+    return Path(folder) if folder and usable else None
 
 
 @functools.cache
-def _cpu_flags() -> frozenset[str]:
+def processor() -> str | None:
+    """A short name for the kind of processor: programs compiled for one do not run on every other.
+
+    None where it cannot be told.
+    """
+    about = _about_processor()
+    if not _instructions(about):
+        return None
+    described = [platform.machine(), *(f"{name}={value}" for name, value in sorted(about.items()))]
+    return hashlib.sha256("\n".join(described).encode()).hexdigest()[:8]
+
+
+def _instructions(about: Mapping[str, str]) -> frozenset[str]:
+    """What the processor can do: Linux calls it ``flags`` on x86, and ``Features`` on ARM."""
+    return frozenset(about.get("flags", about.get("Features", "")).split())
+
+
+@functools.cache
+def _about_processor() -> dict[str, str]:
+    """What Linux says of the first processor, but for what differs from start to start."""
+    about = {}
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        with _CPUINFO.open(encoding="utf-8", errors="replace") as lines:
+            for line in lines:
+                name, colon, value = (part.strip() for part in line.partition(":"))
+                if not colon and about:
+                    break  # the next processor
+                if name in _LASTING:
+                    about[name] = value
     except OSError:
-        return frozenset()
-    return frozenset(next((line for line in lines if line.startswith("flags")), "").split())
+        return {}
+    return about
 
 
 @functools.cache
@@ -87,7 +118,7 @@ def batch_options() -> dict[str, int]:
 
     if jax.default_backend() != "cpu":
         return {}
-    return {"xla_cpu_prefer_vector_width": 512} if "avx512f" in _cpu_flags() else {}
+    return {"xla_cpu_prefer_vector_width": 512} if "avx512f" in _instructions(_about_processor()) else {}
 
 
 def _dispatches_loop_bodies() -> bool:

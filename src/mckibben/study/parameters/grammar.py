@@ -26,6 +26,7 @@ _UNIT = re.compile(rf"\s*{_NUMBER}\s*(.*)", re.DOTALL)
 _POINTS = re.compile(r"(.*\S)\s+in\s+(\S+)", re.DOTALL)
 _LOG = re.compile(r"(.*\S)\s+log", re.DOTALL)
 _RELATIVE = re.compile(rf"({_NUMBER})\s*(?:%|percent)")
+_ONE = re.compile(rf"{_NUMBER}\s*(?:[A-Za-z(/1][^%\s]*(?:\s+[^0-9+.\s-]\S*)*)?")
 _FORMS = "a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal 10 %`"
 
 
@@ -172,11 +173,16 @@ def _number(said: str, address: Address) -> Any:
 
 
 def _read(mark: Any, said: str) -> Any:
+    if not said:
+        _fail("a value is missing", f"give {_FORMS}")
     try:
         return mark.read(said)
     except PydanticCustomError as error:
         context = error.context or {}
-        _fail(str(context.get("message", error)), str(context.get("remedy", "")))
+        message, remedy = str(context.get("message", error)), str(context.get("remedy", ""))
+        if not _ONE.fullmatch(said):  # more, or less, than a number and a unit: a range that is written otherwise?
+            remedy = f"give {_FORMS}"
+        _fail(message, remedy or "give a finite one")
 
 
 def _with_unit_of(low: str, high: str) -> str:

@@ -34,7 +34,7 @@ def _found(begun: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[Problem
         elif name == "over":
             for one, other in zip_longest(before if isinstance(before, list) else [], value):
                 if one != other:
-                    yield Problem(_begun(one or "nothing there", other or "nothing"), field="over", remedy=_LEFT_OUT)
+                    yield Problem(_begun_over(one, other), field="over", remedy=_LEFT_OUT)
         elif name == "software":
             before = before if isinstance(before, Mapping) else {}
             for part, version in value.items():
@@ -58,9 +58,16 @@ def _consequences(begun: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[
 def _first_line(before: str, now: str) -> Problem:
     for old, new in zip_longest(before.splitlines(), now.splitlines()):
         if old != new:
-            message = _begun(repr((old or "nothing there").strip()), repr((new or "nothing").strip()))
-            return Problem(message, field="scenario", remedy=_SAME)
+            told = [None if line is None else repr(line.strip()) for line in (old, new)]
+            return Problem(_begun_over(*told), field="scenario", remedy=_SAME)
     return Problem("it is another", field="scenario", remedy=_SAME)
+
+
+def _begun_over(before: str | None, now: str | None) -> str:
+    """The same where one of them may not be there at all."""
+    if before is None:
+        return f"the sweep was begun without {now}"
+    return f"the sweep was begun with {before} too" if now is None else _begun(before, now)
 
 
 def _begun(before: object, now: object) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from mckibben.errors import ParameterError
 from mckibben.simulation import Metrics
+from mckibben.simulation.batch import CHUNK, ON_ACCELERATOR, VECTOR
 from mckibben.study.numbers import METRICS
 from mckibben.study.parameters import Over, Spread, Table, design, lanes, over, read_overs
 from mckibben.study.scenario import Scenario
@@ -21,9 +22,6 @@ from mckibben.study.sweep.block import Job, software
 MANIFEST = "manifest.json"
 FORMAT = 1
 _SAMPLES = 1024
-_LANES = 256  # runs computed together on the CPU: see `mckibben.simulation.batch`
-_ON_ACCELERATOR = 16384
-_VECTOR = 16  # numbers in the widest vector: fewer lanes would waste part of it
 _PIECES = 16  # a small sweep is cut into so many blocks at least, as long as they fill a vector
 _MOST_FILES = 256
 _MOST_CHUNKS = 64  # in a block: so that little is lost with one
@@ -192,7 +190,8 @@ def _overs(said: Said | None, scenario: Scenario) -> tuple[Over, ...]:
         return over(scenario, said)
     if not said:
         raise ParameterError("nothing is varied", remedy="say what, like --over 'load.mass2=0.2 kg..1.0 kg'")
-    return tuple(each for one in said for each in (read_overs([one], scenario) if isinstance(one, str) else (one,)))  # type: ignore[misc]
+    read = iter(read_overs([one for one in said if isinstance(one, str)], scenario))
+    return tuple(next(read) if isinstance(one, str) else one for one in said)  # type: ignore[misc]
 
 
 def _precision(bits: int | None) -> int:
@@ -204,7 +203,7 @@ def _precision(bits: int | None) -> int:
 def _sizes(rows: int, block: int | None) -> tuple[int, int]:
     """Runs computed together, and runs in a block; they depend on the number of runs alone (and the platform)."""
     cpu = jax.default_backend() == "cpu"
-    pieces, most = (_PIECES, _LANES) if cpu else (1, _ON_ACCELERATOR)
+    pieces, most = (_PIECES, CHUNK) if cpu else (1, ON_ACCELERATOR)
     pieces = max(pieces, -(-rows // most))  # all of one size, so that the last one is hardly filled up
     together = _whole_vectors(-(-rows // pieces))
     if block is None:
@@ -215,7 +214,7 @@ def _sizes(rows: int, block: int | None) -> tuple[int, int]:
 
 
 def _whole_vectors(rows: int) -> int:
-    return -(-rows // _VECTOR) * _VECTOR
+    return -(-rows // VECTOR) * VECTOR
 
 
 def _digest_of_table(table: Table) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 
 from mckibben.errors import FileError, Problem
 from mckibben.files import folder, whole
+from mckibben.study.keeping import alone, check_free
 from mckibben.study.numbers import write_json
 from mckibben.study.sweep.block import Columns
 from mckibben.study.sweep.differences import differences
@@ -24,6 +25,7 @@ from mckibben.study.sweep.plan import FORMAT, MANIFEST, Asked, Plan
 
 BLOCKS = "blocks"
 TABLE = "sweep.nc"
+_LOCK = ".lock"
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -67,11 +69,45 @@ class Store:
             remedy = "choose another folder, or remove this one"
             raise FileError(str(path), [Problem("it is no manifest of a sweep", remedy=remedy)]) from None
 
+    def check_free(self) -> None:
+        """Raise if there is a sweep already, or anything else of the names of its files.
+
+        Raises
+        ------
+        FileError
+            Which says what is there.
+        """
+        if self.begun() is not None:
+            remedy = "go on with --resume (resume=True), or choose another folder"
+            raise FileError(str(self.path), [Problem("there is a sweep already", remedy=remedy)])
+        blocks = [f"{BLOCKS}/{path.name}" for path in (self.path / BLOCKS).glob("*.block")]
+        check_free(self.path, [TABLE, *sorted(blocks)])
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keep other processes out; the folder is made if need be.
+
+        Raises
+        ------
+        FileError
+            If another process is computing this sweep.
+        """
+        self._make()
+        with alone(self.path / _LOCK, "computing this sweep"):
+            yield
+
     def begin(self, plan: Plan) -> None:
-        """Write the manifest of a new sweep."""
+        """Write the manifest of a new sweep.
+
+        Raises
+        ------
+        FileError
+            As for `check_free`.
+        """
+        self.check_free()
         self._plan = plan
+        self._make()
         with self.room():
-            folder(folder(self.path) / BLOCKS)
             write_json(self.path / MANIFEST, plan.manifest)
 
     def go_on(self, plan: Plan, begun: dict[str, Any]) -> None:
@@ -87,7 +123,6 @@ class Store:
             raise FileError(str(self.path), found)
         plan.manifest["source"] = begun.get("source", "")
         self._plan = plan
-        folder(self.path / BLOCKS)
 
     def look(self) -> list[Path]:
         """Find out which blocks are there; the answer are those that are damaged, and count as missing."""
@@ -164,9 +199,14 @@ class Store:
         except OSError as error:
             if error.errno not in _FULL and "No space left" not in str(error):
                 raise
-            message = f"the disk is full; {self.runs} of {self.plan.rows} runs are kept"
+            kept = f"; {self.runs} of {self.plan.rows} runs are kept" if self._plan is not None else ""
+            message = f"the disk is full{kept}"
             remedy = "make room, and go on with --resume (resume=True)"
             raise FileError(str(self.path), [Problem(message, remedy=remedy)]) from None
+
+    def _make(self) -> None:
+        with self.room():
+            folder(folder(self.path) / BLOCKS)
 
     def _path(self, block: int) -> Path:
         return self.path / BLOCKS / f"{block:06d}.block"

@@ -76,7 +76,8 @@ def sweep(
     ParameterError
         If what is asked makes no sense, or a row of values makes no valid scenario.
     FileError
-        If `out` has a sweep and `resume` is not set, or has none, or another one; or if the disk is full.
+        If `out` has a sweep, or other files in the way, and `resume` is not set; or has none, or another one; if
+        another process is computing it; or if the disk is full.
     InterruptedSweep
         On Ctrl-C, with what is finished kept.
 
@@ -98,33 +99,41 @@ def sweep(
             store.begin(Plan.of(scenario, asked, source=source))
             return _finished(store, dask, workers, progress)
     store = Store(Path(out))
-    begun = store.begun()
     if resume:
-        return _resumed(store, begun, scenario, asked, (dask, workers, progress))
-    if begun is not None:
-        remedy = "go on with --resume (resume=True), or choose another folder"
-        raise FileError(str(out), [Problem("there is a sweep already", remedy=remedy)])
-    store.begin(Plan.of(scenario, asked, folder=os.fspath(out), source=source))
-    return _kept(store, dask, workers, progress)
+        return _resumed(store, scenario, asked, (dask, workers, progress))
+    store.check_free()
+    plan = Plan.of(scenario, asked, folder=os.fspath(out), source=source)
+    with store.alone():
+        store.begin(plan)
+        return _kept(store, dask, workers, progress)
 
 
-def _resumed(
-    store: Store, begun: dict[str, Any] | None, scenario: Scenario, asked: Asked, engine: tuple[Any, ...]
-) -> Sweep:
+def _resumed(store: Store, scenario: Scenario, asked: Asked, engine: tuple[Any, ...]) -> Sweep:
+    begun = store.begun()
     if begun is None:
         problem = Problem(f"there is no sweep to go on with ({MANIFEST})", remedy="leave --resume (resume=True) out")
         raise FileError(str(store.path), [problem])
     plan = Plan.of(scenario, asked.filled(begun), folder=os.fspath(store.path), source=begun.get("source", ""))
     store.go_on(plan, begun)
+    there = _complete(store)
+    if there is not None:  # and need not be written to
+        return there
+    with store.alone():
+        there = _complete(store)  # by whoever was there until now
+        if there is not None:
+            return there
+        for path in store.look():
+            warnings.warn(f"{path} is damaged and is computed again", McKibbenWarning, stacklevel=3)
+        return _kept(store, *engine)
+
+
+def _complete(store: Store) -> Sweep | None:
+    """The sweep of a store, if its table is there."""
     try:
         there = Sweep.from_netcdf(store.path / TABLE)
-        if there.table.attrs.get("identity") == plan.identity:
-            return there
     except FileError:
-        pass  # not yet there, or damaged: the blocks have all of it
-    for path in store.look():
-        warnings.warn(f"{path} is damaged and is computed again", McKibbenWarning, stacklevel=3)
-    return _kept(store, *engine)
+        return None  # not yet there, or damaged: the blocks have all of it
+    return there if there.table.attrs.get("identity") == store.plan.identity else None
 
 
 def _kept(store: Store, *engine: Any) -> Sweep:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mckibben.errors import ParameterError
-from mckibben.study.parameters import Address, LogUniform, Over, addresses, find, find_all, read_over
+from mckibben.study.parameters import Address, LogUniform, Over, addresses, find, read_over
 from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.part import quoted
 
 _GAINS = ("kp", "ki", "kd")
 
@@ -65,7 +66,12 @@ def read_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[Over, ...]:
                 remedy=f"write {address.name}=LOW..HIGH",
             )
         several.append(Over(address, _around(address, 2.0)))
-    find_all(scenario, [each.name for each in several])  # none of them twice
+    said: dict[str, str] = {}
+    for text, each in zip(texts, several, strict=True):
+        if each.name in said:
+            both = f"{quoted(said[each.name])} and {quoted(text)} are about the same number"
+            raise ParameterError(both, value=text, remedy="keep one of them")
+        said[each.name] = text
     return tuple(several)
 
 

@@ -70,6 +70,7 @@ def tune(
     history: Path | None = None,
     resume: bool = False,
     progress: Callable[[float], None] | None = None,
+    least: Callable[[float], None] | None = None,
 ) -> Tuned:
     """Search numbers of scenarios, within ranges, for the least cost.
 
@@ -97,6 +98,8 @@ def tune(
         Go on with the search in that file.
     progress
         Called with the part that is done, 0 to 1; first when all that was asked for has been checked.
+    least
+        Called before `progress` with the least cost so far, once there is one.
 
     Raises
     ------
@@ -104,7 +107,7 @@ def tune(
         If a number is not in every scenario or has no range, the method cannot search so, the cost has no gradient to
         follow, or nothing that was tried has a cost.
     FileError
-        If the history is there already, or is that of another search.
+        If the history is there already, or is that of another search, is damaged, or another process goes on with it.
     """
     for name, count in (("starts", starts), ("iterations", iterations), ("population", population)):
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
@@ -130,21 +133,45 @@ def tune(
         "seed": seed,
         **({} if method is Method.GRADIENT else {"population": population}),
     }
-    past = History(history, about, resume=resume)
-    report = progress or (lambda _: None)
+    slopes = method is Method.GRADIENT
+    with History.kept(history, about, numbers=len(task.over), slopes=slopes, resume=resume) as past:
+
+        def report(part: float) -> None:
+            if least and past.trials and past.best.cost < LOST:
+                least(past.best.cost)
+            if progress:
+                progress(part)
+
+        exact = _searched(task, past, method, starts, iterations, population, seed, report)
+        return _tuned(task, past, exact)
+
+
+def _searched(
+    task: Problem,
+    past: History,
+    method: Method,
+    starts: int,
+    iterations: int,
+    population: int,
+    seed: int,
+    report: Callable[[float], None],
+) -> Callable[[NDArray[np.float64]], float]:
+    """Search; the answer gives the cost of any numbers [SI]."""
     report(0.0)
     if method is Method.GRADIENT:
         found = _Descents(task, past, starts)
         first = task.point(task.nominal)
         by_gradient(found, first, starts=starts, iterations=iterations, seed=seed, progress=report)
-        exact = found.exact
-    else:
-        tried = _Generations(task, past, population)
-        first = task.point(task.nominal)
-        search = by_cma if method is Method.CMA else by_evolution
-        search(tried, first, population=population, generations=iterations, seed=seed, progress=report)
-        exact = tried.exact
+        return found.exact
+    tried = _Generations(task, past, population)
+    first = task.point(task.nominal)
+    search = by_cma if method is Method.CMA else by_evolution
+    search(tried, first, population=population, generations=iterations, seed=seed, progress=report)
+    return tried.exact
 
+
+def _tuned(task: Problem, past: History, exact: Callable[[NDArray[np.float64]], float]) -> Tuned:
+    """The best of what was tried, in numbers that can be written down."""
     if past.best.cost >= LOST:
         raise ParameterError(
             f"none of the {len(past.trials)} points that were tried has a cost: their numbers are not allowed "
@@ -169,7 +196,7 @@ def tune(
     named = dict(zip(task.names, rounded.tolist(), strict=True))
     return Tuned(
         values=named,
-        scenarios=tuple(with_values(scenario, named) for scenario in several),
+        scenarios=tuple(with_values(scenario, named) for scenario in task.scenarios),
         cost=cost_after,
         cost_before=before if before < LOST else float("nan"),
         evaluated=len(past.trials),

@@ -1,0 +1,105 @@
+"""Folders that long work is kept in: one process at a time, and nothing of anyone else's overwritten."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import socket
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mckibben.errors import FileError, McKibbenWarning, Problem
+
+_UNKNOWN = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+"""What file systems say that have no locks."""
+
+
+def check_free(folder: Path, names: Iterable[str]) -> None:
+    """Raise if files that are about to be written are there already.
+
+    Parameters
+    ----------
+    folder
+        To write to; it need not exist.
+    names
+        Of files in it.
+
+    Raises
+    ------
+    FileError
+        Which names all of them.
+    """
+    there = [name for name in names if os.path.lexists(folder / name)]
+    if there:
+        remedy = "choose another folder, or move what is there out of the way"
+        raise FileError(str(folder), [Problem("it is there already", field=name, remedy=remedy) for name in there])
+
+
+@contextmanager
+def alone(path: Path, what: str) -> Iterator[None]:
+    """Hold a lock file, which goes when the block ends; a process that was killed holds it no longer.
+
+    Parameters
+    ----------
+    path
+        The file, in a folder that exists.
+    what
+        Is done meanwhile, such as "computing this sweep".
+
+    Raises
+    ------
+    FileError
+        If another process holds it, or the file cannot be written.
+
+    Warns
+    -----
+    McKibbenWarning
+        If the file system knows no locks.
+    """
+    try:
+        file = _locked(path, what)
+    except OSError as error:
+        problem = Problem(f"it cannot be written: {error.strerror}", remedy="choose another folder")
+        raise FileError(str(path), [problem]) from None
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        os.close(file)
+
+
+def _locked(path: Path, what: str) -> int:
+    """The open file, locked and with our name in it."""
+    while True:
+        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                holder = os.read(file, 200).decode("utf-8", "replace").strip() or "just started"
+                problem = Problem(f"another process ({holder}) is {what}", remedy="wait for its end")
+                raise FileError(str(path.parent), [problem]) from None
+            except OSError as error:
+                if error.errno not in _UNKNOWN:
+                    raise
+                message = f"the file system of {path.parent} has no locks: take care that one process alone is {what}"
+                warnings.warn(message, McKibbenWarning, stacklevel=4)
+            if not _is(path, file):  # who held it before has removed it: ours is one that nobody else sees
+                os.close(file)
+                continue
+            os.ftruncate(file, 0)
+            os.write(file, f"pid {os.getpid()} on {socket.gethostname()}\n".encode())
+            return file
+        except BaseException:
+            os.close(file)
+            raise
+
+
+def _is(path: Path, file: int) -> bool:
+    try:
+        return os.path.samestat(path.stat(), os.fstat(file))
+    except FileNotFoundError:
+        return False
