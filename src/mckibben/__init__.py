@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from mckibben.errors import McKibbenError
     from mckibben.identification import Fit, identify, identify_hysteresis, rank, validate
     from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
-    from mckibben.muscle import ChouLaw, Domain, DoubleExponentialLaw, ExponentialLaw, MaxwellSlip, Muscle, Specimen
+    from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, MaxwellSlip, Muscle, Specimen, TripleExponentialLaw
     from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load
     from mckibben.rig import IsobaricProtocol, VirtualRig
     from mckibben.simulation import Result, check_reference, differentiate, simulate, simulate_many
@@ -55,7 +55,7 @@ _HOMES = {
     "errors": "McKibbenError",
     "identification": "Fit identify identify_hysteresis rank validate",
     "joint": "AntagonisticJoint KneeGeometry RigidTendon SeriesSpring",
-    "muscle": "ChouLaw Domain DoubleExponentialLaw ExponentialLaw MaxwellSlip Muscle Specimen",
+    "muscle": "ChouLaw Domain TripleExponentialLaw ExponentialLaw MaxwellSlip Muscle Specimen",
     "plant": "FirstOrderValve IdealValve JointPlant Load",
     "rig": "IsobaricProtocol VirtualRig",
     "simulation": "Result check_reference differentiate simulate simulate_many",
@@ -74,7 +74,6 @@ __all__ = [
     "ChouLaw",
     "Constant",
     "Domain",
-    "DoubleExponentialLaw",
     "ExponentialLaw",
     "FirstOrderValve",
     "Fit",
@@ -101,6 +100,7 @@ __all__ = [
     "Sine",
     "Specimen",
     "Step",
+    "TripleExponentialLaw",
     "VirtualRig",
     "catalog",
     "check_reference",

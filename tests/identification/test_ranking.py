@@ -1,5 +1,7 @@
 """The ranking of laws: by errors at blocks left out, with what speaks against each said."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -14,18 +16,19 @@ from mckibben.muscle import (
     LAWS,
     ChouLaw,
     Domain,
-    DoubleExponentialLaw,
     ExponentialLaw,
     HuntLaw,
+    MartensBoblanLaw,
     ReynoldsLaw,
     SarosiLaw,
     TonduLopezLaw,
+    TripleExponentialLaw,
     forces,
 )
 from mckibben.units import bar
 
 MAP, CHART = "dmsp-10-250-martens2017", "festo-tool-10mm"
-OURS = DoubleExponentialLaw
+OURS = TripleExponentialLaw
 
 
 PRESSURES, CONTRACTIONS = np.arange(1, 7) * bar, np.linspace(0, 0.2, 9)
@@ -50,7 +53,7 @@ def rankings():
 
 
 @pytest.mark.parametrize(
-    ("name", "exponential", "ours"), [(MAP, 1.34, 0.9), (CHART, 3.42, 2.1)], ids=["measured map", "maker's chart"]
+    ("name", "exponential", "ours"), [(MAP, 1.34, 0.9), (CHART, 3.42, 1.6)], ids=["measured map", "maker's chart"]
 )
 def test_ours_beats_the_exponential_law_at_unseen_pressures_of_both_muscles(rankings, name, exponential, ours):
     found = rankings[name]
@@ -83,7 +86,7 @@ def test_the_order_is_that_of_the_errors_and_the_refused_come_last(rankings):
 
 def test_a_shape_at_its_bound_is_flagged(rankings):
     flags = rankings[MAP].of("TonduLopezLaw").flags
-    assert any("braid_angle is at the bound" in flag for flag in flags)
+    assert flags == ("braid_angle at a bound: the data ask for what the law cannot be",)
 
 
 def test_the_criterion_is_the_closed_form_and_prefers_the_law_that_made_the_data():
@@ -109,11 +112,14 @@ def test_directions_and_repeats_are_left_out_where_they_are_recorded():
     )
     found = rank(both, [ExponentialLaw])
     assert found.blocks == ("pressure", "direction", "repeat")
-    assert not found.missing
+    assert found.missing == {"phase": "no phase is recorded"}
     entry = found.entries[0]
-    assert entry.unseen["direction"].rmse == pytest.approx(20, rel=0.15)  # each predicted by the other, 20 N away
-    assert entry.unseen["repeat"].rmse == pytest.approx(10, rel=0.15)
-    assert entry.error == entry.unseen["direction"].rmse
+    # Each direction is predicted by the other, 20 N away, which is friction; what else is wrong is the noise.
+    assert list(entry.unseen["direction"].by_block.values()) == pytest.approx([20.0, 20.0], rel=0.15)
+    assert entry.unseen["direction"].rmse < 4
+    assert entry.unseen["repeat"].rmse < 4
+    assert entry.error == max(left_out.rmse for left_out in entry.unseen.values())
+    assert not entry.structure.pattern
     assert rank(made.select(made.pressure < 1.5 * bar), [ChouLaw]).missing["direction"] == "no direction is recorded"
 
 
@@ -124,7 +130,8 @@ def test_what_is_left_has_to_determine_the_law():
         leave_out(fit.evidence.problem, fit.evidence.solution, fit.evidence.points.levels)
     entry = rank(made, [SarosiLaw]).entries[0]
     assert entry.error == np.inf
-    assert any(flag.startswith("without pressure 2") for flag in entry.flags)
+    assert "without 2 bar the law is not determined" in entry.remarks
+    assert not entry.flags
 
 
 def test_noise_leaves_no_pattern_and_a_wrong_law_does():
@@ -176,3 +183,77 @@ def test_all_refused_says_why_each():
 
 def test_every_law_is_ranked_unless_said():
     assert rank.__defaults__[0] == tuple(LAWS.values())
+
+
+def test_scattered_pressures_without_nominal_ones_are_no_blocks():
+    """Each point alone would be predicted by its neighbours on its own curve."""
+    made = made_by(catalog.law("sarosi-dmsp-10"), noise=1.0)
+    measured = made.pressure + 500 * np.random.default_rng(1).standard_normal(len(made))
+    columns = {"pressure": measured, "contraction": made.contraction, "force": made.force}
+    scattered = rank(IsobaricDataset.of(**columns), [SarosiLaw])
+    assert not scattered.blocks
+    assert "record the set pressure of each point" in scattered.missing["pressure"]
+    assert scattered.entries[0].fit.leave_one_pressure_out is None
+    nominal = rank(IsobaricDataset.of(**columns, set_pressure=made.pressure), [SarosiLaw])
+    assert nominal.blocks == ("pressure",)
+
+
+def test_points_of_no_known_direction_are_never_left_out():
+    made = made_by(catalog.law("sarosi-dmsp-10"), noise=1.0)
+    direction = np.where(np.arange(len(made)) % 2, "loading", "unloading")
+    direction[:3] = ""
+    both = IsobaricDataset.of(
+        pressure=made.pressure, contraction=made.contraction, force=made.force, direction=direction
+    )
+    found = rank(both, [SarosiLaw])
+    left_out = found.entries[0].unseen["direction"]
+    assert set(left_out.by_block) == {"loading", "unloading"}
+    np.testing.assert_array_equal(np.isnan(left_out.residuals), found.points.table["direction"].to_numpy() == "")
+
+
+def test_the_best_is_no_bad_law_for_want_of_a_flag(rankings):
+    """A flag sets a law aside only for one that is nearly as good."""
+
+    def entry(law, error, *flags):
+        one = rankings[MAP].of("ExponentialLaw")
+        left_out = dataclasses.replace(one.unseen["pressure"], residuals=np.full(3, error))
+        return dataclasses.replace(one, law=law, unseen={"pressure": left_out}, flags=flags)
+
+    def best(*entries):
+        return dataclasses.replace(rankings[MAP], entries=entries).best.law
+
+    assert best(entry("A", 1.0, "at a bound"), entry("B", 20.0)) == "A"
+    assert best(entry("A", 1.0, "at a bound"), entry("B", 1.3)) == "B"
+    assert best(entry("A", 1.0), entry("B", 0.9)) == "A"
+
+
+def test_friction_of_the_data_does_not_reorder_the_laws():
+    truth = identify(OURS, catalog.dataset(CHART)).law
+    made = made_by(truth, noise=1.0, repeats=2)
+    direction = np.where(made.table["repeat"].to_numpy() == 0, "loading", "unloading")
+    friction = np.where(direction == "loading", 8.0, -8.0) * np.tanh(np.maximum(made.force, 0) / 16)
+    both = IsobaricDataset.of(
+        pressure=made.pressure, contraction=made.contraction, force=made.force + friction, direction=direction
+    )
+    found = rank(both, [MartensBoblanLaw, ExponentialLaw, OURS])
+    assert found.entries[0].law == OURS.__name__
+
+
+def test_where_nothing_can_be_left_out_the_criterion_decides():
+    made = made_by(catalog.law("sarosi-dmsp-10"), noise=1.0, pressures=[4 * bar], contractions=np.linspace(0, 0.15, 20))
+    found = rank(made, [ReynoldsLaw, HuntLaw, ChouLaw, TonduLopezLaw])
+    fitted = [entry for entry in found.entries if entry.fit]
+    assert len(fitted) > 1
+    assert [entry.aicc for entry in fitted] == sorted(entry.aicc for entry in fitted)
+
+
+def test_a_law_without_a_force_somewhere_is_said_to_have_none():
+    assert unphysical(HuntLaw(254.3e3, 1230.0, 192e3, 0.16, Domain(-0.03, 0.2, 0.0, 6e5))).startswith("it has no force")
+
+
+def test_all_parameters_at_their_bounds_are_an_error_of_units():
+    pressure, contraction = (a.ravel() for a in np.meshgrid(np.arange(1.0, 7.0), np.linspace(0, 0.2, 9)))
+    force = forces(catalog.law("lei-mas-10-180n"), contraction, pressure * bar)
+    bars_for_pascals = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=1.0)
+    with pytest.raises(IdentificationError, match="look for wrong units in the data"):
+        identify(ChouLaw, bars_for_pascals)

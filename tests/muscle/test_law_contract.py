@@ -25,8 +25,8 @@ EXAMPLES = {
     "HuntLaw": lambda: muscle.HuntLaw(254.3e3, 1230.0, 192e3, 0.22, Domain(0.0, 0.2, 0.0, 5e5)),
     "SarosiLaw": lambda: catalog.law("sarosi-dmsp-10"),
     "ExponentialLaw": lambda: catalog.law("lei-mas-10-180n"),
-    "DoubleExponentialLaw": lambda: muscle.DoubleExponentialLaw(
-        -170.1, 8.12e-4, -1.0e-10, -2.332e-3, 98.0, 71.8, 5.0, 14.1, BOX
+    "TripleExponentialLaw": lambda: muscle.TripleExponentialLaw(
+        -154.4, 8.196e-4, -2.557e-3, -4.87e-11, 116.2, 38.1, 5.0, 11.63, BOX
     ),
 }
 PRESSURE = np.linspace(0.5e5, 5e5, 5)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
     from mckibben.identification import Ranked, Ranking
 
-_ALL = "all"
+_ALL, _LEVEL = "all", 0.95
 
 
 def identify(
@@ -24,7 +24,7 @@ def identify(
     law: Annotated[
         str, typer.Option(help="Which law, such as exponential (Eq. 2); 'mckibben laws' lists them. all: rank them.")
     ] = "exponential",
-    level: Annotated[float, typer.Option(help="Of the intervals: the share that holds the truth.")] = 0.95,
+    level: Annotated[float, typer.Option(help="Of the intervals: the share that holds the truth.")] = _LEVEL,
     profile: Annotated[
         bool, typer.Option("--profile", help="Profile the shape parameters: are they determined?")
     ] = False,
@@ -51,9 +51,9 @@ def identify(
     law_type = law_type_named(law) if law != _ALL else None
     points = measured(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
     if law_type is None:
-        if profile or bootstrap or hysteresis:
+        if profile or bootstrap or hysteresis or level != _LEVEL:
             raise ParameterError(
-                "--profile, --bootstrap and --hysteresis are about one law",
+                "--level, --profile, --bootstrap and --hysteresis are about one law",
                 remedy="name it, such as --law exponential",
             )
         _rank(points, json, out)
@@ -163,7 +163,7 @@ def _show(ranking: Ranking) -> None:
     )
     rows = [
         (
-            entry.law.removesuffix("Law"),
+            _short(entry),
             str(entry.parameters),
             f"{entry.fit.rmse:.2f}" if entry.fit else "-",
             *(f"{entry.unseen[name].rmse:.2f}" if name in entry.unseen else "-" for name in ranking.blocks),
@@ -177,13 +177,16 @@ def _show(ranking: Ranking) -> None:
         typer.echo(f"no error at unseen {name}s: {reason}")
     for entry in ranking.entries:
         _remark(entry)
-    if ranking.best.flags:
-        typer.echo("every law is flagged: choose with care")
+    best, first = ranking.best, ranking.entries[0]
+    if best is not first:
+        typer.echo(f"taken for the best: {_short(best)}, since {_short(first)} is flagged and hardly better")
 
 
 def _remark(entry: Ranked) -> None:
-    name = entry.law.removesuffix("Law")
-    if entry.refused:
-        typer.echo(f"refused {name}: {entry.refused}")
-    for flag in entry.flags:
-        typer.echo(f"flagged {name}: {flag}")
+    for what, texts in (("refused", [entry.refused]), ("flagged", entry.flags), ("remark on", entry.remarks)):
+        if any(texts):
+            typer.echo(f"{what} {_short(entry)}: {'; '.join(texts)}")
+
+
+def _short(entry: Ranked) -> str:
+    return entry.law.removesuffix("Law")

@@ -11,9 +11,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.dataset import IsobaricDataset
 from mckibben.identification.problem import FitProblem, Solution
 from mckibben.identification.solving import solve
 from mckibben.identification.uncertainty import CONDITION_LIMIT, condition
+
+MOST_BLOCKS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +26,7 @@ class LeftOut:
     Attributes
     ----------
     residuals
-        Shape (points,): measured minus predicted force [N].
+        Shape (points,): measured minus predicted force [N]; NaN for points of no block, which were never left out.
     by_block
         RMSE [N] of each block.
     """
@@ -34,12 +37,29 @@ class LeftOut:
     @property
     def rmse(self) -> float:
         """Over all blocks together [N]."""
-        return float(np.sqrt(np.mean(self.residuals**2)))
+        return float(np.sqrt(np.nanmean(self.residuals**2)))
 
     @property
     def max_error(self) -> float:
         """The largest, without sign [N]."""
-        return float(np.abs(self.residuals).max())
+        return float(np.nanmax(np.abs(self.residuals)))
+
+
+def pressure_blocks(points: IsobaricDataset) -> tuple[NDArray[np.float64] | None, str]:
+    """The level [Pa] of each point, or None and why pressures cannot be left out.
+
+    Where no nominal pressures are recorded and the measured ones scatter, each point would be a block of its own.
+    """
+    levels = points.levels
+    count = len(np.unique(levels))
+    if count < 2:
+        return None, "there is one pressure only"
+    if count > MOST_BLOCKS or 2 * count > len(points):
+        return None, (
+            f"the {len(points)} points have {count} different pressures, hardly two the same; record the set pressure "
+            "of each point"
+        )
+    return levels, ""
 
 
 class UndeterminedError(Exception):
@@ -60,7 +80,7 @@ def leave_out(problem: FitProblem, full: Solution, blocks: ArrayLike) -> LeftOut
     full
         Its solution; each refit starts at its shape.
     blocks
-        Shape (points,): numbers or texts, the same for the points of a block.
+        Shape (points,): numbers or texts, the same for the points of a block; an empty text for points of none.
 
     Raises
     ------
@@ -68,9 +88,11 @@ def leave_out(problem: FitProblem, full: Solution, blocks: ArrayLike) -> LeftOut
         If the rest of the points does not determine the law.
     """
     blocks = np.asarray(blocks)
-    residuals = np.empty(len(blocks))
+    residuals = np.full(len(blocks), np.nan)
     by_block: dict[float | str, float] = {}
     for block in np.unique(blocks).tolist():
+        if block == "":
+            continue
         out = blocks == block
         if np.count_nonzero(~out) <= len(problem.names):
             raise UndeterminedError(block, "too few are left to fit")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.blocks import UndeterminedError, held, leave_out
+from mckibben.identification.blocks import UndeterminedError, held, leave_out, pressure_blocks
 from mckibben.identification.evidence import Evidence
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.groups import Grouping
@@ -22,7 +22,6 @@ from mckibben.units import show
 
 _STRONG_CORRELATION = 0.999
 _FRICTION = 1.0  # a gap between the directions above this part of the RMSE is what the residuals consist of
-_MOST_LEVELS = 200
 
 
 def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Domain | None = None) -> Fit:
@@ -76,6 +75,11 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     solution = solve(problem, start)
     at_bound = held(problem, solution)
     _check_determined(problem, solution, at_bound, points)
+    if at_bound.all():
+        raise IdentificationError(
+            f"every parameter of {law_type.__name__} is at a bound of its range: no value of it comes near the points",
+            remedy="look for wrong units in the data",
+        )
     spread = uncertainty(solution.jacobian, solution.residuals, at_bound)
     evidence = Evidence(points, problem, solution, at_bound)
     grouping, ungrouped = evidence.rule
@@ -84,7 +88,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     warnings += _correlation_warnings(problem.names, spread.correlations)
     warnings += _direction_warnings(points, solution.residuals, grouping)
     warnings += [f"the standard errors take all points as independent: {ungrouped}"] if ungrouped else []
-    unseen, reason = _leave_one_pressure_out(problem, solution, points.levels)
+    unseen, reason = _leave_one_pressure_out(problem, solution, points)
     warnings += [reason] if reason else []
     return Fit(
         law=dataclasses.replace(problem.law(solution.values), domain=domain or _domain_of(points)),
@@ -128,17 +132,12 @@ def _direction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64],
 
 
 def _leave_one_pressure_out(
-    problem: FitProblem, full: Solution, levels: NDArray[np.float64]
+    problem: FitProblem, full: Solution, points: IsobaricDataset
 ) -> tuple[LeaveOnePressureOut | None, str]:
     """The errors at unseen pressures, or why there are none."""
-    distinct = np.unique(levels)
-    if len(distinct) < 2:
-        return None, "there is one pressure only: no error at unseen pressures can be given"
-    if len(distinct) > _MOST_LEVELS:
-        return None, (
-            f"there are {len(distinct)} distinct pressures, each taken for a level of its own: no error at "
-            "unseen pressures is given; record the set pressure of each point"
-        )
+    levels, reason = pressure_blocks(points)
+    if levels is None:
+        return None, f"no error at unseen pressures can be given: {reason}"
     try:
         left_out = leave_out(problem, full, levels)
     except UndeterminedError as error:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
@@ -173,6 +172,8 @@ def _friction_alone(model: WayModel, start: dict[str, float]) -> dict[str, float
     def values(x: NDArray[np.float64]) -> dict[str, float]:
         return {**start, **dict(zip(names, x.tolist(), strict=True))}
 
+    from scipy.optimize import least_squares  # 0.1 s, which no import of the package should wait for
+
     found = least_squares(
         lambda x: model.residuals(values(x), np.empty(0)),
         np.clip([start[name] for name in names], lower, upper),
@@ -225,6 +226,8 @@ def _solve(model: WayModel, start: dict[str, float], free: tuple[str, ...]) -> _
 
     def values(x: NDArray[np.float64]) -> dict[str, float]:
         return {**start, **dict(zip(free, x[:count].tolist(), strict=True))}
+
+    from scipy.optimize import least_squares
 
     answer = least_squares(
         lambda x: model.residuals(values(x), x[count:]),

@@ -12,7 +12,7 @@ _ROUNDING = 1e-9  # of the largest force
 
 
 def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
-    """Where a taut muscle of this law would pull harder when shorter, or less at more pressure; empty for nowhere.
+    """Where the law has no force, or its taut muscle would pull harder when shorter or less at more pressure; or empty.
 
     Parameters
     ----------
@@ -34,6 +34,10 @@ def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
     contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
     pressure = np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
     force = forces(law, contraction[:, None], pressure)
+    nowhere = ~np.isfinite(force)
+    if nowhere.any():
+        i, j = np.unravel_index(np.argmax(nowhere), nowhere.shape)
+        return f"it has no force at {contraction[i] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
     rounding = _ROUNDING * float(np.abs(force).max())
     for what, change, taut in (
         ("rises with contraction", np.diff(force, axis=0), force[:-1] > 0),

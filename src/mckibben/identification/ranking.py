@@ -11,19 +11,20 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.blocks import LeftOut, UndeterminedError, leave_out
+from mckibben.identification.blocks import MOST_BLOCKS, LeftOut, UndeterminedError, leave_out, pressure_blocks
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
 from mckibben.identification.physical import unphysical
-from mckibben.identification.structure import Structure, structure_of
+from mckibben.identification.structure import Structure, beyond_directions, structure_of
 from mckibben.muscle import LAWS, ForceLaw
+from mckibben.units import show
 
-BLOCKS = ("pressure", "direction", "repeat")
+BLOCKS = ("pressure", "direction", "phase", "repeat")
 """What is left out as a whole, one after the other."""
 
-_MOST_BLOCKS = 200
-_STRONGEST = 0.999
+_STRONG = 0.999  # correlation of two parameters
 _COUNTED_SCATTER = 1  # the scatter is a number of the model too
+_AS_GOOD = 1.5  # times the least error
 
 
 @dataclass(frozen=True)
@@ -39,14 +40,16 @@ class Ranked:
     refused
         Why there is no fit; empty where there is one.
     unseen
-        Errors at blocks of points left out, by "pressure", "direction" and "repeat", as far as these are known.
+        Errors at blocks of points left out, by "pressure", "direction", "phase" and "repeat", as far as these are
+        known; without what the directions differ by on average, which is friction.
     aicc
         Akaike's criterion with the correction for few points; NaN where there are too few.
     structure
         What the residuals have in common.
     flags
-        Reasons not to trust the numbers, as sentences: a shape at its bound, parameters that trade off, forces that no
-        muscle has.
+        Reasons not to take the law for this muscle, as sentences: a shape at its bound, forces that no muscle has.
+    remarks
+        What to know of its numbers: parameters that trade off, blocks without which it is not determined.
     """
 
     law: str
@@ -56,6 +59,7 @@ class Ranked:
     aicc: float = math.nan
     structure: Structure | None = None
     flags: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def error(self) -> float:
@@ -82,12 +86,16 @@ class Ranked:
             "residual_correlation_along_contraction": structure.along_contraction if structure else None,
             "residual_correlation_along_pressure": structure.along_pressure if structure else None,
             "flags": list(self.flags),
+            "remarks": list(self.remarks),
         }
 
 
 @dataclass(frozen=True)
 class Ranking:
     """Laws by their errors at what they have not seen, the best first and the refused last.
+
+    A law that is not determined without some block stands behind those that are; where nothing can be left out,
+    Akaike's criterion decides.
 
     Attributes
     ----------
@@ -108,7 +116,9 @@ class Ranking:
 
     @property
     def best(self) -> Ranked:
-        """The first without a flag, or the first where all have one.
+        """The first without a flag, if it is nearly as good as the very first; else the very first.
+
+        Nearly is 1.5 times its error.
 
         Raises
         ------
@@ -119,7 +129,8 @@ class Ranking:
         if not fitted:
             reasons = "\n  ".join(f"{entry.law}: {entry.refused}" for entry in self.entries)
             raise IdentificationError(f"no law could be fitted\n  {reasons}", remedy="measure at more points")
-        return next((entry for entry in fitted if not entry.flags), fitted[0])
+        first = fitted[0]
+        return next((e for e in fitted if not e.flags and e.error <= _AS_GOOD * first.error), first)
 
     def of(self, law: str) -> Ranked:
         """The entry of a law by the name of its kind.
@@ -193,25 +204,28 @@ def rank(
         entries.append(_ranked(kind, means, blocks))
     if progress:
         progress("ranked", 1.0)
-    entries.sort(key=lambda entry: (entry.fit is None, entry.error, entry.fit.rmse if entry.fit else 0.0))
+    entries.sort(key=lambda entry: (entry.fit is None, len(blocks) - len(entry.unseen), entry.error, entry.aicc))
     return Ranking(tuple(entries), points, len(means) - len(points), missing)
 
 
 def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """What can be left out, and why the rest cannot."""
-    columns = {"pressure": points.levels}
-    columns |= {name: points.table[name].to_numpy() for name in BLOCKS[1:] if name in points.table}
-    blocks, missing = {}, {}
-    for name in BLOCKS:
-        count = len(np.unique(columns[name])) if name in columns else 0
-        if not count:
+    blocks: dict[str, np.ndarray] = {}
+    missing: dict[str, str] = {}
+    levels, reason = pressure_blocks(points)
+    if levels is None:
+        missing["pressure"] = reason
+    else:
+        blocks["pressure"] = levels
+    for name in BLOCKS[1:]:
+        labels = points.table[name].to_numpy() if name in points.table else np.empty(0, "<U1")
+        count = np.count_nonzero(np.unique(labels) != "") if labels.dtype.kind == "U" else len(np.unique(labels))
+        if count == 0:
             missing[name] = f"no {name} is recorded"
-        elif count == 1:
-            missing[name] = f"there is one {name} only"
-        elif count > _MOST_BLOCKS:
-            missing[name] = f"there are {count}: record the set pressure of each point"
+        elif count == 1 or count > MOST_BLOCKS:
+            missing[name] = f"there is one {name} only" if count == 1 else f"there are {count} of them"
         else:
-            blocks[name] = columns[name]
+            blocks[name] = labels
     return blocks, missing
 
 
@@ -223,12 +237,21 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
     evidence = fit.evidence
     assert evidence is not None
     unseen: dict[str, LeftOut] = {}
-    flags = [text for text in fit.warnings if "bound" in text or "outside its range" in text or "correlated" in text]
+    remarks = [
+        f"{first} and {second} trade off (correlation {correlation:+.4f})"
+        for first, second, correlation in fit.strongest_correlations(len(fit.estimates) ** 2)
+        if abs(correlation) > _STRONG
+    ]
     for name, labels in blocks.items():
         try:
-            unseen[name] = leave_out(evidence.problem, evidence.solution, labels)
+            left_out = leave_out(evidence.problem, evidence.solution, labels)
         except UndeterminedError as error:
-            flags.append(f"without {name} {error.block:g} {error.reason}" if name == "pressure" else str(error))
+            block = show(float(error.block), "bar") if name == "pressure" else f"{name} {error.block}"
+            remarks.append(f"without {block} {error.reason}")
+        else:
+            unseen[name] = LeftOut(beyond_directions(left_out.residuals, evidence.points), left_out.by_block)
+    bounds = [name for name, held in zip(fit.estimates, evidence.held, strict=True) if held]
+    flags = [f"{' and '.join(bounds)} at a bound: the data ask for what the law cannot be"] if bounds else []
     if reason := unphysical(fit.law):
         flags.append(reason)
     residuals = evidence.solution.residuals
@@ -239,6 +262,7 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
         aicc=_aicc(residuals, len(fit.estimates)),
         structure=structure_of(evidence.points, residuals),
         flags=tuple(flags),
+        remarks=tuple(remarks),
     )
 
 

@@ -51,6 +51,17 @@ class Structure:
         return " and ".join(found)
 
 
+def beyond_directions(residuals: NDArray[np.float64], points: IsobaricDataset) -> NDArray[np.float64]:
+    """Residuals [N] without the mean of each direction (and phase): that is friction, and no fault of a static law."""
+    rest = np.array(residuals, float)
+    for name in ("direction", "phase"):
+        if name in points.table:
+            labels = points.table[name].to_numpy()
+            for label in filter(None, np.unique(labels).tolist()):
+                rest[labels == label] -= np.nanmean(rest[labels == label])
+    return rest
+
+
 def structure_of(points: IsobaricDataset, residuals: NDArray[np.float64]) -> Structure:
     """The structure of residuals [N], shape (points,).
 
@@ -62,8 +73,9 @@ def structure_of(points: IsobaricDataset, residuals: NDArray[np.float64]) -> Str
     >>> round(found.along_contraction, 2), round(found.along_pressure, 2), found.pattern
     (0.9, 1.0, 'contraction and pressure')
     """
+    residuals = beyond_directions(residuals, points)
     passes = np.zeros(len(points), np.int64)
-    for name in ("direction", "repeat"):
+    for name in ("direction", "phase", "repeat"):
         if name in points.table:
             codes = np.unique(points.table[name].to_numpy(), return_inverse=True)[1].reshape(-1)
             passes = passes * (int(codes.max()) + 1) + codes

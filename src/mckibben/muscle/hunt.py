@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -13,8 +14,6 @@ from mckibben.numerics.checks import check_positive
 from mckibben.numerics.root import increasing_root
 from mckibben.units import kPa, percent
 
-_WEAKEST = -5000.0  # N: where the search for a force begins
-
 
 class HuntLaw(ForceLaw):
     r"""The pressure that a force at a contraction takes; the force is its root.
@@ -24,7 +23,8 @@ class HuntLaw(ForceLaw):
         p = p_0 + c_1 F + c_2 \tan\left(c_3 \left(\frac{\varepsilon}{\varepsilon_{max} - c_4 F} - c_5\right)\right)
 
     with :math:`c_3` = 2.0265, :math:`c_4` = 3.31e-4 per N and :math:`c_5` = 0.461 as published. It is made for
-    contractions from 0 up: `pressure_for` is the formula, `force` is found by bisection and NaN where there is none.
+    contractions from 0 up: `pressure_for` is the formula, `force` is found by bisection; both are NaN where there is
+    none. c4 is that of a 10 mm muscle, and no force is above eps_max/c4: the law is of no use for larger ones.
 
     Parameters
     ----------
@@ -79,17 +79,26 @@ class HuntLaw(ForceLaw):
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         contraction, pressure = jnp.asarray(contraction), jnp.asarray(pressure)
         # Below the force that takes the tangent to its pole, and below that of the tangent at its least.
-        pole = self.shift + jnp.pi / (2 * self.steepness)
-        to_pole = jnp.where(contraction == 0, jnp.inf, (self.largest - contraction / pole) / self.softening)
+        to_pole = jnp.where(contraction == 0, jnp.inf, (self.largest - contraction / self._pole) / self.softening)
         least = self.p0 - self.c2 * jnp.tan(self.steepness * self.shift)
-        highest = jnp.minimum(
-            (pressure - least) / self.c1 + 1.0, to_pole - 1e-6 * jnp.abs(self.largest / self.softening)
-        )
-        return increasing_root(
-            lambda force: self.pressure_for(force, contraction) - pressure, jnp.full_like(highest, _WEAKEST), highest
-        )
+        highest = jnp.minimum((pressure - least) / self.c1 + 1.0, to_pole - 1e-6 * self.largest / self.softening)
+        # Above a force at which the tangent is no more than 10, and the rest no more than is left.
+        mild = self.shift + math.atan(10.0) / self.steepness
+        lowest = jnp.minimum((pressure - self.p0 - 10.0 * self.c2) / self.c1, highest)
+        lowest = jnp.minimum(lowest, (self.largest - contraction / mild) / self.softening) - 1.0
+        return increasing_root(lambda force: self._pressure(force, contraction) - pressure, lowest, highest)
 
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         force, contraction = jnp.asarray(force), jnp.asarray(contraction)
+        left = self.largest - self.softening * force  # the largest contraction under this force
+        reached = (contraction == 0) | ((left > 0) & (contraction < self._pole * left))
+        return jnp.where(reached, self._pressure(force, contraction), jnp.nan)
+
+    @property
+    def _pole(self) -> float:
+        """The part of the largest contraction at which the tangent has its pole: no pressure shortens further."""
+        return self.shift + math.pi / (2 * self.steepness)
+
+    def _pressure(self, force: Array, contraction: Array) -> Array:
         share = contraction / (self.largest - self.softening * force)
         return self.p0 + self.c1 * force + self.c2 * jnp.tan(self.steepness * (share - self.shift))

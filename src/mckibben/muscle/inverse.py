@@ -17,9 +17,10 @@ _LOWEST, _HIGHEST = -0.5 * atm, 12 * bar  # beyond, no muscle of rubber and thre
 
 
 def pressure_for(law: ForceLaw, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-    """The gauge pressure [Pa] between -0.5 and 12 bar that gives a force [N] at a contraction [-]; NaN for none.
+    """The gauge pressure [Pa] up to 12 bar that gives a force [N] at a contraction [-]; NaN for none.
 
-    The force has to rise with the pressure there.
+    The force has to rise with the pressure from 0 up; below 0, to -0.5 bar, it is looked for where that at 0 is more.
     """
     force, contraction = jnp.asarray(force), jnp.asarray(contraction)
-    return increasing_root(lambda pressure: law.force(contraction, pressure) - force, _LOWEST, _HIGHEST)
+    lowest = jnp.where(law.force(contraction, 0.0) <= force, 0.0, _LOWEST)
+    return increasing_root(lambda pressure: law.force(contraction, pressure) - force, lowest, _HIGHEST)

@@ -10,8 +10,6 @@ from mckibben.muscle.domain import Domain
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.units import deg, mm
 
-_STRAIGHT = 1e-4  # the least square of the sine of the angle: threads cannot be stretched beyond straight
-
 
 class MartensBoblanLaw(PressureAffineLaw):
     r"""The virtual work of the gas and of a rubber tube, stretched along and around.
@@ -32,7 +30,7 @@ class MartensBoblanLaw(PressureAffineLaw):
     braid_angle, initial_diameter
         alpha0 [rad] and d0 [m] of the deflated muscle.
     domain
-        Where to trust it.
+        Where to trust it. Stretched so far that its threads are straight, the muscle has no force (NaN).
 
     References
     ----------
@@ -78,7 +76,7 @@ class MartensBoblanLaw(PressureAffineLaw):
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)
         ratio, cosine, sine = 1 - eps, jnp.cos(self.braid_angle), jnp.sin(self.braid_angle)
-        widening = jnp.sqrt(jnp.maximum(1 - (cosine * ratio) ** 2, _STRAIGHT)) / sine  # D / d0
+        widening = jnp.sqrt(1 - (cosine * ratio) ** 2) / sine  # D / d0
         widening_rate = (cosine / sine) ** 2 * ratio / widening
         rubber = -self.axial_stiffness * eps - self.radial_stiffness * (widening - 1) * widening_rate
         gain = jnp.pi * self.initial_diameter**2 / 4 * (3 * (cosine / sine * ratio) ** 2 - 1 / sine**2)

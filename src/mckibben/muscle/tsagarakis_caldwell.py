@@ -10,8 +10,6 @@ from mckibben.muscle.domain import Domain
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.units import deg, mm
 
-_STRAIGHT = 1e-4  # the least square of the sine of the angle: threads cannot be stretched beyond straight
-
 
 class TsagarakisCaldwellLaw(PressureAffineLaw):
     r"""The braid with ends that keep their length, a wall of some thickness, and a dead band of pressure.
@@ -41,7 +39,7 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
     end_share
         s [-], of both ends together.
     domain
-        Where to trust it.
+        Where to trust it. Stretched so far that its threads are straight, the muscle has no force (NaN).
 
     References
     ----------
@@ -91,7 +89,7 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         x = 1 - jnp.asarray(contraction) / (1 - self.end_share)
         a, b = 3 / jnp.tan(self.braid_angle) ** 2, 1 / jnp.sin(self.braid_angle) ** 2
-        sine = jnp.sqrt(jnp.maximum(1 - (x * jnp.cos(self.braid_angle)) ** 2, _STRAIGHT))
+        sine = jnp.sqrt(1 - (x * jnp.cos(self.braid_angle)) ** 2)
         widest = self.initial_diameter / jnp.sin(self.braid_angle)
         wall = jnp.pi * widest * self.wall_thickness * (2 * sine - 1 / sine) - jnp.pi * self.wall_thickness**2
         gain = jnp.pi * self.initial_diameter**2 / 4 * (a * x**2 - b) + wall

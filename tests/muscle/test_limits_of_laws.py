@@ -1,0 +1,43 @@
+"""Where laws end: no force beyond a pole, beyond straight threads, or where a formula was not made for."""
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.muscle import HuntLaw, MartensBoblanLaw, Muscle, TonduLopezVariableLaw, forces
+from mckibben.units import deg, mm
+
+
+class TestHunt:
+    LAWS = ((254.3e3, 1230.0, 192e3, 0.16), (254.3e3, 20.0, 20e3, 0.16), (300e3, 1000.0, 200e3, 0.22))
+
+    @pytest.mark.parametrize("numbers", LAWS)
+    def test_it_has_a_force_wherever_it_is_made_for(self, numbers):
+        law = HuntLaw(*numbers)
+        contraction, pressure = np.meshgrid(np.linspace(0, 0.25, 26), np.linspace(0, 6e5, 13))
+        force = forces(law, contraction, pressure)
+        assert np.isfinite(force).all()
+        np.testing.assert_allclose(law.pressure_for(force, contraction), pressure, atol=1e-6)
+
+    def test_beyond_its_pole_no_pressure_gives_a_force(self):
+        law = HuntLaw(*self.LAWS[0])  # at 8 % there are at most 288 N
+        pressures = law.pressure_for(np.array([200.0, 280.0, 290.0, 400.0]), 0.08)
+        np.testing.assert_array_equal(np.isnan(pressures), [False, False, True, True])
+
+    def test_a_muscle_of_it_may_not_be_stretched(self):
+        muscle = Muscle(catalog.specimen("DMSP-10-250"), HuntLaw(*self.LAWS[0]))
+        assert float(muscle.domain.contraction_min) == 0.0
+
+
+def test_an_inverse_begins_at_no_pressure_where_the_force_does():
+    law = TonduLopezVariableLaw(25 * deg, 10 * mm, 0.5, 1.25)
+    wanted = np.array([0.0, 1.0, 3.0, 5.0])
+    pressures = law.pressure_for(wanted, 0.2)
+    np.testing.assert_allclose(law.force(0.2, pressures), wanted, atol=1e-9)
+
+
+def test_threads_cannot_be_stretched_beyond_straight():
+    law = MartensBoblanLaw(300.0, 20.0, 25 * deg, 10 * mm)
+    straight = 1 / np.cos(25 * deg) - 1
+    assert np.isfinite(float(law.force(-0.99 * straight, 1e5)))
+    assert np.isnan(float(law.force(-1.01 * straight, 1e5)))
