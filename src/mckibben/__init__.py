@@ -35,7 +35,16 @@ if TYPE_CHECKING:
     from mckibben.errors import McKibbenError
     from mckibben.identification import Fit, identify, identify_hysteresis, rank, validate
     from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
-    from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, MaxwellSlip, Muscle, Specimen, TripleExponentialLaw
+    from mckibben.muscle import (
+        ChouLaw,
+        Domain,
+        ExponentialLaw,
+        MaxwellCreep,
+        MaxwellSlip,
+        Muscle,
+        Specimen,
+        TripleExponentialLaw,
+    )
     from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load
     from mckibben.rig import IsobaricProtocol, VirtualRig
     from mckibben.simulation import Result, check_reference, differentiate, simulate, simulate_many
@@ -55,7 +64,7 @@ _HOMES = {
     "errors": "McKibbenError",
     "identification": "Fit identify identify_hysteresis rank validate",
     "joint": "AntagonisticJoint KneeGeometry RigidTendon SeriesSpring",
-    "muscle": "ChouLaw Domain TripleExponentialLaw ExponentialLaw MaxwellSlip Muscle Specimen",
+    "muscle": "ChouLaw Domain TripleExponentialLaw ExponentialLaw MaxwellCreep MaxwellSlip Muscle Specimen",
     "plant": "FirstOrderValve IdealValve JointPlant Load",
     "rig": "IsobaricProtocol VirtualRig",
     "simulation": "Result check_reference differentiate simulate simulate_many",
@@ -85,6 +94,7 @@ __all__ = [
     "JointPlant",
     "KneeGeometry",
     "Load",
+    "MaxwellCreep",
     "MaxwellSlip",
     "McKibbenError",
     "Multisine",

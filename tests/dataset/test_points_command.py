@@ -7,7 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from mckibben.commands.points import points
+from mckibben.commands.points import _levels, points
 from mckibben.dataset import read_dataset
 from mckibben.errors import DatasetError, UnitError
 from mckibben.units import bar
@@ -59,6 +59,32 @@ def test_plateaus_become_a_file_that_is_read_as_points(run):
     assert data.table.attrs["specimen"] == "DMSP-10"
 
 
+def test_a_file_that_cannot_be_kept_is_refused_before_the_work(run):
+    write("rig.csv", LEVEL)
+    for reading in (("rig.csv", *COLUMN), ("not there.csv",)):
+        wrong = run(*reading, "--out", "nodir/points.csv", error=DatasetError)
+        assert "points.csv: 1 problem" in wrong and "there is no folder nodir; make it, or name another" in wrong
+        Path("points.csv").write_text("kept")
+        wrong = run(*reading, "--out", "points.csv", error=DatasetError)
+        assert "points.csv: 1 problem\n  is there already; name another file, or delete it" in wrong
+        assert Path("points.csv").read_text() == "kept"
+    assert not Path("nodir").exists()
+
+
+@pytest.mark.parametrize(
+    ("levels", "expected"),
+    [
+        ("1, 2.5, 4 bar", [1, 2.5, 4]),
+        ("1 bar, 2.5 bar", [1, 2.5]),
+        ("200 kPa,0.4MPa", [2, 4]),
+        ("1e5, 2.5e5 Pa", [1, 2.5]),
+        ("2bar", [2]),
+    ],
+)
+def test_levels_have_a_unit_for_all_or_one_each(levels, expected):
+    assert [level / bar for level in _levels(levels)] == pytest.approx(expected)
+
+
 def test_an_isometric_record(run):
     write("rig.csv", RAMP)
     found = json.loads(run("rig.csv", *COLUMN, "--isometric", "--levels", "2, 4.5 bar", "--json", "--out", "points.nc"))
@@ -86,6 +112,10 @@ def test_corrupt_rows_are_refused_or_left_out_and_named(run):
     [
         (("--dwell", "1"), UnitError, "--dwell: '1' is not a number and a unit"),
         (("--levels", "2", "--isometric"), UnitError, "--levels '2' has no unit; write --levels '1, 2, 3 bar'"),
+        (("--levels", "1, 2 bar, 3", "--isometric"), UnitError, "is no list of pressures; write one unit for all"),
+        (("--levels", "1, 2 bar, 300 kPa", "--isometric"), UnitError, "'1, 2 bar, 300 kPa' is no list of pressures"),
+        (("--levels", "1,, 2 bar", "--isometric"), UnitError, "or one each, '1 bar, 200 kPa'"),
+        (("--levels", "1 bra, 2 bra", "--isometric"), UnitError, "--levels: unknown unit 'bra'"),
         (("--column", "Druck"), UnitError, "--column 'Druck' names no column"),
         (("--out", "points.txt"), DatasetError, "is neither .csv nor .nc; name it points.csv"),
     ],

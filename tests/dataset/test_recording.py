@@ -142,6 +142,47 @@ def test_gaps_and_clocks_that_go_back_part_what_is_steady():
     assert not any(note.startswith("gap") for note in whole.notes)
 
 
+def held(*parts, rate=RATE):
+    """Contraction and pressure in parts of a duration [s], each held or with both ends given."""
+    rows = [np.stack([np.linspace(*ends, int(t * rate), endpoint=False) for ends in both]) for t, *both in parts]
+    return np.concatenate(rows, axis=1)
+
+
+def after(*shifts):
+    """Three plateaus: contraction 5 %, 15 % and, after a break, 10 % and other pressures; the clock as told."""
+    still = (2 * bar, 2 * bar)
+    before = held((2, (0.05, 0.05), still), (1, (0.05, 0.15), still), (2, (0.15, 0.15), still))
+    since = held(*shifts)
+    contraction, pressure = np.concatenate([before, since], axis=1)
+    return contraction, pressure, before.shape[1]
+
+
+@pytest.mark.parametrize("shift", [190.0, -4.0])
+def test_nothing_is_known_of_the_way_across_a_break(shift):
+    higher = (3 * bar, 3 * bar)
+
+    def ways(*parts):
+        contraction, pressure, count = after(*parts)
+        time = np.arange(len(contraction)) / RATE
+        time[count:] += shift
+        record = Recording.of(time=time, pressure=pressure, force=100 - 400 * contraction, contraction=contraction)
+        table = record.plateaus().dataset.table
+        phase = table["phase"].values.tolist() if "phase" in table else [""] * table.sizes["point"]
+        return table["direction"].values.tolist(), phase
+
+    still = (2 * bar, 2 * bar)
+    nothing = [""] * 3
+    assert ways((2, (0.10, 0.10), still)) == (["", "unloading", ""], nothing)
+    assert ways((2, (0.15, 0.15), higher)) == (["", "unloading", ""], nothing)
+    assert ways((2, (0.15, 0.15), still)) == (["", "unloading", ""], nothing)  # not that of the one before, either
+    # what is seen after it counts
+    assert ways((1, (0.05, 0.10), still), (2, (0.10, 0.10), still)) == (["", "unloading", "unloading"], nothing)
+    filled = (1, (0.15, 0.15), (2 * bar, 3 * bar)), (2, (0.15, 0.15), higher)
+    assert ways(*filled) == (["", "unloading", ""], ["", "", "filling"])
+    two = (2, (0.10, 0.10), still), (1, (0.10, 0.05), still), (2, (0.05, 0.05), still)
+    assert ways(*two)[0] == ["", "unloading", "", "loading"]
+
+
 def test_tolerance_dwell_and_settle_do_what_they_say():
     creeping = RUN.record(force=RUN.force + 20 * np.exp(-(RUN.time % 3.5 - 0.5).clip(0) / 0.3))
     plain, settled = creeping.plateaus(), creeping.plateaus(settle=0.99)

@@ -172,7 +172,7 @@ def test_three_mistakes_are_three_problems_with_lines():
         ("208 mm", "", "joint.connector_length", "has no value"),
         ("208 mm", "[208 mm]", "joint.connector_length", "not a quantity"),
         ("geometry: knee-table-2 ", "geometry: knee-tabel-2 ", "joint.geometry", "did you mean 'knee-table-2'"),
-        ("law: lei-mas-10-180n", "law: lei", "joint.muscle.law", "known are lei-mas-10-180n, chou"),
+        ("law: lei-mas-10-180n", "law: lei", "joint.muscle.law", "known are lei-mas-10-180n, sarosi-dmsp-10, chou"),
         ("law: lei-mas-10-180n", "law: missing.yaml", "joint.muscle.law", "there is no file 'missing.yaml'"),
         ("specimen: MAS-10-180N-AA", "specimen: MAS-10-180N-O", "joint.muscle.specimen", "did you mean"),
         ("  muscle: {", "  muscles: {", "joint.muscles", "did you mean 'muscle'"),

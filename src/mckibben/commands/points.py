@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from mckibben.dataset import Points, Recording
 
 _SHOWN = 40  # points in the table
+_LEADING_NUMBER = re.compile(r"^[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
 
 
 def points(
@@ -73,8 +75,9 @@ def points(
     json: Json = False,
 ) -> None:
     """Find the points in a raw recording: steady plateaus, or pressures passed at a fixed length."""
-    if out is not None and out.suffix.lower() not in (".csv", ".nc"):
-        raise DatasetError(str(out), [Problem("is neither .csv nor .nc", remedy="name it points.csv")])
+    if out is not None:
+        _check_new(out)
+    wanted = _levels(levels)
     from mckibben.dataset import read_recording
 
     read = read_recording(
@@ -91,7 +94,7 @@ def points(
     tolerance = quantity_or_none("--contraction-tolerance", contraction_tolerance, "1")
     if isometric:
         found = read.isometric(
-            _levels(levels),
+            wanted,
             count=count,
             contraction=quantity_or_none("--contraction", contraction, "1"),
             contraction_tolerance=0.005 if tolerance is None else tolerance,
@@ -160,11 +163,30 @@ def _rows(found: Points) -> list[tuple[float, float, float, float, float, int, s
     return [(*row, way[0] or way[1] or "-") for row, way in zip(zip(*columns, strict=True), ways, strict=True)]
 
 
+def _check_new(out: Path) -> None:
+    """Refuse, before the work, a file that could not be written after it, or is there already."""
+    if out.suffix.lower() not in (".csv", ".nc"):
+        raise DatasetError(str(out), [Problem("is neither .csv nor .nc", remedy="name it points.csv")])
+    if not out.parent.is_dir():
+        raise DatasetError(str(out), [Problem(f"there is no folder {out.parent}", remedy="make it, or name another")])
+    if out.exists():
+        raise DatasetError(str(out), [Problem("is there already", remedy="name another file, or delete it")])
+
+
 def _levels(text: str) -> list[float] | None:
-    """Pressures in one unit, such as "1, 2.5, 4 bar"."""
+    """Pressures with a unit for all, such as "1, 2.5, 4 bar", or one each, such as "100 kPa, 2 bar"."""
     if not text:
         return None
-    numbers, _, unit = text.strip().rpartition(" ")
-    if not numbers:
+    parts = [part.strip() for part in text.split(",")]
+    units = [_LEADING_NUMBER.sub("", part).strip() for part in parts]
+    if not any(units):
         raise UnitError(f"--levels {text!r} has no unit", value=text, remedy="write --levels '1, 2, 3 bar'")
-    return [quantity_of("--levels", f"{number.strip()} {unit}", "Pa") for number in numbers.split(",")]
+    if not all(units):
+        if any(units[:-1]) or not all(parts):
+            raise UnitError(
+                f"--levels {text!r} is no list of pressures",
+                value=text,
+                remedy="write one unit for all, '1, 2, 3 bar', or one each, '1 bar, 200 kPa'",
+            )
+        parts[:-1] = [f"{part} {units[-1]}" for part in parts[:-1]]
+    return [quantity_of("--levels", part, "Pa") for part in parts]

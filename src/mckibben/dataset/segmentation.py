@@ -96,7 +96,7 @@ def plateaus(
             ledger.notes.append(
                 f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
             )
-    direction, phase = _approach(table, first, last, c, p, contraction_tolerance, pressure_tolerance)
+    direction, phase = _approach(table, ledger.broken, first, last, c, p, contraction_tolerance, pressure_tolerance)
     counts = ledger.counts("not steady")
     attrs = {name: value for name, value in table.attrs.items() if name not in ("repairs", "ignored_columns")}
     dataset = IsobaricDataset.of(
@@ -150,6 +150,7 @@ def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray
 
 def _approach(
     table: xr.Dataset,
+    broken: NDArray[np.bool_],
     first: NDArray[np.int64],
     last: NDArray[np.int64],
     contraction: NDArray[np.float64],
@@ -159,9 +160,15 @@ def _approach(
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
     """Direction and phase of each plateau, by what moved last between the one before it and it.
 
-    The side from which it came is that of the last sample out of twice the tolerance.
+    The side from which it came is that of the last sample out of twice the tolerance; where none is, that of the
+    plateau before. Nothing is known of what happened in a gap: the first plateau after one begins anew, as that of a
+    record does, and has only the samples since to tell.
     """
     before = np.concatenate([[0], last[:-1]])
+    breaks = np.append(0, np.flatnonzero(broken))
+    parted = breaks[np.searchsorted(breaks, first, side="right") - 1]  # where the part that a plateau is in begins
+    anew = parted >= before
+    before = np.maximum(before, parted)
     sides = []
     for name, level, tolerance in (
         ("contraction", contraction, contraction_tolerance),
@@ -174,12 +181,12 @@ def _approach(
             out = np.flatnonzero(np.abs(away) > 2 * tolerance)
             if len(out):
                 side[i] = 1 if away[out[-1]] > 0 else -1
-        jump = np.diff(level, prepend=level[0])
+        jump = np.where(anew, 0.0, np.diff(level, prepend=level[0]))
         sides.append(np.where((side == 0) & (np.abs(jump) > 2 * tolerance), -np.sign(jump), side).astype(int))
     moved, pressed = sides
     direction = np.array(["", "loading", "unloading"], dtype="<U9")[moved]  # from above: it was stretched
     phase = np.where(moved != 0, "", np.array(["", "venting", "filling"], dtype="<U9")[pressed])
     for i in range(1, len(first)):
-        if moved[i] == pressed[i] == 0:  # the same plateau, parted by a disturbance
+        if moved[i] == pressed[i] == 0 and not anew[i]:  # the same plateau, parted by a disturbance
             direction[i], phase[i] = direction[i - 1], phase[i - 1]
     return direction, phase.astype("<U9")

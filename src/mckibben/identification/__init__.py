@@ -2,6 +2,8 @@
 
 from mckibben.identification.bands import Band, ForceBand, Interval
 from mckibben.identification.bootstrap import Bootstrap, bootstrap
+from mckibben.identification.creep import identify_creep
+from mckibben.identification.creep_fit import CreepFit
 from mckibben.identification.design import design_matrix
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.fitting import identify
@@ -18,6 +20,7 @@ from mckibben.identification.validation import Errors, HoldOut, Validation, hold
 __all__ = [
     "Band",
     "Bootstrap",
+    "CreepFit",
     "DatasetSummary",
     "Drift",
     "Errors",
@@ -39,6 +42,7 @@ __all__ = [
     "design_matrix",
     "hold_out",
     "identify",
+    "identify_creep",
     "identify_hysteresis",
     "posterior",
     "profile",

@@ -63,7 +63,9 @@ class ForceBand:
     Attributes
     ----------
     mean
-        Where the law of the muscle lies.
+        Where the law would lie if it were fitted to ever more such points. That is where the force of the muscle lies
+        if the law is of the right kind; by how much a wrong one misses it is not in here, see
+        `mckibben.identification.evidence.Evidence.doubts` and the residuals.
     measurement
         Where one more plateau mean of the same muscle on the same rig would lie: wider by the residuals' spread.
     """

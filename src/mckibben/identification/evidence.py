@@ -17,6 +17,7 @@ from mckibben.identification.robust import ClusterRobust, ErrorModel, Independen
 
 FEWEST_GROUPS = 5
 """With fewer, what their points have in common cannot be told from what the groups scatter."""
+_FAR_SMALLER = 0.5  # with the right law, 12 of 1000 data sets of 5 groups are below; with 10 none of 3000
 
 
 @dataclass(frozen=True)
@@ -69,11 +70,14 @@ class Evidence:
     def rule(self) -> tuple[Grouping, str]:
         """How the errors are grouped unless said, and where they are not, why.
 
-        By stroke where directions or repeats are recorded, else by pressure; the points count as independent if there
-        are fewer than five groups, if most groups are a single point, or if one group alone determines a parameter.
+        By stroke where directions, phases or repeats are known, else by pressure; the points count as independent if
+        there are fewer than five groups, if most groups are a single point, if one group alone determines a parameter,
+        or if all parameters are at a bound, so that there are no errors to group.
         The rule looks at where was measured, never at what was measured: a choice made by the residuals would spoil the
         intervals that it leads to.
         """
+        if self.held.all():
+            return Grouping.POINT, "all parameters are at a bound, so that none has an error"
         by = finest_recorded(self.points)
         labels = group_labels(self.points, by)
         count = int(labels.max()) + 1
@@ -87,6 +91,29 @@ class Evidence:
         if self._robust(by).alone:
             return Grouping.POINT, f"one {by.value} alone determines a parameter"
         return by, ""
+
+    @cached_property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences: why the errors by the rule are not to be relied on; none where all is well.
+
+        A law of the wrong kind leaves residuals that are of one shape in every group. What is the same in all groups
+        does not scatter from group to group, and the errors by group hardly see it. It shows in the uncertainty of the
+        force at the points, all together: of single parameters one or another is often that small by chance.
+        """
+        by = self.rule[0]
+        if by is Grouping.POINT:
+            return ()
+        gradients = self.solution.jacobian[:, self.free]
+        grouped, independent = (
+            float(np.sum(model.variance(gradients)[0])) for model in (self._robust(by), self._independent)
+        )
+        if not grouped < _FAR_SMALLER**2 * independent:
+            return ()
+        return (
+            f"by {by.value}, the force is {np.sqrt(grouped / independent):.2g} times as uncertain as for independent "
+            f"points: the residuals are alike from {by.value} to {by.value}, so the law is likely of the wrong kind, "
+            "and the intervals do not say how far the force of the muscle is from it",
+        )
 
     def error_model(self, by: Grouping | None = None) -> ErrorModel:
         """How the free parameters scatter, for errors grouped in a way; by the rule unless said.

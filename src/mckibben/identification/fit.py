@@ -126,7 +126,7 @@ class Fit:
             That share.
         by
             Which points may share an error; unless said, as `mckibben.identification.evidence.Evidence.rule` has it:
-            those of a stroke, or of a pressure where strokes are not recorded. ``Grouping.POINT`` gives the classical
+            those of a stroke, or of a pressure where strokes are not known. ``Grouping.POINT`` gives the classical
             intervals.
 
         Raises
@@ -155,7 +155,8 @@ class Fit:
         Returns
         -------
         ForceBand
-            Of the law, which may turn negative where the muscle is slack.
+            Of the law, which may turn negative where the muscle is slack. It holds the force of the muscle if the law
+            is of the right kind: how far a wrong one is from the muscle is not in it.
 
         Raises
         ------

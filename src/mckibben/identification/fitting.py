@@ -86,7 +86,8 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
 
     warnings = _bound_warnings(law_type, solution, at_bound)
     warnings += _correlation_warnings(problem.names, spread.correlations)
-    warnings += _direction_warnings(points, solution.residuals, grouping)
+    warnings += _friction_warnings(points, solution.residuals, grouping)
+    warnings += evidence.doubts
     warnings += [f"the standard errors take all points as independent: {ungrouped}"] if ungrouped else []
     unseen, reason = _leave_one_pressure_out(problem, solution, points)
     warnings += [reason] if reason else []
@@ -111,24 +112,28 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     )
 
 
-def _direction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64], grouping: Grouping) -> list[str]:
-    """Friction shows in residuals that differ by direction: then they are not independent of each other."""
-    if "direction" not in points.table:
-        return []
-    directions = points.table["direction"].to_numpy()
-    means = [float(np.mean(residuals[directions == name])) for name in points.directions]
-    gap, rms = max(means) - min(means), float(np.sqrt(np.mean(residuals**2)))
-    if len(means) < 2 or gap < _FRICTION * rms:
-        return []
-    consequence = (
-        "the classical standard errors are not to be relied on, those by stroke take each pass for one error"
-        if grouping is Grouping.STROKE
-        else "the standard errors are not to be relied on"
-    )
-    return [
-        f"loading and unloading differ by {gap:.3g} N on average: most of the residual is friction, which is no "
-        f"independent error, so {consequence}"
-    ]
+def _friction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64], grouping: Grouping) -> list[str]:
+    """Friction shows in residuals that differ by direction or phase: then they are not independent of each other."""
+    sentences = []
+    rms = float(np.sqrt(np.mean(residuals**2)))
+    for column, words in (("direction", points.directions), ("phase", points.phases)):
+        if len(words) < 2:
+            continue
+        own = points.table[column].to_numpy()
+        means = [float(np.mean(residuals[own == word])) for word in words]
+        gap = max(means) - min(means)
+        if gap < _FRICTION * rms:
+            continue
+        consequence = (
+            "the classical standard errors are not to be relied on, those by stroke take each pass for one error"
+            if grouping is Grouping.STROKE
+            else "the standard errors are not to be relied on"
+        )
+        sentences.append(
+            f"{' and '.join(words)} differ by {gap:.3g} N on average: most of the residual is friction, which is no "
+            f"independent error, so {consequence}"
+        )
+    return sentences
 
 
 def _leave_one_pressure_out(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,8 @@ class Grouping(enum.Enum):
     POINT
         Every plateau mean is its own group: the errors are independent, as the classical formula has it.
     STROKE
-        The points of one pass at one pressure: same level, direction and repeat, as far as these are recorded. What the
-        zero of a force sensor, creep, or friction adds to a whole pass is then one error and not many.
+        The points of one pass at one pressure: same level, repeat and way (see `ways`), as far as these are recorded.
+        What the zero of a force sensor, creep, or friction adds to a whole pass is then one error and not many.
     PRESSURE
         All points of a pressure level: as well what the passes at a level have in common, such as how the law misses
         the muscle there.
@@ -62,20 +63,63 @@ def group_labels(points: IsobaricDataset, grouping: Grouping) -> NDArray[np.int6
     columns: list[np.ndarray] = []
     if grouping in (Grouping.STROKE, Grouping.PRESSURE):
         columns.append(points.levels)
-    if grouping is Grouping.STROKE and "direction" in points.table:
-        columns.append(points.table["direction"].to_numpy())
     if grouping in (Grouping.STROKE, Grouping.REPEAT) and "repeat" in points.table:
         columns.append(points.table["repeat"].to_numpy())
+    if grouping is Grouping.STROKE:
+        columns.append(ways(points))
     if not columns:
         raise IdentificationError(
             "the data do not say which repeat a point belongs to",
             remedy="record a column 'repeat', or group by stroke or by pressure",
         )
-    codes = np.stack([np.unique(column, return_inverse=True)[1].reshape(-1) for column in columns], axis=1)
-    return np.unique(codes, axis=0, return_inverse=True)[1].reshape(-1)
+    return _numbered(columns)
+
+
+def ways(points: IsobaricDataset) -> NDArray[np.str_]:
+    """Which way each point was reached, shape (points,): what tells the passes at a level apart.
+
+    That is its direction, or its phase where no direction is known at its level and repeat; empty where neither is.
+    A point whose own is not known, as that at which a stroke begins after the muscle was filled, goes with the next
+    point of its level and repeat that has one, or with the last: it is no pass of its own.
+
+    Examples
+    --------
+    >>> points = IsobaricDataset.of(
+    ...     pressure=[1e5, 1e5, 1e5, 2e5, 2e5],
+    ...     contraction=[0, 0.1, 0, 0.1, 0.1],
+    ...     force=[80, 40, 84, 90, 80],
+    ...     direction=["", "unloading", "loading", "", ""],
+    ...     phase=["filling", "", "", "filling", "venting"],
+    ... )
+    >>> ways(points).tolist()
+    ['unloading', 'unloading', 'loading', 'filling', 'venting']
+    """
+    direction, phase = (
+        points.table[name].to_numpy() if name in points.table else np.full(len(points), "", "<U9")
+        for name in ("direction", "phase")
+    )
+    repeat = [points.table["repeat"].to_numpy()] if "repeat" in points.table else []
+    cells = _numbered([points.levels, *repeat])
+    has_direction = np.bincount(cells, direction != "") > 0
+    order = np.argsort(cells, kind="stable")
+    own, cell = np.where(has_direction[cells], direction, phase)[order], cells[order]
+    place = np.arange(len(own))
+    following = np.minimum.accumulate(np.where(own != "", place, len(own) - 1)[::-1])[::-1]
+    preceding = np.maximum.accumulate(np.where(own != "", place, 0))
+    source = np.where(cell[following] == cell, following, place)
+    source = np.where(own[source] == "", preceding, source)
+    found = np.empty_like(own)
+    found[order] = np.where(cell[source] == cell, own[source], "")
+    return found
 
 
 def finest_recorded(points: IsobaricDataset) -> Grouping:
-    """Strokes where a direction or repeat is recorded, else pressures."""
-    told_apart = "direction" in points.table or "repeat" in points.table
+    """Strokes where a direction, a phase or a repeat is known, else pressures."""
+    told_apart = bool(len(points.directions) or len(points.phases) or len(points.repeats))
     return Grouping.STROKE if told_apart else Grouping.PRESSURE
+
+
+def _numbered(columns: Sequence[np.ndarray]) -> NDArray[np.int64]:
+    """The number of each row among the distinct rows."""
+    codes = np.stack([np.unique(column, return_inverse=True)[1].reshape(-1) for column in columns], axis=1)
+    return np.unique(codes, axis=0, return_inverse=True)[1].reshape(-1)

@@ -128,7 +128,7 @@ class ClusterRobust:
         information = np.add.reduceat(q[:, :, None] * q[:, None, :], starts)
         part, vectors = np.linalg.eigh(information)
         part = np.clip(part, 0.0, 1.0)
-        alone = tuple(np.flatnonzero(part[:, -1] > 1 - _ALONE).tolist())
+        alone = tuple(np.flatnonzero(part.max(axis=1, initial=0.0) > 1 - _ALONE).tolist())
         stretch = 1 / np.sqrt(np.maximum(1 - part, _ALONE))
         pulls = np.add.reduceat(q * residuals[order, None], starts)
         scores = np.einsum("gij,gj,gkj,gk->gi", vectors, stretch, vectors, pulls)
@@ -158,16 +158,22 @@ class ClusterRobust:
 def _scatter(
     residuals: NDArray[np.float64], starts: NDArray[np.int64], sizes: NDArray[np.int64], parameters: int
 ) -> tuple[float, float]:
-    """Mean square of the residuals, and the degrees of freedom that their correlation within groups leaves it."""
-    count, groups = len(residuals), len(sizes)
+    r"""Mean square of the residuals, and the degrees of freedom that their correlation within groups leaves it.
+
+    For n normal errors of equal size with the correlations R, :math:`e^T e` has the mean :math:`\sigma^2 n` and the
+    variance :math:`2 \sigma^4\,\mathrm{tr}\,R^2`, so as many degrees of freedom as :math:`n^2 / \mathrm{tr}\,R^2`;
+    with one correlation :math:`\rho` within groups of the sizes :math:`m_g` the trace is
+    :math:`n + \rho^2 \sum_g m_g (m_g - 1)`. That is n where :math:`\rho` is 0, the number of groups where it is 1
+    and they are of a size, and never more than n. The parameters take their share.
+    """
+    count = len(residuals)
     square = float(residuals @ residuals) / count
     pairs = int(np.sum(sizes * (sizes - 1)))
     if not square or not pairs:
         return square, float(count - parameters)
     agreement = float(np.sum(np.add.reduceat(residuals, starts) ** 2) - residuals @ residuals) / pairs / square
     agreement = min(max(agreement, 0.0), 1.0)
-    left = (count - parameters) / count
-    return square, left / (agreement**2 / groups + (1 - agreement) ** 2 / count)
+    return square, (count - parameters) / (1 + agreement**2 * pairs / count)
 
 
 def _solve(triangle: NDArray[np.float64], gradients: NDArray[np.float64]) -> NDArray[np.float64]:

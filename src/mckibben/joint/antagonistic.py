@@ -12,7 +12,7 @@ from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import attainable
 from mckibben.joint.geometry import KneeGeometry, Pair
 from mckibben.joint.tendon import RigidTendon, Tendon
-from mckibben.muscle import MaxwellSlip, Muscle, PressureAffineLaw
+from mckibben.muscle import MaxwellSlip, Muscle, NoCreep, PressureAffineLaw
 from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_kind, check_within
 from mckibben.numerics.derivative import derivative, value_and_derivative
@@ -93,9 +93,14 @@ class AntagonisticJoint(eqx.Module):
         )
         if not isinstance(self.tendon, RigidTendon):  # then the rate of a muscle's length is no function of the state
             owner = f"muscle in series with a {type(self.tendon).__name__}"
-            for friction in (self.muscle1.friction, self.muscle2.friction):
-                if isinstance(friction, MaxwellSlip):
-                    check_within(owner, 0.0, 0.0, "N*s/m", viscous=friction.viscous)
+            for muscle in (self.muscle1, self.muscle2):
+                if isinstance(muscle.friction, MaxwellSlip):
+                    check_within(owner, 0.0, 0.0, "N*s/m", viscous=muscle.friction.viscous)
+                if not isinstance(muscle.creep, NoCreep):
+                    raise RangeError(
+                        f"{owner}: its creep follows the rate of its length, which is not known there",
+                        remedy="leave out the creep or the spring",
+                    )
 
     def contractions(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
         """The contraction [-] of each muscle."""

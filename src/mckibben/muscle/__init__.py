@@ -2,8 +2,8 @@
 
 from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
 from mckibben.muscle.chou import ChouLaw
+from mckibben.muscle.creep import Creep, MaxwellCreep, NoCreep, Relaxing
 from mckibben.muscle.domain import Domain
-from mckibben.muscle.double_exponential import DoubleExponentialLaw
 from mckibben.muscle.exponential import ExponentialLaw
 from mckibben.muscle.friction import Friction, MaxwellSlip, Memory, NoFriction
 from mckibben.muscle.hunt import HuntLaw
@@ -14,6 +14,7 @@ from mckibben.muscle.reynolds import ReynoldsLaw
 from mckibben.muscle.sarosi import SarosiLaw
 from mckibben.muscle.specimen import Specimen
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
+from mckibben.muscle.triple_exponential import TripleExponentialLaw
 from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
 
 LAWS: dict[str, type[ForceLaw]] = {
@@ -29,7 +30,7 @@ LAWS: dict[str, type[ForceLaw]] = {
         HuntLaw,
         SarosiLaw,
         ExponentialLaw,
-        DoubleExponentialLaw,
+        TripleExponentialLaw,
     )
 }
 """Every law by its name, as files and the command line call it."""
@@ -37,25 +38,29 @@ LAWS: dict[str, type[ForceLaw]] = {
 __all__ = [
     "LAWS",
     "ChouLaw",
+    "Creep",
     "Domain",
-    "DoubleExponentialLaw",
     "ExponentialLaw",
     "ForceLaw",
     "Friction",
     "HuntLaw",
     "MartensBoblanLaw",
+    "MaxwellCreep",
     "MaxwellSlip",
     "Memory",
     "Muscle",
+    "NoCreep",
     "NoFriction",
     "Parameter",
     "PressureAffineLaw",
+    "Relaxing",
     "ReppergerLaw",
     "ReynoldsLaw",
     "SarosiLaw",
     "Specimen",
     "TonduLopezLaw",
     "TonduLopezVariableLaw",
+    "TripleExponentialLaw",
     "TsagarakisCaldwellLaw",
     "forces",
 ]

@@ -1,4 +1,4 @@
-"""A muscle: a specimen that follows a law, inside a domain, and the friction that goes with it."""
+"""A muscle: a specimen that follows a law, inside a domain, and the friction and creep that go with it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.muscle.base import ForceLaw
+from mckibben.muscle.creep import Creep, NoCreep, Relaxing
 from mckibben.muscle.domain import Domain
 from mckibben.muscle.friction import Friction, Memory, NoFriction
 from mckibben.muscle.specimen import Specimen
@@ -31,12 +32,15 @@ class Muscle(eqx.Module):
         Force over contraction and pressure.
     friction
         What the way to there adds to it; none unless given. `force` and all that follows from it (the torque and
-        stiffness of a joint, what it can attain) are the law's; `gripped` adds the friction.
+        stiffness of a joint, what it can attain) are the law's; `gripped` adds friction and creep.
+    creep
+        What the time since then adds to it; none unless given.
     """
 
     specimen: Specimen
     law: ForceLaw
     friction: Friction = NoFriction()
+    creep: Creep = NoCreep()
 
     def __check_init__(self) -> None:
         check_kind(
@@ -44,21 +48,25 @@ class Muscle(eqx.Module):
             specimen=(self.specimen, Specimen),
             law=(self.law, ForceLaw),
             friction=(self.friction, Friction),
+            creep=(self.creep, Creep),
         )
 
     @property
     def domain(self) -> Domain:
         """Where both the specimen may be used and the law holds."""
-        return self.specimen.domain.intersection(self.law.domain)
+        return self.specimen.domain.intersection(self.law.domain).intersection(self.law.holds)
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         """The force [N], never below 0; arguments as for the law."""
         force = self.law.force(contraction, pressure)
         return jnp.where(force < 0, 0.0, force)  # this way round a lost state (NaN) is not taken for slack
 
-    def gripped(self, memory: Memory) -> GrippedMuscle:
-        """The muscle with its friction as it remembers the way: for short moves from where the memory is of."""
-        return GrippedMuscle(self.specimen, self.law, self.friction, memory)
+    def gripped(self, memory: Memory, relaxing: Relaxing = ()) -> GrippedMuscle:
+        """The muscle with its friction as it remembers the way, and what of its creep is still relaxing.
+
+        For short moves from where memory and creep are of; without a state it has no creep.
+        """
+        return GrippedMuscle(self.specimen, self.law, self.friction, self.creep, memory, relaxing)
 
     def settled(self, memory: Memory, contraction: ArrayLike, pressure: ArrayLike) -> Memory:
         """What its friction remembers after a move to a contraction [-] and a gauge pressure [Pa]."""
@@ -75,18 +83,27 @@ class Muscle(eqx.Module):
 
 
 class GrippedMuscle(Muscle):
-    """A muscle whose force contains its friction, the memory of it being held; `Muscle.gripped` makes it.
+    """A muscle whose force contains its friction and creep, their states being held; `Muscle.gripped` makes it.
 
     Its force is still a function of contraction and pressure alone, and still falls with the contraction.
     """
 
     memory: Memory = ()
+    relaxing: Relaxing = ()
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The force [N] with friction, never below half that without."""
+        """The force [N] with friction and creep; each takes at most half of that without."""
         tension = Muscle.force(self, contraction, pressure)
         length = self.specimen.length_at(contraction)
-        return tension + self.friction.force(self.memory, length, tension, pressure)
+        gripped = tension + self.friction.force(self.memory, length, tension, pressure)
+        return gripped if isinstance(self.creep, NoCreep) else gripped + self.creep.force(self.relaxing, tension)
+
+    def viscous_force(self, contraction: ArrayLike, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
+        """The force [N] that depends on the rate of the length [m/s]: so much that the muscle does not push."""
+        tension = Muscle.force(self, contraction, pressure)
+        if not isinstance(self.creep, NoCreep):  # half of the tension is the friction's, what is left of the other this
+            tension = tension + 2 * jnp.minimum(self.creep.force(self.relaxing, tension), 0.0)
+        return self.friction.viscous_force(tension, rate)
 
 
 def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:

@@ -10,10 +10,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from mckibben.joint import AntagonisticJoint, friction
+from mckibben.joint import AntagonisticJoint, creep, friction
 from mckibben.joint.attainable import Hold, hold
+from mckibben.joint.creep import Relaxings
 from mckibben.joint.friction import Memories
-from mckibben.muscle import Memory
+from mckibben.muscle import Memory, Relaxing
 from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
@@ -26,7 +27,7 @@ Scalar = Float[Array, ""]
 class PlantState(NamedTuple):
     """Angle [rad], angular velocity [rad/s] and the gauge pressures [Pa] of muscles 1 and 2.
 
-    With friction also what each muscle remembers of its way; nothing without.
+    With friction also what each muscle remembers of its way, with creep what is relaxing in it [N]; nothing without.
     """
 
     angle: Scalar
@@ -35,6 +36,8 @@ class PlantState(NamedTuple):
     pressure2: Scalar
     memory1: Memory = ()
     memory2: Memory = ()
+    relaxing1: Relaxing = ()
+    relaxing2: Relaxing = ()
 
     @property
     def pressures(self) -> tuple[Scalar, Scalar]:
@@ -45,6 +48,11 @@ class PlantState(NamedTuple):
     def memories(self) -> Memories:
         """Both memories."""
         return self.memory1, self.memory2
+
+    @property
+    def relaxing(self) -> Relaxings:
+        """What is relaxing in both."""
+        return self.relaxing1, self.relaxing2
 
 
 class JointPlant(eqx.Module):
@@ -96,6 +104,9 @@ class JointPlant(eqx.Module):
 
         What the muscles remember stands still; `settled` moves it after each step of the integration.
         """
+        relaxing1, relaxing2 = state.relaxing
+        if creep.has_creep(self.joint):
+            relaxing1, relaxing2 = creep.rates(self.joint, state.relaxing, state.angle, state.velocity)
         resisting = self.load.gravity_torque(state.angle) - self.load.damping * state.velocity
         torque = self._torque(state) + resisting
         return PlantState(
@@ -105,33 +116,42 @@ class JointPlant(eqx.Module):
             pressure2=self.valve.rate(state.pressure2, commands[1]),
             memory1=jax.tree.map(jnp.zeros_like, state.memory1),
             memory2=jax.tree.map(jnp.zeros_like, state.memory2),
+            relaxing1=relaxing1,
+            relaxing2=relaxing2,
         )
 
     def settled(self, state: PlantState) -> PlantState:
         """The state after a step of the integration: the muscles remember the way; no force changes by it."""
-        if not friction.has_friction(self.joint):
-            return state
-        memory1, memory2 = friction.settled(self.joint, state.memories, state.angle, state.pressures)
-        return state._replace(memory1=memory1, memory2=memory2)
+        if friction.has_friction(self.joint):
+            memory1, memory2 = friction.settled(self.joint, state.memories, state.angle, state.pressures)
+            state = state._replace(memory1=memory1, memory2=memory2)
+        if creep.has_creep(self.joint):
+            relaxing1, relaxing2 = creep.settled(self.joint, state.relaxing, state.angle, state.pressures)
+            state = state._replace(relaxing1=relaxing1, relaxing2=relaxing2)
+        return state
 
     def still(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> PlantState:
-        """The state that stands at an angle [rad] and gauge pressures [Pa], come to without friction."""
+        """The state that has long stood at an angle [rad] and gauge pressures [Pa], come to without friction."""
         angle = floating(angle)
         pressure1, pressure2 = map(floating, pressures)
         return self.remembering(PlantState(angle, jnp.zeros_like(angle), pressure1, pressure2))
 
     def remembering(self, state: PlantState) -> PlantState:
-        """The state, with muscles that are without stress from friction unless it says what they remember."""
-        if state.memories != ((), ()) or not friction.has_friction(self.joint):
-            return state
-        memory1, memory2 = friction.unstressed(self.joint, state.angle, state.pressures)
-        return state._replace(memory1=memory1, memory2=memory2)
+        """The state, with muscles without stress from friction, and relaxed, unless it says what they remember."""
+        if state.memories == ((), ()) and friction.has_friction(self.joint):
+            memory1, memory2 = friction.unstressed(self.joint, state.angle, state.pressures)
+            state = state._replace(memory1=memory1, memory2=memory2)
+        if state.relaxing == ((), ()) and creep.has_creep(self.joint):
+            relaxing1, relaxing2 = creep.relaxed(self.joint, state.angle)
+            state = state._replace(relaxing1=relaxing1, relaxing2=relaxing2)
+        return state
 
     def _torque(self, state: PlantState) -> Scalar:
-        """Of the muscles, friction included [N*m]."""
-        if not friction.has_friction(self.joint):
+        """Of the muscles, friction and creep included [N*m]."""
+        if friction.plain(self.joint):
             return self.joint.torque(state.angle, state.pressures)
-        return friction.pull(self.joint, state.memories, state.angle, state.velocity, state.pressures).torque
+        motion = state.angle, state.velocity, state.pressures
+        return friction.pull(self.joint, state.memories, *motion, state.relaxing).torque
 
     def resting(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
         """The state of `at_rest`, and whether there is one: for traced numbers, which cannot raise.
@@ -142,7 +162,7 @@ class JointPlant(eqx.Module):
         return state, found.exists
 
     def at_rest(self, angle: float = 0.0, *, stiffness: float | None = None) -> PlantState:
-        """The state that rests at an angle with both muscles taut, and without stress from friction.
+        """The state that rests at an angle with both muscles taut, relaxed, and without stress from friction.
 
         Parameters
         ----------

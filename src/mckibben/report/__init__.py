@@ -1,6 +1,7 @@
 """Figures and the HTML report; the only place that imports matplotlib. Drawing takes numbers and returns figures."""
 
 from mckibben.report.comparison import controller_comparison, gain_histories
+from mckibben.report.creep import relaxation
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.html import write_report
 from mckibben.report.hysteresis import loops
@@ -33,6 +34,7 @@ __all__ = [
     "planned",
     "profile_likelihood",
     "ranking",
+    "relaxation",
     "save",
     "sweep",
     "torque_stiffness_map",

@@ -1,4 +1,4 @@
-"""A virtual rig: a protocol run on a force law, with the hysteresis, noise and offsets of a real test."""
+"""A virtual rig: a protocol run on a force law, with the hysteresis, creep, noise and offsets of a real test."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError
-from mckibben.muscle import Friction, MaxwellSlip, Muscle, NoFriction, forces
+from mckibben.muscle import Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
 from mckibben.muscle.friction import NARROWEST
 from mckibben.rig.protocol import IsobaricProtocol, Plateaus
 from mckibben.units import N, bar, kPa, mm, percent
@@ -25,9 +25,10 @@ class VirtualRig:
     At a plateau the muscle has the true pressure :math:`p` = set pressure + regulator offset, its law the
     tension :math:`T` there, and the rig feels
 
-    .. math:: F = T + f + d
+    .. math:: F = T + f + c + d
 
-    with the friction :math:`f` of the muscle along the way, and the drift :math:`d` of the force sensor. A muscle
+    with the friction :math:`f` of the muscle along the way, its creep :math:`c`, and the drift :math:`d` of the force
+    sensor. Creep goes on while the rig waits and samples; each pressure begins with a relaxed muscle. A muscle
     without friction of its own is given a `MaxwellSlip`: what it feels within the band :math:`\pm B \tanh(T/2B)`,
     which fades with the tension, so that it never pushes (T + f is at least T/2); that form is ours, and 96 % of
     the band are there at T = 4B. The device is adjusted before each pressure so that the first plateau is reached by
@@ -39,7 +40,7 @@ class VirtualRig:
     ----------
     muscle
         What is tested; its law is the truth that an identification should find. Friction of its own takes the place
-        of the next two numbers.
+        of the next two numbers. It has the creep that it was given, which is none unless said.
     hysteresis
         Half the width B [N] of the loop between loading (above) and unloading (below). Hunt (2017) finds
         +-15.6 kPa for a 10 mm muscle, which is +-12..17 N: 12 N. 0 is no friction at all.
@@ -151,10 +152,13 @@ class VirtualRig:
         pressure = np.maximum(set_pressure + offsets[rows.level, rows.repeat], np.minimum(set_pressure, 0.0))
         tension = forces(self.muscle, rows.contraction, pressure)
         drift = self._drift(rows.time, wander)
-        force = tension + self._friction(rows, tension, pressure) + drift
+        force = (tension + self._friction(rows, tension, pressure) + drift)[:, None]
+        if not isinstance(self.muscle.creep, NoCreep):
+            read = np.arange(protocol.samples, dtype=np.float64) * (protocol.acquisition / protocol.samples)
+            force = force + self._creep(protocol, rows, tension, protocol.dwell + read)
 
         force_samples = _sampled(force, self.force_noise, protocol.samples, force_sensor)
-        pressure_samples = _sampled(pressure, self.pressure_noise, protocol.samples, pressure_sensor)
+        pressure_samples = _sampled(pressure[:, None], self.pressure_noise, protocol.samples, pressure_sensor)
         return IsobaricDataset.of(
             pressure=pressure_samples.mean(axis=1, dtype=np.float64),
             contraction=rows.contraction,
@@ -180,6 +184,17 @@ class VirtualRig:
         ways = zip(*(np.split(column, starts) for column in (length, tension, pressure)), strict=True)
         return np.concatenate([self.friction.along(*way, side=1.0) for way in ways])
 
+    def _creep(
+        self, protocol: IsobaricProtocol, rows: Plateaus, tension: NDArray[np.float64], read: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """The force of creep [N] so many seconds after each move, shape (plateaus, times); each pressure from rest."""
+        length = np.asarray(self.muscle.specimen.length_at(rows.contraction))
+        moving, resting = np.abs(rows.travel) / protocol.speed, protocol.dwell + protocol.acquisition
+        starts = np.flatnonzero(np.diff(rows.level)) + 1
+        ways = zip(*(np.split(column, starts) for column in (length, tension, moving)), strict=True)
+        creep = self.muscle.creep
+        return np.concatenate([creep.along(*way, moving=m, resting=resting, read=read) for *way, m in ways])
+
     def _drift(self, time: NDArray[np.float64], generator: np.random.Generator) -> NDArray[np.float64]:
         """Of the force sensor's zero [N]."""
         since = (time - time[0]) / _HOUR
@@ -195,6 +210,10 @@ class VirtualRig:
             f"noise {self.force_noise:g} N and {self.pressure_noise:g} Pa",
             f"regulator offset {self.regulator_offset:g} Pa",
         ]
+        creep = self.muscle.creep
+        if isinstance(creep, MaxwellCreep):
+            times = ", ".join(f"{tau:g}" for tau in creep.time_constants)
+            parts.append(f"creep of {creep.stiffness / (N / mm):g} N/mm over {times} s")
         if self.force_drift or self.force_wander:
             parts.append(f"drift {self.force_drift:g} N/h, wander {self.force_wander:g} N after an hour")
         return ", ".join(parts)
@@ -203,10 +222,12 @@ class VirtualRig:
         pressures = np.array(protocol.pressures)[rows.level]
         tension = forces(self.muscle, rows.contraction, pressures + self.regulator_offset)
         highest = tension + np.asarray(self.friction.half_width_at(tension, pressures + self.regulator_offset))
+        if not isinstance(self.muscle.creep, NoCreep):
+            highest = highest + self._creep(protocol, rows, tension, np.zeros(1))[:, 0]
         at, rated = int(np.argmax(highest)), float(self.muscle.specimen.rated_force)
         if highest[at] > rated:
             raise RangeError(
-                f"hysteresis and regulator offset can take the force to {highest[at]:.0f} N at "
+                f"hysteresis, creep and regulator offset can take the force to {highest[at]:.0f} N at "
                 f"{pressures[at] / bar:g} bar, above the rated {rated:g} N",
                 value=float(highest[at]),
                 upper=rated,
@@ -218,10 +239,10 @@ class VirtualRig:
 def _sampled(
     truth: NDArray[np.float64], noise: float, count: int, generator: np.random.Generator
 ) -> NDArray[np.float32] | NDArray[np.float64]:
-    """What a sensor reads, shape (plateaus, samples)."""
+    """What a sensor reads of a truth, shape (plateaus, 1) or (plateaus, samples): shape (plateaus, samples)."""
     if noise == 0:
-        return np.broadcast_to(truth[:, None], (len(truth), count))
+        return np.broadcast_to(truth, (len(truth), count))
     samples = generator.standard_normal((len(truth), count), dtype=np.float32)
     samples *= np.float32(noise)
-    samples += truth[:, None].astype(np.float32)
+    samples += truth.astype(np.float32)
     return samples

@@ -32,6 +32,7 @@ UNITS = {
     "stiffness_estimate": (_STIFFNESS, "joint stiffness as the controller's model has it"),
     "torque": ("N*m", "torque of the muscles"),
     "friction_torque": ("N*m", "part of the torque that is the muscles' friction"),
+    "creep_torque": ("N*m", "part of the torque that is the muscles' creep"),
     "friction_compensation": ("N*m", "torque of friction that the controller expects and makes up for"),
     "pressure1": (_PRESSURE, "gauge pressure in muscle 1"),
     "pressure2": (_PRESSURE, "gauge pressure in muscle 2"),

@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, ReachabilityWarning, SimulationError
 from mckibben.joint.attainable import hold_and_range
+from mckibben.joint.creep import creep_torque, has_creep
 from mckibben.joint.friction import friction_torque, has_friction
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.lanes import by_name
@@ -124,6 +125,8 @@ def checked_run(
     telemetry = {name: np.asarray(value) for name, value in record.telemetry.items()}
     if has_friction(plant.joint):
         telemetry["friction_torque"] = np.asarray(_friction_torque(run.plant, record.state))
+    if has_creep(plant.joint):
+        telemetry["creep_torque"] = np.asarray(_creep_torque(run.plant, record.state))
     band = (reach.lowest, reach.highest)
     return CheckedRun(Result.of(moved, control_period, band=band, telemetry=telemetry, scenario=scenario), reach)
 
@@ -153,7 +156,13 @@ def _before(run: Run, times: ArrayLike) -> _Before:
 
 @compiled
 def _friction_torque(plant: JointPlant, state: PlantState) -> Array:
-    return friction_torque(plant.joint, state.memories, state.angle, state.velocity, state.pressures)
+    motion = state.angle, state.velocity, state.pressures
+    return friction_torque(plant.joint, state.memories, *motion, state.relaxing)
+
+
+@compiled
+def _creep_torque(plant: JointPlant, state: PlantState) -> Array:
+    return creep_torque(plant.joint, state.relaxing, state.angle, state.pressures)
 
 
 def _tell_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Setpoint
-from mckibben.joint.friction import has_friction, pull
+from mckibben.joint.friction import plain, pull
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.many import apart
 from mckibben.plant import JointPlant
@@ -20,9 +20,9 @@ class Trajectory(NamedTuple):
     """An episode over time; every leaf has shape (periods,), SI units.
 
     Stiffness, torque, forces and contractions are the plant's own, not the controller's belief. Torque and forces
-    contain the muscles' friction; ``stiffness`` is that of the muscles' laws, ``total_stiffness`` that and gravity's.
-    ``undisturbed_angle`` is the angle of the same run without the last change of the desired stiffness, where there is
-    one to leave out. ``excursion`` is how far the worse of the two contractions lies outside its domain.
+    contain the muscles' friction and creep; ``stiffness`` is that of the muscles' laws, ``total_stiffness`` that and
+    gravity's. ``undisturbed_angle`` is the angle of the same run without the last change of the desired stiffness,
+    where there is one to leave out. ``excursion`` is how far the worse of the two contractions lies outside its domain.
     """
 
     angle: Array
@@ -65,9 +65,9 @@ def trajectory(
     """
     state, joint = record.state, plant.joint
     torque, stiffness = apart(joint.torque_and_stiffness, state.angle, state.pressures, witness=period)
-    if has_friction(joint):
+    if not plain(joint):
         motion = state.angle, state.velocity, state.pressures
-        pulled = apart(functools.partial(pull, joint), state.memories, *motion, witness=period)
+        pulled = apart(functools.partial(pull, joint), state.memories, *motion, state.relaxing, witness=period)
         (force1, force2), torque, (contraction1, contraction2) = pulled
     else:
         contraction1, contraction2 = apart(joint.contractions, state.angle, state.pressures, witness=period)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mckibben.units import factor
 
 if TYPE_CHECKING:
@@ -81,7 +83,11 @@ def further_report(fit: Fit, found: Further) -> str:
         for name, interval in refits.intervals(found.level).items():
             low, high = _shown(fit, name, interval)
             error = errors[name] / _scale(fit, name)
+            if np.isnan(error):
+                lines.append(f"  {name}: at its bound")
+                continue
             lines.append(f"  {name}: standard error {error:.2g}, {share} {low:.5g} .. {high:.5g} {_unit(fit, name)}")
+        lines += [f"warning: {doubt}" for doubt in refits.doubts]
     return "\n".join(lines)
 
 
@@ -112,6 +118,7 @@ def interval_numbers(fit: Fit, found: Further) -> dict[str, Any]:
             "blocks": refits.blocks,
             "refits": len(refits.draws),
             "drawn_again": refits.failed,
+            "doubts": list(refits.doubts),
             "standard_errors": {n: e / _scale(fit, n) for n, e in refits.standard_errors.items()},
             "intervals": _all(fit, refits.intervals(found.level)),
         }

@@ -22,10 +22,10 @@ from mckibben.control import (
     Step,
 )
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
-from mckibben.muscle import ChouLaw, Friction, MaxwellSlip, Muscle, NoFriction
+from mckibben.muscle import ChouLaw, Creep, Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load, PlantState, Valve
 from mckibben.study.scenario.controller import BackpropSpec, ControllerSpec, LoopSpec, PIDSpec
-from mckibben.study.scenario.joint import FrictionSpec, GeometrySpec, JointSpec, MuscleSpec, SpringSpec
+from mckibben.study.scenario.joint import CreepSpec, FrictionSpec, GeometrySpec, JointSpec, MuscleSpec, SpringSpec
 from mckibben.study.scenario.part import Part
 from mckibben.study.scenario.plant import LoadSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
@@ -57,6 +57,11 @@ def build_geometry(spec: JointSpec) -> KneeGeometry:
 def build_friction(spec: FrictionSpec | None) -> Friction:
     """What a muscle's way adds to its law."""
     return NoFriction() if spec is None else MaxwellSlip(**_given(spec))
+
+
+def build_creep(spec: CreepSpec | None) -> Creep:
+    """What the time since its last moves adds to a muscle's law."""
+    return NoCreep() if spec is None else MaxwellCreep(**_given(spec))
 
 
 def build_tendon(spec: SpringSpec | None) -> RigidTendon | SeriesSpring:
@@ -124,12 +129,12 @@ def _geometry(spec: GeometrySpec) -> KneeGeometry:
 
 
 def _muscle(spec: MuscleSpec) -> Muscle:
-    specimen, friction = catalog.specimen(spec.specimen), build_friction(spec.friction)
+    specimen, friction, creep = catalog.specimen(spec.specimen), build_friction(spec.friction), build_creep(spec.creep)
     if isinstance(spec.law, Path):
         from mckibben.identification import Fit
 
-        return Muscle(specimen, Fit.from_yaml(spec.law).law, friction)
-    return Muscle(specimen, ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law), friction)
+        return Muscle(specimen, Fit.from_yaml(spec.law).law, friction, creep)
+    return Muscle(specimen, ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law), friction, creep)
 
 
 def _base(spec: BackpropSpec[Any, Any, Any, Any]) -> PID:

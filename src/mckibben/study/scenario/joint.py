@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.study.scenario.fields import (
+    CreepTime,
     Distance,
     Force,
     FrictionForce,
@@ -78,15 +79,23 @@ class FrictionSpec(Part):
         return {name: text for name, text in handler(self).items() if name in given}
 
 
+class CreepSpec(Part):
+    """Creep of a muscle, see `MaxwellCreep`; SI: N/m, s."""
+
+    stiffness: SpringRate
+    time_constant: CreepTime
+
+
 class MuscleSpec(Part):
     """A make of muscle from the catalog, and its law: of the catalog, ``chou``, or the path of a fit's file.
 
-    Without `friction` it has none.
+    Without `friction` it has none, and without `creep` none of that.
     """
 
     specimen: Annotated[str, Entry("specimens")]
     law: Law
     friction: FrictionSpec | None = None
+    creep: CreepSpec | None = None
 
 
 class SpringSpec(Part):
@@ -123,6 +132,11 @@ class JointSpec(Part):
             refuse(
                 "stands in series with a muscle of viscous friction, the rate of whose length is then not known",
                 "leave out `viscous` or the spring",
+            )
+        if value is not None and any(muscle and muscle.creep for muscle in muscles):
+            refuse(
+                "stands in series with a muscle that creeps, the rate of whose length is then not known",
+                "leave out `creep` or the spring",
             )
         return value
 

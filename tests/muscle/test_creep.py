@@ -1,0 +1,187 @@
+"""Creep of a muscle, against closed forms and small steps in plain Python, and what holds for any way."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mckibben.errors import RangeError
+from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, NoCreep
+from mckibben.muscle.creep import remaining
+from mckibben.units import bar, mm
+
+CREEP = MaxwellCreep(800.0, 4.0)
+DECADES = MaxwellCreep(900.0, 1.0, arms=3)
+FAR = 1e9  # N: a tension that bounds nothing
+CUT = 12  # steps that a move is cut into
+
+
+@st.composite
+def courses(draw):
+    """Lengths [m], tensions [N] and the times of moves and rests [s]: none has to do with the others."""
+    count = draw(st.integers(2, 12))
+
+    def column(low, high):
+        return np.array(draw(st.lists(st.floats(low, high), min_size=count, max_size=count)))
+
+    return 0.2 + 1e-3 * column(-20, 20), column(0, 300), column(0.01, 20), column(0, 20)
+
+
+def test_a_step_relaxes_as_an_exponential():
+    times = np.array([0.0, 2.0, 4.0, 40.0])
+    force = CREEP.along([0.18, 0.19], FAR, moving=0.0, resting=99.0, read=times)[1]
+    np.testing.assert_allclose(force, 800 * 0.01 * np.exp(-times / 4), rtol=1e-12)
+
+
+def test_a_ramp_comes_to_stiffness_times_speed_times_time_constant():
+    speed, time = 2e-3, 6.0
+    force = CREEP.along([0.18, 0.18 + speed * time], FAR, moving=time, resting=1.0, read=[0.0])[1, 0]
+    assert force == pytest.approx(800 * speed * 4 * (1 - math.exp(-time / 4)), rel=1e-12)
+    long = CREEP.along([0.18, 0.18 + speed * 200], FAR, moving=200.0, resting=1.0, read=[0.0])[1, 0]
+    assert long == pytest.approx(800 * speed * 4, rel=1e-9)
+    assert remaining(1e-9, 4.0) == pytest.approx(1.0) and remaining(0.0, 4.0) == 1.0
+
+
+def test_it_ends_at_the_law():
+    force = DECADES.along([0.18, 0.19, 0.185], FAR, moving=1.0, resting=3000.0, read=[0.0, 3000.0])
+    assert abs(force[2, 1]) < 1e-11 < abs(force[2, 0])
+
+
+def test_arms_lose_about_the_same_in_each_decade():
+    logarithmic = MaxwellCreep(900.0, 1.0, arms=5)
+    assert logarithmic.time_constants == [1.0, 10.0, 100.0, 1e3, 1e4]
+    force = logarithmic.along([0.18, 0.19], FAR, moving=0.0, resting=1e6, read=0.3 * 10.0 ** np.arange(5))[1]
+    np.testing.assert_allclose(-np.diff(force), 9.0 / 5, rtol=0.06)  # of 9 N, a fifth in each
+
+
+@given(courses())
+def test_moves_may_be_cut_in_two(course):
+    length, _, moving, resting = course
+    whole = CREEP.along(length, FAR, moving=moving, resting=resting, read=[0.0])[1:, 0]
+    middles = (length[:-1] + length[1:]) / 2
+    finer = np.stack([middles, length[1:]], axis=1).ravel()
+    halves = np.repeat(moving[1:] / 2, 2)
+    rests = np.stack([np.zeros(len(middles)), resting[1:]], axis=1).ravel()
+    cut = CREEP.along(
+        np.append(length[0], finer),
+        FAR,
+        moving=np.append(moving[0], halves),
+        resting=np.append(resting[0], rests),
+        read=[0.0],
+    )
+    np.testing.assert_allclose(cut[2::2, 0], whole, rtol=1e-9, atol=1e-9)
+
+
+@given(courses(), st.sampled_from([CREEP, DECADES]))
+def test_energy_is_only_lost_whatever_length_and_tension_do(course, creep):
+    """Drawn in small steps of a time and settled, as the plant has it; the way is closed."""
+    length, tension, moving, _ = (np.append(column, column[0]) for column in course)
+    arms, stiffness = creep.arms, creep.stiffness / creep.arms
+    taus = creep.time_constants
+    held, put_in, stored = [0.0] * arms, 0.0, [0.0]
+    for k in range(1, len(length)):
+        travel, step = (length[k] - length[k - 1]) / CUT, moving[k] / CUT
+        for n in range(1, CUT + 1):
+            bound = (tension[k - 1] + (tension[k] - tension[k - 1]) * n / CUT) / (2 * arms)
+            work = 0.0
+            for i, tau in enumerate(taus):
+                before, speed = held[i], stiffness * travel / step * tau
+                decay = math.exp(-step / tau)
+                after = before * decay + speed * (1 - decay)
+                # the exact work of the arm over the step, against what its spring then stores
+                work += travel / step * ((before - speed) * tau * (1 - decay) + speed * step)
+                held[i] = min(max(after, -bound), bound)
+            put_in += work
+            stored.append(sum(x * x for x in held) / (2 * stiffness))
+            assert work >= stored[-1] - stored[-2] - 1e-9 * (1 + abs(work))
+    assert put_in >= -1e-9
+
+
+@given(courses(), st.sampled_from([CREEP, DECADES]))
+def test_it_holds_at_most_half_of_the_tension(course, creep):
+    length, tension, moving, resting = course
+    force = creep.along(length, tension, moving=moving, resting=resting, read=[0.0, 1.0])
+    assert np.all(np.abs(force) <= tension[:, None] / 2 + 1e-12)
+    if creep.arms == 1:  # arms may hold against each other, and the slower one stays
+        assert np.all(np.abs(force[:, 1]) <= np.abs(force[:, 0]) + 1e-12)
+
+
+def test_what_is_simulated_is_what_the_rig_feels():
+    """Small steps of the rate, settled after each, end where `along` does exactly."""
+    generator = np.random.default_rng(2)
+    length = 0.2 + np.cumsum(generator.normal(0, 4e-3, 8))
+    tension, steps, step = np.array([90.0, 60, 5, 0, 30, 80, 12, 70]), 400, 1e-3
+    read = DECADES.along(length, tension, moving=steps * step, resting=0.0, read=[0.0])[:, 0]
+
+    @jax.jit
+    def move(relaxing, travel, start, end):
+        def one(k, x):
+            slope = DECADES.rate(x, travel / (steps * step))
+            moved = jax.tree.map(lambda a, b: a + step * b, x, slope)
+            return DECADES.settled(moved, start + (end - start) * (k + 1) / steps)
+
+        relaxing = jax.lax.fori_loop(0, steps, one, relaxing)
+        return relaxing, DECADES.force(relaxing, end)
+
+    relaxing = DECADES.relaxed(length[0])
+    for k in range(1, len(length)):
+        relaxing, force = move(relaxing, length[k] - length[k - 1], tension[k - 1], tension[k])
+        assert float(force) == pytest.approx(read[k], abs=0.02)
+    assert read.min() < -1 and read.max() > 1 and read[3] == 0
+
+
+def test_the_muscle_never_pushes(specimen, law):
+    """Law, friction with its viscous part, and creep, each as far against the force as it goes."""
+    slip = MaxwellSlip(12.0, 0.5 * mm, viscous=1e5)
+    muscle = Muscle(specimen, law, slip, MaxwellCreep(5000.0, 10.0))
+    contraction = np.linspace(-0.03, 0.3, 67)
+    anchors = (jnp.asarray(0.3),) * slip.elements
+    for relaxing in ((jnp.asarray(-500.0),), (jnp.asarray(-20.0),), (jnp.asarray(500.0),)):
+        gripped = muscle.gripped(anchors, relaxing)
+        force = gripped.force(contraction, 3 * bar)
+        whole = force + gripped.viscous_force(contraction, 3 * bar, -10.0)
+        assert np.all(np.asarray(whole) >= -1e-9)
+        assert np.all(np.diff(np.asarray(force)) <= 1e-9)  # and it falls with the contraction
+        assert np.all(np.asarray(whole)[np.asarray(muscle.force(contraction, 3 * bar)) == 0] == 0)
+
+
+def test_a_gripped_muscle_is_law_friction_and_creep(specimen, law):
+    slip = MaxwellSlip(12.0, 0.5 * mm)
+    muscle = Muscle(specimen, law, slip, CREEP)
+    memory = slip.unstressed(specimen.length_at(0.10))
+    tension = float(muscle.force(0.095, 4 * bar))
+    rubbing = float(muscle.gripped(memory).force(0.095, 4 * bar)) - tension
+    whole = float(muscle.gripped(memory, (jnp.asarray(7.0),)).force(0.095, 4 * bar))
+    assert whole == pytest.approx(tension + rubbing + 7.0, abs=1e-9)
+    assert 3 < rubbing < 12
+
+
+def test_none_is_none(specimen, law):
+    assert Muscle(specimen, law).creep == NoCreep()
+    none = NoCreep()
+    assert none.relaxed(0.2) == none.rate((), 1.0) == none.settled((), 1.0) == ()
+    assert jax.tree.leaves(none) == [] and float(none.force((), 100.0)) == 0.0
+    np.testing.assert_array_equal(none.along([0.1, 0.2], 1.0, moving=1, resting=1, read=[0, 1, 2]), np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ({"stiffness": 0.0}, "stiffness is 0 N/m"),
+        ({"stiffness": float("nan")}, "stiffness is nan"),
+        ({"time_constant": 0.001}, "time_constant is 0.001, outside 0.01"),
+        ({"arms": 0}, "arms is 0, outside 1..8"),
+    ],
+)
+def test_numbers_without_meaning_are_refused(numbers, message):
+    with pytest.raises(RangeError, match=message):
+        MaxwellCreep(**{"stiffness": 500.0, "time_constant": 5.0, **numbers})
+
+
+def test_a_muscle_takes_creep_only_as_creep(specimen, law):
+    with pytest.raises(RangeError, match="creep is a MaxwellSlip"):
+        Muscle(specimen, law, creep=MaxwellSlip(12.0, 5e-4))

@@ -1,0 +1,199 @@
+"""A joint whose muscles creep: against SciPy, its energy, its rest, beside friction, many at once, its derivatives."""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+
+from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint, Sine
+from mckibben.errors import RangeError
+from mckibben.joint import SeriesSpring, creep, friction
+from mckibben.muscle import MaxwellCreep, MaxwellSlip, NoCreep
+from mckibben.numerics.compiled import numeric
+from mckibben.numerics.many import many_runs
+from mckibben.plant import FirstOrderValve, JointPlant, PlantState
+from mckibben.simulation import simulate
+from mckibben.simulation.loop import compiled_episode, episode
+from mckibben.units import mm
+
+PERIODS, PERIOD = 1000, 1e-3
+P1, P2 = 4e5, 3.6e5
+ARM = MaxwellCreep(3000.0, 0.2)
+SLIP = MaxwellSlip(12.0, 0.5 * mm, elements=2)
+
+
+def with_creep(joint, arm=ARM, slip=None, **changes):
+    given = {"creep": arm} | ({"friction": slip} if slip else {})
+    muscle = dataclasses.replace(joint.muscle1, **given)
+    return dataclasses.replace(joint, muscle1=muscle, muscle2=muscle, **changes)
+
+
+@pytest.fixture(scope="module")
+def creeping(ideal_plant, knee, load):
+    return numeric(JointPlant(with_creep(knee), load, ideal_plant.valve))
+
+
+@pytest.fixture(scope="module")
+def swung(creeping, playback):
+    """At held pressures, from a state; all with one program."""
+
+    def run(start, *, damping, pressures=(P1, P2)):
+        held = Setpoint(*(jnp.full(PERIODS, p) for p in pressures))
+        chosen = eqx.tree_at(lambda p: p.load.damping, creeping, jnp.asarray(damping))
+        start = numeric(chosen.remembering(jax.tree.map(jnp.asarray, start)))
+        return compiled_episode(chosen, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
+
+    return run
+
+
+def test_it_moves_as_scipy_has_it(swung, paper_precontracted):
+    paper = paper_precontracted
+
+    def rate(_, y):
+        angle, velocity, x1, x2 = y
+        arm1, arm2 = paper.eq5(angle, math)
+        torque = paper.torque(angle, (P1, P2)) + x2 * arm2 - x1 * arm1 + paper.G * math.sin(math.pi / 6 - angle)
+        return (
+            velocity,
+            (torque - 0.02 * velocity) / paper.inertia,
+            3000 * arm1 * velocity - x1 / 0.2,
+            -3000 * arm2 * velocity - x2 / 0.2,
+        )
+
+    times = np.arange(PERIODS) * PERIOD
+    start = (math.radians(12), 0.5, 0.0, 0.0)
+    expected = solve_ivp(rate, (0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="DOP853").y
+    state = swung(PlantState(*start[:2], P1, P2), damping=0.02)
+    assert np.abs(expected[2:]).max() > 5 and np.ptp(expected[0]) > math.radians(8)
+    np.testing.assert_allclose(state.angle, expected[0], atol=1e-8)
+    np.testing.assert_allclose(np.array(state.relaxing)[:, 0], expected[2:], atol=1e-6)
+
+
+@pytest.mark.parametrize("pressures", [(P1, P2), (1.2e5, 0.9e5)])  # the second goes slack and meets the bound
+def test_a_free_swing_only_loses_energy(swung, paper_precontracted, pressures):
+    paper = paper_precontracted
+    state = swung(PlantState(math.radians(15), 0.3, *pressures), damping=0.0, pressures=pressures)
+    every = slice(None, None, 25)
+    angles, velocities = np.asarray(state.angle)[every], np.asarray(state.velocity)[every]
+    work = [quad(lambda a: paper.torque(a, pressures), 0, x, epsabs=1e-11, epsrel=1e-11, limit=200)[0] for x in angles]
+    stored = sum(np.asarray(x)[every] ** 2 / (2 * ARM.stiffness) for (x,) in state.relaxing)
+    total = paper.inertia * velocities**2 / 2 - np.array(work) - paper.G * np.cos(np.pi / 6 - angles) + stored
+    assert np.diff(total).max() < 1e-6 * (total[0] - total[-1])
+    assert total[0] - total[-1] > 5e-3
+    tensions = np.array(
+        [np.maximum(paper.eq3(c, p), 0) for c, p in zip(paper.contractions(angles), pressures, strict=True)]
+    )
+    assert (tensions.min() == 0) == (pressures[1] < 1e5)
+    assert np.all(np.abs(np.array(state.relaxing)[:, 0, every]) <= tensions / 2 + 1e-9)
+
+
+def test_it_comes_to_rest_where_the_laws_alone_would(swung, creeping):
+    rest = creeping.at_rest(0.1)
+    assert [float(x[0]) for x in rest.relaxing] == [0.0, 0.0] and rest.memories == ((), ())
+    np.testing.assert_allclose(jax.tree.leaves(creeping.rate(rest, rest.pressures)), 0.0, atol=1e-9)
+    pressures = tuple(map(float, rest.pressures))
+    state = swung(PlantState(0.1 + 0.02, 0.0, *pressures), damping=2.0, pressures=pressures)
+    assert abs(float(state.angle[-1]) - 0.1) < 0.02 * 0.02
+    assert np.abs(np.array(state.relaxing)[:, 0]).max() > 0.5 > 5 * np.abs(np.array(state.relaxing)[:, 0, -1]).max()
+
+
+def test_a_push_meets_more_than_the_law_and_then_sinks_in(creeping):
+    """Creep resists a quick turn with its stiffness at the moment arms, and nothing a while after."""
+    joint, (p1, p2) = creeping.joint, (P1, P2)
+    arm1, arm2 = map(float, joint.geometry.moment_arms(0.0))
+    rates = creep.rates(joint, creep.relaxed(joint, 0.0), 0.0, 1.0)
+    after = tuple((x * 1e-3,) for (x,) in rates)  # after a turn of a milliradian
+    torque = float(creep.creep_torque(joint, after, 0.0, (p1, p2)))
+    assert torque == pytest.approx(-3000.0 * (arm1**2 + arm2**2) * 1e-3, rel=1e-9)
+    memories = ((), ())
+    whole = friction.pull(joint, memories, 0.0, 0.0, (p1, p2), after)
+    assert float(whole.torque) == pytest.approx(float(joint.torque(0.0, (p1, p2))) + torque, rel=1e-12)
+    assert float(friction.friction_torque(joint, memories, 0.0, 0.0, (p1, p2), after)) == pytest.approx(0, abs=1e-12)
+
+
+def test_a_series_spring_is_refused(knee):
+    with pytest.raises(RangeError, match="in series with a SeriesSpring: its creep follows the rate"):
+        with_creep(knee, tendon=SeriesSpring(stiffness=20e3, preload=10.0, travel=18 * mm))
+
+
+def test_without_creep_nothing_is_relaxing(plant):
+    state = plant.at_rest(0.1)
+    assert state.relaxing == ((), ()) and plant.settled(state) is state
+    assert len(jax.tree.leaves(state)) == 4
+
+
+@pytest.fixture(scope="module")
+def both(ideal_plant, knee, load):
+    """Creep beside friction."""
+    joint = with_creep(knee, MaxwellCreep(1000.0, 0.3, arms=2), SLIP)
+    return numeric(JointPlant(joint, load, ideal_plant.valve))
+
+
+def test_many_runs_are_the_same_as_one(both, playback):
+    held = Setpoint(jnp.full(100, P1), jnp.full(100, P2))
+    start = both.remembering(PlantState(*map(jnp.asarray, (0.1, 0.8, P1, P2))))
+    assert [len(leaves) for leaves in (*start.memories, *start.relaxing)] == [2, 2, 2, 2]
+
+    def final(stiffness):
+        plant = eqx.tree_at(lambda p: p.joint.muscle1.creep.stiffness, both, stiffness)
+        return episode(plant, playback, held, start, PERIOD, 1)[0]
+
+    stiffness = jnp.array([500.0, 1000.0, 4000.0])
+    with many_runs():
+        many = jax.jit(jax.vmap(final))(stiffness)
+    one = jax.jit(final)
+    for k in range(3):
+        for whole, alone in zip(jax.tree.leaves(many), jax.tree.leaves(one(stiffness[k])), strict=True):
+            np.testing.assert_allclose(whole[k], alone, rtol=1e-9, atol=1e-11)
+    assert np.ptp(many.angle) > 1e-4
+
+
+def test_a_result_tells_creep_and_friction_apart(both):
+    control = PositionStiffnessControl(PID(1e5, 2e5, 0.1e5), PID(-1e4, -5e4, 0.0), model=both.joint)
+    plant = dataclasses.replace(both, valve=FirstOrderValve(0.02))
+    columns = simulate(plant, control, Reference(angle=Sine(0.1, 2.0), stiffness=15.0), duration=0.3).columns
+    law = np.asarray(both.joint.torque(columns["angle"], (columns["pressure1"], columns["pressure2"])))
+    parts = columns["friction_torque"] + columns["creep_torque"]
+    np.testing.assert_allclose(columns["torque"], law + parts, atol=1e-9)
+    assert np.abs(columns["creep_torque"]).max() > 0.01 and np.abs(columns["friction_torque"]).max() > 0.2
+    contraction, pressure = columns["contraction1"], columns["pressure1"]
+    added = columns["force1"] - np.asarray(both.joint.muscle1.force(contraction, pressure))
+    assert np.abs(added).max() > 5  # forces contain both
+
+
+def test_a_model_of_friction_takes_no_notice_of_its_creep(both, knee):
+    """What `FrictionCompensation` asks of its model's joint."""
+    rubbing = with_creep(knee, NoCreep(), SLIP)
+    memories = friction.settled(both.joint, friction.unstressed(both.joint, 0.0, (P1, P2)), 0.05, (P1, P2))
+    expected = friction.friction_torque(rubbing, memories, 0.06, 0.0, (P1, P2))
+    assert float(friction.friction_torque(both.joint, memories, 0.06, 0.0, (P1, P2))) == pytest.approx(float(expected))
+    assert float(expected) < -0.1
+
+
+def test_a_derivative_is_that_of_a_small_change(creeping):
+    start = creeping.remembering(PlantState(*map(jnp.asarray, (0.1, 0.8, P1, P2))))
+
+    @jax.jit
+    def angle(stiffness, time_constant):
+        def chosen(p):
+            return p.joint.muscle1.creep.stiffness, p.joint.muscle1.creep.time_constant
+
+        plant = eqx.tree_at(chosen, creeping, (stiffness, time_constant))
+
+        def euler(_, state):
+            moved = jax.tree.map(lambda x, dx: x + 5e-4 * dx, state, plant.rate(state, state.pressures))
+            return plant.settled(moved)
+
+        return jax.lax.scan(lambda s, _: (euler(None, s), None), start, None, length=200)[0].angle
+
+    slopes = jax.jit(jax.jacfwd(angle, argnums=(0, 1)))(jnp.asarray(3000.0), jnp.asarray(0.2))
+    for k, small in enumerate((0.1, 1e-5)):
+        up, down = ([3000.0, 0.2], [3000.0, 0.2])
+        up[k], down[k] = up[k] + small, down[k] - small
+        quotient = (angle(*map(jnp.asarray, up)) - angle(*map(jnp.asarray, down))) / (2 * small)
+        assert float(slopes[k]) == pytest.approx(float(quotient), rel=1e-5) and abs(float(slopes[k])) > 1e-7
