@@ -59,7 +59,11 @@ def test_a_process_that_is_done_ends_with_0(tmp_path):
     ("arguments", "said"),
     [
         (["identify", "nowhere.csv"], "error: nowhere.csv: 1 problem\n  there is no such file\n"),
-        (["identify", "festo-tool-10mm", "--law", "x"], "error: there is no law 'x'; known are chou, exponential\n"),
+        (
+            ["identify", "festo-tool-10mm", "--law", "x"],
+            "error: there is no law 'x'; known are chou, tondu-lopez, tondu-lopez-variable, tsagarakis-caldwell, "
+            "martens-boblan, repperger, reynolds, hunt, sarosi, exponential, triple-exponential\n",
+        ),
     ],
 )
 def test_bad_input_ends_with_2_and_nothing_but_the_message(tmp_path, arguments, said):

@@ -137,7 +137,7 @@ def test_whole_numbers_are_floats_where_a_float_stood():
 @pytest.mark.parametrize(
     "bad",
     ["0.4", ["0.4", "0.5"], [1j], [True, False], True, None, [None], [[1.0], [1.0, 2.0]], {"a": 1}, [10**30], object()],
-    ids=repr,
+    ids=lambda value: type(value).__name__,
 )
 @pytest.mark.parametrize("leaf", ["size", "count"])
 def test_values_that_are_no_numbers_are_refused(bad, leaf):

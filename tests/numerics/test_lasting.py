@@ -61,7 +61,7 @@ Pair = collections.namedtuple("Pair", "a b")
         *(lambda: 0, functools.partial(print, 1), [].append, [Plain()], {"a": {"b": Owned}}, np.random.default_rng(1)),
         *(object(), np.add, jax.jit(abs)),
     ],
-    ids=repr,
+    ids=lambda value: type(value).__name__,
 )
 def test_what_is_not_known_has_no_name(value):
     with pytest.raises(NamelessError):

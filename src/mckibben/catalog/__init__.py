@@ -2,7 +2,7 @@
 
 >>> from mckibben import catalog
 >>> catalog.names("laws")
-['lei-mas-10-180n']
+['lei-mas-10-180n', 'sarosi-dmsp-10']
 >>> print(catalog.cite("dmsp-10-250-martens2017"))
 M. Martens and I. Boblan, "Modeling the Static Force of a Festo Pneumatic Muscle Actuator: ...
 """
