@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import mckibben
+from mckibben.commands.envelope import envelope
 from mckibben.commands.identify import identify, validate
 from mckibben.commands.options import Json, Out, said
 from mckibben.commands.plan import plan
@@ -120,6 +121,7 @@ def simulate(
         raise typer.Exit(1)
 
 
+app.command()(envelope)
 app.command()(plan)
 app.command()(sweep)
 app.command()(tune)

@@ -51,7 +51,7 @@ def stiffness_range(
     minimum_tension: float,
 ) -> Pair:
     """See `AntagonisticJoint.attainable_stiffness`."""
-    segment = _segment(joint, angle, torque, pressure_limits, minimum_tension)
+    segment = segment_of(joint, angle, torque, pressure_limits, minimum_tension)
     return _range(segment, segment.along())
 
 
@@ -67,7 +67,7 @@ class Hold(NamedTuple):
 @compiled
 def hold(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> Hold:
     """The pressures that give a torque and a stiffness at an angle; amid the co-contractions for a stiffness of NaN."""
-    segment = _segment(joint, angle, torque, None, 0.0)
+    segment = segment_of(joint, angle, torque, None, 0.0)
     return _held(segment.along(), segment.holdable, stiffness, _places(joint))
 
 
@@ -83,7 +83,7 @@ def hold_and_range(joint: AntagonisticJoint, angle: Array, torque: Array, stiffn
     stiffness
         At the first of them [N*m/rad].
     """
-    segment = _segment(joint, angle, torque, None, 0.0)
+    segment = segment_of(joint, angle, torque, None, 0.0)
     along = segment.along()
     return _held(along.first(), segment.holdable[0], stiffness, _places(joint)), _range(segment, along)
 
@@ -126,7 +126,7 @@ def _held(along: Along, holdable: Array, stiffness: ArrayLike, places: Array) ->
     )
 
 
-def _range(segment: _Segment, along: Along) -> Pair:
+def _range(segment: Segment, along: Along) -> Pair:
     """The lowest and the highest stiffness of each segment."""
     _, stiffness = along(_over(_places(segment.joint), segment.angle))
     return (
@@ -160,21 +160,21 @@ class _Straight(NamedTuple):
 class _Bent(NamedTuple):
     """Pressures and stiffness along a segment, worked out at each place."""
 
-    segment: _Segment
+    segment: Segment
 
     def __call__(self, place: ArrayLike) -> tuple[Pair, Array]:
         return self.segment.at(place)
 
     def first(self) -> _Bent:
         joint, *numbers = self.segment
-        return _Bent(_Segment(joint, *jax.tree.map(lambda values: values[0], numbers)))
+        return _Bent(Segment(joint, *jax.tree.map(lambda values: values[0], numbers)))
 
 
 Along = _Straight | _Bent
 """Pressures and stiffness as a function of the place on a segment; `first` is that of the first of several segments."""
 
 
-class _Segment(NamedTuple):
+class Segment(NamedTuple):
     """The states that give one torque at one angle, from the slackest (place 0) to the tightest (place 1)."""
 
     joint: AntagonisticJoint
@@ -214,20 +214,21 @@ def _over(values: Array, angle: Array) -> Array:
     return values.reshape(-1, *[1] * angle.ndim)
 
 
-def _segment(
+def segment_of(
     joint: AntagonisticJoint,
     angle: ArrayLike,
     torque: ArrayLike,
     pressure_limits: tuple[float, float] | None,
     minimum_tension: float,
-) -> _Segment:
+) -> Segment:
+    """The states that give torques [N*m] at angles [rad]; limits as for `AntagonisticJoint.attainable_stiffness`."""
     angle, torque = jnp.broadcast_arrays(floating(angle), floating(torque))
     paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
     low, high = _tension_ranges(joint, paths, pressure_limits, minimum_tension)
     first = jnp.maximum(low[0], (low[1] * arm2 - torque) / arm1)
     last = jnp.minimum(high[0], (high[1] * arm2 - torque) / arm1)
     holdable = (first <= last) & (low[0] <= high[0]) & (low[1] <= high[1])
-    return _Segment(joint, angle, torque, paths, (arm1, arm2), first, last, holdable)
+    return Segment(joint, angle, torque, paths, (arm1, arm2), first, last, holdable)
 
 
 def pressure_limits_of(joint: AntagonisticJoint) -> tuple[tuple[Array, Array], tuple[Array, Array]]:

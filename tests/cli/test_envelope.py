@@ -1,0 +1,113 @@
+"""`mckibben envelope`: tables, verdict, offers and designs, and mistakes."""
+
+import csv
+import json
+import re
+
+import pytest
+
+from mckibben.simulation import check_reference
+from mckibben.study.scenario import Scenario
+
+INFEASIBLE = ("amplitude: 2 deg, frequency: 0.5 Hz", "amplitude: 20 deg, frequency: 5 Hz")
+
+
+@pytest.fixture
+def printed(shortened, tmp_path):
+    """The knee as printed, asked for 20 deg."""
+    text = shortened("as-printed-constant-pid").replace(*INFEASIBLE)
+    (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+def test_a_wish_within_reach(cli, shortened, tmp_path):
+    (tmp_path / "s.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
+    found = cli("envelope", "s.yaml")
+    assert (found.code, found.err) == (0, "")
+    assert "held standing from -36.49 to 38.57 deg" in found.out
+    assert re.search(
+        r"0 deg +-0.736 N\*m +-7.28..7.28 N\*m +9.96..19.53 N\*m/rad +3.05, 2.72 bar +6, 5.67 bar", found.out
+    )
+    assert "the reference is within reach throughout" in found.out
+    assert "nearest" not in found.out
+
+
+def test_an_infeasible_wish_is_named_and_the_nearest_offered(cli, printed):
+    found = cli("envelope", "s.yaml", "--out", "kept")
+    assert (found.code, found.err) == (0, "")
+    assert "even standing still, no pressures within limits will do for " in found.out
+    assert "wanted 72.5, attainable " in found.out
+    kept = printed / "kept"
+    numbers = json.loads((kept / "results.json").read_text(encoding="utf-8"))
+    assert numbers["reachable"] is False and numbers["verdict"] in found.out
+    assert numbers["holdable_deg"] == pytest.approx([-10.37, 10.37], abs=0.01)
+    assert [offer["kept"] for offer in numbers["offers"]] == ["angle", "stiffness"]
+    names = {"results.json", "envelope.png", "envelope.svg", "nearest-angle.yaml", "nearest-stiffness.yaml"}
+    assert {path.name for path in kept.iterdir()} == names | {"nearest-angle.csv"}
+    for offer in numbers["offers"]:
+        assert f"nearest that keeps the {offer['kept']}: {offer['described']}" in found.out
+        scenario = Scenario.read(kept / f"nearest-{offer['kept']}.yaml")
+        sine = scenario.signals.angle.sine
+        assert sine.frequency == 5 and sine.amplitude == pytest.approx(offer["amplitude"] * 20 * 0.0174532925)
+        plant = scenario.plant()
+        reach = check_reference(plant, scenario.reference(), duration=0.2)
+        assert reach.reachable or offer["kept"] == "stiffness"
+        scenario.initial(plant)
+    with (kept / "nearest-angle.csv").open() as file:
+        header, *rows = csv.reader(file)
+    assert header == ["time_s", "stiffness_N*m/rad"] and len(rows) == 200
+    again = cli("envelope", "kept/nearest-angle.yaml", "--json")
+    assert json.loads(again.out)["reachable"] is True
+
+
+def test_json_alone_on_standard_output(cli, printed):
+    found = cli("envelope", "s.yaml", "--json", "--out", "kept")
+    assert json.loads(found.out) == json.loads((printed / "kept" / "results.json").read_text(encoding="utf-8"))
+    assert found.err.startswith("kept results.json, nearest-angle.yaml")
+
+
+def test_a_load_that_cannot_be_held(cli, printed):
+    text = (printed / "s.yaml").read_text(encoding="utf-8")
+    heavy = text.replace("load: knee-table-2", "load: {from: knee-table-2, mass2: 500 kg, hanging_angle: 90 deg}")
+    (printed / "heavy.yaml").write_text(heavy, encoding="utf-8")
+    found = cli("envelope", "heavy.yaml", "--out", "kept")
+    assert found.code == 0
+    assert "the joint cannot hold its load at any angle" in found.out
+    assert (printed / "kept" / "envelope.png").stat().st_size > 10_000
+
+
+def test_a_design(cli, printed):
+    wish = "stiffness 14..18 N*m/rad over -15..15 deg"
+    vary = ("--vary", "connector_length=190..240 mm", "--vary", "joint_radius=20..50 mm")
+    found = cli("envelope", "s.yaml", "--design", wish, *vary, "--out", "kept")
+    assert (found.code, found.err) == (0, "")
+    assert f"{wish}: attained with connector_length 209.4 mm" in found.out
+    assert re.search(r"joint radius +30 mm +31\.\d+ mm", found.out)
+    numbers = json.loads((printed / "kept" / "results.json").read_text(encoding="utf-8"))
+    scenario = Scenario.read(printed / "kept" / "design.yaml")
+    assert scenario.joint.connector_length * 1e3 == pytest.approx(numbers["lengths_mm"]["connector_length"])
+    assert scenario.joint.geometry.joint_radius * 1e3 == pytest.approx(numbers["lengths_mm"]["joint_radius"])
+    scenario.initial(scenario.plant())
+    band = scenario.plant().joint.attainable_stiffness(0.1, 0.0)
+    assert float(band[0]) < 14 and float(band[1]) > 18
+    assert (printed / "kept" / "design.svg").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--margin", "60 %"), "the margin is 0.6"),
+        (("--margin", "5 mm"), "--margin: "),
+        (("--rounding", "0 s"), "the rounding is 0 s"),
+        (("--vary", "joint_radius=20..50 mm"), "are for a design; add --design"),
+        (("--spare-torque", "1 N*m"), "are for a design; add --design"),
+        (("--design", "stiffness 14..18 N*m/rad over 0..5 deg"), "varies nothing; add --vary"),
+        (("--design", "much", "--vary", "joint_radius=20..50 mm"), "nothing to design for"),
+        (("--design", "14..18 N*m/rad over 0..5 deg", "--vary", "radius=20..50 mm"), "known are connector_length"),
+    ],
+)
+def test_a_mistake_is_one_error(cli, printed, arguments, named):
+    found = cli("envelope", "s.yaml", *arguments)
+    assert (found.code, found.out) == (2, "")
+    assert found.err.startswith("error: ") and named in found.err
+    assert "Traceback" not in found.err

@@ -1,0 +1,61 @@
+"""Figures of envelopes and designs show the numbers that they are of."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mckibben.report.envelope import design as draw_design
+from mckibben.report.envelope import envelope as draw
+from mckibben.study.envelope import Choice, Wanted, design, envelope, holdable
+from mckibben.study.scenario import Scenario
+from mckibben.units import deg
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    read = Scenario.read(EXAMPLES / "as-printed-constant-pid.yaml")
+    sine = read.signals.angle.sine.model_copy(update={"amplitude": 20 * deg, "frequency": 5.0})
+    angle = read.signals.angle.model_copy(update={"sine": sine})
+    signals = read.signals.model_copy(update={"angle": angle})
+    return read.model_copy(update={"signals": signals, "duration": 0.2})
+
+
+def drawn(axes, label):
+    return next(line for line in axes.lines if line.get_label() == label)
+
+
+def test_the_wish_the_band_and_the_offers(scenario):
+    found = envelope(scenario)
+    figure = draw(found)
+    torque, stiffness, over_time, angle = figure.axes[:4]
+    motion = found.following.motion
+    wished = drawn(over_time, "wished")
+    np.testing.assert_allclose(wished.get_xdata(), motion.times)
+    np.testing.assert_allclose(drawn(angle, "wished").get_ydata(), motion.angle / deg)
+    np.testing.assert_allclose(drawn(torque, "torque of the motion wished").get_ydata(), found.following.bands.torque)
+    names = ("nearest, angle kept", "nearest, stiffness kept")
+    for offer, name in zip(found.offers, names, strict=True):
+        moved = offer.following.motion
+        np.testing.assert_allclose(drawn(over_time, name).get_ydata(), moved.stiffness)
+        np.testing.assert_allclose(drawn(stiffness, name).get_xdata(), moved.angle / deg)
+    band = stiffness.collections[0].get_paths()[0].vertices
+    assert (band[:, 0].min(), band[:, 0].max()) == pytest.approx((-10.25, 10.25), abs=0.2)
+    assert band[:, 1].min() == pytest.approx(np.nanmin(found.holds.stiffness.lowest), abs=0.01)
+    labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    assert {"wished", *names, "attainable, standing", "attainable, moving as wished"} <= set(labels)
+
+
+def test_a_design_before_and_after(scenario):
+    plant = scenario.plant()
+    wanted = Wanted((14.0, 18.0), (-15 * deg, 15 * deg))
+    choices = [Choice("connector_length", 0.19, 0.24), Choice("joint_radius", 0.02, 0.05)]
+    found, before = design(plant, wanted, choices, starts=1), holdable(plant)
+    axes = draw_design(found, before).axes[0]
+    box = axes.patches[0]
+    assert (box.get_x(), box.get_width()) == pytest.approx((-15, 30))
+    assert (box.get_y(), box.get_height()) == pytest.approx((14, 4))
+    assert drawn(axes, "attainable before").get_ydata().min() == pytest.approx(np.nanmin(before.stiffness.lowest))
+    assert "connector length 209.4 mm" in axes.get_title("left")
