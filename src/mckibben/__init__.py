@@ -22,14 +22,19 @@ if TYPE_CHECKING:
         PID,
         BackpropPID,
         Constant,
+        DecouplingControl,
+        ExtendedStateObserver,
         FrictionCompensation,
         Jacobian,
         Multisine,
+        PolePlacement,
         PositionStiffnessControl,
         Reference,
         Samples,
         Sine,
+        SlidingMode,
         Step,
+        VelocityObserver,
     )
     from mckibben.dataset import IsobaricDataset, Recording, read_dataset, read_recording
     from mckibben.errors import McKibbenError
@@ -57,8 +62,8 @@ if TYPE_CHECKING:
 _MODULES = ("catalog", "report", "units")
 _HOMES = {
     "control": (
-        "PID BackpropPID Constant FrictionCompensation Jacobian Multisine PositionStiffnessControl Reference Samples "
-        "Sine Step"
+        "PID BackpropPID Constant DecouplingControl ExtendedStateObserver FrictionCompensation Jacobian Multisine "
+        "PolePlacement PositionStiffnessControl Reference Samples Sine SlidingMode Step VelocityObserver"
     ),
     "dataset": "IsobaricDataset Recording read_dataset read_recording",
     "errors": "McKibbenError",
@@ -82,8 +87,10 @@ __all__ = [
     "BackpropPID",
     "ChouLaw",
     "Constant",
+    "DecouplingControl",
     "Domain",
     "ExponentialLaw",
+    "ExtendedStateObserver",
     "FirstOrderValve",
     "Fit",
     "FrictionCompensation",
@@ -99,6 +106,7 @@ __all__ = [
     "McKibbenError",
     "Multisine",
     "Muscle",
+    "PolePlacement",
     "PositionStiffnessControl",
     "Recording",
     "Reference",
@@ -108,9 +116,11 @@ __all__ = [
     "Scenario",
     "SeriesSpring",
     "Sine",
+    "SlidingMode",
     "Specimen",
     "Step",
     "TripleExponentialLaw",
+    "VelocityObserver",
     "VirtualRig",
     "catalog",
     "check_reference",

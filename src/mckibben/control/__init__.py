@@ -2,26 +2,38 @@
 
 from mckibben.control.backprop import BackpropPID, Jacobian
 from mckibben.control.base import Controller, Loop, Measurement, Reference, Setpoint
+from mckibben.control.decoupling import DecouplingControl
+from mckibben.control.feedback import Feedback, PolePlacement
 from mckibben.control.friction import FrictionCompensation
+from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver, VelocityObserver
 from mckibben.control.pid import PID
 from mckibben.control.position_stiffness import PositionStiffnessControl
 from mckibben.control.signal import Constant, Multisine, Samples, Signal, Sine, Step
+from mckibben.control.sliding import SlidingMode
 
 __all__ = [
     "PID",
     "BackpropPID",
     "Constant",
     "Controller",
+    "DecouplingControl",
+    "ExtendedStateObserver",
+    "Feedback",
     "FrictionCompensation",
     "Jacobian",
     "Loop",
     "Measurement",
     "Multisine",
+    "Observer",
+    "PolePlacement",
     "PositionStiffnessControl",
+    "PressureObserver",
     "Reference",
     "Samples",
     "Setpoint",
     "Signal",
     "Sine",
+    "SlidingMode",
     "Step",
+    "VelocityObserver",
 ]

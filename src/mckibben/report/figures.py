@@ -210,5 +210,7 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
 
 def gain_ratio(run: Run) -> float:
     """By what factor the position loop of a run under BP may move its gains."""
-    loop = build_loop(run.scenario.controller.position)
+    spec = run.scenario.controller.position
+    assert spec is not None  # the paper has two loops
+    loop = build_loop(spec)
     return float(loop.gain_ratio) if isinstance(loop, BackpropPID) else 1.0

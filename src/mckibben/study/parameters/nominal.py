@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from mckibben.study.scenario import PIDSpec, Scenario
 
+_ATTRIBUTES = {
+    "poles": "feedback",
+    "sliding": "feedback",
+    "velocity_observer": "observer",
+    "disturbance_observer": "observer",
+}
+"""What parts of the file are called where they are built."""
+
 
 def default_of(scenario: Scenario, place: tuple[str, ...]) -> float | int | None:
     """The value, in SI, of a number that the scenario does not give.
@@ -31,6 +39,11 @@ def default_of(scenario: Scenario, place: tuple[str, ...]) -> float | int | None
         case ("controller", "model", *_):
             model = scenario.controller.model or scenario.joint
             return getattr(building.build_geometry(model), key)
+        case ("controller", "decoupling", *inner):
+            owner = scenario.control()
+            for name in inner:
+                owner = getattr(owner, _ATTRIBUTES.get(name, name))
+            return getattr(owner, key)
         case ("controller", name, _):
             loop = building.build_loop(getattr(scenario.controller, name))
             owner = getattr(loop, "base", loop) if key in PIDSpec.model_fields else loop

@@ -85,6 +85,8 @@ def _builder(place: Place) -> Callable[[Any], object]:
             return building.build_valve
         case ("joint",) | ("controller", "model"):
             return lambda spec: (building.build_geometry(spec), building.build_tendon(spec.spring))
+        case ("controller", "decoupling"):
+            return lambda spec: (building.decoupling_parts(spec), spec.load and building.build_load(spec.load))
         case ("controller", _):
             return building.build_loop
         case ("reference", quantity):

@@ -43,6 +43,10 @@ _ABSENT = {
         "the controller's model is the joint of the plant itself",
         "write `model:` in the file to vary it apart from the plant",
     ),
+    ("controller", "decoupling", "load"): (
+        "the controller's load is that of the plant itself",
+        "write `load:` below `decoupling:` in the file to vary it apart from the plant",
+    ),
     ("controller", "model", "spring"): ("the controller's model has no spring", "write one in the file"),
 }
 

@@ -1,6 +1,15 @@
 """Scenario files: everything that one simulated run needs, as YAML with units in the text, and back."""
 
-from mckibben.study.scenario.controller import BackpropSpec, ControllerSpec, LoopSpec, PIDSpec
+from mckibben.study.scenario.controller import (
+    BackpropSpec,
+    ControllerSpec,
+    DecouplingSpec,
+    LoopSpec,
+    ObserverSpec,
+    PIDSpec,
+    PolesSpec,
+    SlidingSpec,
+)
 from mckibben.study.scenario.joint import CreepSpec, FrictionSpec, GeometrySpec, JointSpec, MuscleSpec, SpringSpec
 from mckibben.study.scenario.plant import LoadSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import (
@@ -17,6 +26,7 @@ __all__ = [
     "BackpropSpec",
     "ControllerSpec",
     "CreepSpec",
+    "DecouplingSpec",
     "FrictionSpec",
     "GeometrySpec",
     "JointSpec",
@@ -24,12 +34,15 @@ __all__ = [
     "LoopSpec",
     "MultisineSpec",
     "MuscleSpec",
+    "ObserverSpec",
     "PIDSpec",
+    "PolesSpec",
     "ReferenceSpec",
     "SamplesSpec",
     "Scenario",
     "SignalSpec",
     "SineSpec",
+    "SlidingSpec",
     "SpringSpec",
     "StartSpec",
     "StepSpec",

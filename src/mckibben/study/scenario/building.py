@@ -11,26 +11,35 @@ from mckibben.control import (
     PID,
     BackpropPID,
     Constant,
+    DecouplingControl,
+    ExtendedStateObserver,
+    Feedback,
     FrictionCompensation,
     Jacobian,
     Multisine,
+    Observer,
+    PolePlacement,
     PositionStiffnessControl,
+    PressureObserver,
     Reference,
     Samples,
     Signal,
     Sine,
+    SlidingMode,
     Step,
+    VelocityObserver,
 )
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
 from mckibben.muscle import ChouLaw, Creep, Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load, PlantState, Valve
-from mckibben.study.scenario.controller import BackpropSpec, ControllerSpec, LoopSpec, PIDSpec
+from mckibben.study.scenario.controller import BackpropSpec, ControllerSpec, DecouplingSpec, LoopSpec, PIDSpec
 from mckibben.study.scenario.joint import CreepSpec, FrictionSpec, GeometrySpec, JointSpec, MuscleSpec, SpringSpec
 from mckibben.study.scenario.part import Part
 from mckibben.study.scenario.plant import LoadSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
 from mckibben.study.scenario.samples import read_samples
 
+_PARTS = ("poles", "sliding", "velocity_observer", "disturbance_observer", "pressure_observer", "load")
 _UNITS = {"angle": "rad", "stiffness": "N*m/rad"}
 
 
@@ -80,11 +89,31 @@ def build_valve(spec: ValveSpec | None) -> Valve:
     return IdealValve() if spec is None else FirstOrderValve(spec.time_constant)
 
 
-def build_control(spec: ControllerSpec, plant: JointSpec) -> PositionStiffnessControl | FrictionCompensation:
-    """The controller; its model is an object of its own even where it is that of the plant."""
-    model = build_joint(spec.model or plant)
+def build_control(
+    spec: ControllerSpec, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None
+) -> PositionStiffnessControl | FrictionCompensation | DecouplingControl:
+    """The controller of a plant; its model is an object of its own even where it is that of the plant."""
+    model = build_joint(spec.model or joint)
+    if spec.decoupling is not None:
+        numbers = {"valve_time_constant": 0.0 if valve is None else valve.time_constant}
+        return DecouplingControl(
+            model,
+            build_load(spec.decoupling.load or load),
+            *decoupling_parts(spec.decoupling),
+            friction_compensation=bool(spec.friction_compensation),
+            **numbers | _given(spec.decoupling, *_PARTS),
+        )
+    assert spec.position is not None and spec.stiffness is not None  # the model of the controller sees to it
     control = PositionStiffnessControl(build_loop(spec.position), build_loop(spec.stiffness), model=model)
     return FrictionCompensation(control, model=model) if spec.friction_compensation else control
+
+
+def decoupling_parts(spec: DecouplingSpec) -> tuple[Feedback, Observer, PressureObserver]:
+    """What a `DecouplingControl` is put together from."""
+    feedback = PolePlacement(**_given(spec.poles)) if spec.poles is not None else SlidingMode(**_given(spec.sliding))
+    velocity, disturbance, pressure = spec.velocity_observer, spec.disturbance_observer, spec.pressure_observer
+    observer = VelocityObserver(**_given(velocity)) if velocity else ExtendedStateObserver(**_given(disturbance))
+    return feedback, observer, PressureObserver(**_given(pressure))
 
 
 def build_loop(spec: LoopSpec[Any, Any, Any, Any]) -> PID | BackpropPID:
@@ -141,8 +170,10 @@ def _base(spec: BackpropSpec[Any, Any, Any, Any]) -> PID:
     return PID(**{key: value for key, value in _given(spec).items() if key in PIDSpec.model_fields})
 
 
-def _given(spec: Part, *without: str) -> dict[str, Any]:
+def _given(spec: Part | None, *without: str) -> dict[str, Any]:
     """The fields that were given, by name; what was not takes the default of the class that is built."""
+    if spec is None:
+        return {}
     return {
         name: getattr(spec, name)
         for name in type(spec).model_fields

@@ -1,4 +1,4 @@
-"""The controller of a scenario: a loop for position, a loop for stiffness, and what it believes of the joint."""
+"""The controller of a scenario: two loops, or the inverse of a model, and what it believes of the joint."""
 
 from __future__ import annotations
 
@@ -11,8 +11,13 @@ from mckibben.study.scenario.fields import (
     AngleGain,
     AngleIntegralGain,
     AngleScale,
+    AngularAcceleration,
+    Bandwidth,
     Flag,
+    Force,
     Momentum,
+    PositiveRate,
+    PositiveTime,
     PressureRate,
     Rate,
     Ratio,
@@ -24,6 +29,7 @@ from mckibben.study.scenario.fields import (
 )
 from mckibben.study.scenario.joint import JointSpec
 from mckibben.study.scenario.part import Part, refuse
+from mckibben.study.scenario.plant import LoadSpec
 from mckibben.study.scenario.words import Choice, Whole
 
 P = TypeVar("P")
@@ -100,13 +106,80 @@ StiffnessLoopSpec = LoopSpec[StiffnessGain, StiffnessIntegralGain, StiffnessDeri
 """From stiffness [N*m/rad] to co-contraction [Pa]."""
 
 
-class ControllerSpec(Part):
-    """Both loops of `PositionStiffnessControl`, and its model of the joint; the plant's own joint unless given.
+class PolesSpec(Part):
+    """The numbers of `PolePlacement` in SI."""
 
-    `friction_compensation` adds what `FrictionCompensation` does with the friction of that model's muscles.
+    bandwidth: Bandwidth
+    integral: Flag | None = None
+
+
+class SlidingSpec(Part):
+    """The numbers of `SlidingMode` in SI; where one is left out the class's own."""
+
+    slope: PositiveRate
+    reach: AngularAcceleration
+    layer: Bandwidth
+    lag: PositiveTime | None = None
+
+
+class ObserverSpec(Part):
+    """The bandwidth [rad/s] of an observer."""
+
+    bandwidth: Bandwidth
+
+
+class DecouplingSpec(Part):
+    """The parts of `DecouplingControl`: `poles` or `sliding`, an observer, and what it believes of load and valves.
+
+    Load and valves are the plant's own unless given, and the observers have the classes' own bandwidths.
     """
 
-    position: PositionLoopSpec
-    stiffness: StiffnessLoopSpec
+    poles: PolesSpec | None = None
+    sliding: SlidingSpec | None = Field(None, validate_default=True)
+    velocity_observer: ObserverSpec | None = None
+    disturbance_observer: ObserverSpec | None = None
+    pressure_observer: ObserverSpec | None = None
+    valve_time_constant: ShortTime | None = None
+    minimum_tension: Force | None = None
+    load: LoadSpec | None = None
+
+    @field_validator("sliding", mode="after")
+    @classmethod
+    def _one_feedback(cls, value: Any, info: ValidationInfo) -> Any:
+        if (info.data.get("poles", "wrong") is None) == (value is None):
+            what = "has no feedback" if value is None else "is poles and sliding at once"
+            refuse(what, "give one of poles, sliding", parent=True)
+        return value
+
+    @field_validator("disturbance_observer", mode="after")
+    @classmethod
+    def _one_observer(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None and info.data.get("velocity_observer") is not None:
+            refuse("is given beside velocity_observer", "keep one: this one observes the velocity as well")
+        return value
+
+
+class ControllerSpec(Part):
+    """Both loops of `PositionStiffnessControl`, or `DecouplingControl`; and its model of the joint.
+
+    The model is the plant's own joint unless given. `friction_compensation` makes up for the friction of that model's
+    muscles, as `FrictionCompensation` does.
+    """
+
+    position: PositionLoopSpec | None = None
+    stiffness: StiffnessLoopSpec | None = None
+    decoupling: DecouplingSpec | None = Field(None, validate_default=True)
     model: JointSpec | None = None
     friction_compensation: Flag | None = None
+
+    @field_validator("decoupling", mode="after")
+    @classmethod
+    def _one_form(cls, value: Any, info: ValidationInfo) -> Any:
+        loops = {key: info.data.get(key, "wrong") for key in ("position", "stiffness")}
+        missing = [key for key, loop in loops.items() if loop is None]
+        if value is None and missing:
+            refuse(f"lacks {' and '.join(missing)}", "give a loop for both, or decoupling", parent=True)
+        if value is not None and len(missing) < len(loops):
+            beside = " and ".join(key for key in loops if key not in missing)
+            refuse(f"is given beside {beside}", "keep one of them")
+        return value

@@ -23,7 +23,7 @@ from mckibben.study.scenario.words import Whole
 from mckibben.study.scenario.writing import to_text
 
 if TYPE_CHECKING:
-    from mckibben.control import FrictionCompensation, PositionStiffnessControl, Reference
+    from mckibben.control import DecouplingControl, FrictionCompensation, PositionStiffnessControl, Reference
     from mckibben.plant import JointPlant, PlantState
 
 _MOST_PERIODS = 10_000_000
@@ -183,11 +183,11 @@ class Scenario(Part):
 
         return build_plant(self.joint, self.load, self.valve)
 
-    def control(self) -> PositionStiffnessControl | FrictionCompensation:
+    def control(self) -> PositionStiffnessControl | FrictionCompensation | DecouplingControl:
         """The controller, with its own model of the joint."""
         from mckibben.study.scenario.building import build_control
 
-        return build_control(self.controller, self.joint)
+        return build_control(self.controller, self.joint, self.load, self.valve)
 
     def reference(self) -> Reference:
         """What is wanted over time."""

@@ -1,0 +1,80 @@
+"""Observers: their poles, what they find, and what they cannot."""
+
+import numpy as np
+import pytest
+
+from mckibben.control import ExtendedStateObserver, PressureObserver, VelocityObserver
+from mckibben.errors import RangeError
+
+PERIOD = 1e-3
+ORDER = {VelocityObserver: 2, ExtendedStateObserver: 3}
+
+
+@pytest.mark.parametrize("kind", ORDER)
+def test_all_poles_of_the_error_lie_where_the_bandwidth_says(kind):
+    gains = np.array([float(g) for g in kind(bandwidth=120.0).gains(PERIOD)])
+    move = np.array([[1, PERIOD, PERIOD**2 / 2], [0, 1, PERIOD], [0, 0, 1]])
+    n = ORDER[kind]
+    error = ((np.eye(3) - np.outer(gains, [1, 0, 0])) @ move)[:n, :n]
+    expected = np.poly([np.exp(-120.0 * PERIOD)] * n)  # compared as polynomials: multiple roots are ill-conditioned
+    np.testing.assert_allclose(np.poly(error), expected, rtol=1e-12, atol=1e-14)
+
+
+def watched(observer, missing, periods=400):
+    """What is believed of an angle that moves by a known acceleration and one that the model misses; and the truth."""
+    times = PERIOD * np.arange(periods)
+    angle, velocity = (
+        0.1 - 0.02 * np.cos(10 * times) + missing * times**2 / 2,
+        0.2 * np.sin(10 * times) + missing * times,
+    )
+    motion = observer.init(angle[0], 2.0)
+    for k in range(1, periods):
+        motion = observer.step(motion, angle[k], 2.0 * np.cos(10 * times[k]), PERIOD)
+    return motion, angle[-1], velocity[-1]
+
+
+def test_it_finds_velocity_and_disturbance():
+    motion, angle, velocity = watched(ExtendedStateObserver(bandwidth=100.0), missing=3.0)
+    assert float(motion.disturbance) == pytest.approx(3.0, abs=1e-3)
+    assert float(motion.velocity) == pytest.approx(velocity, abs=1e-5)
+    assert float(motion.angle) == pytest.approx(angle, abs=1e-7)
+    assert float(motion.acceleration) == pytest.approx(2.0 * np.cos(10 * 0.399) + 3.0, abs=1e-3)
+
+
+def test_without_disturbance_it_reads_the_velocity_wrong_by_what_it_says():
+    motion, _, velocity = watched(VelocityObserver(bandwidth=100.0), missing=3.0)
+    assert float(motion.velocity) - velocity == pytest.approx(-2 * 3.0 / 100.0, rel=0.05)
+    assert float(motion.disturbance) == 0.0
+
+
+def test_pressures_lose_their_noise_and_nothing_else():
+    observer, rng = PressureObserver(bandwidth=200.0), np.random.default_rng(1)
+    share = 1 - np.exp(-PERIOD / 0.02)
+    pressure, believed, off = np.array([1e5, 2e5]), (1e5, 2e5), []
+    for k in range(2000):
+        command = np.array([3e5, 1e5]) if (k // 100) % 2 else np.array([1e5, 2e5])
+        pressure = pressure + share * (command - pressure)
+        sensed = pressure + rng.normal(size=2) * 4e3
+        believed = observer.step(believed, tuple(command), tuple(sensed), share, PERIOD)
+        off.append(np.asarray(believed) - pressure)
+    trust = 1 - np.exp(-0.2)
+    assert np.std(off[100:]) == pytest.approx(4e3 * np.sqrt(trust / (2 - trust)), rel=0.1)
+
+
+def test_a_wrong_valve_is_forgotten_with_the_bandwidth():
+    observer, believed = PressureObserver(bandwidth=200.0), (2e5, 2e5)
+    for _ in range(50):  # the valve is stuck; it is believed to follow
+        believed = observer.step(believed, (3e5, 1e5), (2e5, 2e5), 0.05, PERIOD)
+    pull = 0.05 * np.exp(-0.2)
+    assert float(believed[0]) == pytest.approx(2e5 + 1e5 * pull / (1 - np.exp(-0.2) * 0.95), rel=1e-6)
+
+
+def test_a_sensor_may_be_taken_at_its_word():
+    told = PressureObserver(bandwidth=float("inf")).step((1e5, 1e5), (3e5, 3e5), (1.5e5, 0.5e5), 0.05, PERIOD)
+    assert [float(p) for p in told] == [1.5e5, 0.5e5]
+
+
+@pytest.mark.parametrize("kind", [VelocityObserver, ExtendedStateObserver, PressureObserver])
+def test_a_bandwidth_that_is_none_is_refused(kind):
+    with pytest.raises(RangeError, match="bandwidth is -1 rad/s"):
+        kind(bandwidth=-1.0)
