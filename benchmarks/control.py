@@ -4,8 +4,8 @@
 
 Sines of 0.25 to 2 Hz and up to 10 deg with a step of the stiffness, 3 s each; encoder of 0.022 deg, pressure noise of
 4 kPa, valves of 10 to 50 ms (20 believed), mass +-50 %, the law of each muscle +-10 %, hysteresis of 0 to 15 N. The
-same runs for every controller, none of which was tuned on them. With --tune the gains of the PID are sought again, by CMA-ES
-from four starts on 32 other runs; that takes some minutes, the table about two.
+same runs for every controller, none of which was tuned on them. With --tune the gains of the PID are sought again, by
+CMA-ES from four starts on 32 other runs; that takes some minutes, the table half of one.
 """
 
 import argparse
