@@ -56,6 +56,7 @@ def main() -> int:
             "seconds": seconds,
         }
         everything["tables"] = [table.as_dict() for table in tables]
+        options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(everything, indent=1) + "\n", encoding="utf-8")
     if options.markdown:
         options.markdown.write_text(document(described, tables, quick=options.quick), encoding="utf-8")

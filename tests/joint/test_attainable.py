@@ -11,6 +11,7 @@ from scipy.optimize import linprog
 from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import SeriesSpring
 from mckibben.joint.attainable import hold, hold_and_range
+from mckibben.numerics.compiled import numeric
 
 
 @pytest.fixture(scope="module")
@@ -182,14 +183,18 @@ def test_with_a_spring_the_pressures_found_give_what_was_asked(as_printed):
     assert float(stiffness) == pytest.approx(20.0, abs=1e-6)
 
 
+together = jax.jit(hold_and_range)  # one program a kind of joint, for all stiffnesses
+
+
 @pytest.mark.parametrize("stiffness", [12.0, math.nan])
 @pytest.mark.parametrize("spring", [None, SeriesSpring(20e3, 50.0, 0.018)])
 def test_one_pass_holds_the_first_of_many_angles_and_gives_the_range_at_all(knee, spring, stiffness):
     joint = knee if spring is None else dataclasses.replace(knee, tendon=spring)
     angles, torques = np.linspace(0.0, 0.3, 4), np.linspace(-1.0, 1.0, 4)
-    found, band = hold_and_range(joint, angles, torques, stiffness)
+    found, band = together(numeric(joint), angles, torques, stiffness)
     alone = hold(joint, angles[0], torques[0], stiffness)
     assert bool(found.exists) == bool(alone.exists)
     if alone.exists:
         np.testing.assert_allclose(found.pressures, alone.pressures, rtol=1e-9)
-    np.testing.assert_allclose(band, joint.attainable_stiffness(angles, torques), rtol=1e-12)
+    attainable = jax.jit(lambda joint: joint.attainable_stiffness(angles, torques))(numeric(joint))
+    np.testing.assert_allclose(band, attainable, rtol=1e-12)
