@@ -121,5 +121,8 @@ def finest_recorded(points: IsobaricDataset) -> Grouping:
 
 def _numbered(columns: Sequence[np.ndarray]) -> NDArray[np.int64]:
     """The number of each row among the distinct rows."""
-    codes = np.stack([np.unique(column, return_inverse=True)[1].reshape(-1) for column in columns], axis=1)
-    return np.unique(codes, axis=0, return_inverse=True)[1].reshape(-1)
+    number = np.zeros(len(columns[0]), np.int64)
+    for column in columns:  # one after the other, so that numbers of rows are sorted and not rows
+        codes = np.unique(column, return_inverse=True)[1].reshape(-1)
+        number = np.unique(number * (int(codes.max(initial=0)) + 1) + codes, return_inverse=True)[1].reshape(-1)
+    return number
