@@ -6,7 +6,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mckibben.commands.options import Column, Data, InitialLength, Json, Out, SlackForce, measured, said
+from mckibben.commands.options import (
+    Column,
+    Data,
+    InitialLength,
+    Json,
+    Out,
+    SlackForce,
+    measured,
+    quantity_of,
+    quantity_or_none,
+    said,
+)
 from mckibben.errors import ParameterError, UnitError
 from mckibben.files import folder
 from mckibben.terminal import table
@@ -99,12 +110,12 @@ def plan(
         limits=_limits(contraction, pressure, name),
         specimen=known,
         contraction_step=_contraction_step(contraction_step, length),
-        pressure_step=_number("--pressure-step", pressure_step, "Pa"),
+        pressure_step=quantity_of("--pressure-step", pressure_step, "Pa"),
         directions=_DIRECTIONS[directions],
         repeats=repeats,
         friction=friction,
-        noise=_number("--noise", noise, "N") if noise else None,
-        stroke_error=_number("--stroke-error", stroke_error, "N") if stroke_error else None,
+        noise=quantity_or_none("--noise", noise, "N"),
+        stroke_error=quantity_or_none("--stroke-error", stroke_error, "N"),
         guess=begun,
     )
     numbers = found.records()
@@ -167,19 +178,10 @@ def _contraction_step(text: str, length: float | None) -> float | None:
     try:
         return quantity(text, "1")
     except UnitError:
-        step = _number("--contraction-step", text, "m")
+        step = quantity_of("--contraction-step", text, "m")
     if length is None:
         raise ParameterError(
             f"--contraction-step {text!r} is a length, and the initial length of the muscle is not known",
             remedy="give the step in percent, or --initial-length",
         )
     return step / length
-
-
-def _number(option: str, text: str, unit: str) -> float:
-    from mckibben.units import quantity
-
-    try:
-        return quantity(text, unit)
-    except UnitError as error:
-        raise UnitError(f"{option}: {error}", value=text, unit=unit) from None

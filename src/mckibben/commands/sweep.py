@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mckibben.commands.interruptible import INTERRUPTED, late_progress
+from mckibben.commands.options import Json
 from mckibben.errors import ParameterError
 from mckibben.terminal import table
 
@@ -51,7 +52,7 @@ def sweep(
         str | None,
         typer.Option(metavar="CLUSTER", help="local for processes on this machine, or tcp://HOST:PORT of a scheduler."),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print machine-readable results instead of tables.")] = False,
+    json: Json = False,
 ) -> None:
     """Run a scenario many times with some of its numbers varied; nothing that is finished is ever lost."""
     try:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mckibben.commands.interruptible import INTERRUPTED, late_progress
+from mckibben.commands.options import Json
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError
 from mckibben.files import whole
 from mckibben.terminal import metric, table
@@ -49,7 +50,7 @@ def tune(
         Path | None, typer.Option(metavar="DIR", help="Keep the history, the tuned scenarios and a figure here.")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the search in DIR.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print machine-readable results instead of tables.")] = False,
+    json: Json = False,
 ) -> None:
     """Search gains, or other numbers, of scenarios for the least cost; what was tried is never lost."""
     if out is None:

@@ -12,9 +12,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.netcdf import load_netcdf, write_netcdf
+from mckibben.dataset.netcdf import held_in, write_netcdf
 from mckibben.dataset.plateaus import mean_and_spread
-from mckibben.dataset.schema import assemble, conform
+from mckibben.dataset.schema import assemble, conform, spanned
 from mckibben.dataset.selection import among, listed, near
 from mckibben.dataset.writing import write_csv
 from mckibben.errors import DatasetError, RangeError
@@ -196,8 +196,8 @@ class IsobaricDataset:
         if len(self):
             levels, contraction = self.pressures / bar, self.contraction / percent
             count = f"{len(levels)} pressure{'s' if len(levels) > 1 else ''}"
-            parts.append(f"{count} {_span(levels.min(), levels.max())} bar")
-            parts.append(f"contraction {_span(contraction.min(), contraction.max())} %")
+            parts.append(f"{count} {spanned(levels)} bar")
+            parts.append(f"contraction {spanned(contraction)} %")
         if len(self.directions):
             parts.append(" and ".join(self.directions))
         if len(self.phases):
@@ -302,11 +302,7 @@ class IsobaricDataset:
         DatasetError
             If the file is not there, is no NetCDF file, or does not hold an isobaric dataset.
         """
-        table = load_netcdf(Path(path))
-        try:
-            return cls(table)
-        except DatasetError as error:
-            raise DatasetError(str(path), error.problems) from None
+        return held_in(Path(path), cls)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the plateau means as CSV text in SI units; `read_dataset` gives the same numbers back.
@@ -323,7 +319,3 @@ class IsobaricDataset:
 
     def _column(self, name: str) -> np.ndarray:
         return self.table[name].to_numpy() if name in self.table else np.empty(0, np.int64)
-
-
-def _span(low: float, high: float) -> str:
-    return f"{low:.4g}..{high:.4g}" if f"{low:.4g}" != f"{high:.4g}" else f"{low:.4g}"

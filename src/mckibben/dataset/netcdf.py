@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import xarray as xr
 
@@ -35,6 +37,24 @@ def load_netcdf(path: Path) -> xr.Dataset:
         raise
     except Exception as error:  # h5py and h5netcdf raise nearly every kind on a damaged file
         raise DatasetError(str(path), [Problem(f"cannot be read as NetCDF: {_reason(error)}")]) from error
+
+
+Held = TypeVar("Held")
+
+
+def held_in(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
+    """What a NetCDF file holds, made of its table; an error names the file.
+
+    Raises
+    ------
+    DatasetError
+        As `load_netcdf`, or with the problems that `make` finds.
+    """
+    table = load_netcdf(path)
+    try:
+        return make(table)
+    except DatasetError as error:
+        raise DatasetError(str(path), error.problems) from None
 
 
 def _reason(error: Exception) -> str:

@@ -14,9 +14,9 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isometric import isometric
-from mckibben.dataset.netcdf import load_netcdf, write_netcdf
+from mckibben.dataset.netcdf import held_in, write_netcdf
 from mckibben.dataset.points import Points
-from mckibben.dataset.schema import VACUUM
+from mckibben.dataset.schema import VACUUM, spanned
 from mckibben.dataset.segmentation import plateaus
 from mckibben.errors import DatasetError, Problem
 from mckibben.units import bar, kPa, percent
@@ -144,9 +144,9 @@ class Recording:
         parts = [f"{len(self)} samples"]
         if len(self):
             parts[0] += f" in {np.ptp(self.time):.4g} s"
-            parts += [f"{_span(self.pressure / bar)} bar", f"{_span(self.force)} N"]
+            parts += [f"{spanned(self.pressure / bar)} bar", f"{spanned(self.force)} N"]
             if self.contraction is not None:
-                parts.append(f"contraction {_span(self.contraction / percent)} %")
+                parts.append(f"contraction {spanned(self.contraction / percent)} %")
         return f"<Recording{f' {name!r}' if name else ''}: {', '.join(parts)}>"
 
     def plateaus(
@@ -273,11 +273,7 @@ class Recording:
         DatasetError
             If the file is not there, is no NetCDF file, or does not hold a recording.
         """
-        table = load_netcdf(Path(path))
-        try:
-            return cls(table)
-        except DatasetError as error:
-            raise DatasetError(str(path), error.problems) from None
+        return held_in(Path(path), cls)
 
 
 def _conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
@@ -328,8 +324,3 @@ def _values(name: str, values: NDArray[np.float64]) -> list[Problem]:
             at = int(np.argmax(bad))
             problems.append(Problem(f"{values[at]:g} at sample {at} {what}{more}", field=name))
     return problems
-
-
-def _span(values: NDArray[np.float64]) -> str:
-    low, high = f"{values.min():.4g}", f"{values.max():.4g}"
-    return low if low == high else f"{low}..{high}"

@@ -196,3 +196,13 @@ def _finite(value: object) -> float | None:
     except (TypeError, ValueError, OverflowError):
         return None
     return number if math.isfinite(number) else None
+
+
+def spanned(values: np.ndarray) -> str:
+    """From the least to the largest of some values, as text.
+
+    >>> spanned(np.array([1.0, 2.5])), spanned(np.array([3.0, 3.0]))
+    ('1..2.5', '3')
+    """
+    low, high = f"{values.min():.4g}", f"{values.max():.4g}"
+    return low if low == high else f"{low}..{high}"

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
+from mckibben.identification.blocks import LeftOut, leave_out
 from mckibben.identification.groups import Grouping, finest_recorded, group_labels
 from mckibben.identification.problem import FitProblem, Solution
 from mckibben.identification.robust import ClusterRobust, ErrorModel, Independent
@@ -93,6 +94,25 @@ class Evidence:
             return Grouping.POINT, f"one {by.value} alone determines a parameter"
         return by, ""
 
+    def left_out(self, kind: str, blocks: ArrayLike) -> LeftOut:
+        """The errors at whole blocks of points left out; worked out once for each kind of block.
+
+        Parameters
+        ----------
+        kind
+            Such as "pressure".
+        blocks
+            As for `leave_out`; the same for the same kind.
+
+        Raises
+        ------
+        UndeterminedError
+            As `leave_out`.
+        """
+        if kind not in self._left_out:
+            self._left_out[kind] = leave_out(self.problem, self.solution, blocks)
+        return self._left_out[kind]
+
     @cached_property
     def doubts(self) -> tuple[str, ...]:
         """Sentences: why the errors by the rule are not to be relied on; none where all is well.
@@ -157,6 +177,10 @@ class Evidence:
             dict(zip(names, errors.tolist(), strict=True)),
             dict(zip(names, freedom.tolist(), strict=True)),
         )
+
+    @cached_property
+    def _left_out(self) -> dict[str, LeftOut]:
+        return {}
 
     @cached_property
     def _independent(self) -> Independent:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.blocks import UndeterminedError, held, leave_out, pressure_blocks
+from mckibben.identification.blocks import UndeterminedError, held, pressure_blocks
 from mckibben.identification.evidence import Evidence
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.groups import Grouping
@@ -89,7 +89,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     warnings += _friction_warnings(points, solution.residuals, grouping)
     warnings += evidence.doubts
     warnings += [f"the standard errors take all points as independent: {ungrouped}"] if ungrouped else []
-    unseen, reason = _leave_one_pressure_out(problem, solution, points)
+    unseen, reason = _leave_one_pressure_out(evidence)
     warnings += [reason] if reason else []
     return Fit(
         law=dataclasses.replace(problem.law(solution.values), domain=domain or _domain_of(points)),
@@ -136,15 +136,13 @@ def _friction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64], 
     return sentences
 
 
-def _leave_one_pressure_out(
-    problem: FitProblem, full: Solution, points: IsobaricDataset
-) -> tuple[LeaveOnePressureOut | None, str]:
+def _leave_one_pressure_out(evidence: Evidence) -> tuple[LeaveOnePressureOut | None, str]:
     """The errors at unseen pressures, or why there are none."""
-    levels, reason = pressure_blocks(points)
+    levels, reason = pressure_blocks(evidence.points)
     if levels is None:
-        return None, f"no error at unseen pressures can be given: {reason}"
+        return None, f"{_NO_UNSEEN}: {reason}"
     try:
-        left_out = leave_out(problem, full, levels)
+        left_out = evidence.left_out("pressure", levels)
     except UndeterminedError as error:
         return None, f"without the points at {show(float(error.block), 'bar')} {error.reason}: {_NO_UNSEEN}"
     by_pressure = {float(level): error for level, error in left_out.by_block.items()}

@@ -11,7 +11,7 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.blocks import MOST_BLOCKS, LeftOut, UndeterminedError, leave_out, pressure_blocks
+from mckibben.identification.blocks import MOST_BLOCKS, LeftOut, UndeterminedError, pressure_blocks
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
 from mckibben.identification.physical import unphysical
@@ -244,7 +244,7 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
     ]
     for name, labels in blocks.items():
         try:
-            left_out = leave_out(evidence.problem, evidence.solution, labels)
+            left_out = evidence.left_out(name, labels)
         except UndeterminedError as error:
             block = show(float(error.block), "bar") if name == "pressure" else f"{name} {error.block}"
             remarks.append(f"without {block} {error.reason}")

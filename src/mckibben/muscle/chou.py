@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import Parameter, PressureAffineLaw
+from mckibben.muscle import braid
+from mckibben.muscle.base import PressureAffineLaw
+from mckibben.muscle.braid import braid_gain
 from mckibben.muscle.domain import Domain
 from mckibben.numerics.checks import check_positive, check_within
-from mckibben.units import deg, mm
 
 if TYPE_CHECKING:
     from mckibben.muscle.specimen import Specimen
@@ -58,10 +59,7 @@ class ChouLaw(PressureAffineLaw):
 
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - eps)^2 - 1/sin^2(alpha0))"
     source = "Chou and Hannaford 1996; Eq. 1"
-    shape_parameters = (
-        Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),
-        Parameter("initial_diameter", "m", "mm", "diameter of the deflated muscle", 1 * mm, 100 * mm),
-    )
+    shape_parameters = braid.PARAMETERS
 
     @classmethod
     def of(cls, specimen: Specimen) -> ChouLaw:
@@ -69,10 +67,7 @@ class ChouLaw(PressureAffineLaw):
         return cls(braid_angle=specimen.braid_angle, initial_diameter=specimen.initial_diameter, domain=specimen.domain)
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        length_ratio = 1 - jnp.asarray(contraction)
-        b1 = 3 / jnp.tan(self.braid_angle) ** 2
-        b2 = 1 / jnp.sin(self.braid_angle) ** 2
-        gain = jnp.pi * self.initial_diameter**2 / 4 * (b1 * length_ratio**2 - b2)
+        gain = braid_gain(self.braid_angle, self.initial_diameter, 1 - jnp.asarray(contraction))
         return jnp.zeros_like(gain), gain
 
     @property

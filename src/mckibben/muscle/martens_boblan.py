@@ -5,10 +5,11 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.muscle import braid
 from mckibben.muscle.base import Parameter, PressureAffineLaw
+from mckibben.muscle.braid import braid_gain
 from mckibben.muscle.domain import Domain
 from mckibben.numerics.checks import check_positive, check_within
-from mckibben.units import deg, mm
 
 
 class MartensBoblanLaw(PressureAffineLaw):
@@ -41,7 +42,7 @@ class MartensBoblanLaw(PressureAffineLaw):
     --------
     Without rubber it is Chou's law; rubber pulls back what it is stretched:
 
-    >>> from mckibben.units import bar, percent
+    >>> from mckibben.units import bar, deg, mm, percent
     >>> law = MartensBoblanLaw(0.0, 0.0, braid_angle=25 * deg, initial_diameter=10 * mm)
     >>> round(float(law.force(0.0, 6 * bar)), 1)
     386.3
@@ -68,10 +69,7 @@ class MartensBoblanLaw(PressureAffineLaw):
         Parameter("axial_stiffness", "N", "N", "rubber, along"),
         Parameter("radial_stiffness", "N", "N", "rubber, around"),
     )
-    shape_parameters = (
-        Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),
-        Parameter("initial_diameter", "m", "mm", "diameter of the deflated muscle", 1 * mm, 100 * mm),
-    )
+    shape_parameters = braid.PARAMETERS
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)
@@ -79,5 +77,4 @@ class MartensBoblanLaw(PressureAffineLaw):
         widening = jnp.sqrt(1 - (cosine * ratio) ** 2) / sine  # D / d0
         widening_rate = (cosine / sine) ** 2 * ratio / widening
         rubber = -self.axial_stiffness * eps - self.radial_stiffness * (widening - 1) * widening_rate
-        gain = jnp.pi * self.initial_diameter**2 / 4 * (3 * (cosine / sine * ratio) ** 2 - 1 / sine**2)
-        return rubber, gain
+        return rubber, braid_gain(self.braid_angle, self.initial_diameter, ratio)

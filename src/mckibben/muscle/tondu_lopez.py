@@ -7,23 +7,14 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.muscle import braid
 from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
+from mckibben.muscle.braid import braid_gain
 from mckibben.muscle.domain import Domain
 from mckibben.muscle.inverse import pressure_for
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp
-from mckibben.units import bar, deg, mm
-
-_BRAID = (
-    Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),
-    Parameter("initial_diameter", "m", "mm", "diameter of the deflated muscle", 1 * mm, 100 * mm),
-)
-
-
-def _braid_gain(braid_angle: ArrayLike, initial_diameter: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-    """The force per pressure [N/Pa] of an ideal braid at a contraction [-] of its cylinder."""
-    a, b = 3 / jnp.tan(braid_angle) ** 2, 1 / jnp.sin(braid_angle) ** 2
-    return jnp.pi * jnp.asarray(initial_diameter) ** 2 / 4 * (a * (1 - jnp.asarray(contraction)) ** 2 - b)
+from mckibben.units import bar
 
 
 class TonduLopezLaw(PressureAffineLaw):
@@ -52,7 +43,7 @@ class TonduLopezLaw(PressureAffineLaw):
 
     Examples
     --------
-    >>> from mckibben.units import percent
+    >>> from mckibben.units import bar, deg, mm, percent
     >>> law = TonduLopezLaw(braid_angle=25 * deg, initial_diameter=10 * mm, end_factor=1.25)
     >>> round(float(law.force(0.0, 6 * bar)), 1), round(float(law.force(20 * percent, 6 * bar)), 1)
     (386.3, 101.9)
@@ -70,10 +61,10 @@ class TonduLopezLaw(PressureAffineLaw):
 
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - k eps)^2 - 1/sin^2(alpha0))"
     source = "Tondu and Lopez 2000"
-    shape_parameters = (*_BRAID, Parameter("end_factor", "1", "1", "k, of the conical ends", 0.5, 3.0))
+    shape_parameters = (*braid.PARAMETERS, Parameter("end_factor", "1", "1", "k, of the conical ends", 0.5, 3.0))
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        gain = _braid_gain(self.braid_angle, self.initial_diameter, self.end_factor * jnp.asarray(contraction))
+        gain = braid_gain(self.braid_angle, self.initial_diameter, 1 - self.end_factor * jnp.asarray(contraction))
         return jnp.zeros_like(gain), gain
 
 
@@ -97,7 +88,7 @@ class TonduLopezVariableLaw(ForceLaw):
 
     Examples
     --------
-    >>> from mckibben.units import percent
+    >>> from mckibben.units import bar, deg, mm, percent
     >>> law = TonduLopezVariableLaw(25 * deg, 10 * mm, end_rise=0.5, end_factor=1.25)
     >>> [round(float(law.force(20 * percent, p * bar)), 1) for p in (1, 6)]
     [11.1, 101.6]
@@ -117,7 +108,7 @@ class TonduLopezVariableLaw(ForceLaw):
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - k(p) eps)^2 - 1/sin^2(alpha0)), k(p) = a_k exp(-p/1 bar) + b_k"
     source = "Tondu and Lopez 2000, k(p)"
     shape_parameters = (
-        *_BRAID,
+        *braid.PARAMETERS,
         Parameter("end_rise", "1", "1", "a_k, what the ends add at no pressure", -2.0, 5.0),
         Parameter("end_factor", "1", "1", "b_k, of the ends at high pressure", 0.5, 3.0),
     )
@@ -127,7 +118,7 @@ class TonduLopezVariableLaw(ForceLaw):
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         pressure = jnp.asarray(pressure)
         factor = self.end_rise * exp(-pressure / self.reference_pressure) + self.end_factor
-        return pressure * _braid_gain(self.braid_angle, self.initial_diameter, factor * jnp.asarray(contraction))
+        return pressure * braid_gain(self.braid_angle, self.initial_diameter, 1 - factor * jnp.asarray(contraction))
 
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         return pressure_for(self, force, contraction)

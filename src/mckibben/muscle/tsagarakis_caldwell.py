@@ -5,10 +5,12 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.muscle import braid
 from mckibben.muscle.base import Parameter, PressureAffineLaw
+from mckibben.muscle.braid import braid_gain
 from mckibben.muscle.domain import Domain
 from mckibben.numerics.checks import check_positive, check_within
-from mckibben.units import deg, mm
+from mckibben.units import mm
 
 
 class TsagarakisCaldwellLaw(PressureAffineLaw):
@@ -51,7 +53,7 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
     --------
     Without its corrections it is Chou's law:
 
-    >>> from mckibben.units import bar
+    >>> from mckibben.units import bar, deg, mm
     >>> law = TsagarakisCaldwellLaw(0.0, 25 * deg, 10 * mm, wall_thickness=0.0, end_share=0.0)
     >>> round(float(law.force(0.0, 6 * bar)), 1)
     386.3
@@ -80,17 +82,15 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
     source = "after Tsagarakis and Caldwell 2000 (form ours)"
     linear_parameters = (Parameter("threshold_pressure", "Pa", "bar", "pressure lost to rubber and friction"),)
     shape_parameters = (
-        Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),
-        Parameter("initial_diameter", "m", "mm", "diameter of the deflated muscle", 1 * mm, 100 * mm),
+        *braid.PARAMETERS,
         Parameter("wall_thickness", "m", "mm", "of bladder and braid", 0.0, 5 * mm),
         Parameter("end_share", "1", "percent", "of the length that are ends", 0.0, 0.6),
     )
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         x = 1 - jnp.asarray(contraction) / (1 - self.end_share)
-        a, b = 3 / jnp.tan(self.braid_angle) ** 2, 1 / jnp.sin(self.braid_angle) ** 2
         sine = jnp.sqrt(1 - (x * jnp.cos(self.braid_angle)) ** 2)
         widest = self.initial_diameter / jnp.sin(self.braid_angle)
         wall = jnp.pi * widest * self.wall_thickness * (2 * sine - 1 / sine) - jnp.pi * self.wall_thickness**2
-        gain = jnp.pi * self.initial_diameter**2 / 4 * (a * x**2 - b) + wall
+        gain = braid_gain(self.braid_angle, self.initial_diameter, x) + wall
         return -self.threshold_pressure * gain, gain
