@@ -33,6 +33,7 @@ mm = 1e-3
 N = 1.0
 kg = 1.0
 g = 1e-3
+litre = 1e-3
 s = 1.0
 ms = 1e-3
 Hz = 1.0
@@ -49,6 +50,7 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "m": (1.0, _LENGTH),
     "cm": (cm, _LENGTH),
     "mm": (mm, _LENGTH),
+    "L": (litre, (3, 0, 0, 0)),
     "kg": (1.0, _MASS),
     "g": (g, _MASS),
     "s": (1.0, _TIME),

@@ -21,7 +21,7 @@ from mckibben.simulation.metrics import Tally, last_change, metrics_of, tally
 
 PERIOD = 1e-3
 FLAGS = ("saturated", "slack", "outside_domain", "overloaded")
-NEVER_NEGATIVE = ("force1", "force2", "excursion")
+NEVER_NEGATIVE = ("force1", "force2", "excursion", "air")
 
 
 def folded(moved: Trajectory) -> Metrics:
@@ -30,13 +30,15 @@ def folded(moved: Trajectory) -> Metrics:
     periods = moved.angle.shape[0]
 
     def following(carried, at):
-        total, at_change = carried
+        total, at_change, air = carried
         index, moment = at
         at_change = jnp.where(index == change.at, moment.stiffness, at_change)
-        return (total.with_next(tally(moment, index, change, at_change, SETTLING_PART)), at_change), None
+        added = tally(moment, index, change, at_change, air, SETTLING_PART)
+        return (total.with_next(added), at_change, moment.air), None
 
     nothing = jnp.zeros_like(moved.angle[0])
-    (total, _), _ = jax.lax.scan(following, (Tally.nothing(nothing), nothing), (jnp.arange(periods), moved))
+    begun = (Tally.nothing(nothing), nothing, moved.air[0])
+    (total, _, _), _ = jax.lax.scan(following, begun, (jnp.arange(periods), moved))
     return metrics_of(total, change, periods, PERIOD)
 
 
@@ -45,7 +47,10 @@ both_ways = jax.jit(lambda moved: (folded(moved), measure(moved, PERIOD)))
 
 def same(found: Metrics, expected: Metrics, rtol: float = 1e-12) -> None:
     for name in Metrics._fields:
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=rtol, atol=1e-300, err_msg=name)
+        # The ripple is the root of a difference: half of the digits of what is subtracted.
+        least = 1e-7 * abs(float(expected.stiffness_rmse)) if name == "stiffness_ripple" else 0.0
+        atol = least if np.isfinite(least) and least > 0 else 1e-300
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=rtol, atol=atol, err_msg=name)
 
 
 def moved(size: int, **columns) -> Trajectory:

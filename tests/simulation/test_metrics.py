@@ -44,6 +44,11 @@ def test_root_mean_square_and_largest_error_of_angle_and_stiffness():
     assert float(found.stiffness_rmse) == pytest.approx(4.0, rel=1e-15)
     assert float(found.stiffness_max) == 8.0
     assert float(found.estimate_rmse) == pytest.approx(1.0, rel=1e-15)
+    assert float(found.stiffness_ripple) == pytest.approx(np.std([0.0, 0.0, 0.0, -8.0]), rel=1e-14)
+
+
+def test_air_is_what_is_taken_in_and_not_what_is_let_out():
+    assert float(measure(moved(5, air=[1.0, 3.0, 2.0, 2.0, 2.5]), PERIOD).air) == 2.5
 
 
 def test_times_are_counts_of_periods():

@@ -8,7 +8,7 @@ from mckibben.control.friction import FrictionCompensation
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver, VelocityObserver
 from mckibben.control.pid import PID
 from mckibben.control.position_stiffness import PositionStiffnessControl
-from mckibben.control.signal import Constant, Multisine, Samples, Signal, Sine, Step
+from mckibben.control.signal import Constant, Multisine, Samples, Signal, Sine, Step, Sum
 from mckibben.control.sliding import SlidingMode
 
 __all__ = [
@@ -35,5 +35,6 @@ __all__ = [
     "Sine",
     "SlidingMode",
     "Step",
+    "Sum",
     "VelocityObserver",
 ]

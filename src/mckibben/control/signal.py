@@ -107,6 +107,27 @@ class Samples(Signal):
         return jnp.interp(floating(time), self.times, self.values)
 
 
+class Sum(Signal):
+    """Several signals added up.
+
+    >>> wish = Sum((Step(13.0, 17.0, at=5.0), Sine(0.5, frequency=1.0)))
+    >>> round(float(wish(5.25)), 9)
+    17.5
+    """
+
+    parts: tuple[Signal, ...]
+
+    def __check_init__(self) -> None:
+        if not self.parts:
+            raise RangeError("a sum of no signals", remedy="give at least one")
+
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
+        total = self.parts[0](time)
+        for part in self.parts[1:]:
+            total = total + part(time)
+        return total
+
+
 def as_signal(wish: Signal | ArrayLike) -> Signal:
     """A signal as it is, a number (or one a run) as a constant."""
     return Constant(wish) if isinstance(wish, int | float | np.ndarray | Array) else wish  # type: ignore[arg-type]

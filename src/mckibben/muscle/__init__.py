@@ -13,6 +13,7 @@ from mckibben.muscle.repperger import ReppergerLaw
 from mckibben.muscle.reynolds import ReynoldsLaw
 from mckibben.muscle.sarosi import SarosiLaw
 from mckibben.muscle.specimen import Specimen
+from mckibben.muscle.strength import stronger
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
 from mckibben.muscle.triple_exponential import TripleExponentialLaw
 from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
@@ -63,4 +64,5 @@ __all__ = [
     "TripleExponentialLaw",
     "TsagarakisCaldwellLaw",
     "forces",
+    "stronger",
 ]

@@ -1,7 +1,22 @@
-"""The plant: valve, inertia and gravity (Eq. 6); what is simulated."""
+"""The plant: valve, inertia and gravity (Eq. 6), sensors and disturbances; what is simulated."""
 
+from mckibben.plant.disturbance import Disturbance, NoDisturbance, TorquePulses
 from mckibben.plant.joint_plant import JointPlant, PlantState
 from mckibben.plant.load import Load
+from mckibben.plant.sensors import PerfectSensors, SampledSensors, Sensors
 from mckibben.plant.valve import FirstOrderValve, IdealValve, Valve
 
-__all__ = ["FirstOrderValve", "IdealValve", "JointPlant", "Load", "PlantState", "Valve"]
+__all__ = [
+    "Disturbance",
+    "FirstOrderValve",
+    "IdealValve",
+    "JointPlant",
+    "Load",
+    "NoDisturbance",
+    "PerfectSensors",
+    "PlantState",
+    "SampledSensors",
+    "Sensors",
+    "TorquePulses",
+    "Valve",
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,16 +18,37 @@ from mckibben.muscle import Memory, Relaxing
 from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
+from mckibben.plant.disturbance import Disturbance, NoDisturbance
 from mckibben.plant.load import Load
+from mckibben.plant.sensors import PerfectSensors, Reading, Sensors
 from mckibben.plant.valve import Valve
 
 Scalar = Float[Array, ""]
 
 
+class Surroundings(NamedTuple):
+    """What a plant with real sensors or disturbances has beside its state of motion; all of it stands still in between.
+
+    Attributes
+    ----------
+    periods
+        Control periods since the start.
+    push
+        The torque from outside [N*m].
+    sensed
+        What the sensors remember.
+    """
+
+    periods: Scalar
+    push: Scalar
+    sensed: Any
+
+
 class PlantState(NamedTuple):
     """Angle [rad], angular velocity [rad/s] and the gauge pressures [Pa] of muscles 1 and 2.
 
-    With friction also what each muscle remembers of its way, with creep what is relaxing in it [N]; nothing without.
+    With friction also what each muscle remembers of its way, with creep what is relaxing in it [N], and with real
+    sensors or disturbances what becomes of these; nothing without.
     """
 
     angle: Scalar
@@ -38,6 +59,7 @@ class PlantState(NamedTuple):
     memory2: Memory = ()
     relaxing1: Relaxing = ()
     relaxing2: Relaxing = ()
+    around: Surroundings | tuple[()] = ()
 
     @property
     def pressures(self) -> tuple[Scalar, Scalar]:
@@ -66,16 +88,45 @@ class JointPlant(eqx.Module):
         Inertia, damping and gravity.
     valve
         One kind for both muscles.
+    sensors
+        What tells a controller of angle and pressures; the truth unless given.
+    disturbance
+        What pushes from outside; nothing unless given.
     """
 
     joint: AntagonisticJoint
     load: Load
     valve: Valve
+    sensors: Sensors = PerfectSensors()
+    disturbance: Disturbance = NoDisturbance()
 
     def __check_init__(self) -> None:
         check_kind(
-            "JointPlant", joint=(self.joint, AntagonisticJoint), load=(self.load, Load), valve=(self.valve, Valve)
+            "JointPlant",
+            joint=(self.joint, AntagonisticJoint),
+            load=(self.load, Load),
+            valve=(self.valve, Valve),
+            sensors=(self.sensors, Sensors),
+            disturbance=(self.disturbance, Disturbance),
         )
+
+    @property
+    def sheltered(self) -> bool:
+        """Whether sensors are perfect and nothing pushes."""
+        return isinstance(self.sensors, PerfectSensors) and isinstance(self.disturbance, NoDisturbance)
+
+    def begun(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, Reading]:
+        """The state as a control period [s] begins, and what the sensors tell of it.
+
+        What pushes is held over the period.
+        """
+        true = Reading(state.angle, *state.pressures)
+        around = state.around
+        if not isinstance(around, Surroundings):
+            return state, true
+        sensed, told = self.sensors.read(around.sensed, around.periods, true)
+        push = floating(self.disturbance.torque(around.periods * period))
+        return state._replace(around=Surroundings(around.periods + 1, push, sensed)), told
 
     def limited(self, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Scalar, Scalar]:
         """The commands [Pa] that the valves let through: within the pressures that the specimens are rated for.
@@ -109,6 +160,8 @@ class JointPlant(eqx.Module):
             relaxing1, relaxing2 = creep.rates(self.joint, state.relaxing, state.angle, state.velocity)
         resisting = self.load.gravity_torque(state.angle) - self.load.damping * state.velocity
         torque = self._torque(state) + resisting
+        if isinstance(state.around, Surroundings):
+            torque = torque + state.around.push
         return PlantState(
             angle=state.velocity,
             velocity=torque * (1 / self.load.total_inertia),
@@ -118,6 +171,7 @@ class JointPlant(eqx.Module):
             memory2=jax.tree.map(jnp.zeros_like, state.memory2),
             relaxing1=relaxing1,
             relaxing2=relaxing2,
+            around=jax.tree.map(jnp.zeros_like, state.around),
         )
 
     def settled(self, state: PlantState) -> PlantState:
@@ -137,13 +191,20 @@ class JointPlant(eqx.Module):
         return self.remembering(PlantState(angle, jnp.zeros_like(angle), pressure1, pressure2))
 
     def remembering(self, state: PlantState) -> PlantState:
-        """The state, with muscles without stress from friction, and relaxed, unless it says what they remember."""
+        """The state, with muscles without stress from friction, and relaxed, unless it says what they remember.
+
+        And with what sensors and disturbances begin with.
+        """
         if state.memories == ((), ()) and friction.has_friction(self.joint):
             memory1, memory2 = friction.unstressed(self.joint, state.angle, state.pressures)
             state = state._replace(memory1=memory1, memory2=memory2)
         if state.relaxing == ((), ()) and creep.has_creep(self.joint):
             relaxing1, relaxing2 = creep.relaxed(self.joint, state.angle)
             state = state._replace(relaxing1=relaxing1, relaxing2=relaxing2)
+        if state.around == () and not self.sheltered:
+            nothing = jnp.zeros_like(floating(state.angle))
+            sensed = self.sensors.first(Reading(state.angle, *state.pressures))
+            state = state._replace(around=Surroundings(nothing, nothing, sensed))
         return state
 
     def _torque(self, state: PlantState) -> Scalar:

@@ -17,6 +17,7 @@ from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled, compiled_as_given
 from mckibben.numerics.integrate import rk4
 from mckibben.plant import JointPlant, PlantState
+from mckibben.plant.sensors import Reading
 
 Scalar = Float[Array, ""]
 
@@ -35,9 +36,13 @@ Running = tuple[PlantState, Any]
 """The plant's state and the controller's, at the start of a control period."""
 
 
-def started(controller: Controller, initial: PlantState) -> Running:
+def started(plant: JointPlant, controller: Controller, initial: PlantState) -> Running:
     """The plant at its initial state, and the controller as it takes over."""
-    return initial, controller.init(Measurement(initial.angle, initial.pressures))
+    return initial, controller.init(_measured(plant.begun(initial, 0.0)[1]))
+
+
+def _measured(told: Reading) -> Measurement:
+    return Measurement(told.angle, (told.pressure1, told.pressure2))
 
 
 def control_period(
@@ -50,7 +55,8 @@ def control_period(
 ) -> tuple[Running, Record]:
     """One control period: the controller's step, then the plant under the commands that it holds."""
     state, memory = running
-    memory, wanted = controller.step(memory, setpoint, Measurement(state.angle, state.pressures), period)
+    state, told = plant.begun(state, period)
+    memory, wanted = controller.step(memory, setpoint, _measured(told), period)
     commands = plant.limited(wanted)
     limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
     switched = plant.switched(state, commands)
@@ -96,7 +102,7 @@ def episode(
     def following(running: Running, setpoint: Setpoint) -> tuple[Running, Record]:
         return control_period(plant, controller, running, setpoint, period, substeps)
 
-    (final, _), record = lax.scan(following, started(controller, initial), setpoints)
+    (final, _), record = lax.scan(following, started(plant, controller, initial), setpoints)
     return final, record
 
 

@@ -35,12 +35,16 @@ class Measured(NamedTuple):
 
 
 class _Carried(NamedTuple):
-    """From one control period to the next: the run, the run without the last change of stiffness, and the tally."""
+    """From one control period to the next: the run, the run without the last change of stiffness, and the tally.
+
+    And what the tally needs of the period before.
+    """
 
     running: Running
     undisturbed: Running
     total: Tally
     stiffness_at_change: Array
+    air: Array
 
 
 def measured_episode(
@@ -101,17 +105,18 @@ def measured_episode(
         running, record = following(carried.running, setpoint)
         moment = trajectory(plant, setpoint, record, carried.undisturbed[0].angle, period)
         at_change = jnp.where(index == change.at, moment.stiffness, carried.stiffness_at_change)
-        added = tally(moment, index, change, at_change, SETTLING_PART)
+        before = jnp.where(index == 0, moment.air, carried.air)
+        added = tally(moment, index, change, at_change, before, SETTLING_PART)
         here = {name: getattr(moment, name) for name in keep}
         undisturbed = beside(carried, running, setpoint, index)
-        return _Carried(running, undisturbed, carried.total.with_next(added), at_change), here
+        return _Carried(running, undisturbed, carried.total.with_next(added), at_change, moment.air), here
 
     if checkpoint:
         next_period = jax.checkpoint(next_period, prevent_cse=False)
 
-    begun = started(controller, initial)
+    begun = started(plant, controller, initial)
     nothing = jnp.zeros_like(jnp.asarray(initial.angle))
-    carried = _Carried(begun, begun, Tally.nothing(nothing), nothing)
+    carried = _Carried(begun, begun, Tally.nothing(nothing), nothing, nothing)
     blocks = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), (jnp.arange(periods), setpoints))
 
     def block(carried: _Carried, at: tuple[Array, Setpoint]) -> tuple[_Carried, dict[str, Array]]:

@@ -24,6 +24,10 @@ class Metrics(NamedTuple):
         Root mean square and largest absolute error of the angle [rad].
     stiffness_rmse, stiffness_max
         The same of the stiffness [N*m/rad].
+    stiffness_ripple
+        The same about its own mean over the run: what of the error of the stiffness moves [N*m/rad]. A wrong law leaves
+        an error that stands still; this is without it, and where the wish is constant it is what motion does to the
+        stiffness: the other way of the coupling.
     stiffness_settling
         From the last change of the desired stiffness (or from the start, if it never changes) until the stiffness
         stays within the band [s]; NaN if it does not by the end of the run, or if the wish never stops changing. The
@@ -39,12 +43,15 @@ class Metrics(NamedTuple):
         How far a contraction was outside its domain at most [-].
     force_max
         The largest tension [N].
+    air
+        What the muscles take in, as a volume at atmospheric pressure [m^3]; what they let out is not subtracted.
     """
 
     angle_rmse: Array
     angle_max: Array
     stiffness_rmse: Array
     stiffness_max: Array
+    stiffness_ripple: Array
     stiffness_settling: Array
     coupling: Array
     estimate_rmse: Array
@@ -54,6 +61,7 @@ class Metrics(NamedTuple):
     time_overloaded: Array
     excursion_max: Array
     force_max: Array
+    air: Array
 
 
 def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETTLING_PART) -> Metrics:
@@ -70,7 +78,9 @@ def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETT
     """
     stiffness = jnp.asarray(moved.stiffness)
     change = last_change(moved.desired_stiffness)
-    parts = tally(moved, jnp.arange(stiffness.size), change, stiffness[change.at], settling_part)
+    air = jnp.asarray(moved.air)
+    before = jnp.concatenate([air[:1], air[:-1]])
+    parts = tally(moved, jnp.arange(stiffness.size), change, stiffness[change.at], before, settling_part)
     sums = Sums(*(jnp.sum(part) for part in parts.sums))
     peaks = Peaks(*(_largest(part) for part in parts.peaks))
     return metrics_of(Tally(sums, peaks, jnp.max(parts.unsettled)), change, stiffness.size, period)
@@ -108,15 +118,17 @@ def last_change(desired: ArrayLike) -> Change:
 
 
 class Sums(NamedTuple):
-    """What is summed over the control periods: squared errors, and how often something was so."""
+    """What is summed over the control periods: errors, their squares, how often something was so, and air."""
 
     angle: Array
     stiffness: Array
+    stiffness_bias: Array
     estimate: Array
     saturated: Array
     slack: Array
     outside_domain: Array
     overloaded: Array
+    air: Array
 
 
 class Peaks(NamedTuple):
@@ -152,7 +164,12 @@ class Tally(NamedTuple):
 
 
 def tally(
-    moved: Trajectory, index: ArrayLike, change: Change, stiffness_at_change: ArrayLike, settling_part: ArrayLike
+    moved: Trajectory,
+    index: ArrayLike,
+    change: Change,
+    stiffness_at_change: ArrayLike,
+    air_before: ArrayLike,
+    settling_part: ArrayLike,
 ) -> Tally:
     """What single control periods add to the metrics; elementwise, for scalars and for shape (periods,)."""
     angle_error = jnp.asarray(moved.angle) - moved.desired_angle
@@ -170,11 +187,13 @@ def tally(
         Sums(
             angle=jnp.square(angle_error),
             stiffness=jnp.square(stiffness_error),
+            stiffness_bias=stiffness_error,
             estimate=jnp.square(estimate_error),
             saturated=count(moved.saturated),
             slack=count(moved.slack),
             outside_domain=count(moved.outside_domain),
             overloaded=count(moved.overloaded),
+            air=jnp.maximum(jnp.asarray(moved.air) - air_before, 0.0),
         ),
         Peaks(
             angle=jnp.abs(angle_error),
@@ -191,12 +210,14 @@ def metrics_of(total: Tally, change: Change, periods: int, period: ArrayLike) ->
     """The metrics from the tally of a whole run of so many control periods [s]."""
     sums, peaks = total.sums, total.peaks
     unsettled = jnp.maximum(total.unsettled, change.at - 1)
+    about_mean = sums.stiffness / periods - jnp.square(sums.stiffness_bias / periods)
     never = (unsettled >= periods - 1) | ((change.at > 0) & ~change.ends)
     return Metrics(
         angle_rmse=_root(sums.angle / periods),
         angle_max=peaks.angle,
         stiffness_rmse=_root(sums.stiffness / periods),
         stiffness_max=peaks.stiffness,
+        stiffness_ripple=_root(jnp.where(about_mean < 0, 0.0, about_mean)),  # rounding may take it below
         stiffness_settling=jnp.where(never, jnp.nan, (unsettled + 1 - change.at) * period),
         coupling=jnp.where(change.ends, peaks.coupling, jnp.nan),
         estimate_rmse=_root(sums.estimate / periods),
@@ -206,6 +227,7 @@ def metrics_of(total: Tally, change: Change, periods: int, period: ArrayLike) ->
         time_overloaded=sums.overloaded * period,
         excursion_max=peaks.excursion,
         force_max=peaks.force,
+        air=sums.air,
     )
 
 

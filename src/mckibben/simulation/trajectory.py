@@ -14,6 +14,7 @@ from mckibben.numerics.compiled import compiled
 from mckibben.numerics.many import apart
 from mckibben.plant import JointPlant
 from mckibben.simulation.loop import Record
+from mckibben.units import atm
 
 
 class Trajectory(NamedTuple):
@@ -23,6 +24,7 @@ class Trajectory(NamedTuple):
     contain the muscles' friction and creep; ``stiffness`` is that of the muscles' laws, ``total_stiffness`` that and
     gravity's. ``undisturbed_angle`` is the angle of the same run without the last change of the desired stiffness,
     where there is one to leave out. ``excursion`` is how far the worse of the two contractions lies outside its domain.
+    ``air`` is what both muscles hold, as a volume at atmospheric pressure [m^3], by the volume inside their braids.
     """
 
     angle: Array
@@ -47,6 +49,7 @@ class Trajectory(NamedTuple):
     outside_domain: Array
     overloaded: Array
     excursion: Array
+    air: Array
 
 
 def trajectory(
@@ -103,6 +106,9 @@ def trajectory(
         outside_domain=~(inside[0] & inside[1]),
         overloaded=(force1 > rated1) | (force2 > rated2),
         excursion=jnp.maximum(jnp.maximum(beyond[0], beyond[1]), 0.0),
+        air=sum(
+            muscle.specimen.volume(contraction) * (pressure + atm) / atm for muscle, contraction, pressure in muscles
+        ),  # type: ignore[arg-type]
     )
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mckibben.files import whole
-from mckibben.units import deg, factor, percent
+from mckibben.units import deg, factor, litre, percent
 
 if TYPE_CHECKING:
     from mckibben.identification import Fit, HysteresisFit
@@ -21,6 +21,7 @@ METRICS: dict[str, tuple[str, str, float]] = {
     "angle_max_deg": ("angle_max", "deg", deg),
     "stiffness_rmse": ("stiffness_rmse", "N*m/rad", 1.0),
     "stiffness_max": ("stiffness_max", "N*m/rad", 1.0),
+    "stiffness_ripple": ("stiffness_ripple", "N*m/rad", 1.0),
     "stiffness_settling_s": ("stiffness_settling", "s", 1.0),
     "coupling_deg": ("coupling", "deg", deg),
     "estimate_rmse": ("estimate_rmse", "N*m/rad", 1.0),
@@ -30,6 +31,7 @@ METRICS: dict[str, tuple[str, str, float]] = {
     "time_overloaded_s": ("time_overloaded", "s", 1.0),
     "excursion_max_percent": ("excursion_max", "%", percent),
     "force_max_N": ("force_max", "N", 1.0),
+    "air_L": ("air", "L", litre),
 }
 """From the name under which a metric is shown to that of `Metrics`, the unit as text and as a factor to SI."""
 

@@ -30,12 +30,25 @@ from mckibben.control import (
     VelocityObserver,
 )
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
-from mckibben.muscle import ChouLaw, Creep, Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction
-from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load, PlantState, Valve
+from mckibben.muscle import ChouLaw, Creep, Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, stronger
+from mckibben.plant import (
+    Disturbance,
+    FirstOrderValve,
+    IdealValve,
+    JointPlant,
+    Load,
+    NoDisturbance,
+    PerfectSensors,
+    PlantState,
+    SampledSensors,
+    Sensors,
+    TorquePulses,
+    Valve,
+)
 from mckibben.study.scenario.controller import BackpropSpec, ControllerSpec, DecouplingSpec, LoopSpec, PIDSpec
 from mckibben.study.scenario.joint import CreepSpec, FrictionSpec, GeometrySpec, JointSpec, MuscleSpec, SpringSpec
 from mckibben.study.scenario.part import Part
-from mckibben.study.scenario.plant import LoadSpec, StartSpec, ValveSpec
+from mckibben.study.scenario.plant import DisturbanceSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
 from mckibben.study.scenario.samples import read_samples
 
@@ -43,9 +56,21 @@ _PARTS = ("poles", "sliding", "velocity_observer", "disturbance_observer", "pres
 _UNITS = {"angle": "rad", "stiffness": "N*m/rad"}
 
 
-def build_plant(joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> JointPlant:
+def build_plant(
+    joint: JointSpec,
+    load: LoadSpec,
+    valve: ValveSpec | None,
+    sensors: SensorsSpec | None = None,
+    disturbance: DisturbanceSpec | None = None,
+) -> JointPlant:
     """What is simulated."""
-    return JointPlant(build_joint(joint), build_load(load), build_valve(valve))
+    return JointPlant(
+        build_joint(joint),
+        build_load(load),
+        build_valve(valve),
+        build_sensors(sensors),
+        build_disturbance(disturbance),
+    )
 
 
 def build_joint(spec: JointSpec) -> AntagonisticJoint:
@@ -87,6 +112,16 @@ def build_load(spec: LoadSpec) -> Load:
 def build_valve(spec: ValveSpec | None) -> Valve:
     """One kind of valve for both muscles."""
     return IdealValve() if spec is None else FirstOrderValve(spec.time_constant)
+
+
+def build_sensors(spec: SensorsSpec | None) -> Sensors:
+    """What tells the controller."""
+    return PerfectSensors() if spec is None else SampledSensors(**_given(spec))
+
+
+def build_disturbance(spec: DisturbanceSpec | None) -> Disturbance:
+    """What pushes from outside."""
+    return NoDisturbance() if spec is None else TorquePulses(**_given(spec.pulses))
 
 
 def build_control(
@@ -162,8 +197,10 @@ def _muscle(spec: MuscleSpec) -> Muscle:
     if isinstance(spec.law, Path):
         from mckibben.identification import Fit
 
-        return Muscle(specimen, Fit.from_yaml(spec.law).law, friction, creep)
-    return Muscle(specimen, ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law), friction, creep)
+        law = Fit.from_yaml(spec.law).law
+    else:
+        law = ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law)
+    return Muscle(specimen, law if spec.strength is None else stronger(law, spec.strength), friction, creep)
 
 
 def _base(spec: BackpropSpec[Any, Any, Any, Any]) -> PID:

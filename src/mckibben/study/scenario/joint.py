@@ -17,6 +17,7 @@ from mckibben.study.scenario.fields import (
     Presliding,
     Pressure,
     SpringRate,
+    Strength,
     Viscosity,
 )
 from mckibben.study.scenario.part import Part, refuse
@@ -89,11 +90,13 @@ class CreepSpec(Part):
 class MuscleSpec(Part):
     """A make of muscle from the catalog, and its law: of the catalog, ``chou``, or the path of a fit's file.
 
-    Without `friction` it has none, and without `creep` none of that.
+    Without `friction` it has none, and without `creep` none of that. With a `strength` all its forces are so many times
+    those of the law.
     """
 
     specimen: Annotated[str, Entry("specimens")]
     law: Law
+    strength: Strength | None = None
     friction: FrictionSpec | None = None
     creep: CreepSpec | None = None
 

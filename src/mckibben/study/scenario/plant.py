@@ -8,18 +8,24 @@ from pydantic import Field, ValidationInfo, field_validator, model_serializer, m
 
 from mckibben.study.scenario.fields import (
     Angle,
+    AngleStep,
     Damping,
+    Delay,
     Distance,
+    Duration,
     Flag,
     Gravity,
     Inertia,
     Mass,
     PositiveTime,
+    PressureNoise,
+    ShortTime,
     Stiffness,
+    Torque,
 )
 from mckibben.study.scenario.joint import shortened
 from mckibben.study.scenario.part import Part, refuse
-from mckibben.study.scenario.words import Entry
+from mckibben.study.scenario.words import Entry, Whole
 
 _NEEDED = ("mass1", "mass2", "distance1", "distance2", "inertia", "damping")
 
@@ -71,6 +77,30 @@ class ValveSpec(Part):
     """A valve that follows its command with a lag [s]; in a scenario ``ideal`` stands for none at all."""
 
     time_constant: PositiveTime
+
+
+class SensorsSpec(Part):
+    """What the controller is told, see `SampledSensors`; in a scenario ``perfect`` stands for the truth, at once."""
+
+    encoder: AngleStep = 0.0
+    pressure_noise: PressureNoise = 0.0
+    delay: Delay = 0.0
+    seed: Annotated[int, Whole(0, 2**31 - 1)] = 0
+
+
+class PulsesSpec(Part):
+    """Pushes to and fro, see `TorquePulses`."""
+
+    height: Torque
+    width: PositiveTime
+    interval: Duration
+    start: ShortTime
+
+
+class DisturbanceSpec(Part):
+    """What pushes from outside: `pulses`."""
+
+    pulses: PulsesSpec
 
 
 class StartSpec(Part):

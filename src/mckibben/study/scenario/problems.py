@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -105,13 +105,17 @@ def _keys(place: Place, model: type[BaseModel]) -> list[str]:
 
 def _model_at(place: Place, model: type[BaseModel]) -> type[BaseModel] | None:
     """The model that validates what stands at a place."""
-    found: type[BaseModel] | None = model
+    annotation: Any = model
     for key in place:
-        if found is None:
+        if get_origin(annotation) is dict:  # of parts, by names that people choose
+            annotation = get_args(annotation)[1]
+            continue
+        found = _model_in(annotation)
+        fields = {info.alias or name: info for name, info in found.model_fields.items()} if found else {}
+        if key not in fields:
             return None
-        fields = {info.alias or name: info for name, info in found.model_fields.items()}
-        found = _model_in(fields[str(key)].annotation) if key in fields else None
-    return found
+        annotation = fields[str(key)].annotation
+    return None if get_origin(annotation) is dict else _model_in(annotation)
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:

@@ -6,18 +6,16 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_serializer
+from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
-from mckibben.errors import Problem, ScenarioError
 from mckibben.files import whole
 from mckibben.numerics.checks import whole_periods
 from mckibben.study.scenario.controller import ControllerSpec
-from mckibben.study.scenario.document import LONGEST, read_document
 from mckibben.study.scenario.fields import Duration, PositiveTime, Title
 from mckibben.study.scenario.joint import JointSpec
 from mckibben.study.scenario.part import Part, refuse
-from mckibben.study.scenario.plant import LoadSpec, StartSpec, ValveSpec
-from mckibben.study.scenario.problems import problems_of
+from mckibben.study.scenario.plant import DisturbanceSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
+from mckibben.study.scenario.reading import parsed, text_of
 from mckibben.study.scenario.reference import ReferenceSpec
 from mckibben.study.scenario.words import Whole
 from mckibben.study.scenario.writing import to_text
@@ -40,6 +38,8 @@ class Scenario(Part):
         What it is about, in a few words.
     joint, load, valve
         The plant; no valve is an ideal one.
+    sensors, disturbance
+        What the controller is told (the truth unless given), and what pushes (nothing unless given).
     controller
         Its loops, and its model of the joint.
     signals
@@ -64,6 +64,8 @@ class Scenario(Part):
     joint: JointSpec
     load: LoadSpec = Field(examples=["knee-table-2"])
     valve: ValveSpec | None = None
+    sensors: SensorsSpec | None = None
+    disturbance: DisturbanceSpec | None = None
     controller: ControllerSpec
     signals: ReferenceSpec = Field(alias="reference")
     start: StartSpec = StartSpec()
@@ -126,18 +128,7 @@ class Scenario(Part):
         ScenarioError
             With every problem of the file: line, field, value, allowed range and remedy.
         """
-        source = os.fspath(path)
-        try:
-            with Path(path).open("rb") as file:
-                content = file.read(4 * LONGEST + 1)
-            text = content.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            raise ScenarioError(source, [Problem("is not text in UTF-8", remedy="give a YAML file")]) from None
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            problem = Problem(f"cannot be read: {reason}", remedy="give the path of a scenario, see examples/")
-            raise ScenarioError(source, [problem]) from None
-        return cls.parse(text, source=source, folder=Path(path).parent)
+        return cls.parse(text_of(path), source=os.fspath(path), folder=Path(path).parent)
 
     @classmethod
     def parse(cls, text: str, *, source: str = "scenario", folder: str | os.PathLike[str] = ".") -> Scenario:
@@ -157,16 +148,7 @@ class Scenario(Part):
         ScenarioError
             With every problem of the text.
         """
-        document = read_document(text)
-        if not document.readable:
-            raise ScenarioError(source, document.problems)
-        try:
-            scenario = cls.model_validate(document.data, context={"folder": Path(folder)})
-        except ValidationError as error:
-            raise ScenarioError(source, problems_of(error, document, cls)) from None
-        if document.problems:
-            raise ScenarioError(source, document.problems)
-        return scenario
+        return parsed(cls, text, source=source, folder=folder)[0]
 
     def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
         """The scenario as text that `parse` reads back to the last bit; paths are relative to a folder."""
@@ -181,7 +163,7 @@ class Scenario(Part):
         """What is simulated."""
         from mckibben.study.scenario.building import build_plant
 
-        return build_plant(self.joint, self.load, self.valve)
+        return build_plant(self.joint, self.load, self.valve, self.sensors, self.disturbance)
 
     def control(self) -> PositionStiffnessControl | FrictionCompensation | DecouplingControl:
         """The controller, with its own model of the joint."""

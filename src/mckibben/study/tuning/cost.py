@@ -21,10 +21,12 @@ SMOOTH = (
     "angle_max",
     "stiffness_rmse",
     "stiffness_max",
+    "stiffness_ripple",
     "coupling",
     "estimate_rmse",
     "excursion_max",
     "force_max",
+    "air",
 )
 """Metrics that change smoothly with the numbers of a run, all but everywhere; the others count periods."""
 

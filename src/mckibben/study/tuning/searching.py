@@ -163,7 +163,7 @@ def _searched(
         first = task.point(task.nominal)
         by_gradient(found, first, starts=starts, iterations=iterations, seed=seed, progress=report)
         return found.exact
-    tried = _Generations(task, past, population)
+    tried = Generations(task, past, population)
     first = task.point(task.nominal)
     search = by_cma if method is Method.CMA else by_evolution
     search(tried, first, population=population, generations=iterations, seed=seed, progress=report)
@@ -233,7 +233,7 @@ class _Descents:
         return float(self._task.costs_and_gradients(_padded(values[None], self._starts))[0][0])
 
 
-class _Generations:
+class Generations:
     """The costs of points, from the history or from runs; always as many runs at once, for one compiled program."""
 
     def __init__(self, task: Problem, past: History, population: int) -> None:

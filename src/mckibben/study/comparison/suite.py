@@ -1,0 +1,293 @@
+"""A suite: plants, wishes and conditions on which controllers are compared, and how they are tuned before."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationInfo, field_validator, model_serializer
+
+from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError
+from mckibben.study.parameters import Over, over, read_over, read_overs
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.controller import ControllerSpec
+from mckibben.study.scenario.document import Document, dotted
+from mckibben.study.scenario.fields import AngularAcceleration, Duration, PositiveTime, Title
+from mckibben.study.scenario.joint import JointSpec
+from mckibben.study.scenario.part import Part, refuse, suggest
+from mckibben.study.scenario.plant import DisturbanceSpec, LoadSpec, SensorsSpec, ValveSpec
+from mckibben.study.scenario.reading import parsed, text_of
+from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
+from mckibben.study.scenario.words import Whole
+from mckibben.study.scenario.writing import to_text
+from mckibben.study.tuning import Cost, around_gains, read_cost, read_ranges
+
+_Share = Annotated[int, Whole(1, 1000)]
+_Seed = Annotated[int, Whole(0, 2**31 - 1)]
+_MOST = 1_000_000
+_OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
+
+AS_BELIEVED = "as believed"
+"""The joint that controllers believe in, as the plant of a run."""
+
+
+class PlantSpec(Part):
+    """A joint that is in place of the one that controllers believe in, in so many parts of the runs."""
+
+    share: _Share = 1
+    joint: JointSpec
+
+
+class WishSpec(Part):
+    """A reference, what of it differs from run to run, and in how many parts of the runs it is wished for."""
+
+    share: _Share = 1
+    reference: ReferenceSpec
+    over: tuple[str, ...] = ()
+
+
+class TuningSpec(Part):
+    """How each controller is tuned: the same search with the same budget for all.
+
+    From each of `starts` points (the gains of the file, then places spread over the ranges) `generations` of
+    `population` points are tried by CMA-ES, each on the same `runs` runs. Gains are searched over `decades` powers of
+    ten down and up from those of the file. For a controller that `over` names, these numbers and ranges take the place
+    of its gains; those in `untuned` are taken as they are.
+    """
+
+    cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
+    runs: Annotated[int, Whole(1, _MOST)] = 32
+    seed: _Seed = 99
+    starts: Annotated[int, Whole(1, 1000)] = 2
+    generations: Annotated[int, Whole(1, 100_000)] = 40
+    population: Annotated[int, Whole(4, 10_000)] = 16
+    decades: Annotated[int, Whole(1, 6)] = 1
+    over: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    untuned: tuple[str, ...] = ()
+
+    @field_validator("cost", mode="after")
+    @classmethod
+    def _readable(cls, value: str) -> str:
+        try:
+            read_cost(value)
+        except McKibbenError as error:
+            refuse(str(error))
+        return value
+
+
+class UnseenSpec(Part):
+    """The runs on which controllers are compared: how many, and their seed, which no tuning has."""
+
+    runs: Annotated[int, Whole(2, _MOST)] = 512
+    seed: _Seed = 1
+
+
+class Suite(Part):
+    """What controllers are compared on, and they themselves; `read` and `dumps` know the units.
+
+    Every controller believes in `joint`, `load` and `valve` as they stand here, whatever the plant of a run is: nothing
+    of a run's own plant reaches it but what `sensors` tell.
+
+    Attributes
+    ----------
+    name
+        What it is about, in a few words.
+    joint, load, valve, sensors, disturbance
+        As in a scenario: what controllers believe, and the plant before its `conditions`.
+    other_joints
+        Joints that are in the place of that one in a share of the runs; of the same make, with the same kind of law.
+    joint_share
+        The share of `joint` itself beside them.
+    conditions
+        What differs from run to run, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.read_over`.
+    wishes
+        References by name. One among them of which the stiffness steps is needed for the coupling.
+    fastest
+        The highest angular acceleration [rad/s^2] of a wish; larger sines are made smaller.
+    controllers
+        By name. The first is what the others are compared with.
+    tuning, unseen
+        How they are tuned, and on what they are compared.
+    duration, control_period, substeps
+        Of each run.
+    """
+
+    name: Title
+    joint: JointSpec
+    joint_share: _Share = 1
+    other_joints: dict[str, PlantSpec] = Field(default_factory=dict)
+    load: LoadSpec
+    valve: ValveSpec | None = None
+    sensors: SensorsSpec | None = None
+    disturbance: DisturbanceSpec | None = None
+    conditions: tuple[str, ...] = ()
+    wishes: dict[str, WishSpec] = Field(min_length=1)
+    fastest: AngularAcceleration | None = None
+    controllers: dict[str, ControllerSpec] = Field(min_length=1)
+    tuning: TuningSpec = TuningSpec()
+    unseen: UnseenSpec = UnseenSpec()
+    duration: Duration
+    control_period: PositiveTime
+    substeps: Annotated[int, Whole(1, 1000)] = 4
+
+    @field_validator("valve", mode="before")
+    @classmethod
+    def _ideal(cls, value: Any) -> Any:
+        return None if value == "ideal" else value
+
+    @field_validator("unseen", mode="after")
+    @classmethod
+    def _unseen(cls, value: UnseenSpec, info: ValidationInfo) -> UnseenSpec:
+        tuning = info.data.get("tuning")
+        if tuning is not None and tuning.seed == value.seed:
+            refuse("has the seed of the tuning", "give another: what was tuned on is not unseen")
+        return value
+
+    @model_serializer(mode="wrap", when_used="json")
+    def _write(self, handler: Any) -> Any:
+        written = handler(self)
+        return {**written, "valve": written.get("valve") or "ideal"}
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Suite:
+        """Read a suite file.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file: line, field, value, allowed range and remedy.
+        """
+        return cls.parse(text_of(path, "a suite"), source=os.fspath(path), folder=Path(path).parent)
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Suite:
+        """Read a suite from text; arguments and errors as for `Scenario.parse`."""
+        suite, document = parsed(cls, text, source=source, folder=folder)
+        problems = suite._problems(document)
+        if problems:
+            raise ScenarioError(source, problems)
+        return suite
+
+    def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
+        """The suite as text that `parse` reads back; paths are relative to a folder."""
+        return to_text(self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)}))
+
+    @property
+    def cost(self) -> Cost:
+        """Of a run."""
+        return read_cost(self.tuning.cost)
+
+    @property
+    def joints(self) -> dict[str, tuple[int, JointSpec]]:
+        """All joints that a plant may have, by name, each with its share; "as believed" comes first."""
+        others = {name: (other.share, other.joint) for name, other in self.other_joints.items()}
+        return {AS_BELIEVED: (self.joint_share, self.joint), **others}
+
+    def scenario(self, controller: str, wish: str, joint: str = AS_BELIEVED) -> Scenario:
+        """One run before its conditions: the controller believes in the suite's own joint, load and valve."""
+        return Scenario(
+            name=f"{self.name}: {controller}, {wish}"[:200],
+            joint=self.joints[joint][1],
+            load=self.load,
+            valve=self.valve,
+            sensors=self.sensors,
+            disturbance=self.disturbance,
+            controller=self._believing(self.controllers[controller]),
+            reference=self.wishes[wish].reference,
+            duration=self.duration,
+            control_period=self.control_period,
+            substeps=self.substeps,
+        )
+
+    def conditions_over(self) -> tuple[Over, ...]:
+        """What differs from run to run of the plant."""
+        return read_overs(self.conditions, self._any())
+
+    def wish_over(self, wish: str) -> tuple[Over, ...]:
+        """What of a wish differs from run to run."""
+        return read_overs(self.wishes[wish].over, self._any(wish))
+
+    def tuned_over(self, controller: str) -> tuple[Over, ...]:
+        """What of a controller is tuned, and over what range; nothing where it is taken as it is."""
+        if controller in self.tuning.untuned:
+            return ()
+        scenario = self.scenario(controller, next(iter(self.wishes)))
+        if controller in self.tuning.over:
+            return read_ranges(self.tuning.over[controller], scenario)
+        gains = around_gains(scenario, float(self.tuning.decades))
+        if not gains:
+            raise ParameterError(
+                f"{controller} has no gain that is not zero", remedy="name it in tuning.over or tuning.untuned"
+            )
+        return over(scenario, gains)
+
+    def _any(self, wish: str | None = None) -> Scenario:
+        return self.scenario(next(iter(self.controllers)), wish or next(iter(self.wishes)))
+
+    def _believing(self, controller: ControllerSpec) -> ControllerSpec:
+        """The controller with all its beliefs written out, where it left them to the plant."""
+        believed: dict[str, Any] = {} if controller.model is not None else {"model": self.joint}
+        for name in ("decoupling", "predictive"):
+            part = getattr(controller, name, None)
+            if part is None:
+                continue
+            lag = 0.0 if self.valve is None else self.valve.time_constant
+            own = {"load": self.load, "valve_time_constant": lag}
+            missing = {key: value for key, value in own.items() if getattr(part, key) is None}
+            believed[name] = part.model_copy(update=missing)
+        return controller.model_copy(update=believed)
+
+    def _problems(self, document: Document) -> list[Problem]:
+        """What is wrong with parts that have to do with one another."""
+        found: list[Problem] = []
+
+        def look(place: tuple[str | int, ...], check: Callable[[], object]) -> None:
+            try:
+                check()
+            except McKibbenError as error:
+                found.append(Problem(str(error), document.line(place), dotted(place)))
+
+        for i in range(len(self.conditions)):
+            look(("conditions", i), lambda i=i: _about_plant(read_over(self.conditions[i], self._any())))
+        if not found:
+            look(("conditions",), self.conditions_over)
+        for name, wish in self.wishes.items():
+            for key in ("angle", "stiffness"):
+                place = ("wishes", name, "reference", key)
+                look(place, lambda key=key, wish=wish: _plain(getattr(wish.reference, key)))
+            for i, text in enumerate(wish.over):
+                look(("wishes", name, "over", i), lambda name=name, text=text: _about_wish(text, self._any(name)))
+        for key, names in (("over", list(self.tuning.over)), ("untuned", self.tuning.untuned)):
+            for i, name in enumerate(names):
+                place = ("tuning", key, name if key == "over" else i)
+                look(place, lambda name=name: self._check_controller(name))
+        if not found:
+            for name in self.controllers:
+                place = ("tuning", "over", name) if name in self.tuning.over else ("controllers", name)
+                look(place, lambda name=name: self.tuned_over(name))
+        return found
+
+    def _check_controller(self, name: str) -> None:
+        if name not in self.controllers:
+            raise ParameterError(f"there is no controller {name!r}", remedy=suggest(name, list(self.controllers)))
+
+
+def _about_plant(one: Over) -> None:
+    root = one.name.split(".")[0]
+    if root not in _OF_PLANT:
+        raise ParameterError(
+            f"{one.name} is nothing of the plant", remedy=f"a condition is a number of {', '.join(_OF_PLANT)}"
+        )
+
+
+def _about_wish(text: str, scenario: Scenario) -> None:
+    one = read_over(text, scenario)
+    if not one.name.startswith("reference."):
+        raise ParameterError(f"{one.name} is nothing of the wish", remedy="put it among the conditions")
+
+
+def _plain(signal: SignalSpec[Any]) -> None:
+    if signal.samples is not None:
+        raise ParameterError("samples cannot be compared on", remedy="give a constant, step, sine or multisine")
