@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import mckibben
+from mckibben.commands.compare import compare
 from mckibben.commands.envelope import envelope
 from mckibben.commands.identify import identify, validate
 from mckibben.commands.options import Json, Out, said
@@ -125,6 +126,7 @@ app.command()(envelope)
 app.command()(plan)
 app.command()(sweep)
 app.command()(tune)
+app.command()(compare)
 
 
 @app.command()

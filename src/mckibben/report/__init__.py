@@ -1,6 +1,7 @@
 """Figures and the HTML report; the only place that imports matplotlib. Drawing takes numbers and returns figures."""
 
 from mckibben.report.comparison import controller_comparison, gain_histories
+from mckibben.report.contest import contest_air, contest_errors, contest_wishes, write_contest
 from mckibben.report.creep import relaxation
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.html import write_report
@@ -19,6 +20,9 @@ from mckibben.report.uncertainty import force_bands, profile_likelihood
 __all__ = [
     "ReportFigure",
     "attainable_stiffness",
+    "contest_air",
+    "contest_errors",
+    "contest_wishes",
     "control_results",
     "controller_comparison",
     "error_curves",
@@ -40,5 +44,6 @@ __all__ = [
     "torque_stiffness_map",
     "tracking",
     "tuning",
+    "write_contest",
     "write_report",
 ]

@@ -32,7 +32,7 @@ class ReportFigure:
     name
         Of its files.
     section
-        Where it belongs: one of the keys of `mckibben.report.words.SECTIONS`.
+        Where it belongs: one of the keys of `mckibben.report.words.SECTIONS`; empty on a page without these.
     title, caption
         What it is, and what to see in it.
     alternative
@@ -49,7 +49,7 @@ class ReportFigure:
     figure: Figure
 
     def __post_init__(self) -> None:
-        assert self.section in SECTIONS
+        assert not self.section or self.section in SECTIONS
 
 
 def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:

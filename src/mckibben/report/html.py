@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 import os
-import re
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
-
-import jinja2
-import markupsafe
 
 from mckibben import catalog
 from mckibben.files import whole
 from mckibben.report import tables
-from mckibben.report.figures import ReportFigure, figures
+from mckibben.report.figures import figures
+from mckibben.report.page import EmbeddedFigure, address_of, style_sheet, template_of
 from mckibben.report.style import save
 from mckibben.report.words import SECTIONS, decisions, name_of
 from mckibben.study.paper import Reproduction, file_stem
@@ -24,15 +19,6 @@ from mckibben.study.paper.tracking import PID
 
 SOURCES = ("lei-mas-10-180n", "dmsp-10-250-martens2017", "festo-tool-10mm")
 _PAGE = "report.html"
-_LARGEST_SVG = 400_000  # bytes; a larger drawing is embedded as PNG
-
-
-@dataclass(frozen=True)
-class EmbeddedFigure:
-    """A figure of the page: its words, and the picture as a data address."""
-
-    drawn: ReportFigure
-    address: str
 
 
 @dataclass(frozen=True)
@@ -67,7 +53,7 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
     drawn: dict[str, list[EmbeddedFigure]] = {section: [] for section in SECTIONS}
     for figure in figures(reproduction):
         png, svg = save(figure.figure, folder / "figures", figure.name, preview=reproduction.quick)
-        drawn[figure.section].append(EmbeddedFigure(figure, _address(png, svg)))
+        drawn[figure.section].append(EmbeddedFigure(figure, address_of(png, svg)))
     text = render(reproduction, drawn)
     page = folder / _PAGE
     with whole(page) as part:
@@ -78,18 +64,10 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
     """The page as text, with figures that are drawn already, by section."""
     results = reproduction.results()
-    environment = jinja2.Environment(
-        loader=jinja2.BaseLoader(),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["typeset"] = typeset
-    template = environment.from_string(_resource("report.html.jinja"))
+    template = template_of("report.html.jinja")
     example = reproduction.tracking.runs[PRE_CONTRACTED.key, Wish.STEP, PID].scenario
     return template.render(
-        style=markupsafe.Markup(_resource("report.css")),
+        style=style_sheet(),
         results=results,
         seconds=reproduction.seconds,
         claims=[claim for claim in reproduction.claims if claim.of_paper],
@@ -114,16 +92,6 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
     )
 
 
-def typeset(text: str) -> markupsafe.Markup:
-    """Text with powers of ten as superscripts, +- as one sign, units with a dot, and files of figures as code."""
-    safe = str(markupsafe.escape(text))
-    safe = re.sub(r"\^([−-]?\d+)", r"<sup>\1</sup>", safe)
-    safe = safe.replace("+-", "±").replace("N*m/rad", "N·m/rad").replace(" %", "\u00a0%")
-    safe = re.sub(r"(\d)\.\.(−?\d|-)", r"\1 to \2", safe)
-    safe = re.sub(r"(?<![\w.])-(?=\d)", "−", safe)
-    return markupsafe.Markup(safe)
-
-
 def _outcomes(reproduction: Reproduction) -> list[tuple[str, str]]:
     """How each run that the figures show ended."""
     names = {setting.key: setting.name for setting in SETTINGS}
@@ -131,15 +99,6 @@ def _outcomes(reproduction: Reproduction) -> list[tuple[str, str]]:
         (f"{names[key]}, {wish.value} stiffness, {controller}", run.result.describe())
         for (key, wish, controller), run in reproduction.tracking.runs.items()
     ]
-
-
-def _address(png: Path, svg: Path) -> str:
-    kind, path = ("svg+xml", svg) if svg.is_file() and svg.stat().st_size <= _LARGEST_SVG else ("png", png)
-    return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-
-
-def _resource(name: str) -> str:
-    return (resources.files("mckibben.report") / name).read_text(encoding="utf-8")
 
 
 def _source(name: str) -> Source:

@@ -47,6 +47,8 @@ _SPARE: tuple[dict[str, Any], ...] = (
     {"color": PURPLE, "linestyle": (0, (3, 1, 1, 1))},
     {"color": ORANGE, "linestyle": (0, (1, 1))},
     {"color": SKY, "linestyle": (0, (5, 1, 1, 1, 1, 1))},
+    {"color": BLACK, "linestyle": (0, (2, 1))},
+    {"color": "#7F7F7F", "linestyle": "-"},
 )
 
 LOADING: dict[str, Any] = {"color": BLUE, "marker": "^"}
