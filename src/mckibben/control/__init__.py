@@ -1,5 +1,6 @@
 """Controllers and references. A controller knows a model of the joint, never the plant."""
 
+from mckibben.control.adaptation import LawAdaptation
 from mckibben.control.backprop import BackpropPID, Jacobian
 from mckibben.control.base import Controller, Loop, Measurement, Reference, Setpoint
 from mckibben.control.decoupling import DecouplingControl
@@ -21,6 +22,7 @@ __all__ = [
     "Feedback",
     "FrictionCompensation",
     "Jacobian",
+    "LawAdaptation",
     "Loop",
     "Measurement",
     "Multisine",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.control.adaptation import Adapted, LawAdaptation, strengthened
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.control.course import Course, followed, standing
 from mckibben.control.feedback import Feedback
@@ -42,6 +44,7 @@ class DecouplingState(NamedTuple):
     disturbance: Scalar
     friction: Scalar
     saturated: Array
+    adapted: Adapted | tuple[()]
 
 
 class DecouplingControl(Controller):
@@ -94,6 +97,8 @@ class DecouplingControl(Controller):
     friction_compensation
         Whether to make up for the friction of the model's muscles, drawn along the wish as `FrictionCompensation` does.
         The observer is told of it; around this controller that wrapper would make up for friction twice.
+    adaptation
+        Corrects the strength of the model's muscles on line; none unless given.
 
     Examples
     --------
@@ -118,6 +123,7 @@ class DecouplingControl(Controller):
     valve_time_constant: float = eqx.field(kw_only=True, default=0.02)
     minimum_tension: float = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
+    adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
         check_kind(
@@ -128,6 +134,8 @@ class DecouplingControl(Controller):
             observer=(self.observer, Observer),
             pressure_observer=(self.pressure_observer, PressureObserver),
         )
+        if self.adaptation is not None:
+            check_kind("DecouplingControl", adaptation=(self.adaptation, LawAdaptation))
         check_positive("DecouplingControl", "s", zero=True, valve_time_constant=self.valve_time_constant)
         check_positive("DecouplingControl", "N", zero=True, minimum_tension=self.minimum_tension)
         if self.friction_compensation and not friction.has_friction(self.model):
@@ -151,6 +159,7 @@ class DecouplingControl(Controller):
             disturbance=nothing,
             friction=nothing,
             saturated=jnp.asarray(False),
+            adapted=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
         )
 
     def step(
@@ -161,7 +170,8 @@ class DecouplingControl(Controller):
         share = self._share(period)
         pressures = self.pressure_observer.step(state.pressures, state.commands, measurement.pressures, share, period)
 
-        torque, estimate = apart(self.model.torque_and_stiffness, angle, pressures, witness=period)
+        adapted, model = self._adapted(state.adapted, measurement, period)
+        torque, estimate = apart(model.torque_and_stiffness, angle, pressures, witness=period)
         memories, rubbing = self._friction(state.memories, setpoint.angle, pressures)
         known = self._acceleration(angle, state.motion.velocity, torque + rubbing)
         motion = self.observer.step(state.motion, angle, known, period)
@@ -175,7 +185,8 @@ class DecouplingControl(Controller):
         wanted = inertia * acceleration - resisting - rubbing
 
         speed = (1 - exp(-jnp.asarray(period) / lag)) / share
-        chosen = apart(self._choose, there, pressures, wanted, setpoint.stiffness, speed, witness=period)
+        choose = functools.partial(self._choose, model)
+        chosen = apart(choose, there, pressures, wanted, setpoint.stiffness, speed, witness=period)
         (pressure1, pressure2), (wished1, wished2) = pressures, chosen.pressures
         commands = self._held((pressure1 + speed * (wished1 - pressure1), pressure2 + speed * (wished2 - pressure2)))
 
@@ -183,19 +194,45 @@ class DecouplingControl(Controller):
         disturbance = inertia * motion.disturbance
         return (
             DecouplingState(
-                motion, pressures, commands, course, memory, memories, estimate, disturbance, rubbing, chosen.cut
+                motion,
+                pressures,
+                commands,
+                course,
+                memory,
+                memories,
+                estimate,
+                disturbance,
+                rubbing,
+                chosen.cut,
+                adapted,
             ),
             commands,
         )
 
     def telemetry(self, state: DecouplingState) -> dict[str, Scalar]:
-        return {
+        told = {
             "stiffness_estimate": state.estimate,
             "saturated": state.saturated,
             "velocity_estimate": state.motion.velocity,
             "disturbance_estimate": state.disturbance,
             "friction_compensation": state.friction,
         }
+        if not isinstance(state.adapted, Adapted):
+            return told
+        strength1, strength2 = state.adapted.strengths
+        return {**told, "strength1_estimate": strength1, "strength2_estimate": strength2}
+
+    def _adapted(
+        self, adapted: Adapted | tuple[()], measurement: Measurement, period: ArrayLike
+    ) -> tuple[Adapted | tuple[()], AntagonisticJoint]:
+        """What is believed of the muscles now, and the model with it.
+
+        From the pressures as measured: what an observer makes of them is off where its valve is not the true one.
+        """
+        if self.adaptation is None or not isinstance(adapted, Adapted):
+            return adapted, self.model
+        adapted = self.adaptation.step(adapted, self.model, self.load, *measurement, period)
+        return adapted, strengthened(self.model, adapted.strengths)
 
     def _acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Scalar:
         """What the model expects [rad/s^2]."""
@@ -216,10 +253,18 @@ class DecouplingControl(Controller):
         lag = jnp.asarray(self.valve_time_constant)
         return jnp.where(lag > 0, 1 - exp(-jnp.asarray(period) / jnp.where(lag > 0, lag, 1.0)), 1.0)
 
-    def _choose(self, angle: Scalar, pressures: Pair, torque: Scalar, stiffness: Scalar, speed: Scalar) -> Chosen:
+    def _choose(
+        self,
+        model: AntagonisticJoint,
+        angle: Scalar,
+        pressures: Pair,
+        torque: Scalar,
+        stiffness: Scalar,
+        speed: Scalar,
+    ) -> Chosen:
         """The pressures [Pa] wanted at an angle [rad], which commands within limits can bring about in time."""
-        lowest, highest = pressures_between(self.model, angle, self.minimum_tension)
-        low, high = pressure_limits_of(self.model)
+        lowest, highest = pressures_between(model, angle, self.minimum_tension)
+        low, high = pressure_limits_of(model)
 
         def window(i: int) -> tuple[Scalar, Scalar, Scalar]:
             """Lowest and highest pressure of a muscle, and the nearest to where it is that keeps it taut."""
@@ -229,7 +274,7 @@ class DecouplingControl(Controller):
             return jnp.minimum(lower, upper), upper, jnp.maximum(pressure, lowest[i])
 
         (lower1, upper1, taut1), (lower2, upper2, taut2) = window(0), window(1)
-        affine = map_at(self.model, angle, (taut1, taut2))
+        affine = map_at(model, angle, (taut1, taut2))
         return torque_first(affine, torque, stiffness, (lower1, lower2), (upper1, upper2))
 
     def _held(self, commands: Pair) -> Pair:

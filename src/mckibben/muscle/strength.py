@@ -2,6 +2,8 @@
 
 # No `from __future__ import annotations` here: equinox would see the domain as text.
 
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
@@ -14,7 +16,7 @@ class StrongerLaw(ForceLaw):
     """A law times a factor; `stronger` makes it."""
 
     law: ForceLaw
-    strength: float
+    strength: Any
     domain: Domain
 
     equation = "F = s F_law"
@@ -31,7 +33,7 @@ class StrongerAffineLaw(PressureAffineLaw):
     """A law that is affine in pressure times a factor; `stronger` makes it."""
 
     law: PressureAffineLaw
-    strength: float
+    strength: Any
     domain: Domain
 
     equation = "F = s F_law"
@@ -42,7 +44,7 @@ class StrongerAffineLaw(PressureAffineLaw):
         return self.strength * offset, self.strength * gain
 
 
-def stronger(law: ForceLaw, strength: float) -> ForceLaw:
+def stronger(law: ForceLaw, strength: Any) -> ForceLaw:
     """The law of a muscle whose every force is so many times that of a law.
 
     Muscles of one make differ by some percent from one to the next, and lose force with age; to first order all their
@@ -72,5 +74,5 @@ def stronger(law: ForceLaw, strength: float) -> ForceLaw:
     check_positive("stronger", strength=strength)
     domain = law.domain.intersection(law.holds)
     if isinstance(law, PressureAffineLaw):
-        return StrongerAffineLaw(law, strength, domain)
-    return StrongerLaw(law, strength, domain)
+        return StrongerAffineLaw(law=law, strength=strength, domain=domain)
+    return StrongerLaw(law=law, strength=strength, domain=domain)

@@ -16,6 +16,7 @@ from mckibben.control import (
     Feedback,
     FrictionCompensation,
     Jacobian,
+    LawAdaptation,
     Multisine,
     Observer,
     PolePlacement,
@@ -45,14 +46,21 @@ from mckibben.plant import (
     TorquePulses,
     Valve,
 )
-from mckibben.study.scenario.controller import BackpropSpec, ControllerSpec, DecouplingSpec, LoopSpec, PIDSpec
+from mckibben.study.scenario.controller import (
+    AdaptationSpec,
+    BackpropSpec,
+    ControllerSpec,
+    DecouplingSpec,
+    LoopSpec,
+    PIDSpec,
+)
 from mckibben.study.scenario.joint import CreepSpec, FrictionSpec, GeometrySpec, JointSpec, MuscleSpec, SpringSpec
 from mckibben.study.scenario.part import Part
 from mckibben.study.scenario.plant import DisturbanceSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
 from mckibben.study.scenario.samples import read_samples
 
-_PARTS = ("poles", "sliding", "velocity_observer", "disturbance_observer", "pressure_observer", "load")
+_PARTS = ("poles", "sliding", "velocity_observer", "disturbance_observer", "pressure_observer", "load", "adaptation")
 _UNITS = {"angle": "rad", "stiffness": "N*m/rad"}
 
 
@@ -136,6 +144,7 @@ def build_control(
             build_load(spec.decoupling.load or load),
             *decoupling_parts(spec.decoupling),
             friction_compensation=bool(spec.friction_compensation),
+            adaptation=build_adaptation(spec.decoupling.adaptation),
             **numbers | _given(spec.decoupling, *_PARTS),
         )
     assert spec.position is not None and spec.stiffness is not None  # the model of the controller sees to it
@@ -149,6 +158,11 @@ def decoupling_parts(spec: DecouplingSpec) -> tuple[Feedback, Observer, Pressure
     velocity, disturbance, pressure = spec.velocity_observer, spec.disturbance_observer, spec.pressure_observer
     observer = VelocityObserver(**_given(velocity)) if velocity else ExtendedStateObserver(**_given(disturbance))
     return feedback, observer, PressureObserver(**_given(pressure))
+
+
+def build_adaptation(spec: AdaptationSpec | None) -> LawAdaptation | None:
+    """What corrects the model's muscles on line."""
+    return None if spec is None else LawAdaptation(**_given(spec))
 
 
 def build_loop(spec: LoopSpec[Any, Any, Any, Any]) -> PID | BackpropPID:

@@ -15,17 +15,21 @@ from mckibben.study.scenario.fields import (
     Bandwidth,
     Flag,
     Force,
+    Mass,
     Momentum,
     PositiveRate,
     PositiveTime,
+    PositiveTorque,
     PressureRate,
     Rate,
     Ratio,
+    Share,
     ShortTime,
     StiffnessDerivativeGain,
     StiffnessGain,
     StiffnessIntegralGain,
     StiffnessScale,
+    Strength,
 )
 from mckibben.study.scenario.joint import JointSpec
 from mckibben.study.scenario.part import Part, refuse
@@ -128,10 +132,21 @@ class ObserverSpec(Part):
     bandwidth: Bandwidth
 
 
+class AdaptationSpec(Part):
+    """The numbers of `LawAdaptation` in SI; where one is left out the class's own."""
+
+    strength_spread: Strength | None = None
+    mass_spread: Mass | None = None
+    friction_spread: Share | None = None
+    torque_error: PositiveTorque | None = None
+    bandwidth: Bandwidth | None = None
+
+
 class DecouplingSpec(Part):
     """The parts of `DecouplingControl`: `poles` or `sliding`, an observer, and what it believes of load and valves.
 
-    Load and valves are the plant's own unless given, and the observers have the classes' own bandwidths.
+    Load and valves are the plant's own unless given, and the observers have the classes' own bandwidths. With
+    `adaptation` the strength of the model's muscles is corrected on line.
     """
 
     poles: PolesSpec | None = None
@@ -142,6 +157,7 @@ class DecouplingSpec(Part):
     valve_time_constant: ShortTime | None = None
     minimum_tension: Force | None = None
     load: LoadSpec | None = None
+    adaptation: AdaptationSpec | None = None
 
     @field_validator("sliding", mode="after")
     @classmethod
