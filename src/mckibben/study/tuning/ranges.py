@@ -9,7 +9,7 @@ from mckibben.study.parameters import Address, LogUniform, Over, addresses, find
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.part import quoted
 
-_GAINS = ("kp", "ki", "kd", "bandwidth", "slope", "reach")
+_GAINS = ("kp", "ki", "kd", "bandwidth", "stiffness_bandwidth", "slope", "reach")
 
 
 def is_gain(name: str) -> bool:
