@@ -39,10 +39,15 @@ def default_of(scenario: Scenario, place: tuple[str, ...]) -> float | int | None
         case ("controller", "model", *_):
             model = scenario.controller.model or scenario.joint
             return getattr(building.build_geometry(model), key)
-        case ("controller", "decoupling", *inner):
+        case ("controller", "decoupling" | "predictive", *inner):
             owner = scenario.control()
             for name in inner:
                 owner = getattr(owner, _ATTRIBUTES.get(name, name))
+            return getattr(owner, key)
+        case ("controller", "inverse_model", *inner):
+            owner = scenario.control()
+            for name in inner:
+                owner = getattr(owner, name)
             return getattr(owner, key)
         case ("controller", name, _):
             loop = building.build_loop(getattr(scenario.controller, name))

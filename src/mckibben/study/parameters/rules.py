@@ -56,7 +56,7 @@ def refusals(scenario: Scenario, columns: Mapping[Address, NDArray]) -> dict[int
 
 def _part_of(place: Place) -> Place:
     """The part within which a number has to do with others."""
-    return place[:2] if place[0] in ("controller", "reference") else place[:1]
+    return place[:2] if len(place) > 2 and place[0] in ("controller", "reference") else place[:1]
 
 
 def _attempt(scenario: Scenario, place: Place, keys: list[Place]) -> _Attempt:
@@ -87,6 +87,10 @@ def _builder(place: Place) -> Callable[[Any], object]:
             return lambda spec: (building.build_geometry(spec), building.build_tendon(spec.spring))
         case ("controller", "decoupling"):
             return lambda spec: (building.decoupling_parts(spec), spec.load and building.build_load(spec.load))
+        case ("controller", "predictive"):
+            return lambda spec: (building.observers(spec), spec.load and building.build_load(spec.load))
+        case ("controller", "inverse_model"):
+            return lambda spec: spec.load and building.build_load(spec.load)
         case ("controller", _):
             return building.build_loop
         case ("reference", quantity):

@@ -35,6 +35,8 @@ _FIXED = {
     "control_period": (_TIMING, "change it in the file"),
     "substeps": (_TIMING, "change it in the file"),
     "hidden": (_COMPILED, "change it in the file"),
+    "stages": (_COMPILED, "change it in the file"),
+    "iterations": (_COMPILED, "change it in the file"),
 }
 _ABSENT = {
     ("valve",): ("the valve is ideal", "write `valve: {time_constant: 20 ms}` in the file"),
@@ -46,6 +48,14 @@ _ABSENT = {
     ("controller", "decoupling", "load"): (
         "the controller's load is that of the plant itself",
         "write `load:` below `decoupling:` in the file to vary it apart from the plant",
+    ),
+    ("controller", "predictive", "load"): (
+        "the controller's load is that of the plant itself",
+        "write `load:` below `predictive:` in the file to vary it apart from the plant",
+    ),
+    ("controller", "inverse_model", "load"): (
+        "the controller's load is that of the plant itself, or none",
+        "write `load:` below `inverse_model:` in the file to vary it apart from the plant",
     ),
     ("controller", "model", "spring"): ("the controller's model has no spring", "write one in the file"),
 }

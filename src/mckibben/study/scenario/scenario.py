@@ -21,7 +21,14 @@ from mckibben.study.scenario.words import Whole
 from mckibben.study.scenario.writing import to_text
 
 if TYPE_CHECKING:
-    from mckibben.control import DecouplingControl, FrictionCompensation, PositionStiffnessControl, Reference
+    from mckibben.control import (
+        DecouplingControl,
+        FrictionCompensation,
+        InverseModelControl,
+        PositionStiffnessControl,
+        PredictiveControl,
+        Reference,
+    )
     from mckibben.plant import JointPlant, PlantState
 
 _MOST_PERIODS = 10_000_000
@@ -165,7 +172,9 @@ class Scenario(Part):
 
         return build_plant(self.joint, self.load, self.valve, self.sensors, self.disturbance)
 
-    def control(self) -> PositionStiffnessControl | FrictionCompensation | DecouplingControl:
+    def control(
+        self,
+    ) -> PositionStiffnessControl | FrictionCompensation | InverseModelControl | DecouplingControl | PredictiveControl:
         """The controller, with its own model of the joint."""
         from mckibben.study.scenario.building import build_control
 
