@@ -137,10 +137,13 @@ def commands(*changes: tuple[int, float]) -> Setpoint:
     return Setpoint(3.2e5 + 3e4 * np.sin(np.arange(SIZE) / 9), wish)
 
 
+KEPT = ("angle", "undisturbed_angle", "command2", "slack")
+
+
 @pytest.fixture(scope="module")
 def on_the_way(plant, playback):
     @functools.partial(jax.jit, static_argnames=("keep", "every", "coupled"))
-    def run(setpoints, split, *, keep=(), every=1, coupled=True):
+    def run(setpoints, split, *, keep=KEPT, every=1, coupled=True):
         return measured_episode(
             plant,
             playback,
@@ -206,11 +209,10 @@ def test_leaving_the_step_out_from_an_earlier_period_on_changes_nothing(on_the_w
 def test_what_is_kept_is_the_trajectory(on_the_way, afterwards):
     wish = CASES["two steps"]
     _, expected, metrics = afterwards(wish)
-    keep = ("angle", "undisturbed_angle", "command2", "slack")
     for every in (1, 4, 60):
-        found = on_the_way(wish, 31, keep=keep, every=every)
-        assert {*found.kept} == {*keep}
-        for name in keep:
+        found = on_the_way(wish, 31, every=every)
+        assert {*found.kept} == {*KEPT}
+        for name in KEPT:
             column = np.asarray(getattr(expected, name))[::every]
             np.testing.assert_allclose(found.kept[name], column, rtol=1e-12, atol=1e-15, err_msg=name)
         same(found.metrics, metrics, rtol=1e-11)

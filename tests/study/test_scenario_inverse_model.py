@@ -9,6 +9,7 @@ from mckibben.control import InverseModelControl, PositionStiffnessControl
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.study.parameters import addresses, find, lanes
 from mckibben.study.scenario import Scenario
+from mckibben.study.tuning import around_gains
 
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 BEFORE, AFTER = TEXT.split("reference:")
@@ -81,6 +82,11 @@ def test_its_numbers_can_be_varied_and_have_a_value():
         find(scenario(), "controller.inverse_model.load.mass2")
     with pytest.raises(ParameterError, match="outside above 0"):
         lanes(scenario(FULL), {"controller.minimum_tension": [5.0, 0.0]})
+
+
+def test_only_the_loops_have_gains():
+    """How fast it learns is none: no feedback goes faster with it."""
+    assert all(name.split(".")[1] in ("position", "stiffness") for name in around_gains(scenario(FULL)))
 
 
 def test_what_does_not_go_together_is_said():

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from mckibben.control import ExtendedStateObserver, PredictiveControl, PressureObserver, VelocityObserver
+from mckibben.control import ExtendedStateObserver, LawAdaptation, PredictiveControl, PressureObserver, VelocityObserver
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.study.parameters import addresses, find, lanes
 from mckibben.study.scenario import Scenario
@@ -30,6 +30,7 @@ FULL = """\
     valve_time_constant: 15 ms
     minimum_tension: 8 N
     load: {from: knee-table-2, mass2: 0.6 kg}
+    adaptation: {strength_spread: 0.05, torque_error: 0.04 N*m, bandwidth: 25 rad/s}
 """
 
 
@@ -63,6 +64,8 @@ def test_it_builds_what_it_says():
     assert (control.horizon, control.stages, control.iterations) == (pytest.approx(80 * ms), 16, 2)
     assert control.observer == VelocityObserver(300.0) and control.pressure_observer == PressureObserver(150.0)
     assert (control.valve_time_constant, control.minimum_tension, control.load.mass2) == (15 * ms, 8.0, 0.6)
+    assert control.adaptation == LawAdaptation(0.05, torque_error=0.04, bandwidth=25.0)
+    assert scenario().control().adaptation is None
 
 
 @pytest.mark.parametrize("controller", [SHORT, FULL])
@@ -72,12 +75,13 @@ def test_it_comes_back_from_its_text(controller):
 
 
 def test_its_numbers_can_be_varied_and_have_a_value():
-    for controller, count in ((SHORT, 8), (FULL, 13)):
+    for controller, count in ((SHORT, 8), (FULL, 18)):
         mine = [a for a in addresses(scenario(controller)) if a.name.startswith("controller.predictive.")]
         assert len(mine) >= count
         assert all(a.nominal is not None for a in mine), mine
     many = lanes(scenario(), {"controller.predictive.damping": [2.0, 3.0]}).control()
     assert many.damping.tolist() == [2.0, 3.0]
+    assert find(scenario(FULL), "controller.predictive.adaptation.mass_spread").nominal == 0.0
     assert find(scenario(), "controller.predictive.horizon").nominal == pytest.approx(60 * ms)
     for name in ("stages", "iterations"):
         with pytest.raises(ParameterError, match="size of what is compiled"):

@@ -2,82 +2,46 @@
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.control.base import Controller, Measurement, Setpoint
-from mckibben.control.course import Course, followed, standing
+from mckibben.control.base import Measurement, Setpoint
+from mckibben.control.course import Course
 from mckibben.control.horizon import Bent, Outlook, Policy, later, planned, steady
-from mckibben.control.inversion import map_at, pressures_between
-from mckibben.control.observer import ExtendedStateObserver, Motion, Observer, PressureObserver
-from mckibben.errors import RangeError
-from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap, friction
-from mckibben.joint.attainable import is_affine, pressure_limits_of
+from mckibben.control.model_based import Beliefs, ModelBasedControl
+from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
+from mckibben.control.surroundings import Surroundings, surroundings
+from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.checks import check_kind, check_positive, check_within
+from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp
 from mckibben.numerics.many import apart
-from mckibben.plant import Load
 from mckibben.units import bar, deg
 
 Scalar = Float[Array, ""]
 
 _REMEMBERED = 0.1  # s: over how long the frequency of a wish is told
 _STILL = 1e-6  # rad^2/s^2: a wish that moves less has no frequency
-_ASIDE = 0.02  # rad: where the model is asked a second time, to tell how it changes with the angle
 _EVEN = 0.3  # of stage over valve: below it the share of a stage is told by a series
 
 
 class PredictiveState(NamedTuple):
-    """What the observers believe, what was commanded, how the wish moves, the plan, and what the muscles remember.
+    """What is believed and was commanded, how the wish swings, and the plan.
 
-    Of how the wish swings there are the means over the last moments of jerk times velocity and of velocity squared; the
-    plan is a policy over the horizon, for pressures in bar. And what is told: the estimate of the stiffness [N*m/rad],
-    the disturbance and friction torques [N*m], and whether the next stage ends at a limit.
+    Of how it swings there are the means over the last moments of jerk times velocity and of velocity squared; the plan
+    is a policy over the horizon, for pressures in bar.
     """
 
-    motion: Motion
-    pressures: Pair
-    commands: Pair
-    course: Course
+    beliefs: Beliefs
     swing: Pair
     plan: Policy
-    memories: friction.Memories
-    estimate: Scalar
-    disturbance: Scalar
-    friction: Scalar
-    saturated: Array
 
 
-class Surroundings(NamedTuple):
-    """What a model says of the joint at an angle, and how it changes with the angle.
-
-    Attributes
-    ----------
-    torque, softening
-        Torque over the pressures, of taut muscles, and how it falls with the angle.
-    stiffness, stiffness_slope
-        The same of the stiffness, and how it grows.
-    lowest, highest, lowest_slope, highest_slope
-        Limits of the pressures.
-    """
-
-    torque: AffineMap
-    softening: AffineMap
-    stiffness: AffineMap
-    stiffness_slope: AffineMap
-    lowest: Pair
-    highest: Pair
-    lowest_slope: Pair
-    highest_slope: Pair
-
-
-class PredictiveControl(Controller):
+class PredictiveControl(ModelBasedControl):
     r"""Model predictive control: of all ways to go within the attainable, the one that costs least.
 
     Each period the way over the next `horizon` is sought that makes least of
@@ -142,6 +106,8 @@ class PredictiveControl(Controller):
     friction_compensation
         Whether to make up for the friction of the model's muscles, drawn along the wish as `FrictionCompensation` does.
         The observer is told of it; around this controller that wrapper would make up for friction twice.
+    adaptation
+        Corrects the strength of the model's muscles on line; none unless given.
 
     Examples
     --------
@@ -157,8 +123,6 @@ class PredictiveControl(Controller):
     Automatica 36, 2000.
     """
 
-    model: AntagonisticJoint
-    load: Load
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
     bandwidth: float = eqx.field(kw_only=True, default=80.0)
@@ -169,70 +133,40 @@ class PredictiveControl(Controller):
     horizon: float = eqx.field(kw_only=True, default=0.06)
     stages: int = eqx.field(kw_only=True, static=True, default=12)
     iterations: int = eqx.field(kw_only=True, static=True, default=1)
-    valve_time_constant: float = eqx.field(kw_only=True, default=0.02)
-    minimum_tension: float = eqx.field(kw_only=True, default=5.0)
-    friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
 
     def __check_init__(self) -> None:
         name = "PredictiveControl"
-        check_kind(
-            name,
-            model=(self.model, AntagonisticJoint),
-            load=(self.load, Load),
-            observer=(self.observer, Observer),
-            pressure_observer=(self.pressure_observer, PressureObserver),
-        )
         check_positive(name, "rad/s", bandwidth=self.bandwidth, stiffness_bandwidth=self.stiffness_bandwidth)
         check_within(name, 2.0, 3.0, damping=self.damping)
         check_positive(name, "rad", angle_scale=self.angle_scale)
         check_positive(name, "N*m/rad", stiffness_scale=self.stiffness_scale)
         check_positive(name, "s", horizon=self.horizon)
         check_positive(name, stages=self.stages, iterations=self.iterations)
-        check_positive(name, "s", zero=True, valve_time_constant=self.valve_time_constant)
-        check_positive(name, "N", zero=True, minimum_tension=self.minimum_tension)
-        if self.friction_compensation and not friction.has_friction(self.model):
-            raise RangeError(
-                f"{name}: no muscle of its model has friction to make up for",
-                remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
-            )
+
+    @property
+    def observers(self) -> tuple[Observer, PressureObserver]:
+        return self.observer, self.pressure_observer
 
     def init(self, measurement: Measurement) -> PredictiveState:
-        angle, pressures = measurement
-        torque, estimate = self.model.torque_and_stiffness(angle, pressures)
-        nothing = jnp.zeros_like(angle)
-        return PredictiveState(
-            motion=self.observer.init(angle, self._acceleration(angle, nothing, torque)),
-            pressures=pressures,
-            commands=pressures,
-            course=standing(angle),
-            swing=(nothing, nothing),
-            plan=steady((pressures[0] / bar, pressures[1] / bar), self.stages),
-            memories=friction.unstressed(self.model, angle, pressures) if self.friction_compensation else ((), ()),
-            estimate=estimate,
-            disturbance=nothing,
-            friction=nothing,
-            saturated=jnp.asarray(False),
-        )
+        nothing = jnp.zeros_like(measurement.angle)
+        pressure1, pressure2 = measurement.pressures
+        plan = steady((pressure1 / bar, pressure2 / bar), self.stages)
+        return PredictiveState(self.believed_first(measurement), (nothing, nothing), plan)
 
     def step(
         self, state: PredictiveState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[PredictiveState, Pair]:
         angle = measurement.angle
-        pressures = self.pressure_observer.step(
-            state.pressures, state.commands, measurement.pressures, self._share(period), period
-        )
-        torque, estimate = apart(self.model.torque_and_stiffness, angle, pressures, witness=period)
-        memories, rubbing = self._friction(state.memories, setpoint.angle, pressures)
-        known = self._acceleration(angle, state.motion.velocity, torque + rubbing)
-        motion = self.observer.step(state.motion, angle, known, period)
-        course = followed(state.course, setpoint.angle, period)
+        beliefs, model = self.believed(state.beliefs, setpoint, measurement, period)
+        motion, pressures, course = beliefs.motion, beliefs.pressures, beliefs.course
         fresh = 1 - exp(-jnp.asarray(period) / _REMEMBERED)
         along, moving = state.swing
         along = along + fresh * (course.jerk * course.velocity - along)
         moving = moving + fresh * (course.velocity**2 - moving)
 
-        around = apart(self._around, angle, pressures, witness=period)
-        other = motion.disturbance + rubbing / self.load.total_inertia
+        look = functools.partial(surroundings, model, minimum_tension=self.minimum_tension)
+        around = apart(look, angle, pressures, witness=period)
+        other = motion.disturbance + beliefs.friction / self.load.total_inertia
         duration = jnp.maximum(jnp.asarray(self.horizon) / self.stages, period)
         outlook = self._outlook(
             around, angle, other, course, -along / (moving + _STILL), setpoint.stiffness, duration, period
@@ -241,49 +175,27 @@ class PredictiveControl(Controller):
         # The state now, as errors against the wish, in units of the outlook.
         unit, pole = jnp.asarray(self.angle_scale), jnp.asarray(self.bandwidth)
         _, velocity, acceleration, _ = outlook.wish
-        known = self._acceleration(angle, motion.velocity, torque)
+        known = self.acceleration(angle, motion.velocity, beliefs.torque)
         start = (
             (angle - setpoint.angle) / unit,
             motion.velocity / (pole * unit) - velocity,
             (known + other) / (pole**2 * unit) - acceleration,
-            (estimate - setpoint.stiffness) / self.stiffness_scale,
+            (beliefs.estimate - setpoint.stiffness) / self.stiffness_scale,
         )
         here = pressures[0] / bar, pressures[1] / bar
         plan = later(state.plan, jnp.minimum(period / duration, 1.0))
         plan, ((next1, next2), held) = planned(outlook, start, here, plan, self.iterations)
 
-        commands = self._held(
+        commands = self.held(
             (
                 bar * (here[0] + (next1 - here[0]) / outlook.share),
                 bar * (here[1] + (next2 - here[1]) / outlook.share),
             )
         )
-        disturbance = self.load.total_inertia * motion.disturbance
-        return (
-            PredictiveState(
-                motion,
-                pressures,
-                commands,
-                course,
-                (along, moving),
-                plan,
-                memories,
-                estimate,
-                disturbance,
-                rubbing,
-                held,
-            ),
-            commands,
-        )
+        return PredictiveState(beliefs._replace(commands=commands, saturated=held), (along, moving), plan), commands
 
     def telemetry(self, state: PredictiveState) -> dict[str, Scalar]:
-        return {
-            "stiffness_estimate": state.estimate,
-            "saturated": state.saturated,
-            "velocity_estimate": state.motion.velocity,
-            "disturbance_estimate": state.disturbance,
-            "friction_compensation": state.friction,
-        }
+        return self.told(state.beliefs)
 
     def _outlook(
         self,
@@ -349,58 +261,12 @@ class PredictiveControl(Controller):
             most=(high1 / bar, high2 / bar),
         )
 
-    def _around(self, angle: Scalar, pressures: Pair) -> Surroundings:
-        """What the model says of the joint about an angle [rad] and pressures [Pa]."""
-
-        def at(angle: Scalar) -> tuple[TorqueStiffnessMap, Pair, Pair]:
-            lowest, highest = pressures_between(self.model, angle, self.minimum_tension)
-            return map_at(self.model, angle, _taut(pressures, lowest)), lowest, highest
-
-        both = lax.map(at, jnp.stack([angle, angle + _ASIDE]))  # a loop: half of the code to compile
-        (torque, stiffness), lowest, highest = jax.tree.map(lambda values: values[0], both)
-        (_, stiffness_slope), *limit_slopes = jax.tree.map(lambda values: (values[1] - values[0]) / _ASIDE, both)
-        softening = stiffness
-        if not is_affine(self.model):  # a secant across the stop of a spring says nothing of other pressures
-            nothing = jnp.zeros_like(angle)
-            softening = AffineMap(stiffness(_taut(pressures, lowest)), nothing, nothing)
-            stiffness_slope = AffineMap(nothing, nothing, nothing)
-        return Surroundings(torque, softening, stiffness, stiffness_slope, lowest, highest, *limit_slopes)
-
-    def _acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Scalar:
-        """What the model expects [rad/s^2]."""
-        moving = torque + self.load.gravity_torque(angle) - self.load.damping * velocity
-        return jnp.asarray(moving / self.load.total_inertia)
-
-    def _friction(
-        self, memories: friction.Memories, wish: ArrayLike, pressures: Pair
-    ) -> tuple[friction.Memories, Scalar]:
-        """What the model's muscles remember along the wish [rad], and the torque [N*m] of their friction there."""
-        if not self.friction_compensation:
-            return memories, jnp.zeros_like(pressures[0])
-        memories = friction.settled(self.model, memories, wish, pressures)
-        return memories, friction.friction_torque(self.model, memories, wish, 0.0, pressures)
-
-    def _share(self, duration: ArrayLike) -> Scalar:
-        """The part of a step that a valve is believed to do in a time [s]."""
-        lag = jnp.asarray(self.valve_time_constant)
-        return jnp.where(lag > 0, 1 - exp(-jnp.asarray(duration) / jnp.where(lag > 0, lag, 1.0)), 1.0)
-
     def _stage(self, duration: Scalar) -> tuple[Scalar, Pair]:
         """That of a stage [s], and how early in it the pressures change: see `Outlook`."""
-        share, lag = self._share(duration), jnp.asarray(self.valve_time_constant)
+        share, lag = self.share(duration), jnp.asarray(self.valve_time_constant)
         ratio = duration / jnp.where(lag > 0, lag, duration / 10)
         series = ratio / 12 - ratio**3 / 720
         even = ratio < _EVEN
         once, twice = 1 / share - 1 / ratio, (1 - 2 / ratio) / share + 2 / ratio**2
         first, second = jnp.where(even, 0.5 + series, once), jnp.where(even, 1 / 3 + series + ratio**2 / 360, twice)
         return share, (jnp.where(lag > 0, first, 1.0), jnp.where(lag > 0, second, 1.0))
-
-    def _held(self, commands: Pair) -> Pair:
-        """The commands, which rounding may have taken past a limit."""
-        (low1, low2), (high1, high2) = pressure_limits_of(self.model)
-        return jnp.clip(commands[0], low1, high1), jnp.clip(commands[1], low2, high2)
-
-
-def _taut(pressures: Pair, lowest: Pair) -> Pair:
-    """The nearest pressures that keep both muscles taut."""
-    return jnp.maximum(pressures[0], lowest[0]), jnp.maximum(pressures[1], lowest[1])

@@ -147,11 +147,11 @@ def build_control(
         numbers: dict[str, Any] = {
             "valve_time_constant": 0.0 if valve is None else valve.time_constant,
             "friction_compensation": bool(spec.friction_compensation),
+            "adaptation": build_adaptation(believing.adaptation),
             **_given(believing, *_PARTS),
         }
         if isinstance(believing, DecouplingSpec):
-            adaptation = build_adaptation(believing.adaptation)
-            return DecouplingControl(*beliefs, *decoupling_parts(believing), adaptation=adaptation, **numbers)
+            return DecouplingControl(*beliefs, *decoupling_parts(believing), **numbers)
         return PredictiveControl(*beliefs, *observers(believing), **numbers)
     assert spec.position is not None and spec.stiffness is not None  # the model of the controller sees to it
     loops = build_loop(spec.position), build_loop(spec.stiffness)

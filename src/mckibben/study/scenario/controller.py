@@ -148,7 +148,8 @@ class AdaptationSpec(Part):
 class BelievingSpec(Part):
     """What a controller by a model observes, and what it believes of load and valves.
 
-    Load and valves are the plant's own unless given, and the observers have the classes' own bandwidths.
+    Load and valves are the plant's own unless given, and the observers have the classes' own bandwidths. With
+    `adaptation` the strength of the model's muscles is corrected on line.
     """
 
     velocity_observer: ObserverSpec | None = None
@@ -157,6 +158,7 @@ class BelievingSpec(Part):
     valve_time_constant: ShortTime | None = None
     minimum_tension: Force | None = None
     load: LoadSpec | None = None
+    adaptation: AdaptationSpec | None = None
 
     @field_validator("disturbance_observer", mode="after")
     @classmethod
@@ -167,14 +169,10 @@ class BelievingSpec(Part):
 
 
 class DecouplingSpec(BelievingSpec):
-    """The parts of `DecouplingControl`: `poles` or `sliding`, and what it observes and believes.
-
-    With `adaptation` the strength of the model's muscles is corrected on line.
-    """
+    """The parts of `DecouplingControl`: `poles` or `sliding`, and what it observes and believes."""
 
     poles: PolesSpec | None = None
     sliding: SlidingSpec | None = Field(None, validate_default=True)
-    adaptation: AdaptationSpec | None = None
 
     @field_validator("sliding", mode="after")
     @classmethod
