@@ -40,7 +40,8 @@ NAMES = (
     "the law is believed",
     "adapted, load +-50 %",
     "adapted, load known",
-    "... and the friction's presliding",
+    "adapted, presliding known",
+    "adapted, both known",
 )
 
 
@@ -91,8 +92,14 @@ def knowledge(mass, length):
     right = with_friction((7.5, 7.5), length)
     known = dataclasses.replace(LOAD, mass2=mass)
 
-    known_things = (KNEE, unknown, None), (some, unknown, MASS_SPREAD), (some, known, 0.0), (right, known, 0.0)
-    return dict(zip(NAMES, known_things, strict=True))
+    things = (
+        (KNEE, unknown, None),
+        (some, unknown, MASS_SPREAD),
+        (some, known, 0.0),
+        (right, unknown, MASS_SPREAD),
+        (right, known, 0.0),
+    )
+    return dict(zip(NAMES, things, strict=True))
 
 
 def errors(seed, runs, name, excited, torque_error):
