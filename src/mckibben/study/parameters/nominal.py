@@ -31,6 +31,8 @@ def default_of(scenario: Scenario, place: tuple[str, ...]) -> float | int | None
     from mckibben.study.scenario import building
 
     key = place[-1]
+    if key == "strength":  # of a muscle: that of its law
+        return 1.0
     match place[:-1]:
         case ("load",):
             return getattr(building.build_load(scenario.load), key)
