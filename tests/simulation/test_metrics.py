@@ -50,7 +50,9 @@ def test_root_mean_square_and_largest_error_of_angle_and_stiffness():
 
 
 def test_air_is_what_is_taken_in_and_not_what_is_let_out():
-    assert float(measure(moved(5, air=[1.0, 3.0, 2.0, 2.0, 2.5]), PERIOD).air) == 2.5
+    first, second = [1.0, 3.0, 2.0, 2.0, 2.5], [4.0, 2.0, 3.0, 3.0, 2.5]
+    assert float(measure(moved(5, air1=first), PERIOD).air) == 2.5
+    assert float(measure(moved(5, air1=first, air2=second), PERIOD).air) == 3.5  # the other cannot use it
 
 
 def test_times_are_counts_of_periods():

@@ -286,6 +286,9 @@ def test_spreads_rise_stay_inside_and_know_where_a_value_lies(data, quantiles):
     if not isinstance(drawn, Values):
         assert np.all(np.diff(values) >= 0)
     again = drawn.at(drawn.quantile(values))
+    if isinstance(drawn, Normal):  # far out in its upper tail a quantile has fewer digits than a value
+        np.testing.assert_allclose(drawn.quantile(again), drawn.quantile(values), rtol=0, atol=1e-12)
+        return
     np.testing.assert_allclose(again, values, rtol=1e-9, atol=1e-9 * min(max(abs(low), abs(high)), 1e3))
 
 

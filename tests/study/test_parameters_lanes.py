@@ -55,8 +55,9 @@ def test_each_number_alone_comes_where_the_file_would_put_it(scenario):
                 assert several.tolist() == [single, single] == [value, value]
             else:
                 assert np.array_equal(single, several)
-        # the joint is that of the plant and the one that the controller believes in
-        assert varied == (2 if address.name.startswith("joint.") else 1), address.name
+        # the joint is that of the plant and the one that the controller believes in, and its muscles are alike
+        times = 4 if address.name.startswith("joint.muscle.") else 2 if address.name.startswith("joint.") else 1
+        assert varied == times, address.name
 
 
 def test_lanes_leave_the_scenario_as_it_is_and_copy_the_table():

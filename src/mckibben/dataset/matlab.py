@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mckibben.dataset.heap import heaps_are_sound
 from mckibben.dataset.mat5 import DamagedError, Opaque, Value, variables
 from mckibben.dataset.sheet import Channel, RowProblem, Sheet, settled
 from mckibben.errors import DatasetError, Problem
@@ -51,6 +52,8 @@ def read_hdf5(path: Path, data: bytes) -> Sheet:
     """
     import h5py
 
+    if not heaps_are_sound(data):
+        raise _unreadable(path, "an HDF5 file", ValueError("a heap of texts is damaged"))
     sheet = Sheet(kind=RowProblem)
     matlab = data.startswith(b"MATLAB 7.3")
     try:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
 import xarray as xr
 
+from mckibben.dataset.heap import heaps_are_sound
 from mckibben.errors import DatasetError, Problem
 from mckibben.files import whole
 
@@ -30,8 +32,11 @@ def load_netcdf(path: Path) -> xr.Dataset:
         If the file is not there, or is no NetCDF file.
     """
     try:
-        with path.open("rb"):
-            pass  # so that what the system objects to is told from what is wrong with the content
+        with path.open("rb") as file:  # so that what the system objects to is told from what is wrong with the content
+            if file.seek(0, 2) > 0:
+                with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                    if not heaps_are_sound(content):
+                        raise ValueError("a heap of texts is damaged")
         return xr.load_dataset(path, engine="h5netcdf", decode_times=False).drop_encoding()
     except ImportError:
         raise

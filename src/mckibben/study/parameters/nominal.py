@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from typing import Any
+
 from mckibben.study.scenario import PIDSpec, Scenario
 
 _ATTRIBUTES = {
@@ -13,21 +17,16 @@ _ATTRIBUTES = {
 """What parts of the file are called where they are built."""
 
 
-def default_of(scenario: Scenario, place: tuple[str, ...]) -> float | int | None:
-    """The value, in SI, of a number that the scenario does not give.
+def defaults_of(scenario: Scenario) -> Callable[[tuple[str, ...]], float | int | None]:
+    """The values, in SI, of numbers that a scenario does not give, by all keys on the way to each.
 
-    Parameters
-    ----------
-    scenario
-        Without the number.
-    place
-        All keys on the way to it.
-
-    Returns
-    -------
-    value
-        None for a starting stiffness: it is then amid what the plant can hold.
+    What has to be built to know them is built once. None for a starting stiffness: it is then amid what the plant can
+    hold.
     """
+    return functools.partial(_default, scenario, functools.cache(scenario.control))
+
+
+def _default(scenario: Scenario, control: Callable[[], Any], place: tuple[str, ...]) -> float | int | None:
     from mckibben.study.scenario import building
 
     key = place[-1]
@@ -42,12 +41,12 @@ def default_of(scenario: Scenario, place: tuple[str, ...]) -> float | int | None
             model = scenario.controller.model or scenario.joint
             return getattr(building.build_geometry(model), key)
         case ("controller", "decoupling" | "predictive", *inner):
-            owner = scenario.control()
+            owner = control()
             for name in inner:
                 owner = getattr(owner, _ATTRIBUTES.get(name, name))
             return getattr(owner, key)
         case ("controller", "inverse_model", *inner):
-            owner = scenario.control()
+            owner = control()
             for name in inner:
                 owner = getattr(owner, name)
             return getattr(owner, key)

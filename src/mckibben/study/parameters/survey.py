@@ -10,7 +10,7 @@ from typing import Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from mckibben.study.parameters.nominal import default_of
+from mckibben.study.parameters.nominal import defaults_of
 from mckibben.study.scenario import GeometrySpec, JointSpec, LoadSpec, LoopSpec, Scenario, SignalSpec
 from mckibben.study.scenario.part import Part
 from mckibben.study.scenario.quantity import Quantity
@@ -93,7 +93,7 @@ class Survey:
 def survey(scenario: Scenario) -> Survey:
     """Go through a scenario."""
     found = Survey()
-    _walk(scenario, (), [()], found, lambda place: default_of(scenario, place))
+    _walk(scenario, (), [()], found, defaults_of(scenario))
     found.refused = {name: why for name, why in found.refused.items() if name not in found.spellings}
     return found
 

@@ -31,7 +31,7 @@ from mckibben.study.scenario.fields import (
     StiffnessGain,
     StiffnessIntegralGain,
     StiffnessScale,
-    Strength,
+    StrengthSpread,
     Tension,
 )
 from mckibben.study.scenario.joint import JointSpec
@@ -138,7 +138,7 @@ class ObserverSpec(Part):
 class AdaptationSpec(Part):
     """The numbers of `LawAdaptation` in SI; where one is left out the class's own."""
 
-    strength_spread: Strength | None = None
+    strength_spread: StrengthSpread | None = None
     mass_spread: Mass | None = None
     friction_spread: Share | None = None
     torque_error: PositiveTorque | None = None

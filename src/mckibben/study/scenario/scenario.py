@@ -34,6 +34,26 @@ if TYPE_CHECKING:
 _MOST_PERIODS = 10_000_000
 
 
+def dividing(value: float, duration: float | None) -> float:
+    """The control period [s], if it divides the duration [s]; for validators."""
+    if duration is None:
+        return value
+    periods = duration / value
+    if periods > _MOST_PERIODS:
+        refuse(
+            f"{value * 1e3:g} ms divides the duration {duration:.12g} s into more than {_MOST_PERIODS} periods",
+            "choose a longer period or a shorter duration",
+        )
+    if whole_periods(duration, value) is None:
+        near = max(round(periods), 1) * value
+        refuse(
+            f"the duration {duration:.12g} s is no whole number of control periods of {value * 1e3:g} ms "
+            f"({periods:.10g})",
+            f"choose a duration of {near:.12g} s, or a period that divides {duration:.12g} s",
+        )
+    return value
+
+
 class Scenario(Part):
     """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
 
@@ -103,23 +123,7 @@ class Scenario(Part):
     @field_validator("control_period", mode="after")
     @classmethod
     def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
-        duration = info.data.get("duration")
-        if duration is None:
-            return value
-        periods = duration / value
-        if periods > _MOST_PERIODS:
-            refuse(
-                f"{value * 1e3:g} ms divides the duration {duration:.12g} s into more than {_MOST_PERIODS} periods",
-                "choose a longer period or a shorter duration",
-            )
-        if whole_periods(duration, value) is None:
-            near = max(round(periods), 1) * value
-            refuse(
-                f"the duration {duration:.12g} s is no whole number of control periods of {value * 1e3:g} ms "
-                f"({periods:.10g})",
-                f"choose a duration of {near:.12g} s, or a period that divides {duration:.12g} s",
-            )
-        return value
+        return dividing(value, info.data.get("duration"))
 
     @model_serializer(mode="wrap", when_used="json")
     def _write(self, handler: Any) -> Any:
