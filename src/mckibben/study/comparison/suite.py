@@ -243,12 +243,14 @@ class Suite(Part):
     def _believing(self, controller: ControllerSpec) -> ControllerSpec:
         """The controller with all its beliefs written out, where it left them to the plant."""
         believed: dict[str, Any] = {} if controller.model is not None else {"model": self.joint}
-        for name in ("decoupling", "predictive"):
+        for name in ("decoupling", "predictive", "inverse_model"):
             part = getattr(controller, name, None)
             if part is None:
                 continue
             lag = 0.0 if self.valve is None else self.valve.time_constant
             own = {"load": self.load, "valve_time_constant": lag}
+            if getattr(part, "alone", None):  # a network without a model's inverse, for no load
+                del own["load"]
             missing = {key: value for key, value in own.items() if getattr(part, key) is None}
             believed[name] = part.model_copy(update=missing)
         return controller.model_copy(update=believed)
