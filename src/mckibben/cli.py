@@ -17,6 +17,7 @@ from mckibben.commands.identify import identify, validate
 from mckibben.commands.options import Json, Out, said
 from mckibben.commands.plan import plan
 from mckibben.commands.points import points
+from mckibben.commands.rig import rig
 from mckibben.commands.sweep import sweep
 from mckibben.commands.tune import tune
 from mckibben.errors import McKibbenError, McKibbenWarning
@@ -125,6 +126,7 @@ app.command()(envelope)
 app.command()(plan)
 app.command()(sweep)
 app.command()(tune)
+app.add_typer(rig)
 
 
 @app.command()

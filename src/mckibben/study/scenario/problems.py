@@ -109,14 +109,15 @@ def _model_at(place: Place, model: type[BaseModel]) -> type[BaseModel] | None:
     for key in place:
         if found is None:
             return None
+        if isinstance(key, int):  # an item of a list of models
+            continue
         fields = {info.alias or name: info for name, info in found.model_fields.items()}
         found = _model_in(fields[str(key)].annotation) if key in fields else None
     return found
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:
-    """The model in an annotation such as ``Model | None``."""
-    for candidate in (annotation, *get_args(annotation)):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate
-    return None
+    """The model in an annotation such as ``Model | None`` or ``tuple[Model, ...]``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next(filter(None, map(_model_in, get_args(annotation))), None)
