@@ -195,6 +195,73 @@ def test_a_broken_disk_leaves_no_gap(tmp_path, monkeypatch):
     assert len(read_record(tmp_path)) == 10
 
 
+def test_what_was_left_of_a_write_that_failed_is_cut_off(tmp_path, monkeypatch):
+    put, calls = recorder_module._put, []
+
+    def breaking(file, at, content):
+        calls.append(at)
+        if len(calls) == 3:
+            os.pwrite(file, content[: len(content) // 2], at)
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        put(file, at, content)
+
+    monkeypatch.setattr(recorder_module, "_put", breaking)
+    recorder = Recorder.create(tmp_path, {}, COLUMNS)
+    recorder.append(rows(0, 10))
+    recorder.flush()
+    whole = recorder.path.stat().st_size
+    recorder.append(rows(10, 10))
+    with pytest.raises(RigError):
+        recorder.flush()
+    assert recorder.path.stat().st_size == whole
+    with pytest.raises(RigError):
+        recorder.close()
+
+
+def test_after_a_write_that_failed_nothing_more_is_written(tmp_path, monkeypatch):
+    """What came later would stand after a gap; also what was taken while the failure was not known yet."""
+    put, calls = recorder_module._put, []
+
+    def breaking(file, at, content):
+        calls.append(at)
+        if len(calls) == 2:
+            recorder.event("point", "taken meanwhile")  # by the test, which does not know yet
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        put(file, at, content)
+
+    monkeypatch.setattr(recorder_module, "_put", breaking)
+    recorder = Recorder.create(tmp_path, {}, COLUMNS)
+    recorder.append(rows(0, 10))
+    with pytest.raises(RigError):
+        recorder.flush()
+    with pytest.raises(RigError):
+        recorder.close()
+    assert len(calls) == 2
+    assert len(read_record(tmp_path)) == 0 and not read_record(tmp_path).events
+
+
+def test_whatever_goes_wrong_in_its_thread_is_told_and_nothing_is_lost_in_silence(tmp_path, monkeypatch):
+    recorder = Recorder.create(tmp_path, {}, COLUMNS)
+    monkeypatch.setattr(recorder_module, "pack_rows", lambda *_: (_ for _ in ()).throw(MemoryError()))
+    recorder.append(rows(0, 10))
+    with pytest.raises(RigError, match="cannot be written: MemoryError"):
+        recorder.flush()
+    with pytest.raises(RigError, match="MemoryError"):
+        recorder.append(rows(10, 10))
+    with pytest.raises(RigError, match="MemoryError"):
+        recorder.close()
+
+
+def test_what_comes_after_its_end_is_refused(tmp_path):
+    recorder = Recorder.create(tmp_path, {}, COLUMNS)
+    recorder.close()
+    with pytest.raises(RigError, match="is closed"):
+        recorder.append(rows(0, 10))
+    with pytest.raises(RigError, match="is closed"):
+        recorder.event("point")
+    recorder.close()
+
+
 def test_a_slow_disk_holds_the_appender_back_and_loses_nothing(tmp_path, monkeypatch):
     put = recorder_module._put
     monkeypatch.setattr(recorder_module, "_put", lambda *rest: (time.sleep(2e-3), put(*rest)))

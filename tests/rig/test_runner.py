@@ -215,10 +215,10 @@ def test_every_fault_at_some_instants_ends_vented_and_recorded(trials, tmp_path)
     generator = np.random.default_rng(7)
     stopped = 0
     for name, make in trials.faults.FAULTS.items():
-        for number in range(8):
+        for number in range(5):
             fault = make(float(generator.uniform(0, trials.faults.DURATION)))
             stopped += bool(trials.faults.broken(fault, number, tmp_path / f"{name} {number}"))
-    assert stopped > 4 * len(trials.faults.FAULTS)
+    assert stopped > 2.5 * len(trials.faults.FAULTS)
 
 
 def test_killed_at_random_instants_it_loses_nothing_that_was_recorded(trials, tmp_path, monkeypatch):
@@ -229,6 +229,6 @@ def test_killed_at_random_instants_it_loses_nothing_that_was_recorded(trials, tm
     kills = 0
     for number in range(40):
         kills += trials.kill.trial(tmp_path / str(number), reference, generator, longest)
-        if kills >= 15:
+        if kills >= 10:
             break
-    assert kills >= 15
+    assert kills >= 10

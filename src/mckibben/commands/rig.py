@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mckibben.commands.interruptible import late_progress
 from mckibben.commands.options import Json, quantity_or_none, said
 from mckibben.commands.rig_control import control
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
@@ -134,29 +136,26 @@ def _numbers(checked: Checked) -> dict[str, object]:
 
 @contextmanager
 def _shown(checked: Checked, *, quiet: bool) -> Iterator[Report | None]:
-    """A line on the terminal: how far it is, what is measured, how long it takes yet."""
-    if quiet:
-        yield None
-        return
-    from mckibben.terminal import progress as bar_on_terminal
+    """A line on the terminal: how far it is, what is measured, how long it takes yet by the rig's clock."""
     from mckibben.units import bar, percent
 
     found = checked.outline
     total = max(1, found.plateaus)
-    with bar_on_terminal() as bars:
-        last = [0.0]
+    with late_progress(quiet=quiet, width=8) as bars:
+        if bars is None:
+            yield None
+            return
+        last = [-math.inf]
 
         def report(progress: Progress) -> None:
-            wall = time.monotonic()
-            if wall - last[0] < 0.1:
+            wall, part = time.monotonic(), min(1.0, progress.points / total)
+            if wall - last[0] < 0.1 and part < 1.0:
                 return
             last[0] = wall
-            part = min(1.0, progress.points / total)
-            left = found.duration * (1 - part)
             seen = progress.seen
-            bars(
-                f"{seen.pressure / bar:5.2f} bar  {seen.force:6.1f} N  {progress.contraction / percent:5.1f} %  "
-                f"point {progress.points} of {total}  {_duration(left)} left on the rig's clock",
+            bars(  # 80 columns hold it
+                f"{seen.pressure / bar:5.2f} bar {seen.force:6.1f} N {progress.contraction / percent:5.1f} %  "
+                f"{progress.points}/{total}  {_duration(found.duration * (1 - part))} left",
                 part,
             )
 

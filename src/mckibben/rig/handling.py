@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
@@ -9,7 +10,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import McKibbenError, SignalledError, StoppedError
+from mckibben.errors import McKibbenError, RigError, SignalledError, StoppedError
 from mckibben.rig.backend import Block, MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.recorder import Recorder
@@ -20,6 +21,7 @@ STOPPED, VENTED, DROPPED = "stopped", "vented", "dropped"
 """Kinds of event."""
 
 _AFTERWARDS = 10.0  # s for which a stop is watched
+_MOST_AFTERWARDS = 3  # times as many reads as go into that, for samples that wait
 _COMPLIANCE = 0.005 * mm  # m/N moved towards a force to be held, a cycle
 _SPEED = 0.2 * mm  # m/s of that, at most
 
@@ -96,16 +98,16 @@ class Handling:
         self._signal: tuple[int, str] | None = None
         self._set_pressure = 0.0
         self._points = 0
+        self._standing: int | None = None  # pulses, seen after a stop
 
     def interrupt(self, signal: int, name: str) -> None:
         """Stop after the cycle that runs; may be called from a signal handler."""
         self._signal = (signal, name)
 
     def begin(self) -> None:
-        """The first look, while nothing is pressed or moved."""
+        """The first look: nothing is pressed or moved before the muscle is seen to be empty."""
         self.recorder.event("opened", "", **self.backend.described)
-        self._watch.expect(0.0, 0.0)
-        self._cycle()
+        self.let_out()
 
     def take(self, count: int, plateau: int) -> Taken:
         """Take so many samples in a row, all of them recorded, as those of a plateau."""
@@ -172,7 +174,7 @@ class Handling:
             begun = self.now
             while (part := rate * (self.now - begun)) < abs(pressure - before):
                 set_now = before + math.copysign(part, pressure - before)
-                self._watch.expect(set_now, self.now)
+                self._watch.expect(set_now, begun)
                 self._set(set_now)
                 self._cycle()
                 if holding is not None:
@@ -210,7 +212,7 @@ class Handling:
             if self.now > since + self.bench.limits.settling:
                 raise StoppedError(
                     f"{seen.pressure / bar:.3g} bar are left {self.now - since:.3g} s after venting",
-                    remedy="shut the supply by hand, and check the valve",
+                    remedy="shut the supply by hand, and check the valve; if it is empty, tare its sensor",
                 )
         self._watch_closely(0.0)
 
@@ -240,14 +242,14 @@ class Handling:
         except BaseException:
             backend.vent()
             backend.stop()
-            self._record(block, 1, plateau)
+            with contextlib.suppress(RigError):  # what the watch found says more
+                self._record(block, 1, plateau)
             raise
         backend.beat()
         self.pulses = int(block.pulses[-1]) + self._origin
         self._record(block, 1 if plateau >= 0 else bench.every, plateau)
         if self._signal is not None:
-            number, name = self._signal
-            raise SignalledError(f"it was interrupted ({name})", signal=number)
+            raise _interrupted(*self._signal)
         if self._report is not None:
             self._report(Progress(seen.time, seen, bench.contraction_at(self.pulses), self._set_pressure, self._points))
         return block
@@ -272,6 +274,8 @@ class Handling:
 
     def stopped(self, error: BaseException) -> StoppedError:
         """Record why, watch the pressure fall, and say both."""
+        if isinstance(error, KeyboardInterrupt) and self._signal is not None:  # it came again, and did not wait
+            error = _interrupted(*self._signal)
         reason = str(error) if isinstance(error, McKibbenError) else f"{type(error).__name__}: {error}".rstrip(": ")
         said: list[str] = []
         self._note(lambda: self.recorder.event(STOPPED, reason, error=type(error).__name__), said)
@@ -282,7 +286,9 @@ class Handling:
             vented = "the muscle is vented"
         else:
             vented = f"{pressure / bar:.3g} bar ARE LEFT IN THE MUSCLE: shut the supply by hand"
-        data = {} if pressure is None else {"pressure": pressure}
+        data: dict[str, float] = {} if pressure is None else {"pressure": pressure}
+        if self._standing is not None:
+            data["pulses"] = self._standing
         self._note(lambda: self.recorder.event(VENTED, vented, **data), said)
         self._note(self.recorder.flush, said)
         text = "; ".join([f"stopped: {reason}", vented, *(text for text in said if text not in reason)])
@@ -291,22 +297,32 @@ class Handling:
         return StoppedError(text)
 
     def _afterwards(self, said: list[str]) -> float | None:
-        """The pressure [Pa] when it has fallen, or after some seconds; None where nothing can be read."""
+        """The pressure [Pa] when it has fallen, or after some seconds; None where nothing can be read.
+
+        There are no beats any more: a rig whose `vent` did nothing vents by itself. Samples that waited since before
+        the stop tell nothing of what came of it.
+        """
         at = self._names.index("pressure")
         calibration = self.bench.calibrations["pressure"]
         seen: float | None = None
-        left = math.ceil(_AFTERWARDS / self.bench.cycle)
         try:
-            while left and (seen is None or seen > self.bench.vented):
-                left -= 1
+            stopped = self.backend.clock()
+            end = stopped + _AFTERWARDS
+            for _ in range(_MOST_AFTERWARDS * math.ceil(_AFTERWARDS / self.bench.cycle)):
                 block = self.backend.read(self.bench.samples_a_cycle, timeout=self.bench.cycle)
-                self.backend.beat()
-                volts = block.volts[:, at]
+                self.backend.vent()
                 self._note(lambda block=block: self._record(block, 1, -1), said)
+                if not block.time[0] > stopped - 1 / self.bench.rate:
+                    continue
+                first, last = int(block.pulses[0]), int(block.pulses[-1])
+                self._standing = last + self._origin if first == last else None
+                volts = block.volts[:, at]
                 if bool(np.any(calibration.lost(volts, self.backend.inputs[at]))):
                     return None
                 seen = float(calibration.si(volts).mean())
-        except Exception:  # a rig that fails while it is stopped has been told to vent all the same
+                if seen <= self.bench.vented or block.time[-1] >= end:
+                    break
+        except (Exception, KeyboardInterrupt):  # it has been told to vent all the same
             return None
         return seen
 
@@ -317,3 +333,7 @@ class Handling:
         except Exception as error:
             if str(error) not in said:
                 said.append(str(error))
+
+
+def _interrupted(number: int, name: str) -> SignalledError:
+    return SignalledError(f"it was interrupted ({name})", signal=number)

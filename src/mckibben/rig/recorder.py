@@ -65,7 +65,7 @@ class Recorder:
         self._written = first  # of those, in the file
         self._pending: list[list[np.ndarray] | bytes] = []
         self._bytes = 0
-        self._failure: OSError | None = None
+        self._failure: Exception | None = None
         self._closing = self._hurry = False
         self._asked = self._done = 0  # flushes
         self._change = threading.Condition()
@@ -144,6 +144,7 @@ class Recorder:
         if not count:
             return
         with self._change:
+            self._raise_closed()
             self._raise_failure()
             while self._bytes > _MOST_PENDING and self._failure is None:
                 self._hurry = True
@@ -169,6 +170,7 @@ class Recorder:
         content = {"kind": kind, "text": text, "data": data}
         with self._change:
             chunk = pack_json(EVENT, self._rows, content)
+            self._raise_closed()
             self._raise_failure(but_full=True)
             self._pending.append(chunk)
 
@@ -204,12 +206,18 @@ class Recorder:
             if error is None:  # what went wrong first says more
                 raise
 
+    def _raise_closed(self) -> None:
+        if self._closing:
+            raise RigError(f"{self.path} is closed", remedy="record before that")
+
     def _raise_failure(self, *, but_full: bool = False) -> None:
-        if self._failure is not None and not (but_full and self._failure.errno == errno.ENOSPC):
+        failure = self._failure
+        if failure is not None and not (but_full and getattr(failure, "errno", None) == errno.ENOSPC):
+            reason = getattr(failure, "strerror", None) or f"{type(failure).__name__}: {failure}".rstrip(": ")
             raise RigError(
-                f"{self.path} cannot be written: {self._failure.strerror}",
+                f"{self.path} cannot be written: {reason}",
                 remedy="what was recorded before is kept; make room and resume",
-            ) from self._failure
+            ) from failure
 
     def _work(self) -> None:
         lost = False
@@ -223,7 +231,7 @@ class Recorder:
             try:
                 if pending and not lost:
                     self._write(b"".join(self._packed(pending)))
-            except OSError as error:
+            except Exception as error:  # whatever it is: a thread that ends here would lose the rest in silence
                 lost = True  # what comes later would stand after a gap
                 with self._change:
                     self._failure = error

@@ -34,10 +34,12 @@ class _Wanted:
     """What the steps have asked for; where a test goes on, it is brought about before the first point that lacks.
 
     `turn` is where the way now followed began, `before` where the one before that did, and `via` the pressure before
-    the one that is set, so that a test that goes on comes from the same side.
+    the one that is set, so that a test that goes on comes from the same side. `pressed` is where it was set: the muscle
+    has been there at `via`, and may not bear it elsewhere.
     """
 
     pulses: int = 0
+    pressed: int = 0
     turn: int = 0
     before: int = 0
     pressure: float = 0.0
@@ -91,11 +93,12 @@ class Runner:
         self.recorder = recorder
         self._rig = Handling(backend, bench, recorder, origin=origin, since=since, report=report)
         self._done = done
-        self._wanted = _Wanted(pulses=origin, turn=origin, before=origin)
+        self._wanted = _Wanted()
         self._live = not done
         self._number = 0
         self._repeat = 0
-        self._walked_from = origin
+        self._walked_from = 0
+        self._speed = bench.drive.fastest / bench.drive.pulses_per_metre / 4  # where no step says another
 
     def interrupt(self, signal: int, name: str) -> None:
         """Stop after the cycle that runs; may be called from a signal handler."""
@@ -122,16 +125,22 @@ class Runner:
             raise
         try:
             self._rig.begin()
+            if self._live:  # the steps begin where the muscle was mounted
+                self._rig.drive(0, self._speed)
             self._do(steps)
             self._vent()
-            self.recorder.event(DONE, "all steps are done", points=self._number)
+            self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self._rig.pulses)
         except BaseException as error:
-            backend.vent()  # before anything else
-            backend.stop()
+            try:
+                backend.vent()  # before anything else
+            finally:
+                backend.stop()
             raise self._rig.stopped(error) from error
         finally:
-            backend.vent()
-            backend.close()
+            try:
+                backend.vent()
+            finally:  # even where another signal comes in between
+                backend.close()
 
     # the steps
 
@@ -182,7 +191,7 @@ class Runner:
         if number < len(self._done):
             point = self._done[number]
             if self._wanted.holding is not None:
-                self._wanted.before = self._wanted.turn = point.pulses
+                self._wanted.before = self._wanted.turn = self._wanted.pressed = point.pulses
             self._wanted.pulses = point.pulses
             return point
         self._go_live()
@@ -244,7 +253,7 @@ class Runner:
     def _pressurise(self, pressure: float, rate: float | None, holding: float | None) -> None:
         wanted = self._wanted
         wanted.via, wanted.pressure, wanted.holding, wanted.rest = wanted.pressure, pressure, holding, 0.0
-        wanted.hold = None
+        wanted.hold, wanted.pressed = None, wanted.pulses
         if holding is None:
             wanted.before = wanted.turn = wanted.pulses
         if self._live:
@@ -253,7 +262,7 @@ class Runner:
     def _vent(self) -> None:
         self._wanted.via = self._wanted.pressure = self._wanted.rest = 0.0
         self._wanted.holding = self._wanted.hold = None
-        self._wanted.before = self._wanted.turn = self._wanted.pulses
+        self._wanted.before = self._wanted.turn = self._wanted.pressed = self._wanted.pulses
         if self._live:
             self._rig.let_out()
 
@@ -278,11 +287,10 @@ class Runner:
         self._live = True
         wanted = self._wanted
         rest = wanted.rest
-        speed = wanted.speed or self.bench.drive.fastest / self.bench.drive.pulses_per_metre / 4
+        speed = wanted.speed or self._speed
         self.recorder.event(RESUMED, f"at point {self._number - 1}", point=self._number - 1)
         self._rig.let_out()
-        most = round(_TURNING * self.bench.drive.pulses_per_metre)
-        self._rig.drive(wanted.turn + max(-most, min(most, wanted.before - wanted.turn)), speed)
+        self._rig.drive(wanted.pressed, speed)
         if wanted.via > 0:
             self._rig.press(0.0, wanted.via, 1 * bar, wanted.holding)
         if wanted.pressure != 0:
@@ -292,6 +300,8 @@ class Runner:
         if wanted.hold is not None:
             self._hold(wanted.hold)
         else:
+            most = round(_TURNING * self.bench.drive.pulses_per_metre)
+            self._rig.drive(wanted.turn + max(-most, min(most, wanted.before - wanted.turn)), speed)
             self._rig.drive(wanted.turn, speed)
             self._rig.drive(wanted.pulses, speed)
         self._rig.wait(rest)

@@ -224,13 +224,18 @@ class Watch:
                 )
 
     def _timely(self, first: float, last: float, clock: float) -> None:
-        if self._time is not None and first - self._time > self.limits.gap:
+        if self._time is not None and not first > self._time:
+            raise StoppedError(
+                f"the readings go back in time, from {self._time:.6g} s to {first:.6g} s",
+                remedy="check the device and its driver",
+            )
+        if self._time is not None and not first - self._time <= self.limits.gap:
             raise StoppedError(
                 f"no readings for {first - self._time:.3g} s: samples were dropped",
                 remedy="find out what kept the device or the host busy",
             )
         self._time = last
-        if clock - last > self.limits.gap:
+        if not abs(clock - last) <= self.limits.gap:
             raise StoppedError(
                 f"the readings are {clock - last:.3g} s old",
                 remedy="find out what kept the device or the host busy",

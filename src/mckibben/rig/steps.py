@@ -36,7 +36,7 @@ class Move:
 
     def describe(self) -> str:
         """In words."""
-        return f"move to {self.to / percent:.4g} % at {self.speed / mm:g} mm/s"
+        return f"move to {self.to / percent:.4g} % contraction at {self.speed / mm:g} mm/s"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +201,7 @@ class Walk:
 
     def describe(self) -> str:
         """In words."""
-        to = "back" if self.to is None else f"to {self.to / percent:.4g} %"
+        to = "back" if self.to is None else f"to {self.to / percent:.4g} % contraction"
         ends = [f"until {self.force:g} N"] if self.force is not None else []
         ends += [f"until {self.slack} slack plateaus"] if self.slack is not None else []
         what = f" ({self.acquire.direction})" if self.acquire.direction else ""

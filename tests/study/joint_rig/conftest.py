@@ -1,4 +1,4 @@
-"""A joint rig that is compiled once: the knee of the examples, 100 ms of its sine, under PID."""
+"""A joint rig that is compiled once: the knee of the examples, 100 ms of its sine."""
 
 from __future__ import annotations
 
@@ -101,8 +101,25 @@ def stiff():
     return Knee(scenario, plant, start, SteadyControl(), StiffJoint())
 
 
+_MUSCLE = "  muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"
+_MUSCLES = """  muscle1: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n,
+    friction: {half_width: 7.5 N, presliding_length: 0.5 mm}}
+  muscle2: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n, creep: {stiffness: 500 N/m, time_constant: 0.2 s}}
+"""
+_SLIDING = """controller:
+  decoupling:
+    sliding: {slope: 40 1/s, reach: 80 rad/s^2, layer: 1 rad/s}
+    disturbance_observer: {bandwidth: 200 rad/s}
+    pressure_observer: {bandwidth: 200 rad/s}
+
+"""
+
+
 @pytest.fixture(scope="session")
 def knee():
-    scenario = Scenario.read(EXAMPLE)
+    """All that has a memory: friction, creep, sliding mode, observers. The tests of `rig control` run two PIDs."""
+    text = EXAMPLE.read_text(encoding="utf-8").replace(_MUSCLE, _MUSCLES.rstrip())
+    before, after = text.index("controller:"), text.index("reference:")
+    scenario = Scenario.parse(text[:before] + _SLIDING + text[after:])
     plant = scenario.plant()
     return Knee(scenario, plant, scenario.initial(plant), ControlProgram(scenario.control()), PlantProgram(plant, 4))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mckibben.rig.twin.faults import Delaying, Dropping, HostDelayed, Silent, SupplyLost
+from mckibben.study.joint_rig import loop
 from mckibben.study.joint_rig.faults import Unplugged
 from mckibben.study.joint_rig.undisturbed import Told
 from mckibben.study.joint_rig.virtual import VirtualJoint
@@ -58,7 +59,8 @@ SENSORS = ("angle", "pressure1", "pressure2")
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_a_sensor_that_is_lost_at_any_time_vents_within_its_period(stiff, watched, sensor):
+def test_a_sensor_that_is_lost_at_any_time_vents_within_its_period(stiff, watched, monkeypatch, sensor):
+    monkeypatch.setattr(loop, "_VENTING", 100 * ms)  # s for which it would look for a pressure that it cannot read
     for instant in INSTANTS:
         joint = watched(faults=[Unplugged(instant, sensor)])
         ending, kept = stiff.run(joint, course=stiff.course(PERIODS + 1))

@@ -14,12 +14,12 @@ from mckibben.rig.twin.faults import Dropping, HostDelayed
 from mckibben.simulation.loop import compiled_episode
 from mckibben.study.joint_rig import JointLimits, Sensing, Timing
 from mckibben.study.joint_rig.limits import Watch
-from mckibben.study.joint_rig.rows import Phase
+from mckibben.study.joint_rig.rows import Phase, Rows
 from mckibben.study.joint_rig.undisturbed import undisturbed
 from mckibben.study.joint_rig.wiring import Reading
 from mckibben.units import bar, deg, kPa, ms
 
-from .conftest import PERIOD, SteadyControl
+from .conftest import PERIOD, Kept, SteadyControl
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +163,42 @@ def test_sensors_have_the_noise_and_the_steps_that_they_are_said_to(stiff):
     assert len(set(volts[:, 0])) == 1
     joint.open()
     assert np.array_equal(joint.read(4000).volts, volts)
+
+
+def test_rows_of_a_slow_loop_do_not_wait_for_others(stiff):
+    """Every sample is on the disk within a second; 50 of a loop of 20 Hz are 2.5 s."""
+    kept = Kept()
+    rows = Rows(kept, ())
+    for number in range(40):
+        rows.begin(number, Phase.RUN, number * 50 * ms, (0.0, 0.0, 0.0), number * 50 * ms)
+        there = sum(len(table["sample"]) for table in kept.tables)
+        assert number - there < 4
+    rows.flush()
+    assert np.array_equal(kept.columns["sample"], np.arange(40))
+
+
+def test_an_exception_in_the_record_of_an_exception_still_closes(stiff):
+    class Broken(Kept):
+        def event(self, kind, text="", **data):
+            if kind == "failed":
+                raise MemoryError
+            super().event(kind, text, **data)
+
+    def show(shown):
+        raise ZeroDivisionError
+
+    joint = stiff.joint()
+    with pytest.raises(MemoryError):
+        stiff.run(joint, recorder=Broken(), show=show)
+    assert not joint.is_open
+
+
+def test_nobody_beats_after_the_vent(stiff):
+    """So that a rig whose vent does nothing vents by itself."""
+    joint = stiff.joint(patience=60 * ms)
+    joint.vent = lambda: None
+    ending, _ = stiff.run(joint)
+    assert ending.completed and 60 * ms < ending.vented_after < 200 * ms
 
 
 def test_a_command_between_samples_counts_from_when_it_came(stiff):

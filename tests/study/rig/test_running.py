@@ -1,6 +1,7 @@
 """A test in a folder: begun, gone on with, kept to itself, and in the end a dataset."""
 
 import dataclasses
+import errno
 import fcntl
 import os
 import signal
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import read_dataset
-from mckibben.errors import FileError, RigError, ScenarioError, SignalledError, StoppedError
+from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError, SignalledError, StoppedError
 from mckibben.rig.record import header_of, read_record, segments
+from mckibben.rig.recorder import Recorder
 from mckibben.study.rig import checking, running
 from mckibben.study.rig.checking import check
 from mckibben.study.rig.document import RigSpec, RigTest
@@ -80,7 +82,7 @@ def test_it_overwrites_nothing_and_goes_on_with_nothing_else(tmp_path):
     with pytest.raises(FileError, match="holds no test to go on with"):
         run_test(checked(), tmp_path, resume=True)
     run_test(checked(), tmp_path)
-    with pytest.raises(FileError, match=r"protocol\.yaml: it is there already"):
+    with pytest.raises(FileError, match=r"holds a record already; go on with it \(--resume\)"):
         run_test(checked(), tmp_path)
     with pytest.raises(ScenarioError, match="holds another test; go on with its own"):
         run_test(checked(TEXT.replace("repeats: 1", "repeats: 2")), tmp_path, resume=True)
@@ -105,6 +107,20 @@ def test_a_rig_that_is_not_there_leaves_nothing_behind(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_record_whose_last_chunk_cannot_be_written_is_kept(tmp_path, monkeypatch):
+    close = Recorder.close
+
+    def fail(recorder):
+        close(recorder)
+        raise RigError("the disk is gone")
+
+    monkeypatch.setattr(Recorder, "close", fail)
+    with pytest.raises(RigError, match="the disk is gone"):
+        run_test(checked(), tmp_path)
+    monkeypatch.setattr(Recorder, "close", close)
+    assert len(gather(tmp_path)) == 32
+
+
 def test_too_small_a_disk_is_refused_before_anything_moves(tmp_path, monkeypatch):
     class Usage:
         free = 100_000
@@ -113,6 +129,35 @@ def test_too_small_a_disk_is_refused_before_anything_moves(tmp_path, monkeypatch
     with pytest.raises(ScenarioError, match="has 0 MB left, and the test takes up to 1 MB; make room"):
         run_test(checked(), tmp_path)
     assert not segments(tmp_path)
+
+
+def test_a_dataset_for_which_there_is_no_room_is_told_with_what_to_do(tmp_path, monkeypatch):
+    def full(_, path):
+        raise OSError(errno.ENOSPC, "nc_close: a long story")
+
+    monkeypatch.setattr("mckibben.dataset.IsobaricDataset.to_netcdf", full)
+    with pytest.raises(
+        FileError, match=r"No space left on device; the record is whole: make room, then mckibben rig data"
+    ):
+        run_test(checked(), tmp_path)
+    monkeypatch.undo()
+    assert len(gather(tmp_path)) == 32
+
+
+def test_a_dataset_of_another_calibration_than_was_recorded_is_told(tmp_path, monkeypatch):
+    made = run_test(checked(), tmp_path)
+    tared = dataclasses.replace(checked().setup.bench.calibrations["force"], tare=3.0)
+    build = checking.build_setup
+
+    def mended(test, session=0):
+        setup = build(test, session)
+        bench = dataclasses.replace(setup.bench, calibrations={**setup.bench.calibrations, "force": tared})
+        return dataclasses.replace(setup, bench=bench)
+
+    monkeypatch.setattr(checking, "build_setup", mended)
+    with pytest.warns(McKibbenWarning, match=r"record-0001\.chunks was recorded with another calibration"):
+        again = gather(tmp_path)
+    np.testing.assert_allclose(again.force, made.force - 3.0, atol=1e-4)
 
 
 def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path):

@@ -187,11 +187,13 @@ class Loop:
         return commands[0] != wanted[0] or commands[1] != wanted[1]
 
     def watch_venting(self) -> float | None:
-        """Read on until both pressures are gone; after what time [s] they were, None if that was not seen."""
+        """Read on until both pressures are gone; after what time [s] they were, None if that was not seen.
+
+        There are no beats any more: a rig whose `vent` did nothing vents by itself.
+        """
         begun, period = self._next, self._course.period
         try:
             while (self._next - begun) * period < _VENTING:
-                self._backend.beat()
                 reading = self._look_on()
                 if reading.pressure1 < VENTED and reading.pressure2 < VENTED:
                     return (self._next - begun) * period

@@ -27,8 +27,8 @@ def measured_result(
 
     Angle and pressures are as measured. Stiffness, torque, forces and contractions are what the laws of the plant's
     muscles make of them, without friction and creep, whose state cannot be measured. The velocity is that between
-    neighbouring samples. How far the angle was moved by a change of the stiffness would take a second run: there is no
-    ``coupling``.
+    neighbouring samples. How far a change of the stiffness moved the angle would take a second run, and what goes
+    in and out as air cannot be told from the noise of the pressures: there is neither ``coupling`` nor ``air``.
 
     Parameters
     ----------
@@ -56,7 +56,9 @@ def measured_result(
     state = PlantState(angle, velocity, pressure1, pressure2)
     record = Record(state, table["command1"], table["command2"], table["limited"] != 0, telemetry)  # type: ignore[arg-type]
     wishes = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
-    moved = compiled_trajectory(numeric(_by_laws(plant)), wishes, record, np.full(count, np.nan))  # type: ignore[arg-type]
+    nothing = np.full(count, np.nan)
+    moved = compiled_trajectory(numeric(_by_laws(plant)), wishes, record, nothing)  # type: ignore[arg-type]
+    moved = moved._replace(air=nothing)  # type: ignore[arg-type]
     band = reach.lowest[:count], reach.highest[:count]
     return Result.of(moved, period, band=band, telemetry=telemetry, scenario=scenario)
 

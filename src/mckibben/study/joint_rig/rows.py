@@ -15,6 +15,7 @@ from mckibben.simulation.result import attributes
 from mckibben.study.joint_rig.wiring import Reading
 
 _TOGETHER = 50  # rows that go to the recorder at once: 50 ms of 1 kHz
+_LONGEST = 0.1  # s that a row waits for others, where they are not as many
 
 
 class Phase(enum.IntEnum):
@@ -44,7 +45,7 @@ _OWN = (
     ("command2", "Pa", "float64"),
     ("limited", "1", "float64"),
 )
-_ANSWERED, _VOLTS, _READING, _WISH, _COMMAND = 4, 5, 8, 11, 13
+_TIME, _ANSWERED, _VOLTS, _READING, _WISH, _COMMAND = 2, 4, 5, 8, 11, 13
 _TELEMETRY = len(_OWN)
 
 
@@ -65,7 +66,7 @@ class Rows:
 
     def begin(self, sample: int, phase: int, time: float, volts: Sequence[float], read_at: float) -> int:
         """A row for a sample, to which the rest is added; those before it may go."""
-        if self._filled == _TOGETHER:
+        if self._filled == _TOGETHER or (self._filled and time - self._table[0, _TIME] > _LONGEST):
             self.flush()
         row = self._filled
         self._table[row, :_ANSWERED] = (sample, phase, time, read_at)

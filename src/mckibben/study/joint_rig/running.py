@@ -77,9 +77,11 @@ def control(
         backend.vent()
         ending = Ending(_kind(error), str(error), error)
     except BaseException as error:
-        backend.vent()
-        _note(rows, "failed", f"{type(error).__name__}: {error}")
-        backend.close()
+        try:
+            backend.vent()
+            _note(rows, "failed", f"{type(error).__name__}: {error}")
+        finally:
+            backend.close()
         raise
     else:
         backend.vent()

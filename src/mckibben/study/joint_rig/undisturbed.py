@@ -6,18 +6,14 @@ import contextlib
 import ctypes
 import gc
 import os
-import signal
 import sys
-import threading
 from collections.abc import Iterator
-from types import FrameType
+
+from mckibben.study.signals import heeded
 
 _PRIORITY = 20  # of 1 to 99: above what is ordinary, below what keeps the machine going
 _TIMER_SLACK = 29  # PR_SET_TIMERSLACK of Linux
 _SWITCH = 1e-4  # s: how long another thread may keep the interpreter to itself
-
-SIGNALS = (signal.SIGINT, signal.SIGTERM) + ((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ())
-"""What stops a run."""
 
 
 class Told:
@@ -29,21 +25,14 @@ class Told:
 
 @contextlib.contextmanager
 def signals_told() -> Iterator[Told]:
-    """Note a signal in place of what it does otherwise; only in the main thread, where signals arrive."""
+    """Note the signals that `heeded` tells of."""
     told = Told()
-    if threading.current_thread() is not threading.main_thread():
-        yield told
-        return
 
-    def note(number: int, _: FrameType | None) -> None:
+    def note(number: int) -> None:
         told.signal = number
 
-    before = {number: signal.signal(number, note) for number in SIGNALS}
-    try:
+    with heeded(note):
         yield told
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextlib.contextmanager

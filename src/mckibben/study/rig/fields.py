@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, PlainSerializer, SerializationInfo, ValidationInfo
 
@@ -12,11 +12,18 @@ from mckibben.study.scenario.quantity import Quantity
 from mckibben.study.scenario.words import read_path, write_path
 from mckibben.units import quantity, show
 
+_BARE = re.compile(r"[-+]?\d{1,9}(\.\d{0,9})?")
 _ADDRESS = re.compile(r"[A-Za-z0-9_.:/-]{1,80}")
 
 
 class Percent(Quantity):
     """Marks a ratio that is written in percent."""
+
+    def read(self, value: Any) -> float:
+        """The ratio, checked; one without a unit is a ratio."""
+        if isinstance(value, str) and _BARE.fullmatch(value.strip()) and not self.holds(float(value)):
+            refuse(f"{quoted(value)} has no unit, and as a ratio is outside {self.range}", f"write '{value.strip()} %'")
+        return super().read(value)
 
     def write(self, value: float) -> str:
         """Text that `read` takes back to the same float, in percent wherever that is possible."""

@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 import platform
 import signal
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,9 +15,10 @@ import numpy as np
 
 import mckibben
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import FileError, Problem, RigError, ScenarioError, StoppedError
+from mckibben.errors import FileError, McKibbenWarning, Problem, RigError, ScenarioError
 from mckibben.files import folder as made
 from mckibben.rig.assembly import assemble
+from mckibben.rig.chunks import read_header
 from mckibben.rig.handling import VENTED, Report
 from mckibben.rig.plateaus import Point, points
 from mckibben.rig.record import Event, header_of, passages, segments
@@ -29,18 +28,17 @@ from mckibben.rig.steps import described
 from mckibben.study.keeping import alone, check_free
 from mckibben.study.rig.checking import Checked, check, check_room
 from mckibben.study.rig.document import RigTest
+from mckibben.study.signals import heeded
 
 PROTOCOL = "protocol.yaml"
 """What was asked for, beside the record in a folder."""
-
-SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 @dataclass(frozen=True)
 class _Past:
     """What a folder's record says of what was done before.
 
-    `left` is where the motor stood last, and `certain` whether the test was stopped in good order there.
+    `left` is where the motor stood last, and `certain` whether it was seen to stand there when the test had ended.
     """
 
     done: tuple[Point, ...] = ()
@@ -89,14 +87,13 @@ def run_test(
         If the test was stopped; the muscle has been vented, and what was recorded is kept.
     """
     folder = Path(folder)
-    name = data_name(checked.test)
     if resume and not (folder / PROTOCOL).exists():
         raise FileError(str(folder), [Problem("holds no test to go on with", remedy="leave --resume out")])
     if not resume:
-        check_free(folder, [PROTOCOL, name])
         if segments(folder):
             remedy = "go on with it (--resume), or choose another folder"
             raise FileError(str(folder), [Problem("holds a record already", remedy=remedy)])
+        check_free(folder, [PROTOCOL, data_name(checked.test)])
     made(folder)
     with alone(folder / "lock", "running a test here"):
         if resume:
@@ -108,14 +105,12 @@ def run_test(
                 checked.test.to_yaml(folder / PROTOCOL)
             try:
                 _go_on(checked, folder, past, standing_at, report)
-            except RigError as error:
-                if not resume and not isinstance(error, StoppedError):  # it did not even begin
+            except RigError:
+                if not resume and next(passages(folder), None) is None:  # it did not even begin
                     for path in (*segments(folder), folder / PROTOCOL):
                         path.unlink(missing_ok=True)
                 raise
-        data = assemble(folder, checked.setup.bench, source=_source(checked, folder))
-        data.to_netcdf(folder / name)
-    return data
+        return _assembled(checked, folder)
 
 
 def gather(folder: str | os.PathLike[str]) -> IsobaricDataset:
@@ -131,8 +126,23 @@ def gather(folder: str | os.PathLike[str]) -> IsobaricDataset:
         raise FileError(str(folder), [Problem("holds no test", remedy="give the folder of `rig run --out`")])
     checked = check(RigTest.read(folder / PROTOCOL))
     with alone(folder / "lock", "running a test here"):
-        data = assemble(folder, checked.setup.bench, source=_source(checked, folder))
-        data.to_netcdf(folder / data_name(checked.test))
+        return _assembled(checked, folder)
+
+
+def _assembled(checked: Checked, folder: Path) -> IsobaricDataset:
+    calibration = _header(checked)["calibration"]
+    for path in segments(folder):
+        if read_header(path)[0]["header"]["calibration"] != calibration:
+            message = f"{path} was recorded with another calibration; the dataset is made with the present one"
+            warnings.warn(message, McKibbenWarning, stacklevel=3)
+    data = assemble(folder, checked.setup.bench, source=_source(checked, folder))
+    name = data_name(checked.test)
+    try:
+        data.to_netcdf(folder / name)
+    except OSError as error:
+        problem = f"it cannot be written: {os.strerror(error.errno) if error.errno else error}"
+        remedy = f"the record is whole: make room, then mckibben rig data {folder}"
+        raise FileError(str(folder / name), [Problem(problem, remedy=remedy)]) from error
     return data
 
 
@@ -143,7 +153,7 @@ def _go_on(checked: Checked, folder: Path, past: _Past, standing_at: float | Non
     begin = Recorder.resume if segments(folder) else Recorder.create
     with begin(folder, _header(checked), columns) as recorder:
         runner = Runner(backend, bench, recorder, done=past.done, origin=origin, since=past.since, report=report)
-        with _heeded(runner):
+        with heeded(lambda number: runner.interrupt(number, signal.Signals(number).name)):
             runner.run(checked.steps)
 
 
@@ -174,9 +184,9 @@ def _past(folder: Path) -> _Past:
             since, left = float(one.columns["time"][-1]) + step, int(one.columns["pulses"][-1])
     found = points(events)
     done = tuple(point for number, point in enumerate(found) if point.number == number)
-    last = events[-1].kind if events else ""
     finished = any(event.kind == DONE for event in events)
-    return _Past(done, since, left, not events or last in (VENTED, DONE), finished)
+    stood = events[-1].data.get("pulses") if events and events[-1].kind in (VENTED, DONE) else None
+    return _Past(done, since, left if stood is None else stood, not events or stood is not None, finished)
 
 
 def _same(test: RigTest, folder: Path) -> None:
@@ -217,27 +227,3 @@ def _header(checked: Checked) -> dict[str, Any]:
 
 def _source(checked: Checked, folder: Path) -> str:
     return f"{checked.rig} rig: {checked.test.name}, {header_of(folder)[0]['date']}"
-
-
-@contextmanager
-def _heeded(runner: Runner) -> Iterator[None]:
-    """Signals stop the test in good order meanwhile; a second one of a kind does what it does else."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {}
-
-    def heed(number: int, _: object) -> None:
-        runner.interrupt(number, signal.Signals(number).name)
-        signal.signal(number, before[number])
-
-    for name in SIGNALS:
-        if hasattr(signal, name):
-            number = getattr(signal, name)
-            if signal.getsignal(number) not in (signal.SIG_IGN, None):  # as of SIGHUP under nohup
-                before[number] = signal.signal(number, heed)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
