@@ -25,10 +25,12 @@ if TYPE_CHECKING:
         DecouplingControl,
         ExtendedStateObserver,
         FrictionCompensation,
+        InverseModelControl,
         Jacobian,
         Multisine,
         PolePlacement,
         PositionStiffnessControl,
+        PredictiveControl,
         Reference,
         Samples,
         Sine,
@@ -62,8 +64,9 @@ if TYPE_CHECKING:
 _MODULES = ("catalog", "report", "units")
 _HOMES = {
     "control": (
-        "PID BackpropPID Constant DecouplingControl ExtendedStateObserver FrictionCompensation Jacobian Multisine "
-        "PolePlacement PositionStiffnessControl Reference Samples Sine SlidingMode Step VelocityObserver"
+        "PID BackpropPID Constant DecouplingControl ExtendedStateObserver FrictionCompensation InverseModelControl "
+        "Jacobian Multisine PolePlacement PositionStiffnessControl PredictiveControl Reference Samples Sine "
+        "SlidingMode Step VelocityObserver"
     ),
     "dataset": "IsobaricDataset Recording read_dataset read_recording",
     "errors": "McKibbenError",
@@ -95,6 +98,7 @@ __all__ = [
     "Fit",
     "FrictionCompensation",
     "IdealValve",
+    "InverseModelControl",
     "IsobaricDataset",
     "IsobaricProtocol",
     "Jacobian",
@@ -108,6 +112,7 @@ __all__ = [
     "Muscle",
     "PolePlacement",
     "PositionStiffnessControl",
+    "PredictiveControl",
     "Recording",
     "Reference",
     "Result",

@@ -6,8 +6,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.control import PID, BackpropPID, Jacobian, Loop, Measurement, PositionStiffnessControl, Setpoint
+from mckibben.control import (
+    PID,
+    BackpropPID,
+    FrictionCompensation,
+    Jacobian,
+    Loop,
+    Measurement,
+    PositionStiffnessControl,
+    Setpoint,
+)
+from mckibben.control.position_stiffness import Forward
+from mckibben.errors import RangeError
+from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.compiled import numeric
+from mckibben.units import mm
 
 PERIOD = 1e-3
 POSITION, STIFFNESS = PID(1.5e5, 6e5, 1e4), PID(2e3, 2e5, 0.0)
@@ -164,3 +177,47 @@ def test_a_learner_with_the_models_jacobian_survives_two_slack_muscles(knee):
     state, _ = step(control.init(slack), slack)
     _, commands = step(state, seen())
     assert np.isfinite([float(c) for c in commands]).all()
+
+
+def test_what_is_given_beside_the_loops_is_added_and_the_loops_are_told_of_their_own_part(knee):
+    control = PositionStiffnessControl(Spy(0.5e5), Spy(1e5), model=knee)
+    forward = Forward(*map(jnp.asarray, (0.25e5, 2e5, 0.04)))
+    state, commands = control.step_beside(forward, control.init(seen()), wish(0.2, 16.0), seen(), PERIOD)
+    assert [float(c) for c in commands] == [2.25e5, 3.75e5]
+    assert [float(x) for x in state.position["asked"][:2]] == pytest.approx([0.16, 0.06])
+    assert [float(x) for x in state.position["told"][:2]] == [0.5e5, 0.5e5]
+    assert [float(x) for x in state.stiffness["told"][:2]] == [1e5, 1e5]
+    start = control.init_beside(forward, seen())
+    assert [float(x) for x in start.position["started"]] == pytest.approx([0.06, 0.06, -0.05e5])
+    assert float(start.stiffness["started"][2]) == pytest.approx(2.2e5)
+
+
+def test_the_differential_pressure_goes_before_the_cocontraction(knee):
+    """At a minimum tension each muscle has a lowest pressure; the loops are told what came of it."""
+    control = numeric(PositionStiffnessControl(Spy(0.3e5), Spy(1e5), model=knee, minimum_tension=8.0))
+    state, (command1, command2) = once(control, wish(), seen())
+    assert float(command2 - command1) / 2 == pytest.approx(0.3e5)
+    tensions = [float(t) for t in knee.tensions(0.1, (command1, command2))]
+    assert min(tensions) == pytest.approx(8.0, rel=1e-6) and bool(state.saturated)
+    assert float(state.position["told"][1]) == pytest.approx(0.3e5)
+    assert float(state.stiffness["told"][1]) == pytest.approx(float(command1 + command2) / 2)
+    assert float(command1 + command2) / 2 > 1e5
+    far = numeric(PositionStiffnessControl(Spy(9e5), Spy(3e5), model=knee, minimum_tension=8.0))
+    _, commands = once(far, wish(), seen())
+    taut = [float(t) for t in knee.tensions(0.1, commands)]
+    assert taut[0] == pytest.approx(8.0, rel=1e-6) and taut[1] <= knee.muscle2.specimen.rated_force * (1 + 1e-9)
+    with pytest.raises(RangeError, match="minimum_tension is 0 N"):
+        PositionStiffnessControl(POSITION, STIFFNESS, model=knee, minimum_tension=0.0)
+
+
+def test_friction_compensation_keeps_the_tension_too(knee):
+    rubbing = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(12.0, 0.5 * mm, elements=1))
+    model = dataclasses.replace(knee, muscle1=rubbing, muscle2=rubbing)
+    inner = PositionStiffnessControl(Spy(0.0), Spy(0.0), model=knee, minimum_tension=8.0)
+    control = FrictionCompensation(inner, model=model)
+    least = []
+    for towards in (0.2, 0.0):
+        state, commands = control.step(control.init(seen(0.1)), wish(towards), seen(0.1), PERIOD)
+        assert abs(float(state.torque)) > 0.5
+        least.append(min(float(t) for t in knee.tensions(0.1, commands)))
+    assert min(least) == pytest.approx(8.0, rel=1e-6)

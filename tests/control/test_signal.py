@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.control import Constant, Multisine, Reference, Samples, Sine, Step
+from mckibben.control import Constant, Multisine, Reference, Samples, Sine, Step, Sum
 from mckibben.errors import RangeError
 
 TIMES = np.array([0.0, 0.25, 1.0, 4.999, 5.0, 10.0])
@@ -59,9 +59,25 @@ def test_a_multisine_needs_one_of_each_for_every_sine():
         Multisine((0.1, 0.2), (0.5, 0.6), (0.1,))
 
 
+def test_a_sum_is_all_of_its_parts():
+    parts = Step(13.0, 17.0, at=5.0), Sine(0.5, 0.3, 1.0, 0.2), Samples([0.0, 10.0], [0.0, 2.0])
+    expected = np.where(TIMES < 5, 13.0, 17.0) + 1 + 0.5 * np.sin(0.6 * np.pi * TIMES + 0.2) + 0.2 * TIMES
+    np.testing.assert_allclose(Sum(parts)(TIMES), expected, atol=1e-13)
+    np.testing.assert_array_equal(Sum((Sum(parts[:1]),))(TIMES), parts[0](TIMES))
+    with pytest.raises(RangeError, match="no signals"):
+        Sum(())
+
+
 @pytest.mark.parametrize(
     "signal",
-    [Constant(2), Step(1, 2, 3), Sine(1, 1), Multisine((1, 2), (1, 2)), Samples([0, 1], [0, 1])],
+    [
+        Constant(2),
+        Step(1, 2, 3),
+        Sine(1, 1),
+        Multisine((1, 2), (1, 2)),
+        Samples([0, 1], [0, 1]),
+        Sum((Constant(2), Sine(1, 1))),
+    ],
     ids=lambda s: type(s).__name__,
 )
 def test_every_signal_is_a_float_in_the_shape_of_time(signal):

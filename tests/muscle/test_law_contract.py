@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog, muscle
-from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw
+from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw, stronger
 from mckibben.units import factor
 
 BOX = Domain(-0.03, 0.25, 0.0, 6e5)
@@ -170,6 +170,19 @@ def test_it_can_be_vmapped_over_its_parameters(law):
     forces = jax.vmap(lambda one: one.force(0.05, 3e5))(many)
     assert float(forces[0]) == pytest.approx(float(law.force(0.05, 3e5)), rel=1e-13)
     assert float(forces[1]) != float(forces[0])
+
+
+def test_a_stronger_muscle_has_so_many_times_every_force(law, force):
+    """Also as a muscle, whose domain stays; a law that is affine in pressure stays so."""
+    strong = stronger(law, 1.07)
+    at = contractions(law)[:, None], PRESSURE
+    found = strong.force(*at)
+    np.testing.assert_allclose(found, 1.07 * force(*at), rtol=1e-12, atol=1e-10)
+    np.testing.assert_allclose(strong.slope(*at), 1.07 * law.slope(*at), rtol=1e-10, atol=1e-8)
+    back = strong.pressure_for(found, at[0])
+    np.testing.assert_allclose(back, np.broadcast_to(PRESSURE, back.shape), rtol=1e-10)
+    assert isinstance(strong, PressureAffineLaw) == isinstance(law, PressureAffineLaw)
+    assert jax.tree.map(float, strong.domain) == jax.tree.map(float, law.domain.intersection(law.holds))
 
 
 def test_it_says_what_it_is_and_where_it_comes_from(law):

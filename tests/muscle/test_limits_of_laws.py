@@ -1,5 +1,6 @@
 """Where laws end: no force beyond a pole, beyond straight threads, or where a formula was not made for."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -32,7 +33,7 @@ class TestHunt:
 def test_an_inverse_begins_at_no_pressure_where_the_force_does():
     law = TonduLopezVariableLaw(25 * deg, 10 * mm, 0.5, 1.25)
     wanted = np.array([0.0, 1.0, 3.0, 5.0])
-    pressures = law.pressure_for(wanted, 0.2)
+    pressures = jax.jit(law.pressure_for)(wanted, 0.2)
     np.testing.assert_allclose(law.force(0.2, pressures), wanted, atol=1e-9)
 
 

@@ -100,7 +100,8 @@ def test_halving_the_step_divides_the_error_by_sixteen(plant, playback):
         jnp.asarray([4.2e5, 4e5, 4.4e5, 4.1e5, 4e5, 4.3e5]), jnp.asarray([4.4e5, 4.5e5, 4e5, 4.2e5, 4.3e5, 4e5])
     )
     start = numeric(PlantState(0.02, 0.0, 4.2e5, 4.2e5))
-    final = {n: compiled_episode(plant, playback, jumps, start, jnp.asarray(0.05), n)[0] for n in (1, 2, 4, 8, 16, 256)}
+    run = lambda n: compiled_episode(plant, playback, jumps, start, jnp.asarray(0.05), np.asarray(n))[0]  # noqa: E731
+    final = {n: run(n) for n in (1, 2, 4, 8, 16, 256)}  # a number of steps that is traced: one program for all
     errors = [abs(float(final[n].angle - final[256].angle)) for n in (2, 4, 8, 16)]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert orders[-1] == pytest.approx(4, abs=0.2), (errors, orders)
@@ -127,7 +128,7 @@ def test_a_batch_is_its_single_runs(plant, control):
 
 
 def test_the_same_run_twice_is_the_same_to_the_last_bit(plant, control):
-    setpoints = sampled(REFERENCE, 300 * PERIOD, PERIOD)[1]
+    setpoints = sampled(REFERENCE, 10_000 * PERIOD, PERIOD)[1]  # as long as `run`: its program
     start = numeric(plant.at_rest(0.0))
     one, two = (compiled_episode(plant, control, setpoints, start, jnp.asarray(PERIOD), 4)[1] for _ in range(2))
     np.testing.assert_array_equal(one.state.angle, two.state.angle)
@@ -142,10 +143,10 @@ def test_its_derivative_is_that_of_finite_differences(plant, control):
         angle = episode(plant, tuned, setpoints, start, PERIOD, 2)[1].state.angle
         return jnp.sum((angle - setpoints.angle) ** 2)
 
-    value = jax.jit(cost)
+    both = jax.jit(lambda gain: jax.jvp(cost, (gain,), (jnp.ones_like(gain),)))
     gain, step = 3e5, 10.0
-    slope = (float(value(gain + step)) - float(value(gain - step))) / (2 * step)
-    assert float(jax.jit(jax.jacfwd(cost))(gain)) == pytest.approx(slope, rel=1e-6)
+    slope = (float(both(gain + step)[0]) - float(both(gain - step)[0])) / (2 * step)
+    assert float(both(gain)[1]) == pytest.approx(slope, rel=1e-6)
 
 
 def test_in_single_precision_it_runs_and_stays_single(plant, control):
@@ -154,10 +155,11 @@ def test_in_single_precision_it_runs_and_stays_single(plant, control):
     )
     setpoints = sampled(REFERENCE, 300 * PERIOD, PERIOD)[1]
     start = plant.at_rest(0.0)
-    exact = compiled_episode(plant, control, setpoints, numeric(start), jnp.asarray(PERIOD), 4)[1]
+    longer = sampled(REFERENCE, 10_000 * PERIOD, PERIOD)[1]  # as long as `run`: its program
+    exact = compiled_episode(plant, control, longer, numeric(start), jnp.asarray(PERIOD), 4)[1]
     _, record = compiled_episode(*(single(x) for x in (plant, control, setpoints, start)), jnp.float32(PERIOD), 4)
     assert {x.dtype for x in jax.tree.leaves(record.state)} == {jnp.dtype(jnp.float32)}
-    np.testing.assert_allclose(record.state.angle, exact.state.angle, atol=1e-4)
+    np.testing.assert_allclose(record.state.angle, exact.state.angle[:300], atol=1e-4)
 
 
 def test_setpoints_are_sampled_at_the_start_of_each_period():

@@ -5,9 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.simulation import Metrics, Trajectory, measure
+from mckibben import simulation
+from mckibben.simulation import Metrics, Trajectory
 
 PERIOD = 1e-3
+measure = jax.jit(simulation.measure)  # one program a length
 FLAGS = ("saturated", "slack", "outside_domain")
 
 
@@ -48,7 +50,9 @@ def test_root_mean_square_and_largest_error_of_angle_and_stiffness():
 
 
 def test_air_is_what_is_taken_in_and_not_what_is_let_out():
-    assert float(measure(moved(5, air=[1.0, 3.0, 2.0, 2.0, 2.5]), PERIOD).air) == 2.5
+    first, second = [1.0, 3.0, 2.0, 2.0, 2.5], [4.0, 2.0, 3.0, 3.0, 2.5]
+    assert float(measure(moved(5, air1=first), PERIOD).air) == 2.5
+    assert float(measure(moved(5, air1=first, air2=second), PERIOD).air) == 3.5  # the other cannot use it
 
 
 def test_times_are_counts_of_periods():
@@ -160,9 +164,10 @@ def test_errors_can_be_differentiated():
 def test_a_batch_is_its_single_trajectories():
     _, desired, stiffness = lag(0.1)
     both = jnp.stack([jnp.asarray(stiffness), jnp.full(6000, 13.0)])
-    together = jax.vmap(lambda k: measure(moved(6000, desired_stiffness=desired, stiffness=k), PERIOD))(both)
+    judged = lambda k: measure(moved(6000, desired_stiffness=desired, stiffness=k), PERIOD)  # noqa: E731
+    together, single = jax.jit(jax.vmap(judged))(both), jax.jit(judged)
     for row in range(2):
-        alone = measure(moved(6000, desired_stiffness=desired, stiffness=both[row]), PERIOD)
+        alone = single(both[row])
         for name in Metrics._fields:
             np.testing.assert_allclose(getattr(together, name)[row], getattr(alone, name), rtol=1e-12, err_msg=name)
 

@@ -1,5 +1,6 @@
 """Leaving the rating is never silent: how long, and how far."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ def moved():
         jnp.zeros(4, bool),
         {"stiffness_estimate": zeros},
     )
-    return trajectory(plant, Setpoint(zeros, zeros), record, record.state.angle)
+    return jax.jit(trajectory)(plant, Setpoint(zeros, zeros), record, record.state.angle)
 
 
 def test_an_overload_is_where_the_tension_is_above_630_n(moved):

@@ -132,9 +132,9 @@ def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
     assert Scenario.parse(changed, folder=EXAMPLES) == with_values(scenario, values)
     for comment in re.findall(r"#.*", text):
         assert comment in changed
-    again = Scenario.parse(changed, folder=EXAMPLES)
+    again = {address.name: address for address in addresses(Scenario.parse(changed, folder=EXAMPLES))}
     for name, value in values.items():
-        assert find(again, name).nominal == value
+        assert again[name].nominal == value
     assert rewritten(changed, values, folder=EXAMPLES) == changed
 
 

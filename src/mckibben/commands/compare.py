@@ -9,7 +9,7 @@ import typer
 
 from mckibben.commands.interruptible import INTERRUPTED, late_progress
 from mckibben.commands.options import Json
-from mckibben.errors import ParameterError
+from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.files import folder, whole
 from mckibben.terminal import metric, table
 
@@ -43,13 +43,16 @@ def compare(
 
     read = _smaller(Suite.read(suite), runs, quick)
     if repeat is not None:
-        typer.echo(_alone(read, out, repeat), nl=False)
+        typer.echo(_alone(out, repeat), nl=False)
         return
     from mckibben.study.comparison import compare as run
     from mckibben.study.keeping import check_free
 
     searches = out / "tuning"
-    if not resume and not searches.exists():
+    if not resume:
+        if searches.is_dir() and any(searches.glob("*.jsonl")):
+            remedy = "go on with them (--resume), or choose another folder"
+            raise FileError(str(searches), [Problem("there are histories of searches already", remedy=remedy)])
         check_free(out, _KEPT)
     folder(out)
     try:
@@ -74,21 +77,22 @@ def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
     return suite.model_copy(update={"tuning": tuning, "unseen": unseen})
 
 
-def _alone(suite: Suite, out: Path, repeat: str) -> str:
-    """A run as the text of a scenario."""
+def _alone(out: Path, repeat: str) -> str:
+    """A run of the suite that is kept, as the text of a scenario."""
     import json
 
-    from mckibben.study.comparison import draw
+    from mckibben.study.comparison import Suite, draw
 
     kept = out / "results.json"
     if not kept.is_file():
         raise ParameterError(f"{out} holds no comparison", remedy="run it first, without --repeat")
     numbers = json.loads(kept.read_text(encoding="utf-8"))
+    suite = Suite.read(out / "suite.yaml")
     name, _, run = repeat.rpartition(" ")
     tuned = {each: found["tuned"] for each, found in numbers["controllers"].items()}
-    if name not in tuned or name not in suite.controllers:
+    if name not in tuned:
         raise ParameterError(f"there is no controller {name!r}", value=name, remedy=f"known are {', '.join(tuned)}")
-    if not run.isdigit() or int(run) >= numbers["runs"]:
+    if not run.isdecimal() or int(run) >= numbers["runs"]:
         raise ParameterError(f"there is no run {run!r}", value=run, remedy=f"give 0 to {numbers['runs'] - 1}")
     scenario = draw(suite, numbers["runs"], suite.unseen.seed).scenario(name, int(run), tuned[name])
     return scenario.dumps()

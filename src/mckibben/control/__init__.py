@@ -6,9 +6,11 @@ from mckibben.control.base import Controller, Loop, Measurement, Reference, Setp
 from mckibben.control.decoupling import DecouplingControl
 from mckibben.control.feedback import Feedback, PolePlacement
 from mckibben.control.friction import FrictionCompensation
+from mckibben.control.inverse_model import InverseModelControl
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver, VelocityObserver
 from mckibben.control.pid import PID
 from mckibben.control.position_stiffness import PositionStiffnessControl
+from mckibben.control.predictive import PredictiveControl
 from mckibben.control.signal import Constant, Multisine, Samples, Signal, Sine, Step, Sum
 from mckibben.control.sliding import SlidingMode
 
@@ -21,6 +23,7 @@ __all__ = [
     "ExtendedStateObserver",
     "Feedback",
     "FrictionCompensation",
+    "InverseModelControl",
     "Jacobian",
     "LawAdaptation",
     "Loop",
@@ -29,6 +32,7 @@ __all__ = [
     "Observer",
     "PolePlacement",
     "PositionStiffnessControl",
+    "PredictiveControl",
     "PressureObserver",
     "Reference",
     "Samples",

@@ -13,7 +13,7 @@ from mckibben.joint import AntagonisticJoint, friction
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import stronger
 from mckibben.numerics.arrays import floating
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp, sincos
 from mckibben.plant import Load
 
@@ -22,6 +22,7 @@ Scalar = Float[Array, ""]
 _STAGES = 3
 _FIRST = 8.0  # time constants of the filter: so long it has to do with the noise of the first sample
 _BOUND = 3.0  # prior standard deviations: further away an estimate is not taken
+_WIDEST = 0.3  # of a spread: three of it leave a muscle some strength
 
 
 class Adapted(NamedTuple):
@@ -79,7 +80,8 @@ class LawAdaptation(eqx.Module):
     Parameters
     ----------
     strength_spread
-        Standard deviation of what a muscle is stronger or weaker than its law [-].
+        Standard deviation of what a muscle is stronger or weaker than its law [-]; at most 0.3, so that no muscle is
+        ever believed to have no force.
     mass_spread
         That of the load's second mass [kg]; 0 where the load is known.
     friction_spread
@@ -103,6 +105,7 @@ class LawAdaptation(eqx.Module):
 
     def __check_init__(self) -> None:
         check_positive("LawAdaptation", strength_spread=self.strength_spread)
+        check_within("LawAdaptation", 0.0, _WIDEST, strength_spread=self.strength_spread)
         check_positive("LawAdaptation", "kg", zero=True, mass_spread=self.mass_spread)
         check_positive("LawAdaptation", zero=True, friction_spread=self.friction_spread)
         check_positive("LawAdaptation", "N*m", torque_error=self.torque_error)

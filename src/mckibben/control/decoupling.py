@@ -5,49 +5,32 @@ from __future__ import annotations
 import functools
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.control.adaptation import Adapted, LawAdaptation, strengthened
-from mckibben.control.base import Controller, Measurement, Setpoint
-from mckibben.control.course import Course, followed, standing
+from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.feedback import Feedback
 from mckibben.control.inversion import Chosen, map_at, pressures_between, torque_first
-from mckibben.control.observer import Motion, Observer, PressureObserver
-from mckibben.errors import RangeError
-from mckibben.joint import AntagonisticJoint, friction
+from mckibben.control.model_based import Beliefs, ModelBasedControl
+from mckibben.control.observer import Observer, PressureObserver
+from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.checks import check_kind, check_positive
+from mckibben.numerics.checks import check_kind
 from mckibben.numerics.elementary import exp
 from mckibben.numerics.many import apart
-from mckibben.plant import Load
 
 Scalar = Float[Array, ""]
 
 
 class DecouplingState(NamedTuple):
-    """What the observers believe, what was commanded, how the wish moves, what feedback and muscles remember.
+    """What is believed and was commanded, and what the feedback remembers."""
 
-    And what is told: the estimate of the stiffness [N*m/rad], the disturbance and friction torques [N*m], and whether a
-    wish was cut off.
-    """
-
-    motion: Motion
-    pressures: Pair
-    commands: Pair
-    course: Course
+    beliefs: Beliefs
     feedback: Any
-    memories: friction.Memories
-    estimate: Scalar
-    disturbance: Scalar
-    friction: Scalar
-    saturated: Array
-    adapted: Adapted | tuple[()]
 
 
-class DecouplingControl(Controller):
+class DecouplingControl(ModelBasedControl):
     r"""Exact linearisation: the pressures that give, by a model, the wanted acceleration and stiffness at once.
 
     A `Feedback` asks for an acceleration beside that of the wish. The torque for it, and the wished stiffness, are
@@ -115,143 +98,46 @@ class DecouplingControl(Controller):
     active disturbance rejection control, IEEE Trans. Industrial Electronics 56, 2009.
     """
 
-    model: AntagonisticJoint
-    load: Load
     feedback: Feedback
     observer: Observer
     pressure_observer: PressureObserver = PressureObserver()
-    valve_time_constant: float = eqx.field(kw_only=True, default=0.02)
-    minimum_tension: float = eqx.field(kw_only=True, default=5.0)
-    friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
-    adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
-        check_kind(
-            "DecouplingControl",
-            model=(self.model, AntagonisticJoint),
-            load=(self.load, Load),
-            feedback=(self.feedback, Feedback),
-            observer=(self.observer, Observer),
-            pressure_observer=(self.pressure_observer, PressureObserver),
-        )
-        if self.adaptation is not None:
-            check_kind("DecouplingControl", adaptation=(self.adaptation, LawAdaptation))
-        check_positive("DecouplingControl", "s", zero=True, valve_time_constant=self.valve_time_constant)
-        check_positive("DecouplingControl", "N", zero=True, minimum_tension=self.minimum_tension)
-        if self.friction_compensation and not friction.has_friction(self.model):
-            raise RangeError(
-                "DecouplingControl: no muscle of its model has friction to make up for",
-                remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
-            )
+        check_kind("DecouplingControl", feedback=(self.feedback, Feedback))
+
+    @property
+    def observers(self) -> tuple[Observer, PressureObserver]:
+        return self.observer, self.pressure_observer
 
     def init(self, measurement: Measurement) -> DecouplingState:
-        angle, pressures = measurement
-        torque, estimate = self.model.torque_and_stiffness(angle, pressures)
-        nothing = jnp.zeros_like(angle)
-        return DecouplingState(
-            motion=self.observer.init(angle, self._acceleration(angle, nothing, torque)),
-            pressures=pressures,
-            commands=pressures,
-            course=standing(angle),
-            feedback=self.feedback.init(nothing),
-            memories=friction.unstressed(self.model, angle, pressures) if self.friction_compensation else ((), ()),
-            estimate=estimate,
-            disturbance=nothing,
-            friction=nothing,
-            saturated=jnp.asarray(False),
-            adapted=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
-        )
+        return DecouplingState(self.believed_first(measurement), self.feedback.init(jnp.zeros_like(measurement.angle)))
 
     def step(
         self, state: DecouplingState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[DecouplingState, Pair]:
         angle = measurement.angle
         inertia, lag = self.load.total_inertia, self.feedback.lag
-        share = self._share(period)
-        pressures = self.pressure_observer.step(state.pressures, state.commands, measurement.pressures, share, period)
-
-        adapted, model = self._adapted(state.adapted, measurement, period)
-        torque, estimate = apart(model.torque_and_stiffness, angle, pressures, witness=period)
-        memories, rubbing = self._friction(state.memories, setpoint.angle, pressures)
-        known = self._acceleration(angle, state.motion.velocity, torque + rubbing)
-        motion = self.observer.step(state.motion, angle, known, period)
-        course = followed(state.course, setpoint.angle, period)
+        beliefs, model = self.believed(state.beliefs, setpoint, measurement, period)
+        motion, pressures, course = beliefs.motion, beliefs.pressures, beliefs.course
 
         error, rate = setpoint.angle - angle, course.velocity - motion.velocity
         memory, correction = self.feedback.step(state.feedback, error, rate, period)
         acceleration = course.ahead(lag, period) + correction - motion.disturbance
         there = motion.angle + lag * motion.velocity
         resisting = self.load.gravity_torque(there) - self.load.damping * motion.velocity
-        wanted = inertia * acceleration - resisting - rubbing
+        wanted = inertia * acceleration - resisting - beliefs.friction
 
-        speed = (1 - exp(-jnp.asarray(period) / lag)) / share
+        speed = (1 - exp(-jnp.asarray(period) / lag)) / self.share(period)
         choose = functools.partial(self._choose, model)
         chosen = apart(choose, there, pressures, wanted, setpoint.stiffness, speed, witness=period)
         (pressure1, pressure2), (wished1, wished2) = pressures, chosen.pressures
-        commands = self._held((pressure1 + speed * (wished1 - pressure1), pressure2 + speed * (wished2 - pressure2)))
+        commands = self.held((pressure1 + speed * (wished1 - pressure1), pressure2 + speed * (wished2 - pressure2)))
 
         memory = self.feedback.realised(memory, (wanted - chosen.torque) / inertia, period)
-        disturbance = inertia * motion.disturbance
-        return (
-            DecouplingState(
-                motion,
-                pressures,
-                commands,
-                course,
-                memory,
-                memories,
-                estimate,
-                disturbance,
-                rubbing,
-                chosen.cut,
-                adapted,
-            ),
-            commands,
-        )
+        return DecouplingState(beliefs._replace(commands=commands, saturated=chosen.cut), memory), commands
 
     def telemetry(self, state: DecouplingState) -> dict[str, Scalar]:
-        told = {
-            "stiffness_estimate": state.estimate,
-            "saturated": state.saturated,
-            "velocity_estimate": state.motion.velocity,
-            "disturbance_estimate": state.disturbance,
-            "friction_compensation": state.friction,
-        }
-        if not isinstance(state.adapted, Adapted):
-            return told
-        strength1, strength2 = state.adapted.strengths
-        return {**told, "strength1_estimate": strength1, "strength2_estimate": strength2}
-
-    def _adapted(
-        self, adapted: Adapted | tuple[()], measurement: Measurement, period: ArrayLike
-    ) -> tuple[Adapted | tuple[()], AntagonisticJoint]:
-        """What is believed of the muscles now, and the model with it.
-
-        From the pressures as measured: what an observer makes of them is off where its valve is not the true one.
-        """
-        if self.adaptation is None or not isinstance(adapted, Adapted):
-            return adapted, self.model
-        adapted = self.adaptation.step(adapted, self.model, self.load, *measurement, period)
-        return adapted, strengthened(self.model, adapted.strengths)
-
-    def _acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Scalar:
-        """What the model expects [rad/s^2]."""
-        moving = torque + self.load.gravity_torque(angle) - self.load.damping * velocity
-        return jnp.asarray(moving / self.load.total_inertia)
-
-    def _friction(
-        self, memories: friction.Memories, wish: ArrayLike, pressures: Pair
-    ) -> tuple[friction.Memories, Scalar]:
-        """What the model's muscles remember along the wish [rad], and the torque [N*m] of their friction there."""
-        if not self.friction_compensation:
-            return memories, jnp.zeros_like(pressures[0])
-        memories = friction.settled(self.model, memories, wish, pressures)
-        return memories, friction.friction_torque(self.model, memories, wish, 0.0, pressures)
-
-    def _share(self, period: ArrayLike) -> Scalar:
-        """The part of a step that a valve is believed to do in a period."""
-        lag = jnp.asarray(self.valve_time_constant)
-        return jnp.where(lag > 0, 1 - exp(-jnp.asarray(period) / jnp.where(lag > 0, lag, 1.0)), 1.0)
+        return self.told(state.beliefs)
 
     def _choose(
         self,
@@ -276,8 +162,3 @@ class DecouplingControl(Controller):
         (lower1, upper1, taut1), (lower2, upper2, taut2) = window(0), window(1)
         affine = map_at(model, angle, (taut1, taut2))
         return torque_first(affine, torque, stiffness, (lower1, lower2), (upper1, upper2))
-
-    def _held(self, commands: Pair) -> Pair:
-        """The commands, which rounding may have taken past a limit."""
-        (low1, low2), (high1, high2) = pressure_limits_of(self.model)
-        return jnp.clip(commands[0], low1, high1), jnp.clip(commands[1], low2, high2)

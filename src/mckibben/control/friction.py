@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.control.position_stiffness import within_limits
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, friction
 from mckibben.joint.attainable import pressure_limits_of
@@ -43,7 +44,8 @@ class FrictionCompensation(Controller):
     so that it does not chatter. What it gets wrong is left to the feedback.
 
     Viscous friction is not made up for: a step of the wish would be a kick. Where the shift meets a limit of the
-    pressure, the controller inside is not told; its integral sees the error that this leaves.
+    pressure, the controller inside is not told; its integral sees the error that this leaves. A minimum tension of the
+    controller inside is kept with the shift as well.
 
     Parameters
     ----------
@@ -86,11 +88,16 @@ class FrictionCompensation(Controller):
         torque = friction.friction_torque(self.model, memories, setpoint.angle, 0.0, pressures)
         shift = -torque * self._pressure_per_torque(measurement)
 
-        lowest, highest = pressure_limits_of(self.model)
-        wanted1, wanted2 = command1 - shift, command2 + shift
-        shifted1 = jnp.clip(wanted1, lowest[0], highest[0])
-        shifted2 = jnp.clip(wanted2, lowest[1], highest[1])
-        saturated = (shifted1 != wanted1) | (shifted2 != wanted2)
+        tension = getattr(self.controller, "minimum_tension", None)
+        if tension is None:
+            lowest, highest = pressure_limits_of(self.model)
+            wanted1, wanted2 = command1 - shift, command2 + shift
+            shifted1 = jnp.clip(wanted1, lowest[0], highest[0])
+            shifted2 = jnp.clip(wanted2, lowest[1], highest[1])
+            saturated = (shifted1 != wanted1) | (shifted2 != wanted2)
+        else:
+            asked = (command2 - command1) / 2 + shift, (command1 + command2) / 2
+            (shifted1, shifted2), saturated = within_limits(self.model, tension, measurement.angle, asked, period)
         return FrictionCompensationState(inner, memories, torque, saturated), (shifted1, shifted2)
 
     def telemetry(self, state: FrictionCompensationState) -> dict[str, Scalar]:

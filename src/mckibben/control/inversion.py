@@ -1,4 +1,4 @@
-"""From torque and stiffness to pressures, within limits: the torque first."""
+"""From torque and stiffness to pressures, within limits: the torque first, or the differential pressure."""
 
 from __future__ import annotations
 
@@ -75,6 +75,40 @@ def torque_first(
     pressure1 = jnp.maximum(jnp.minimum(wanted, end), begin)
     pressure2 = jnp.clip(at_zero + along * pressure1, lower[1], upper[1])
     return Chosen((pressure1, pressure2), given, (given != torque) | (pressure1 != wanted))
+
+
+def differential_first(
+    differential: ArrayLike, cocontraction: ArrayLike, lower: Pair, upper: Pair
+) -> tuple[Pair, Array]:
+    """The pressures [Pa] within limits that keep a differential pressure, as near to a co-contraction as they let it.
+
+    A differential pressure beyond the limits becomes the nearest within: one muscle at its highest, the other at its
+    lowest pressure.
+
+    Parameters
+    ----------
+    differential, cocontraction
+        What is wanted [Pa]: p1 = pc - pd, p2 = pc + pd.
+    lower, upper
+        Limits [Pa] of each pressure.
+
+    Returns
+    -------
+    pressures, cut
+        (p1, p2), and whether a wish had to be cut off.
+
+    Examples
+    --------
+    >>> (p1, p2), cut = differential_first(0.5, 1.0, (1.2, 0.0), (6.0, 6.0))
+    >>> round(float(p1), 3), round(float(p2), 3), bool(cut)
+    (1.2, 2.2, True)
+    """
+    given = jnp.clip(differential, (lower[1] - upper[0]) / 2, (upper[1] - lower[0]) / 2)
+    begin = jnp.maximum(lower[0] + given, lower[1] - given)
+    end = jnp.minimum(upper[0] + given, upper[1] - given)
+    middle = jnp.maximum(jnp.minimum(cocontraction, end), begin)
+    pressures = jnp.clip(middle - given, lower[0], upper[0]), jnp.clip(middle + given, lower[1], upper[1])
+    return pressures, (given != differential) | (middle != cocontraction)
 
 
 def map_at(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pair) -> TorqueStiffnessMap:

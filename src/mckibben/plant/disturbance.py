@@ -58,7 +58,9 @@ class TorquePulses(Disturbance):
         check_positive("TorquePulses", "s", zero=True, start=self.start)
 
     def torque(self, time: ArrayLike) -> Float[Array, "..."]:
-        since = (floating(time) - self.start) / self.interval
-        number = jnp.floor(since + 1e-9)  # a pulse begins in the control period at whose start it is due
-        on = (number >= 0) & ((since - number) * self.interval < jnp.asarray(self.width) * (1 - 1e-9))
+        time, start = floating(time), jnp.asarray(self.start)
+        since = time - start
+        near = 4 * jnp.finfo(time.dtype).eps * (jnp.abs(time) + start)  # rounding of a time
+        number = jnp.floor((since + near) / self.interval)  # begins in the control period at whose start it is due
+        on = (number >= 0) & (since - number * self.interval < self.width - near)
         return jnp.where(on, self.height * (1 - 2 * jnp.mod(number, 2.0)), 0.0)

@@ -103,5 +103,6 @@ class SampledSensors(Sensors):
         step = jnp.asarray(self.encoder)
         counted = jnp.where(step > 0, jnp.round(angle / jnp.where(step > 0, step, 1.0)) * step, angle)
         key = jax.random.fold_in(jax.random.key(self.seed), jnp.asarray(periods).astype(jnp.uint32))
-        noise = jax.random.normal(key, (2,), angle.dtype) * self.pressure_noise
+        normal = jax.random.normal(key, (2,), jnp.float32)  # in either precision the same
+        noise = normal.astype(angle.dtype) * self.pressure_noise
         return Reading(counted, true.pressure1 + noise[0], true.pressure2 + noise[1])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mckibben.files import whole
 from mckibben.report.figures import ReportFigure
 from mckibben.report.page import EmbeddedFigure, address_of, style_sheet, template_of
-from mckibben.report.panels import legend_above, letter
+from mckibben.report.panels import legend_above, letter, plain_numbers
 from mckibben.report.style import DOUBLE, blank, looks_of, save, styled
 from mckibben.report.tables import Table, number
 from mckibben.study.comparison import Contest
@@ -41,11 +41,16 @@ def contest_errors(contest: Contest) -> Figure:
         for name, look in looks.items():
             _distribution(panel, contest.metric(name, metric) / unit, label=name, **look)
         panel.set_xscale("log")
-        panel.set(xlabel=label, ylim=(0, 1))
+        plain_numbers(panel.xaxis)
+        panel.set(xlabel=label, ylim=(0, 1.02))
         panel.axhline(0.5, color="0.6", linewidth=0.6, zorder=0)
         panel.axhline(0.95, color="0.6", linewidth=0.6, zorder=0)
         letter(panel, mark, label.split(" [")[0])
-    axes[0].set(ylabel="share of runs below", yticks=[0, 0.25, 0.5, 0.75, 0.95])
+    axes[0].set(
+        ylabel="share of runs below",
+        yticks=[0, 0.25, 0.5, 0.75, 0.95],
+        yticklabels=["0", "0.25", "0.5", "0.75", "0.95"],
+    )
     legend_above(figure, axes[0], columns=min(len(looks), 4))
     return figure
 
@@ -76,6 +81,7 @@ def contest_wishes(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
                 x, y = zip(*places, strict=True)
                 panel.plot(x, y, linestyle="", marker="o", markersize=3.5, color=look["color"], label=name)
         panel.set_xscale("log")
+        plain_numbers(panel.xaxis)
         panel.set(xlabel=f"median {label}")
         letter(panel, mark, label.split(" [")[0])
     axes[0].set_yticks(range(len(wishes)), wishes)
@@ -95,18 +101,20 @@ def contest_air(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
     numbers
         Its `standing`.
     """
-    figure = blank(DOUBLE / 2, 3.0)
+    figure = blank(DOUBLE, 3.0)
     axes = figure.subplots()
-    for name, look in looks_of(numbers["order"]).items():
+    for name, look in looks_of(contest.batches).items():
         air, angle = contest.metric(name, "air") * 1e3, contest.metric(name, "angle_rmse") / deg
         if not np.isfinite(angle).any():
-            continue
+            continue  # it lost all runs
         (x0, x, x1), (y0, y, y1) = (np.nanpercentile(each, [5, 50, 95]) for each in (air, angle))
         axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
         axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
         axes.plot(x, y, marker="o", markersize=4.5, linestyle="", color=look["color"], label=name)
     axes.set(xscale="log", yscale="log", xlabel="air taken in [L]", ylabel="angle rmse [deg]")
-    legend_above(figure, axes, columns=2)
+    plain_numbers(axes.xaxis)
+    plain_numbers(axes.yaxis)
+    legend_above(figure, axes, columns=4)
     return figure
 
 
@@ -184,7 +192,6 @@ _COLUMNS = (
     ("95 %", "stiffness_rmse", "percentile_95"),
     ("ripple [N*m/rad]", "stiffness_ripple", "median"),
     ("estimate rmse [N*m/rad]", "estimate_rmse", "median"),
-    ("settling [s]", "stiffness_settling_s", "median"),
     ("coupling [deg]", "coupling_deg", "median"),
     ("air [L]", "air_L", "median"),
     ("saturated [s]", "time_saturated_s", "median"),
@@ -197,11 +204,13 @@ def _standings(numbers: Mapping[str, Any]) -> Table:
     for name in numbers["order"]:
         found = numbers["controllers"][name]
         cells = [(found["metrics"][key] or {}).get(what) for _, key, what in _COLUMNS]
-        rows.append((name, *(number(cell) for cell in cells), str(found["lost"])))
+        settled = f"{found['settled']['runs']} of {found['settled']['of']}"
+        rows.append((name, *(number(cell) for cell in cells), settled, str(found["lost"])))
     return Table(
         "By the median cost of an unseen run. Medians, and 95th percentiles where said (of the time slack too), over "
-        "the runs that were not lost. Stiffness is the plant's true one; settling and coupling are of its steps.",
-        ("controller", *(title for title, _, _ in _COLUMNS), "lost"),
+        "the runs that were not lost. Stiffness is the plant's true one; coupling is of its steps, and settled says in "
+        "how many of these it settled.",
+        ("controller", *(title for title, _, _ in _COLUMNS), "settled", "lost"),
         rows,
     )
 
@@ -254,7 +263,7 @@ def _dependence(numbers: Mapping[str, Any]) -> Table:
     return Table(
         "What the errors depend on: Spearman's rank correlation of each condition with the error of the angle, and of "
         "the stiffness. Chance alone gives less than "
-        f"{number(1.96 / max(numbers['runs'] - 1, 1) ** 0.5, 2)} 95 % of the time.",
+        f"{number(1.96 / max(numbers['runs'] - numbers['not_begun'] - 1, 1) ** 0.5, 2)} 95 % of the time.",
         ("condition", *controllers),
         rows,
     )
@@ -266,7 +275,7 @@ def _tuned(contest: Contest) -> Table:
         costs = contest.training_cost.get(name)
         said = "as in the suite" if costs is None else f"cost {number(costs[1])} before, {number(costs[0])} tuned"
         written = [
-            f"{each.name.removeprefix('controller.')} {each.address.show(values[each.name])}"
+            f"{each.name.removeprefix('controller.')} {each.address.show(values[each.name]).replace('*', '·')}"
             for each in contest.suite.tuned_over(name)
         ]
         rows.append((name, said, "; ".join(written)))
@@ -276,4 +285,5 @@ def _tuned(contest: Contest) -> Table:
 def _distribution(axes: Axes, values: NDArray[np.float64], **look: Any) -> None:
     """The share of runs below each value; runs without a number are above all."""
     ordered = np.sort(values[np.isfinite(values)])
-    axes.plot(ordered, (np.arange(ordered.size) + 1) / values.size, drawstyle="steps-post", linewidth=1.2, **look)
+    below = np.arange(ordered.size + 1) / max(values.size, 1)
+    axes.plot([*ordered[:1], *ordered], below[: ordered.size + bool(ordered.size)], drawstyle="steps-post", **look)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
@@ -90,6 +93,20 @@ def draw_band(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, **look:
     kept = np.unique(np.append(np.arange(0, len(x), every), len(x) - 1))
     style = {"color": BAND, "linewidth": 0.0, "zorder": 0} | look
     axes.fill_between(x[kept], low[kept], high[kept], **style)
+
+
+def plain_numbers(axis: Axis) -> None:
+    """Label a logarithmic axis with 0.05 in place of 5·10^-2: powers of ten, and where few are in sight 2 and 5 too."""
+
+    def written(value: float, _: object) -> str:
+        low, high = axis.get_view_interval()
+        first = round(value / 10.0 ** math.floor(math.log10(value) + 1e-9))
+        return f"{value:g}" if first == 1 or (first in (2, 5) and high < 30 * low) else ""
+
+    axis.set_major_formatter(written)
+    axis.set_minor_formatter(written)
+    to_label = mpl.rcParams["xtick.major.size"] + mpl.rcParams["xtick.major.pad"]
+    axis.set_tick_params(which="minor", pad=to_label - mpl.rcParams["xtick.minor.size"])  # shorter marks, the same line
 
 
 def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:

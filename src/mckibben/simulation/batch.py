@@ -133,12 +133,12 @@ def simulate_many(
     Examples
     --------
     >>> import numpy as np
-    >>> from mckibben import catalog, PID, FirstOrderValve, JointPlant, PositionStiffnessControl, Reference
+    >>> from mckibben import catalog, PID, FirstOrderValve, JointPlant, PositionStiffnessControl, Reference, Sine
     >>> knee = catalog.joint("knee-table-2")
     >>> plant = JointPlant(knee, catalog.load("knee-table-2"), FirstOrderValve(0.02))
     >>> control = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=knee)
-    >>> batch = simulate_many(plant, control, Reference(angle=0.0, stiffness=72.5), duration=0.5,
-    ...                       over={"plant.load.mass2": np.linspace(0.3, 0.7, 3)})
+    >>> batch = simulate_many(plant, control, Reference(angle=Sine(0.03, 1.0), stiffness=72.5), duration=0.5,
+    ...                       over={"plant.load.mass2": np.linspace(0.3, 0.7, 3)}, metrics=["angle_rmse"])
     >>> [outcome.name for outcome in batch.outcomes]
     ['COMPLETED', 'COMPLETED', 'COMPLETED']
     """

@@ -98,7 +98,8 @@ def differentiate(
     >>> plant = JointPlant(knee, catalog.load("knee-table-2"), FirstOrderValve(0.02))
     >>> control = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=knee)
     >>> wish = Reference(angle=Sine(0.03, 1.0), stiffness=72.5)
-    >>> found = differentiate(plant, control, wish, ["controller.position.ki"], duration=1.0)
+    >>> some = ["controller.position.ki", "plant.load.mass2", "plant.joint.muscle1.law.c1"]
+    >>> found = differentiate(plant, control, wish, some, duration=0.5)
     >>> bool(found.gradients["angle_rmse"]["controller.position.ki"] < 0)  # more integral action, less error
     True
     """

@@ -44,7 +44,7 @@ class _Carried(NamedTuple):
     undisturbed: Running
     total: Tally
     stiffness_at_change: Array
-    air: Array
+    air: tuple[Array, Array]
 
 
 def measured_episode(
@@ -105,18 +105,19 @@ def measured_episode(
         running, record = following(carried.running, setpoint)
         moment = trajectory(plant, setpoint, record, carried.undisturbed[0].angle, period)
         at_change = jnp.where(index == change.at, moment.stiffness, carried.stiffness_at_change)
-        before = jnp.where(index == 0, moment.air, carried.air)
+        air = (moment.air1, moment.air2)
+        before = [jnp.where(index == 0, now, then) for now, then in zip(air, carried.air, strict=True)]
         added = tally(moment, index, change, at_change, before, SETTLING_PART)
         here = {name: getattr(moment, name) for name in keep}
         undisturbed = beside(carried, running, setpoint, index)
-        return _Carried(running, undisturbed, carried.total.with_next(added), at_change, moment.air), here
+        return _Carried(running, undisturbed, carried.total.with_next(added), at_change, air), here
 
     if checkpoint:
         next_period = jax.checkpoint(next_period, prevent_cse=False)
 
     begun = started(plant, controller, initial)
     nothing = jnp.zeros_like(jnp.asarray(initial.angle))
-    carried = _Carried(begun, begun, Tally.nothing(nothing), nothing, nothing)
+    carried = _Carried(begun, begun, Tally.nothing(nothing), nothing, (nothing, nothing))
     blocks = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), (jnp.arange(periods), setpoints))
 
     def block(carried: _Carried, at: tuple[Array, Setpoint]) -> tuple[_Carried, dict[str, Array]]:

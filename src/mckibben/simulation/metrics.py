@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -44,7 +45,7 @@ class Metrics(NamedTuple):
     force_max
         The largest tension [N].
     air
-        What the muscles take in, as a volume at atmospheric pressure [m^3]; what they let out is not subtracted.
+        What the muscles take in, as a volume at atmospheric pressure [m^3]; what either lets out is lost to both.
     """
 
     angle_rmse: Array
@@ -78,8 +79,7 @@ def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETT
     """
     stiffness = jnp.asarray(moved.stiffness)
     change = last_change(moved.desired_stiffness)
-    air = jnp.asarray(moved.air)
-    before = jnp.concatenate([air[:1], air[:-1]])
+    before = [jnp.concatenate([air[:1], air[:-1]]) for air in map(jnp.asarray, (moved.air1, moved.air2))]
     parts = tally(moved, jnp.arange(stiffness.size), change, stiffness[change.at], before, settling_part)
     sums = Sums(*(jnp.sum(part) for part in parts.sums))
     peaks = Peaks(*(_largest(part) for part in parts.peaks))
@@ -168,7 +168,7 @@ def tally(
     index: ArrayLike,
     change: Change,
     stiffness_at_change: ArrayLike,
-    air_before: ArrayLike,
+    air_before: Sequence[ArrayLike],
     settling_part: ArrayLike,
 ) -> Tally:
     """What single control periods add to the metrics; elementwise, for scalars and for shape (periods,)."""
@@ -179,6 +179,8 @@ def tally(
     settled = jnp.abs(stiffness_error) <= _band(change, stiffness_at_change, settling_part)
     moved_by_change = jnp.abs(jnp.asarray(moved.angle) - moved.undisturbed_angle)
     kind = stiffness_error.dtype
+
+    taken_in = [jnp.maximum(now - then, 0.0) for now, then in zip((moved.air1, moved.air2), air_before, strict=True)]
 
     def count(flag: Array) -> Array:
         return jnp.asarray(flag).astype(kind)
@@ -193,7 +195,7 @@ def tally(
             slack=count(moved.slack),
             outside_domain=count(moved.outside_domain),
             overloaded=count(moved.overloaded),
-            air=jnp.maximum(jnp.asarray(moved.air) - air_before, 0.0),
+            air=taken_in[0] + taken_in[1],
         ),
         Peaks(
             angle=jnp.abs(angle_error),

@@ -116,7 +116,7 @@ def checked_run(
     if count is not None:
         varying = ", ".join(by_name(lanes._asdict()))
         raise ParameterError(f"{varying}: an array in place of a number", remedy="use `simulate_many` for many runs")
-    before = _before(run, times)
+    before = _before(run._replace(controller=None), times)  # whose kind would only compile it anew
     if not before.exists:
         _tell_why(plant, initial, float(before.wishes.angle[0]))
     reach = Reach(times, *(np.asarray(x) for x in (*before.wishes, *before.band)))
@@ -142,6 +142,7 @@ class _Before(NamedTuple):
 
 @compiled
 def _before(run: Run, times: ArrayLike) -> _Before:
+    """Of a run; the controller does not matter."""
     wishes = wishes_at(run.reference, times)
     if isinstance(run.initial, PlantState):
         return _Before(wishes, *run.start(wishes), attainable_band(run.plant, wishes.angle))

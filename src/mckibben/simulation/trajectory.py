@@ -24,7 +24,8 @@ class Trajectory(NamedTuple):
     contain the muscles' friction and creep; ``stiffness`` is that of the muscles' laws, ``total_stiffness`` that and
     gravity's. ``undisturbed_angle`` is the angle of the same run without the last change of the desired stiffness,
     where there is one to leave out. ``excursion`` is how far the worse of the two contractions lies outside its domain.
-    ``air`` is what both muscles hold, as a volume at atmospheric pressure [m^3], by the volume inside their braids.
+    ``air1`` and ``air2`` are what the muscles hold, as volumes at atmospheric pressure [m^3], by the volumes inside
+    their braids.
     """
 
     angle: Array
@@ -49,7 +50,8 @@ class Trajectory(NamedTuple):
     outside_domain: Array
     overloaded: Array
     excursion: Array
-    air: Array
+    air1: Array
+    air2: Array
 
 
 def trajectory(
@@ -77,6 +79,7 @@ def trajectory(
         force1 = joint.muscle1.force(contraction1, state.pressure1)
         force2 = joint.muscle2.force(contraction2, state.pressure2)
     muscles = ((joint.muscle1, contraction1, state.pressure1), (joint.muscle2, contraction2, state.pressure2))
+    air1, air2 = (m.specimen.volume(contraction) * (pressure + atm) / atm for m, contraction, pressure in muscles)
     inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in muscles]
     beyond = [
         jnp.maximum(muscle.domain.contraction_min - contraction, contraction - muscle.domain.contraction_max)
@@ -106,9 +109,8 @@ def trajectory(
         outside_domain=~(inside[0] & inside[1]),
         overloaded=(force1 > rated1) | (force2 > rated2),
         excursion=jnp.maximum(jnp.maximum(beyond[0], beyond[1]), 0.0),
-        air=sum(
-            muscle.specimen.volume(contraction) * (pressure + atm) / atm for muscle, contraction, pressure in muscles
-        ),  # type: ignore[arg-type]
+        air1=air1,
+        air2=air2,
     )
 
 

@@ -42,7 +42,7 @@ def run_many(
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"duration": 0.2})
-    >>> run_many(scenario, {"load.mass2": [0.4, 0.5]}).count
+    >>> run_many(scenario, {"load.mass2": [0.4, 0.5]}, metrics=["angle_rmse"]).count
     2
     """
     many = lanes(scenario, table)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from mckibben.control import Controller
 from mckibben.errors import ParameterError
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
+from mckibben.study.comparison.checking import filename
 from mckibben.study.comparison.runs import Runs, draw
 from mckibben.study.comparison.suite import Suite
 from mckibben.study.parameters import Over, allowed, lanes
@@ -30,6 +30,7 @@ from mckibben.units import quantity
 
 Numbers = NDArray[np.float64]
 
+_TUNING = 0.98  # of the time that a controller takes
 _DIGITS = 6  # of tuned numbers, as they are written down
 
 
@@ -63,8 +64,7 @@ class Contest:
     @property
     def started(self) -> NDArray[np.bool_]:
         """Which runs any controller could begin: the others are no fault of theirs. Shape (runs,)."""
-        first = next(iter(self.batches.values()))
-        return np.array([outcome is not Outcome.NO_START for outcome in first.outcomes])
+        return _began(next(iter(self.batches.values())))
 
     def metric(self, controller: str, name: str) -> Numbers:
         """A metric [SI] of each run that began; NaN where the controller lost it."""
@@ -109,7 +109,7 @@ def compare(
     Raises
     ------
     ParameterError
-        If a controller has nothing to tune, or no point that was tried has a cost.
+        If a controller has nothing to tune, no point that was tried has a cost, or no run can begin.
     FileError
         If there are histories already and they are not to be taken up, or they are of another suite.
     """
@@ -128,11 +128,15 @@ def compare(
         varied = suite.tuned_over(name)
         if varied:
             task = _Task(suite, name, varied, training)
-            tuned[name], costs[name], bounds[name] = _searched(task, folder, resume, lambda part: told("tuning", part))
+            tuned[name], costs[name], bounds[name] = _searched(
+                task, folder, resume, lambda part: told("tuning", _TUNING * part)
+            )
         else:
             tuned[name], bounds[name] = {}, ()
-        told("unseen runs", 0.98)
+        told("unseen runs", _TUNING)
         batches[name] = judged(unseen, name, tuned[name])
+        if not _began(batches[name]).any():
+            raise _none_begins("unseen")
     if progress:
         progress("done", 1.0)
     return Contest(suite, unseen, tuned, costs, bounds, batches)
@@ -141,6 +145,18 @@ def compare(
 def judged(runs: Runs, controller: str, values: dict[str, float]) -> Batch:
     """What a controller with these numbers [SI] does in the runs."""
     return _simulated(runs, _controller(runs, controller, {name: [value] for name, value in values.items()}, 1), 1)
+
+
+def _began(batch: Batch) -> NDArray[np.bool_]:
+    """Which runs could begin, whatever their controller; shape (runs,)."""
+    return np.array([outcome is not Outcome.NO_START for outcome in batch.outcomes])
+
+
+def _none_begins(which: str) -> ParameterError:
+    return ParameterError(
+        f"none of the {which} runs can begin: no pressures hold their plants where their wishes start",
+        remedy="wish for other angles at the start, or change the joint or its load",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,10 +202,12 @@ class _Task:
         batch = _simulated(self.runs, control, len(values), self.suite.cost.metrics)
         found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
         found = np.where(np.isfinite(found) & ~batch.lost, np.minimum(found, LOST), LOST)
-        began = np.array([outcome is not Outcome.NO_START for outcome in batch.outcomes])
+        began = _began(batch)
+        if not began.any():
+            raise _none_begins("training")
         shape = (len(values), self.runs.count)
         total = np.sum(np.where(began, found, 0.0).reshape(shape), axis=1)
-        return np.where(good, total / np.maximum(began.reshape(shape).sum(axis=1), 1), LOST)
+        return np.where(good, total / began.reshape(shape).sum(axis=1), LOST)
 
     def about(self) -> dict[str, Any]:
         """All that makes a trial what it is."""
@@ -236,7 +254,7 @@ def _searched(
         best = past.best
         if best.cost >= LOST:
             raise ParameterError(
-                f"{task.controller}: none of the {len(past.trials)} points that were tried came through all runs",
+                f"{task.controller}: none of the {len(past.trials)} points that were tried came through a run",
                 remedy="search other ranges, or begin with other gains",
             )
         rounded = _rounded(task, task.values(np.array(best.point)[None])[0])
@@ -305,8 +323,3 @@ def _simulated(runs: Runs, controller: Controller, sets: int, metrics: tuple[str
         substeps=suite.substeps,
         metrics=metrics,
     )
-
-
-def filename(name: str) -> str:
-    """A name as part of a path."""
-    return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() or "controller"

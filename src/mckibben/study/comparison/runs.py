@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mckibben.control import Constant, Multisine, Reference, Signal, Sine, Step, Sum
 from mckibben.errors import ParameterError
 from mckibben.plant import JointPlant
-from mckibben.study.comparison.suite import Suite
+from mckibben.study.comparison.suite import Suite, start_of
 from mckibben.study.parameters import design, lanes, with_values
 from mckibben.study.scenario import Scenario
 
@@ -69,8 +69,11 @@ class Runs:
         place = [at for at, name in enumerate(self.wish) if name == wish].index(run)
         numbers = {name: column[run].item() for name, column in self.conditions.items()}
         numbers |= {name: column[place].item() for name, column in self.wished[wish].items()}
+        numbers |= values or {}
         scenario = self.suite.scenario(controller, wish, self.joint[run])
-        return with_values(scenario, {**numbers, **(values or {})})
+        if numbers:
+            scenario = with_values(scenario, numbers)
+        return scenario.model_copy(update={"start": start_of(scenario.signals)})
 
 
 def draw(suite: Suite, count: int, seed: int) -> Runs:

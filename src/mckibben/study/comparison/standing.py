@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 MAIN = ("angle_rmse", "stiffness_rmse")
 """The errors that are set against those of the first controller."""
 _RESAMPLED = 2000
+_AT_ONCE = 2_000_000  # numbers
 _SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
 _UNIT = {metric: unit for metric, _, unit in METRICS.values()}
 
@@ -39,9 +40,10 @@ def standing(contest: Contest) -> dict[str, Any]:
         cost. ``controllers``, by name: ``lost`` runs; ``metrics`` under the names and in the units in which they are
         shown: ``median`` and ``percentile_95`` over the runs that were not lost, and how many ``runs`` have a number;
         ``against_first``: for both errors the ratio of the medians, and the interval in which 95 % of 2000 resamplings
-        of the runs lie; ``by_wish`` and ``by_joint``: medians of both errors; ``depends_on``: Spearman's rank
-        correlation of both errors with each condition; ``tuned``: numbers [SI]; ``training_cost`` before and after;
-        ``at_bound``.
+        of the runs lie; ``settled``: in how many ``runs`` the stiffness settled after its step, ``of`` how many that
+        have one and were not lost; ``by_wish`` and ``by_joint``: medians of both errors; ``depends_on``: Spearman's
+        rank correlation of both errors with each condition; ``tuned``: numbers [SI]; ``training_cost`` before and
+        after; ``at_bound``.
     """
     names = list(contest.batches)
     median_cost = {name: float(np.median(contest.cost(name))) for name in names}
@@ -95,10 +97,13 @@ def _of(contest: Contest, name: str, median_cost: float) -> dict[str, Any]:
     wishes, joints = (np.array(each)[contest.started] for each in (contest.runs.wish, contest.runs.joint))
     errors = {metric: contest.metric(name, metric) for metric in MAIN}
     cost = contest.training_cost.get(name)
+    stepped = np.isfinite(contest.metric(name, "coupling"))
+    settled = stepped & np.isfinite(contest.metric(name, "stiffness_settling"))
     return {
         "lost": int(contest.lost(name).sum()),
         "median_cost": median_cost,
         "metrics": {_SHOWN[metric]: _spread(contest.metric(name, metric), _UNIT[metric]) for metric in Metrics._fields},
+        "settled": {"runs": int(settled.sum()), "of": int(stepped.sum())},
         "against_first": {_SHOWN[metric]: _ratio(errors[metric], contest.metric(first, metric)) for metric in MAIN},
         "by_wish": _by(wishes, errors),
         "by_joint": _by(joints, errors),
@@ -124,12 +129,17 @@ def _spread(values: NDArray[np.float64], unit: float) -> dict[str, Any] | None:
 def _ratio(values: NDArray[np.float64], first: NDArray[np.float64]) -> dict[str, float]:
     """Of the medians, lost runs counting as endless errors; and what resampling the runs makes of it."""
     values, first = (np.where(np.isfinite(each), each, np.inf) for each in (values, first))
-    draws = np.random.default_rng(0).integers(0, values.size, (_RESAMPLED, values.size))
-    with np.errstate(invalid="ignore"):
-        ratios = np.median(values[draws], axis=1) / np.median(first[draws], axis=1)
-        ratio = float(np.median(values) / np.median(first))
-    low, high = np.nanpercentile(ratios, [2.5, 97.5])
-    return {"ratio": ratio, "low": float(low), "high": float(high)}
+    generator, ratios = np.random.default_rng(0), np.empty(0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.median(values) / np.median(first)
+        while ratios.size < _RESAMPLED:  # some at once, as memory allows
+            some = min(_RESAMPLED - ratios.size, max(_AT_ONCE // values.size, 1))
+            rows = generator.integers(0, values.size, (some, values.size))
+            found = np.median(values[rows], axis=1) / np.median(first[rows], axis=1)
+            ratios = np.append(ratios, found)
+    ratios = ratios[~np.isnan(ratios)]  # of two that are endless
+    low, high = np.percentile(ratios, [2.5, 97.5], method="nearest") if ratios.size else (np.nan, np.nan)
+    return {"ratio": float(ratio), "low": float(low), "high": float(high)}
 
 
 def _by(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) -> dict[str, dict[str, float | None]]:

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
-from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError
-from mckibben.study.parameters import Over, over, read_over, read_overs
+from mckibben.errors import McKibbenError, ParameterError, ScenarioError
+from mckibben.study.comparison.checking import problems_of_suite
+from mckibben.study.parameters import Over, over, read_overs
 from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.building import build_signal
 from mckibben.study.scenario.controller import ControllerSpec
-from mckibben.study.scenario.document import Document, dotted
 from mckibben.study.scenario.fields import AngularAcceleration, Duration, PositiveTime, Title
 from mckibben.study.scenario.joint import JointSpec
-from mckibben.study.scenario.part import Part, refuse, suggest
-from mckibben.study.scenario.plant import DisturbanceSpec, LoadSpec, SensorsSpec, ValveSpec
+from mckibben.study.scenario.part import Part, refuse
+from mckibben.study.scenario.plant import DisturbanceSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reading import parsed, text_of
-from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
+from mckibben.study.scenario.reference import ReferenceSpec
+from mckibben.study.scenario.scenario import dividing
 from mckibben.study.scenario.words import Whole
 from mckibben.study.scenario.writing import to_text
 from mckibben.study.tuning import Cost, around_gains, read_cost, read_ranges
@@ -27,10 +28,15 @@ from mckibben.study.tuning import Cost, around_gains, read_cost, read_ranges
 _Share = Annotated[int, Whole(1, 1000)]
 _Seed = Annotated[int, Whole(0, 2**31 - 1)]
 _MOST = 1_000_000
-_OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
 
 AS_BELIEVED = "as believed"
 """The joint that controllers believe in, as the plant of a run."""
+
+
+def start_of(reference: ReferenceSpec) -> StartSpec:
+    """Where a run starts: at rest at the first angle of its wish, amid the attainable stiffness."""
+    samples = reference.angle.samples is not None  # which no suite may have; it says so itself
+    return StartSpec() if samples else StartSpec(angle=float(build_signal(reference.angle, "angle")(0.0)))
 
 
 class PlantSpec(Part):
@@ -137,6 +143,11 @@ class Suite(Part):
     def _ideal(cls, value: Any) -> Any:
         return None if value == "ideal" else value
 
+    @field_validator("control_period", mode="after")
+    @classmethod
+    def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
+        return dividing(value, info.data.get("duration"))
+
     @field_validator("unseen", mode="after")
     @classmethod
     def _unseen(cls, value: UnseenSpec, info: ValidationInfo) -> UnseenSpec:
@@ -165,7 +176,7 @@ class Suite(Part):
     def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Suite:
         """Read a suite from text; arguments and errors as for `Scenario.parse`."""
         suite, document = parsed(cls, text, source=source, folder=folder)
-        problems = suite._problems(document)
+        problems = problems_of_suite(suite, document, AS_BELIEVED)
         if problems:
             raise ScenarioError(source, problems)
         return suite
@@ -187,6 +198,7 @@ class Suite(Part):
 
     def scenario(self, controller: str, wish: str, joint: str = AS_BELIEVED) -> Scenario:
         """One run before its conditions: the controller believes in the suite's own joint, load and valve."""
+        reference = self.wishes[wish].reference
         return Scenario(
             name=f"{self.name}: {controller}, {wish}"[:200],
             joint=self.joints[joint][1],
@@ -195,7 +207,8 @@ class Suite(Part):
             sensors=self.sensors,
             disturbance=self.disturbance,
             controller=self._believing(self.controllers[controller]),
-            reference=self.wishes[wish].reference,
+            reference=reference,
+            start=start_of(reference),
             duration=self.duration,
             control_period=self.control_period,
             substeps=self.substeps,
@@ -203,11 +216,11 @@ class Suite(Part):
 
     def conditions_over(self) -> tuple[Over, ...]:
         """What differs from run to run of the plant."""
-        return read_overs(self.conditions, self._any())
+        return read_overs(self.conditions, self.example())
 
     def wish_over(self, wish: str) -> tuple[Over, ...]:
         """What of a wish differs from run to run."""
-        return read_overs(self.wishes[wish].over, self._any(wish))
+        return read_overs(self.wishes[wish].over, self.example(wish))
 
     def tuned_over(self, controller: str) -> tuple[Over, ...]:
         """What of a controller is tuned, and over what range; nothing where it is taken as it is."""
@@ -223,71 +236,21 @@ class Suite(Part):
             )
         return over(scenario, gains)
 
-    def _any(self, wish: str | None = None) -> Scenario:
-        return self.scenario(next(iter(self.controllers)), wish or next(iter(self.wishes)))
+    def example(self, wish: str | None = None, joint: str = AS_BELIEVED) -> Scenario:
+        """A run of the first controller."""
+        return self.scenario(next(iter(self.controllers)), wish or next(iter(self.wishes)), joint)
 
     def _believing(self, controller: ControllerSpec) -> ControllerSpec:
         """The controller with all its beliefs written out, where it left them to the plant."""
         believed: dict[str, Any] = {} if controller.model is not None else {"model": self.joint}
-        for name in ("decoupling", "predictive"):
+        for name in ("decoupling", "predictive", "inverse_model"):
             part = getattr(controller, name, None)
             if part is None:
                 continue
             lag = 0.0 if self.valve is None else self.valve.time_constant
             own = {"load": self.load, "valve_time_constant": lag}
+            if getattr(part, "alone", None):  # a network without a model's inverse, for no load
+                del own["load"]
             missing = {key: value for key, value in own.items() if getattr(part, key) is None}
             believed[name] = part.model_copy(update=missing)
         return controller.model_copy(update=believed)
-
-    def _problems(self, document: Document) -> list[Problem]:
-        """What is wrong with parts that have to do with one another."""
-        found: list[Problem] = []
-
-        def look(place: tuple[str | int, ...], check: Callable[[], object]) -> None:
-            try:
-                check()
-            except McKibbenError as error:
-                found.append(Problem(str(error), document.line(place), dotted(place)))
-
-        for i in range(len(self.conditions)):
-            look(("conditions", i), lambda i=i: _about_plant(read_over(self.conditions[i], self._any())))
-        if not found:
-            look(("conditions",), self.conditions_over)
-        for name, wish in self.wishes.items():
-            for key in ("angle", "stiffness"):
-                place = ("wishes", name, "reference", key)
-                look(place, lambda key=key, wish=wish: _plain(getattr(wish.reference, key)))
-            for i, text in enumerate(wish.over):
-                look(("wishes", name, "over", i), lambda name=name, text=text: _about_wish(text, self._any(name)))
-        for key, names in (("over", list(self.tuning.over)), ("untuned", self.tuning.untuned)):
-            for i, name in enumerate(names):
-                place = ("tuning", key, name if key == "over" else i)
-                look(place, lambda name=name: self._check_controller(name))
-        if not found:
-            for name in self.controllers:
-                place = ("tuning", "over", name) if name in self.tuning.over else ("controllers", name)
-                look(place, lambda name=name: self.tuned_over(name))
-        return found
-
-    def _check_controller(self, name: str) -> None:
-        if name not in self.controllers:
-            raise ParameterError(f"there is no controller {name!r}", remedy=suggest(name, list(self.controllers)))
-
-
-def _about_plant(one: Over) -> None:
-    root = one.name.split(".")[0]
-    if root not in _OF_PLANT:
-        raise ParameterError(
-            f"{one.name} is nothing of the plant", remedy=f"a condition is a number of {', '.join(_OF_PLANT)}"
-        )
-
-
-def _about_wish(text: str, scenario: Scenario) -> None:
-    one = read_over(text, scenario)
-    if not one.name.startswith("reference."):
-        raise ParameterError(f"{one.name} is nothing of the wish", remedy="put it among the conditions")
-
-
-def _plain(signal: SignalSpec[Any]) -> None:
-    if signal.samples is not None:
-        raise ParameterError("samples cannot be compared on", remedy="give a constant, step, sine or multisine")

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from typing import Any
+
 from mckibben.study.scenario import PIDSpec, Scenario
 
 _ATTRIBUTES = {
@@ -13,24 +17,21 @@ _ATTRIBUTES = {
 """What parts of the file are called where they are built."""
 
 
-def default_of(scenario: Scenario, place: tuple[str, ...]) -> float | int | None:
-    """The value, in SI, of a number that the scenario does not give.
+def defaults_of(scenario: Scenario) -> Callable[[tuple[str, ...]], float | int | None]:
+    """The values, in SI, of numbers that a scenario does not give, by all keys on the way to each.
 
-    Parameters
-    ----------
-    scenario
-        Without the number.
-    place
-        All keys on the way to it.
-
-    Returns
-    -------
-    value
-        None for a starting stiffness: it is then amid what the plant can hold.
+    What has to be built to know them is built once. None for a starting stiffness: it is then amid what the plant can
+    hold.
     """
+    return functools.partial(_default, scenario, functools.cache(scenario.control))
+
+
+def _default(scenario: Scenario, control: Callable[[], Any], place: tuple[str, ...]) -> float | int | None:
     from mckibben.study.scenario import building
 
     key = place[-1]
+    if key == "strength":  # of a muscle: that of its law
+        return 1.0
     match place[:-1]:
         case ("load",):
             return getattr(building.build_load(scenario.load), key)
@@ -39,10 +40,15 @@ def default_of(scenario: Scenario, place: tuple[str, ...]) -> float | int | None
         case ("controller", "model", *_):
             model = scenario.controller.model or scenario.joint
             return getattr(building.build_geometry(model), key)
-        case ("controller", "decoupling", *inner):
-            owner = scenario.control()
+        case ("controller", "decoupling" | "predictive", *inner):
+            owner = control()
             for name in inner:
                 owner = getattr(owner, _ATTRIBUTES.get(name, name))
+            return getattr(owner, key)
+        case ("controller", "inverse_model", *inner):
+            owner = control()
+            for name in inner:
+                owner = getattr(owner, name)
             return getattr(owner, key)
         case ("controller", name, _):
             loop = building.build_loop(getattr(scenario.controller, name))

@@ -19,6 +19,7 @@ from mckibben.study.parameters.address import Address
 from mckibben.study.parameters.putting import part_at, validated
 from mckibben.study.parameters.survey import Place
 from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.controller import BelievingSpec
 from mckibben.study.scenario.part import Part
 
 _Attempt = Callable[[Sequence[Any]], str | None]
@@ -56,7 +57,7 @@ def refusals(scenario: Scenario, columns: Mapping[Address, NDArray]) -> dict[int
 
 def _part_of(place: Place) -> Place:
     """The part within which a number has to do with others."""
-    return place[:2] if place[0] in ("controller", "reference") else place[:1]
+    return place[:2] if len(place) > 2 and place[0] in ("controller", "reference") else place[:1]
 
 
 def _attempt(scenario: Scenario, place: Place, keys: list[Place]) -> _Attempt:
@@ -86,13 +87,24 @@ def _builder(place: Place) -> Callable[[Any], object]:
         case ("joint",) | ("controller", "model"):
             return lambda spec: (building.build_geometry(spec), building.build_tendon(spec.spring))
         case ("controller", "decoupling"):
-            return lambda spec: (building.decoupling_parts(spec), spec.load and building.build_load(spec.load))
+            return lambda spec: (building.decoupling_parts(spec), _beliefs(spec))
+        case ("controller", "predictive"):
+            return lambda spec: (building.observers(spec), _beliefs(spec))
+        case ("controller", "inverse_model"):
+            return lambda spec: spec.load and building.build_load(spec.load)
         case ("controller", _):
             return building.build_loop
         case ("reference", quantity):
             return lambda spec: building.build_signal(spec, quantity)
         case _:
             return _nothing
+
+
+def _beliefs(spec: BelievingSpec) -> tuple[object, ...]:
+    """What a controller by a model believes, and what corrects it."""
+    from mckibben.study.scenario import building
+
+    return spec.load and building.build_load(spec.load), building.build_adaptation(spec.adaptation)
 
 
 def _nothing(_: Part) -> None:

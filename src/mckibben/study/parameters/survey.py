@@ -10,7 +10,7 @@ from typing import Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from mckibben.study.parameters.nominal import default_of
+from mckibben.study.parameters.nominal import defaults_of
 from mckibben.study.scenario import GeometrySpec, JointSpec, LoadSpec, LoopSpec, Scenario, SignalSpec
 from mckibben.study.scenario.part import Part
 from mckibben.study.scenario.quantity import Quantity
@@ -35,6 +35,8 @@ _FIXED = {
     "control_period": (_TIMING, "change it in the file"),
     "substeps": (_TIMING, "change it in the file"),
     "hidden": (_COMPILED, "change it in the file"),
+    "stages": (_COMPILED, "change it in the file"),
+    "iterations": (_COMPILED, "change it in the file"),
 }
 _ABSENT = {
     ("valve",): ("the valve is ideal", "write `valve: {time_constant: 20 ms}` in the file"),
@@ -46,6 +48,14 @@ _ABSENT = {
     ("controller", "decoupling", "load"): (
         "the controller's load is that of the plant itself",
         "write `load:` below `decoupling:` in the file to vary it apart from the plant",
+    ),
+    ("controller", "predictive", "load"): (
+        "the controller's load is that of the plant itself",
+        "write `load:` below `predictive:` in the file to vary it apart from the plant",
+    ),
+    ("controller", "inverse_model", "load"): (
+        "the controller's load is that of the plant itself, or none",
+        "write `load:` below `inverse_model:` in the file to vary it apart from the plant",
     ),
     ("controller", "model", "spring"): ("the controller's model has no spring", "write one in the file"),
 }
@@ -83,7 +93,7 @@ class Survey:
 def survey(scenario: Scenario) -> Survey:
     """Go through a scenario."""
     found = Survey()
-    _walk(scenario, (), [()], found, lambda place: default_of(scenario, place))
+    _walk(scenario, (), [()], found, defaults_of(scenario))
     found.refused = {name: why for name, why in found.refused.items() if name not in found.spellings}
     return found
 

@@ -8,6 +8,7 @@ from mckibben.study.scenario.controller import (
     ObserverSpec,
     PIDSpec,
     PolesSpec,
+    PredictiveSpec,
     SlidingSpec,
 )
 from mckibben.study.scenario.joint import CreepSpec, FrictionSpec, GeometrySpec, JointSpec, MuscleSpec, SpringSpec
@@ -37,6 +38,7 @@ __all__ = [
     "ObserverSpec",
     "PIDSpec",
     "PolesSpec",
+    "PredictiveSpec",
     "ReferenceSpec",
     "SamplesSpec",
     "Scenario",

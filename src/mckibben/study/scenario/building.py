@@ -15,12 +15,14 @@ from mckibben.control import (
     ExtendedStateObserver,
     Feedback,
     FrictionCompensation,
+    InverseModelControl,
     Jacobian,
     LawAdaptation,
     Multisine,
     Observer,
     PolePlacement,
     PositionStiffnessControl,
+    PredictiveControl,
     PressureObserver,
     Reference,
     Samples,
@@ -49,8 +51,10 @@ from mckibben.plant import (
 from mckibben.study.scenario.controller import (
     AdaptationSpec,
     BackpropSpec,
+    BelievingSpec,
     ControllerSpec,
     DecouplingSpec,
+    InverseModelSpec,
     LoopSpec,
     PIDSpec,
 )
@@ -134,30 +138,49 @@ def build_disturbance(spec: DisturbanceSpec | None) -> Disturbance:
 
 def build_control(
     spec: ControllerSpec, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None
-) -> PositionStiffnessControl | FrictionCompensation | DecouplingControl:
+) -> PositionStiffnessControl | FrictionCompensation | InverseModelControl | DecouplingControl | PredictiveControl:
     """The controller of a plant; its model is an object of its own even where it is that of the plant."""
     model = build_joint(spec.model or joint)
-    if spec.decoupling is not None:
-        numbers = {"valve_time_constant": 0.0 if valve is None else valve.time_constant}
-        return DecouplingControl(
-            model,
-            build_load(spec.decoupling.load or load),
-            *decoupling_parts(spec.decoupling),
-            friction_compensation=bool(spec.friction_compensation),
-            adaptation=build_adaptation(spec.decoupling.adaptation),
-            **numbers | _given(spec.decoupling, *_PARTS),
-        )
+    believing = spec.decoupling or spec.predictive
+    if believing is not None:
+        beliefs = model, build_load(believing.load or load)
+        numbers: dict[str, Any] = {
+            "valve_time_constant": 0.0 if valve is None else valve.time_constant,
+            "friction_compensation": bool(spec.friction_compensation),
+            "adaptation": build_adaptation(believing.adaptation),
+            **_given(believing, *_PARTS),
+        }
+        if isinstance(believing, DecouplingSpec):
+            return DecouplingControl(*beliefs, *decoupling_parts(believing), **numbers)
+        return PredictiveControl(*beliefs, *observers(believing), **numbers)
     assert spec.position is not None and spec.stiffness is not None  # the model of the controller sees to it
-    control = PositionStiffnessControl(build_loop(spec.position), build_loop(spec.stiffness), model=model)
+    loops = build_loop(spec.position), build_loop(spec.stiffness)
+    control = PositionStiffnessControl(*loops, model=model, minimum_tension=spec.minimum_tension)
+    if spec.inverse_model is not None:
+        return build_inverse_model(spec.inverse_model, control, load, valve)
     return FrictionCompensation(control, model=model) if spec.friction_compensation else control
+
+
+def build_inverse_model(
+    spec: InverseModelSpec, loops: PositionStiffnessControl, load: LoadSpec, valve: ValveSpec | None
+) -> InverseModelControl:
+    """Two loops with what learns beside them."""
+    believed = None if spec.alone else build_load(spec.load or load)
+    lag: dict[str, Any] = {"valve_time_constant": 0.0 if valve is None else valve.time_constant}
+    return InverseModelControl(loops, believed, **lag | _given(spec, "alone", "load"))
 
 
 def decoupling_parts(spec: DecouplingSpec) -> tuple[Feedback, Observer, PressureObserver]:
     """What a `DecouplingControl` is put together from."""
     feedback = PolePlacement(**_given(spec.poles)) if spec.poles is not None else SlidingMode(**_given(spec.sliding))
+    return feedback, *observers(spec)
+
+
+def observers(spec: BelievingSpec) -> tuple[Observer, PressureObserver]:
+    """What a controller by a model observes with."""
     velocity, disturbance, pressure = spec.velocity_observer, spec.disturbance_observer, spec.pressure_observer
     observer = VelocityObserver(**_given(velocity)) if velocity else ExtendedStateObserver(**_given(disturbance))
-    return feedback, observer, PressureObserver(**_given(pressure))
+    return observer, PressureObserver(**_given(pressure))
 
 
 def build_adaptation(spec: AdaptationSpec | None) -> LawAdaptation | None:

@@ -1,4 +1,4 @@
-"""The controller of a scenario: two loops, or the inverse of a model, and what it believes of the joint."""
+"""The controller of a scenario: two loops, the inverse of a model or a look ahead; what it believes of the joint."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ from mckibben.study.scenario.fields import (
     Force,
     Mass,
     Momentum,
+    PoleDamping,
     PositiveRate,
     PositiveTime,
     PositiveTorque,
     PressureRate,
+    PressureScale,
     Rate,
     Ratio,
     Share,
@@ -29,7 +31,8 @@ from mckibben.study.scenario.fields import (
     StiffnessGain,
     StiffnessIntegralGain,
     StiffnessScale,
-    Strength,
+    StrengthSpread,
+    Tension,
 )
 from mckibben.study.scenario.joint import JointSpec
 from mckibben.study.scenario.part import Part, refuse
@@ -135,22 +138,20 @@ class ObserverSpec(Part):
 class AdaptationSpec(Part):
     """The numbers of `LawAdaptation` in SI; where one is left out the class's own."""
 
-    strength_spread: Strength | None = None
+    strength_spread: StrengthSpread | None = None
     mass_spread: Mass | None = None
     friction_spread: Share | None = None
     torque_error: PositiveTorque | None = None
     bandwidth: Bandwidth | None = None
 
 
-class DecouplingSpec(Part):
-    """The parts of `DecouplingControl`: `poles` or `sliding`, an observer, and what it believes of load and valves.
+class BelievingSpec(Part):
+    """What a controller by a model observes, and what it believes of load and valves.
 
     Load and valves are the plant's own unless given, and the observers have the classes' own bandwidths. With
     `adaptation` the strength of the model's muscles is corrected on line.
     """
 
-    poles: PolesSpec | None = None
-    sliding: SlidingSpec | None = Field(None, validate_default=True)
     velocity_observer: ObserverSpec | None = None
     disturbance_observer: ObserverSpec | None = None
     pressure_observer: ObserverSpec | None = None
@@ -158,14 +159,6 @@ class DecouplingSpec(Part):
     minimum_tension: Force | None = None
     load: LoadSpec | None = None
     adaptation: AdaptationSpec | None = None
-
-    @field_validator("sliding", mode="after")
-    @classmethod
-    def _one_feedback(cls, value: Any, info: ValidationInfo) -> Any:
-        if (info.data.get("poles", "wrong") is None) == (value is None):
-            what = "has no feedback" if value is None else "is poles and sliding at once"
-            refuse(what, "give one of poles, sliding", parent=True)
-        return value
 
     @field_validator("disturbance_observer", mode="after")
     @classmethod
@@ -175,27 +168,101 @@ class DecouplingSpec(Part):
         return value
 
 
+class DecouplingSpec(BelievingSpec):
+    """The parts of `DecouplingControl`: `poles` or `sliding`, and what it observes and believes."""
+
+    poles: PolesSpec | None = None
+    sliding: SlidingSpec | None = Field(None, validate_default=True)
+
+    @field_validator("sliding", mode="after")
+    @classmethod
+    def _one_feedback(cls, value: Any, info: ValidationInfo) -> Any:
+        if (info.data.get("poles", "wrong") is None) == (value is None):
+            what = "has no feedback" if value is None else "is poles and sliding at once"
+            refuse(what, "give one of poles, sliding", parent=True)
+        return value
+
+
+class PredictiveSpec(BelievingSpec):
+    """The numbers of `PredictiveControl` in SI; where one is left out the class's own."""
+
+    bandwidth: Bandwidth
+    stiffness_bandwidth: Bandwidth | None = None
+    damping: PoleDamping | None = None
+    angle_scale: AngleScale | None = None
+    stiffness_scale: StiffnessScale | None = None
+    horizon: PositiveTime | None = None
+    stages: Annotated[int, Whole(1, 1000)] | None = None
+    iterations: Annotated[int, Whole(1, 100)] | None = None
+
+
+class InverseModelSpec(Part):
+    """The numbers of `InverseModelControl` in SI, where one is left out the class's own; and what it believes.
+
+    Load and valves are the plant's own unless given; a network `alone` learns on no model's inverse, for no load.
+    """
+
+    learning_rate: Rate | None = None
+    hidden: Annotated[int, Whole(1, 1000)] | None = None
+    valve_time_constant: ShortTime | None = None
+    filter_bandwidth: Bandwidth | None = None
+    angle_scale: AngleScale | None = None
+    velocity_scale: Bandwidth | None = None
+    acceleration_scale: AngularAcceleration | None = None
+    stiffness_scale: StiffnessScale | None = None
+    pressure_scale: PressureScale | None = None
+    seed: Annotated[int, Whole(0, 2**31 - 1)] | None = None
+    alone: Flag | None = None
+    load: LoadSpec | None = None
+
+    @field_validator("load", mode="after")
+    @classmethod
+    def _one_start(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None and info.data.get("alone"):
+            refuse("is given beside alone", "keep one: a network that is alone has no use for a load")
+        return value
+
+
 class ControllerSpec(Part):
-    """Both loops of `PositionStiffnessControl`, or `DecouplingControl`; and its model of the joint.
+    """Both loops of `PositionStiffnessControl`, `DecouplingControl` or `PredictiveControl`; and its model of the joint.
 
     The model is the plant's own joint unless given. `friction_compensation` makes up for the friction of that model's
-    muscles, as `FrictionCompensation` does.
+    muscles, as `FrictionCompensation` does. Beside the loops there may be an `inverse_model` and a `minimum_tension`.
     """
 
     position: PositionLoopSpec | None = None
     stiffness: StiffnessLoopSpec | None = None
-    decoupling: DecouplingSpec | None = Field(None, validate_default=True)
+    decoupling: DecouplingSpec | None = None
+    predictive: PredictiveSpec | None = Field(None, validate_default=True)
     model: JointSpec | None = None
     friction_compensation: Flag | None = None
+    inverse_model: InverseModelSpec | None = None
+    minimum_tension: Tension | None = None
 
-    @field_validator("decoupling", mode="after")
+    @field_validator("inverse_model", "minimum_tension", mode="after")
+    @classmethod
+    def _beside_loops(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None and None in (info.data.get("position", "wrong"), info.data.get("stiffness", "wrong")):
+            refuse("goes with position and stiffness", "give a loop for both, or leave it out")
+        return value
+
+    @field_validator("inverse_model", mode="after")
+    @classmethod
+    def _friction_learned(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None and info.data.get("friction_compensation"):
+            refuse("is given beside friction_compensation", "keep one: what it learns has the friction in it")
+        return value
+
+    @field_validator("decoupling", "predictive", mode="after")
     @classmethod
     def _one_form(cls, value: Any, info: ValidationInfo) -> Any:
-        loops = {key: info.data.get(key, "wrong") for key in ("position", "stiffness")}
-        missing = [key for key, loop in loops.items() if loop is None]
-        if value is None and missing:
-            refuse(f"lacks {' and '.join(missing)}", "give a loop for both, or decoupling", parent=True)
-        if value is not None and len(missing) < len(loops):
-            beside = " and ".join(key for key in loops if key not in missing)
-            refuse(f"is given beside {beside}", "keep one of them")
+        others = ("position", "stiffness") + (("decoupling",) if info.field_name == "predictive" else ())
+        given = [key for key in others if info.data.get(key, "wrong") is not None]
+        if value is not None and given:
+            refuse(f"is given beside {' and '.join(given)}", "keep one of them")
+        if value is None and info.field_name == "predictive" and "decoupling" not in given:
+            missing = [key for key in ("position", "stiffness") if key not in given]
+            if missing:
+                remedy = "give a loop for both, or decoupling, or predictive"
+                refuse(f"lacks {' and '.join(missing)}", remedy, parent=True)
         return value

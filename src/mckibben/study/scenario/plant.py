@@ -80,7 +80,7 @@ class ValveSpec(Part):
 
 
 class SensorsSpec(Part):
-    """What the controller is told, see `SampledSensors`; in a scenario ``perfect`` stands for the truth, at once."""
+    """What the controller is told, see `SampledSensors`; a scenario without it has the truth, at once."""
 
     encoder: AngleStep = 0.0
     pressure_noise: PressureNoise = 0.0

@@ -58,6 +58,9 @@ def _problem(found: ErrorDetails, place: Place, document: Document, model: type[
     elif kind == "model_type":
         message = f"{quoted(value) if isinstance(value, str) else 'a list'} stands where keys and values belong"
         remedy = f"give a mapping of {', '.join(_keys(place, model))}"
+    elif kind == "dict_type":
+        message = f"{quoted(value) if isinstance(value, str) else 'a list'} stands where names and parts belong"
+        remedy = "give a mapping, each part under a name of its own"
     elif kind == "tuple_type":
         message = f"{quoted(value) if isinstance(value, str) else 'a mapping'} stands where a list belongs"
         remedy = "write [first, second, ...]"

@@ -21,10 +21,37 @@ from mckibben.study.scenario.words import Whole
 from mckibben.study.scenario.writing import to_text
 
 if TYPE_CHECKING:
-    from mckibben.control import DecouplingControl, FrictionCompensation, PositionStiffnessControl, Reference
+    from mckibben.control import (
+        DecouplingControl,
+        FrictionCompensation,
+        InverseModelControl,
+        PositionStiffnessControl,
+        PredictiveControl,
+        Reference,
+    )
     from mckibben.plant import JointPlant, PlantState
 
 _MOST_PERIODS = 10_000_000
+
+
+def dividing(value: float, duration: float | None) -> float:
+    """The control period [s], if it divides the duration [s]; for validators."""
+    if duration is None:
+        return value
+    periods = duration / value
+    if periods > _MOST_PERIODS:
+        refuse(
+            f"{value * 1e3:g} ms divides the duration {duration:.12g} s into more than {_MOST_PERIODS} periods",
+            "choose a longer period or a shorter duration",
+        )
+    if whole_periods(duration, value) is None:
+        near = max(round(periods), 1) * value
+        refuse(
+            f"the duration {duration:.12g} s is no whole number of control periods of {value * 1e3:g} ms "
+            f"({periods:.10g})",
+            f"choose a duration of {near:.12g} s, or a period that divides {duration:.12g} s",
+        )
+    return value
 
 
 class Scenario(Part):
@@ -96,23 +123,7 @@ class Scenario(Part):
     @field_validator("control_period", mode="after")
     @classmethod
     def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
-        duration = info.data.get("duration")
-        if duration is None:
-            return value
-        periods = duration / value
-        if periods > _MOST_PERIODS:
-            refuse(
-                f"{value * 1e3:g} ms divides the duration {duration:.12g} s into more than {_MOST_PERIODS} periods",
-                "choose a longer period or a shorter duration",
-            )
-        if whole_periods(duration, value) is None:
-            near = max(round(periods), 1) * value
-            refuse(
-                f"the duration {duration:.12g} s is no whole number of control periods of {value * 1e3:g} ms "
-                f"({periods:.10g})",
-                f"choose a duration of {near:.12g} s, or a period that divides {duration:.12g} s",
-            )
-        return value
+        return dividing(value, info.data.get("duration"))
 
     @model_serializer(mode="wrap", when_used="json")
     def _write(self, handler: Any) -> Any:
@@ -165,7 +176,9 @@ class Scenario(Part):
 
         return build_plant(self.joint, self.load, self.valve, self.sensors, self.disturbance)
 
-    def control(self) -> PositionStiffnessControl | FrictionCompensation | DecouplingControl:
+    def control(
+        self,
+    ) -> PositionStiffnessControl | FrictionCompensation | InverseModelControl | DecouplingControl | PredictiveControl:
         """The controller, with its own model of the joint."""
         from mckibben.study.scenario.building import build_control
 

@@ -9,7 +9,7 @@ from mckibben.study.parameters import Address, LogUniform, Over, addresses, find
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.part import quoted
 
-_GAINS = ("kp", "ki", "kd", "bandwidth", "slope", "reach", "torque_error")
+_GAINS = ("kp", "ki", "kd", "bandwidth", "stiffness_bandwidth", "slope", "reach")
 
 
 def is_gain(name: str) -> bool:
@@ -18,7 +18,8 @@ def is_gain(name: str) -> bool:
     >>> is_gain("controller.position.kp"), is_gain("controller.position.filter_time")
     (True, False)
     """
-    return name.startswith("controller.") and name.rsplit(".", 1)[-1] in _GAINS
+    *above, last = name.split(".")
+    return above[:1] == ["controller"] and "adaptation" not in above and last in _GAINS
 
 
 def around_gains(scenario: Scenario, decades: float = 2.0) -> dict[str, LogUniform]:

@@ -1,0 +1,197 @@
+"""What controllers by a model of the joint share: what they believe, and how a measurement changes it."""
+
+from __future__ import annotations
+
+import abc
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.control.adaptation import Adapted, LawAdaptation, strengthened
+from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.control.course import Course, followed, standing
+from mckibben.control.observer import Motion, Observer, PressureObserver
+from mckibben.errors import RangeError
+from mckibben.joint import AntagonisticJoint, friction
+from mckibben.joint.attainable import pressure_limits_of
+from mckibben.joint.geometry import Pair
+from mckibben.numerics.checks import check_kind, check_positive
+from mckibben.numerics.elementary import exp
+from mckibben.numerics.many import apart
+from mckibben.plant import Load
+
+Scalar = Float[Array, ""]
+
+
+class Beliefs(NamedTuple):
+    """What a controller believes at a sample, and what it did then.
+
+    Attributes
+    ----------
+    motion, pressures
+        What the observers have.
+    course
+        How the wish moves.
+    memories
+        What the model's muscles remember along the wish.
+    adapted
+        What is believed of their strength; empty without adaptation.
+    torque
+        Of the model's muscles [N*m], without friction.
+    estimate
+        Of the stiffness [N*m/rad].
+    friction
+        The torque of friction that is made up for [N*m].
+    commands
+        Held since the sample [Pa].
+    saturated
+        Whether a wish was cut off at a limit.
+    """
+
+    motion: Motion
+    pressures: Pair
+    course: Course
+    memories: friction.Memories
+    adapted: Adapted | tuple[()]
+    torque: Scalar
+    estimate: Scalar
+    friction: Scalar
+    commands: Pair
+    saturated: Array
+
+
+class ModelBasedControl(Controller):
+    """A controller that works out its commands from a model of joint, load and valves.
+
+    What it is for is left to those made of it; here is what they believe. They are told how the joint moves and what
+    pressures there are by observers, one of which knows the torque that the model gives at the *measured* pressures, so
+    that neither lag nor limits wind it up.
+    """
+
+    model: AntagonisticJoint
+    load: Load
+    valve_time_constant: float = eqx.field(kw_only=True, default=0.02)
+    minimum_tension: float = eqx.field(kw_only=True, default=5.0)
+    friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
+    adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
+
+    def __check_init__(self) -> None:
+        name = type(self).__name__
+        observer, pressure_observer = self.observers
+        check_kind(
+            name,
+            model=(self.model, AntagonisticJoint),
+            load=(self.load, Load),
+            observer=(observer, Observer),
+            pressure_observer=(pressure_observer, PressureObserver),
+        )
+        if self.adaptation is not None:
+            check_kind(name, adaptation=(self.adaptation, LawAdaptation))
+        check_positive(name, "s", zero=True, valve_time_constant=self.valve_time_constant)
+        check_positive(name, "N", zero=True, minimum_tension=self.minimum_tension)
+        if self.friction_compensation and not friction.has_friction(self.model):
+            raise RangeError(
+                f"{name}: no muscle of its model has friction to make up for",
+                remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
+            )
+
+    @property
+    @abc.abstractmethod
+    def observers(self) -> tuple[Observer, PressureObserver]:
+        """Of the motion, and of the pressures."""
+
+    def believed_first(self, measurement: Measurement) -> Beliefs:
+        """What is believed before the first step: all is at rest."""
+        angle, pressures = measurement
+        torque, estimate = self.model.torque_and_stiffness(angle, pressures)
+        nothing = jnp.zeros_like(angle)
+        return Beliefs(
+            motion=self.observers[0].init(angle, self.acceleration(angle, nothing, torque)),
+            pressures=pressures,
+            course=standing(angle),
+            memories=friction.unstressed(self.model, angle, pressures) if self.friction_compensation else ((), ()),
+            adapted=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
+            torque=torque,
+            estimate=estimate,
+            friction=nothing,
+            commands=pressures,
+            saturated=jnp.asarray(False),
+        )
+
+    def believed(
+        self, before: Beliefs, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
+    ) -> tuple[Beliefs, AntagonisticJoint]:
+        """What is believed with one more sample, but for the commands to come; and the model as it is believed now."""
+        angle = measurement.angle
+        observer, pressure_observer = self.observers
+        share = self.share(period)
+        pressures = pressure_observer.step(before.pressures, before.commands, measurement.pressures, share, period)
+        adapted, model = self._adapted(before.adapted, measurement, period)
+        torque, estimate = apart(model.torque_and_stiffness, angle, pressures, witness=period)
+        memories, rubbing = self._friction(before.memories, setpoint.angle, pressures)
+        known = self.acceleration(angle, before.motion.velocity, torque + rubbing)
+        motion = observer.step(before.motion, angle, known, period)
+        course = followed(before.course, setpoint.angle, period)
+        after = before._replace(
+            motion=motion,
+            pressures=pressures,
+            course=course,
+            memories=memories,
+            adapted=adapted,
+            torque=torque,
+            estimate=estimate,
+            friction=rubbing,
+        )
+        return after, model
+
+    def told(self, beliefs: Beliefs) -> dict[str, Scalar]:
+        """What is worth recording of it, by name."""
+        told = {
+            "stiffness_estimate": beliefs.estimate,
+            "saturated": beliefs.saturated,
+            "velocity_estimate": beliefs.motion.velocity,
+            "disturbance_estimate": self.load.total_inertia * beliefs.motion.disturbance,
+            "friction_compensation": beliefs.friction,
+        }
+        if not isinstance(beliefs.adapted, Adapted):
+            return told
+        strength1, strength2 = beliefs.adapted.strengths
+        return {**told, "strength1_estimate": strength1, "strength2_estimate": strength2}
+
+    def acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Scalar:
+        """What the model expects [rad/s^2] at an angle [rad], a velocity [rad/s] and a torque [N*m]."""
+        moving = torque + self.load.gravity_torque(angle) - self.load.damping * velocity
+        return jnp.asarray(moving / self.load.total_inertia)
+
+    def share(self, duration: ArrayLike) -> Scalar:
+        """The part of a step that a valve is believed to do in a time [s]."""
+        lag = jnp.asarray(self.valve_time_constant)
+        return jnp.where(lag > 0, 1 - exp(-jnp.asarray(duration) / jnp.where(lag > 0, lag, 1.0)), 1.0)
+
+    def held(self, commands: Pair) -> Pair:
+        """The commands [Pa], which rounding may have taken past a limit."""
+        (low1, low2), (high1, high2) = pressure_limits_of(self.model)
+        return jnp.clip(commands[0], low1, high1), jnp.clip(commands[1], low2, high2)
+
+    def _adapted(
+        self, adapted: Adapted | tuple[()], measurement: Measurement, period: ArrayLike
+    ) -> tuple[Adapted | tuple[()], AntagonisticJoint]:
+        """What is believed of the muscles now, and the model with it.
+
+        From the pressures as measured: what an observer makes of them is off where its valve is not the true one.
+        """
+        if self.adaptation is None or not isinstance(adapted, Adapted):
+            return adapted, self.model
+        adapted = self.adaptation.step(adapted, self.model, self.load, *measurement, period)
+        return adapted, strengthened(self.model, adapted.strengths)
+
+    def _friction(
+        self, memories: friction.Memories, wish: ArrayLike, pressures: Pair
+    ) -> tuple[friction.Memories, Scalar]:
+        """What the model's muscles remember along the wish [rad], and the torque [N*m] of their friction there."""
+        if not self.friction_compensation:
+            return memories, jnp.zeros_like(pressures[0])
+        memories = friction.settled(self.model, memories, wish, pressures)
+        return memories, friction.friction_torque(self.model, memories, wish, 0.0, pressures)

@@ -1,0 +1,191 @@
+"""mckibben compare, as people type it."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mckibben import report
+from mckibben.study.comparison import Suite
+from mckibben.study.comparison.standing import standing
+from mckibben.study.numbers import plain
+from mckibben.study.scenario import Scenario
+from mckibben.study.tuning.history import History
+from mckibben.terminal import metric
+
+TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
+DECOUPLING = TEXT[TEXT.index("  decoupling:\n") : TEXT.index("  as it is:")]
+KP = "controller.position.kp"
+
+pytestmark = pytest.mark.usefixtures("simulating_nothing")
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Writes a suite file."""
+
+    def write(*pairs, name="suite.yaml"):
+        text = TEXT
+        for old, new in pairs:
+            assert text.count(old) == 1, old
+            text = text.replace(old, new)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        return Suite.parse(text)
+
+    return write
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """No figures: they take longer than all else."""
+    monkeypatch.setattr("mckibben.report.write_contest", lambda contest, numbers, out: out / "comparison.html")
+
+
+def results(folder):
+    return json.loads((folder / "results.json").read_text(encoding="utf-8"))
+
+
+def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch):
+    drawn, draw = [], report.write_contest
+    monkeypatch.setattr(report, "write_contest", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest))
+    suite = written((DECOUPLING, ""))
+    found = cli("compare", "suite.yaml", "--out", "kept")
+    assert found.code == 0, found.err
+    kept = tmp_path / "kept"
+    assert {path.name for path in kept.iterdir()} == {
+        *("results.json", "runs.nc", "suite.yaml", "comparison.html"),
+        *("figures", "tuning", "controllers"),
+    }
+    assert {path.stem for path in (kept / "tuning").iterdir()} == {"pid-3"}
+    assert Suite.read(kept / "suite.yaml") == suite
+    (contest,) = drawn
+    numbers = standing(contest)
+    assert results(kept) == json.loads(json.dumps(plain(numbers)))
+    for name in contest.tuned:
+        scenario = Scenario.read(kept / "controllers" / f"{name.lower().replace(' ', '-')}.yaml")
+        expected = contest.tuned[name].get(KP)
+        assert scenario.control().position.kp == (expected or 2e5)
+        assert scenario.start.angle == pytest.approx(np.deg2rad(5.0)), "at the first angle of its wish"
+    for name, each in numbers["controllers"].items():
+        medians = [metric(key, each["metrics"][key]["median"]) for key in ("angle_rmse_deg", "stiffness_rmse")]
+        (row,) = re.findall(rf"^\W*{name} .* [0-9]+\W*$", found.out, re.M)
+        assert [row.split(name)[1].split()[0], row.split(name)[1].split()[2]] == medians
+    assert f"{16 - numbers['not_begun']} unseen runs" in found.out
+    assert f"{numbers['not_begun']} runs could not begin" in found.out
+    assert "medians against PID 3" in found.out
+
+    with xr.open_dataset(kept / "runs.nc") as runs:
+        assert runs.sizes == {"controller": 2, "run": 16}
+        alone = cli("compare", "suite.yaml", "--out", "kept", "--repeat", "PID 3 3")
+        assert (alone.code, alone.err) == (0, "")
+        scenario = Scenario.parse(alone.out)
+        assert scenario == contest.scenario("PID 3", 3)
+        assert scenario.load.mass2 == runs["load.mass2"][3]
+        assert scenario.sensors.seed == runs["sensors.seed"][3]
+        assert scenario.control().position.kp == json.loads(runs.attrs["tuned"])["PID 3"][KP]
+
+    written((DECOUPLING, ""), ("load.mass2=+-50 %", "load.mass2=+-40 %"))  # what was run is what is kept
+    assert cli("compare", "suite.yaml", "--out", "kept", "--repeat", "PID 3 3").out == alone.out
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_what_is_kept_is_gone_on_with_or_left_alone(cli, written, tmp_path):
+    written((DECOUPLING, ""))
+    assert cli("compare", "suite.yaml", "--out", "kept", "--json").code == 0
+    first = (tmp_path / "kept" / "results.json").read_bytes()
+    again = cli("compare", "suite.yaml", "--out", "kept")
+    assert again.code == 2
+    assert "--resume" in again.err
+    written((DECOUPLING, ""), ("  PID 3:", "  PID:"), name="other.yaml")
+    assert cli("compare", "other.yaml", "--out", "kept").code == 2, "though no file of it is in the way"
+    assert (tmp_path / "kept" / "results.json").read_bytes() == first
+    assert cli("compare", "suite.yaml", "--out", "kept", "--resume").code == 0
+    assert (tmp_path / "kept" / "results.json").read_bytes() == first
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "runs.nc").touch()
+    found = cli("compare", "suite.yaml", "--out", "taken")
+    assert found.code == 2
+    assert "runs.nc: it is there already" in found.err
+    (tmp_path / "file").touch()
+    assert cli("compare", "suite.yaml", "--out", "file/kept").code == 2
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_json_fewer_runs_and_a_quick_look(cli, written, tmp_path):
+    written((DECOUPLING, ""), ("generations: 2", "generations: 20"))
+    found = cli("compare", "suite.yaml", "--out", "kept", "--json", "--runs", "20", "--quick")
+    assert found.code == 0
+    numbers = json.loads(found.out)
+    assert numbers == results(tmp_path / "kept")
+    assert numbers["runs"] == 20
+    assert "kept results.json" in found.err
+    kept = Suite.read(tmp_path / "kept" / "suite.yaml")
+    assert (kept.unseen.runs, kept.tuning.generations, kept.tuning.starts) == (20, 2, 1)
+    lines = (tmp_path / "kept" / "tuning" / "pid-3.jsonl").read_text(encoding="utf-8").splitlines()
+    assert 8 <= len(lines) - 1 <= 9
+    alone = cli("compare", "suite.yaml", "--out", "kept", "--repeat", "as it is 19")  # without the options again
+    assert alone.code == 0
+    wish = xr.load_dataset(tmp_path / "kept" / "runs.nc")["wish"].to_numpy()[19]
+    assert Scenario.parse(alone.out).name == f"a small contest: as it is, {wish}"
+    written((DECOUPLING, ""), ("unseen: {runs: 16", "unseen: {runs: 4096"), name="large.yaml")
+    assert json.loads(cli("compare", "large.yaml", "--out", "look", "--json", "--quick").out)["runs"] == 128
+
+    for run, said in (("PID 4 3", "known are PID 3"), ("PID 3 20", "give 0 to 19"), ("PID 3 ²", "give 0 to 19")):
+        refused = cli("compare", "suite.yaml", "--out", "kept", "--repeat", run)
+        assert (refused.code, refused.out) == (2, "")
+        assert said in refused.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "--out DIR"),
+        (("--out", "kept", "--runs", "1"), "give 2 to 1000000"),
+        (("--out", "kept", "--repeat", "PID 3 1"), "kept holds no comparison"),
+    ],
+)
+def test_a_mistake_leaves_nothing_behind(cli, written, tmp_path, arguments, said):
+    written()
+    found = cli("compare", "suite.yaml", *arguments)
+    assert (found.code, found.out) == (2, "")
+    assert said in found.err
+    assert "Traceback" not in found.err
+    assert [path.name for path in tmp_path.iterdir()] == ["suite.yaml"]
+
+
+def test_a_mistake_in_the_suite_names_its_line(cli, tmp_path):
+    (tmp_path / "suite.yaml").write_text(TEXT.replace("untuned: [as it is]", "untuned: [as it iss]"), encoding="utf-8")
+    found = cli("compare", "suite.yaml", "--out", "kept")
+    assert found.code == 2
+    line = 1 + next(i for i, each in enumerate(TEXT.splitlines()) if "untuned" in each)
+    assert "error: suite.yaml: 1 problem" in found.err
+    assert f"line {line}, tuning.untuned[0]: there is no controller 'as it iss'" in found.err
+    assert not (tmp_path / "kept").exists()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_an_interrupted_search_is_gone_on_with(cli, written, tmp_path, monkeypatch):
+    written((DECOUPLING, ""))
+    add, counted = History.add, []
+
+    def interrupted(self, trials):
+        add(self, trials)
+        counted.append(trials)
+        if len(counted) == 3:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(History, "add", interrupted)
+        found = cli("compare", "suite.yaml", "--out", "kept")
+    assert found.code == 130
+    assert "go on with --resume" in found.err
+    assert not (tmp_path / "kept" / "results.json").exists()
+    refused = cli("compare", "suite.yaml", "--out", "kept")
+    assert refused.code == 2
+    assert "--resume" in refused.err
+    assert cli("compare", "suite.yaml", "--out", "kept", "--resume").code == 0
+    assert cli("compare", "suite.yaml", "--out", "whole").code == 0
+    assert results(tmp_path / "kept") == results(tmp_path / "whole")

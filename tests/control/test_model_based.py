@@ -1,0 +1,71 @@
+"""What controllers by a model share: what they believe of the muscles goes into all that they do."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.control import (
+    DecouplingControl,
+    ExtendedStateObserver,
+    LawAdaptation,
+    Measurement,
+    PolePlacement,
+    PredictiveControl,
+    Setpoint,
+)
+from mckibben.control.adaptation import strengthened
+from mckibben.errors import RangeError
+from mckibben.numerics.compiled import numeric
+
+PERIOD = 1e-3
+SPREAD = 0.06
+
+
+@pytest.fixture(scope="module")
+def decoupling(load):
+    observer = ExtendedStateObserver(200.0)
+    return lambda model: DecouplingControl(model, load, PolePlacement(60.0), observer, adaptation=LawAdaptation(SPREAD))
+
+
+@pytest.fixture(scope="module")
+def predictive(load):
+    return lambda model: PredictiveControl(model, load, adaptation=LawAdaptation(SPREAD))
+
+
+@pytest.mark.parametrize("kind", ["decoupling", "predictive"])
+def test_strengths_that_were_learned_are_as_good_as_a_model_that_has_them(kind, request, barely_compiled, knee):
+    """All that the model is asked for: what it expects of motion and stiffness, and what is commanded for a wish."""
+    make = request.getfixturevalue(kind)
+    seen = Measurement(jnp.asarray(0.1), (jnp.asarray(4.2e5), jnp.asarray(4.6e5)))
+    wish = Setpoint(jnp.asarray(0.105), jnp.asarray(15.5))
+
+    @barely_compiled
+    def stepped(control, deviations):
+        state = control.init(seen)
+        before = state.beliefs
+        adapted, motion = before.adapted._replace(deviations=deviations), before.motion._replace(known=jnp.asarray(0.0))
+        state = state._replace(beliefs=before._replace(adapted=adapted, motion=motion))
+        state, commands = control.step(state, wish, seen, PERIOD)
+        return commands, state.beliefs.motion, control.telemetry(state)
+
+    def answer(strengths, *, learned):
+        """Commands [Pa], what is expected of the motion, and the estimate."""
+        model = jax.tree.map(np.asarray, strengthened(knee, (1.0, 1.0) if learned else strengths))
+        off = (*((s - 1) / SPREAD for s in strengths), 0.0) if learned else (0.0, 0.0, 0.0)
+        commands, motion, told = stepped(numeric(make(model)), tuple(map(np.asarray, off)))
+        assert float(told["strength1_estimate"]) == pytest.approx(strengths[0] if learned else 1.0)
+        return np.array([*commands, 1e3 * motion.known, 1e3 * told["stiffness_estimate"]])
+
+    by_learning, by_model, neither = (
+        answer((1.03, 0.96), learned=True),
+        answer((1.03, 0.96), learned=False),
+        answer((1.0, 1.0), learned=True),
+    )
+    np.testing.assert_allclose(by_learning, by_model, atol=0.5)
+    assert (np.abs(by_learning - neither) > 50.0).all()
+
+
+def test_what_is_no_adaptation_is_named(knee, load):
+    with pytest.raises(RangeError, match=r"PredictiveControl: adaptation is a PolePlacement"):
+        PredictiveControl(knee, load, adaptation=PolePlacement(60.0))

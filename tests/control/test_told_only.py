@@ -1,0 +1,157 @@
+"""No controller is told more than its measurements: those of one plant, played to it on another, give its commands."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.control import (
+    PID,
+    BackpropPID,
+    Controller,
+    DecouplingControl,
+    ExtendedStateObserver,
+    LawAdaptation,
+    PositionStiffnessControl,
+    Reference,
+    Sine,
+    SlidingMode,
+)
+from mckibben.control.adaptation import strengthened
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import FirstOrderValve, JointPlant, PlantState, SampledSensors, Sensors, TorquePulses
+from mckibben.plant.sensors import Reading
+from mckibben.simulation import compiled_episode, sampled
+from mckibben.units import deg
+
+PERIOD, PERIODS = 1e-3, 3000
+WISH = Reference(angle=Sine(8 * deg, 0.6, 0.0, np.pi / 2), stiffness=15.0)
+QUICK = Reference(angle=Sine(8 * deg, 1.6, 0.0, np.pi / 2), stiffness=15.0)
+START = PlantState(8 * deg, 0.0, 3.6e5, 3.9e5)
+SENSORS = SampledSensors(encoder=0.022 * deg, pressure_noise=4e3, delay=0.5, seed=3)
+PULSES = TorquePulses(0.5, 0.1, 1.0, 0.5)
+CLEAN, TRUTH = SampledSensors(), (0.9, 0.98)
+
+
+class Tape(Sensors):
+    """What real sensors tell; or, played, what was told once, whatever is true."""
+
+    inner: Sensors
+    tape: Reading
+    played: bool
+
+    def first(self, true):
+        return self.inner.first(true)
+
+    def read(self, last, periods, true):
+        now, told = self.inner.read(last, periods, true)
+        played = (each[jnp.asarray(periods).astype(int)] for each in self.tape)
+        return now, Reading(*(jnp.where(self.played, old, new) for old, new in zip(played, told, strict=True)))
+
+
+class Reporting(Controller):
+    """A controller that reports what it was told."""
+
+    inner: Controller
+
+    def init(self, measurement):
+        return self.inner.init(measurement), measurement
+
+    def step(self, state, setpoint, measurement, period):
+        inner, commands = self.inner.step(state[0], setpoint, measurement, period)
+        return (inner, measurement), commands
+
+    def telemetry(self, state):
+        inner, (angle, (pressure1, pressure2)) = state
+        return {**self.inner.telemetry(inner), "told": Reading(angle, pressure1, pressure2)}
+
+
+CONTROLLERS = {
+    "pid and backprop": lambda knee, load: PositionStiffnessControl(
+        BackpropPID(PID(2e5, 60e5, 0.4e5), signal_scale=0.2, error_scale=0.01, output_scale=5e5, seed=2),
+        PID(0.08e5, 5e5, 0.0),
+        model=knee,
+    ),
+    "sliding, adaptive": lambda knee, load: DecouplingControl(
+        knee, load, SlidingMode(40.0, 80.0, 1.0, 0.005), ExtendedStateObserver(200.0), adaptation=LawAdaptation()
+    ),
+}
+"""Each of its own parts; other parts of control by inversion are played to in test_decoupling."""
+
+
+@pytest.fixture(scope="module")
+def run(knee, load):
+    """The record of a controller on a plant with muscles, a mass, a valve and pushes of its own; a program for each."""
+    wished = {wish: sampled(wish, PERIODS * PERIOD, PERIOD)[1] for wish in (WISH, QUICK)}
+    silent = Reading(*[np.zeros(PERIODS)] * 3)
+
+    def run(control, strengths, *, mass=0.5, lag=0.02, pulses=PULSES, sensors=SENSORS, tape=None, wish=WISH):
+        told = Tape(sensors, tape or silent, np.asarray(tape is not None))
+        heavy = dataclasses.replace(load, mass2=mass)
+        plant = JointPlant(strengthened(knee, strengths), heavy, FirstOrderValve(lag), told, pulses)
+        start = plant.remembering(numeric(START))
+        given = jax.tree.map(jnp.asarray, numeric((plant, Reporting(control))))
+        return compiled_episode(*given, wished[wish], start, jnp.asarray(PERIOD), 2)[1]
+
+    return run
+
+
+@pytest.mark.parametrize("name", sorted(CONTROLLERS))
+def test_the_commands_follow_from_what_was_told(run, knee, load, name):
+    control = CONTROLLERS[name](knee, load)
+    first = run(control, (0.94, 1.05), mass=0.6, lag=0.03)
+    numbers = {"mass": 0.35, "lag": 0.012, "pulses": TorquePulses(-1.0, 0.2, 0.7, 0.1)}
+    again = run(control, (1.08, 0.97), **numbers, tape=first.telemetry["told"])
+    for one, other in zip(jax.tree.leaves(first.telemetry), jax.tree.leaves(again.telemetry), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(first.command1, again.command1)
+    np.testing.assert_array_equal(first.command2, again.command2)
+    assert np.ptp(first.command1) > 5e4 and not first.limited.all()
+    assert np.abs(first.state.angle - again.state.angle).max() > 1 * deg  # the other plant went its own way
+
+
+@pytest.fixture(scope="module")
+def adapting(run, knee, load):
+    """A plant of other muscles, under a controller that corrects its law by so much."""
+
+    def adapting(spread, strengths=TRUTH, sensors=CLEAN):
+        adaptation = LawAdaptation(strength_spread=spread)
+        control = dataclasses.replace(CONTROLLERS["sliding, adaptive"](knee, load), adaptation=adaptation)
+        return run(control, strengths, pulses=TorquePulses(0.0, 0.1, 1.0, 0.5), sensors=sensors, wish=QUICK)
+
+    return adapting
+
+
+def believed(record):
+    return np.stack([record.telemetry["strength1_estimate"], record.telemetry["strength2_estimate"]])
+
+
+def test_in_the_loop_it_comes_to_the_true_strengths(adapting):
+    """Which muscle is the stronger is told at once; how strong both are only by the load that they speed up."""
+    for sensors, ratio, both in ((CLEAN, 0.006, 0.02), (SENSORS, 0.01, 0.03)):
+        strengths = believed(adapting(0.06, sensors=sensors))
+        np.testing.assert_array_equal(strengths[:, :250], 1.0)
+        assert strengths[0, -1] / strengths[1, -1] == pytest.approx(TRUTH[0] / TRUTH[1], rel=ratio)
+        assert strengths[:, -1].mean() == pytest.approx(np.mean(TRUTH), abs=both)
+
+
+def test_in_the_loop_it_stays_with_a_model_that_is_right(adapting):
+    np.testing.assert_allclose(believed(adapting(0.06, (1.0, 1.0))), 1.0, atol=0.008)
+
+
+def test_a_corrected_law_gives_a_truer_stiffness(adapting, knee):
+    true = eqx.filter_jit(strengthened(knee, TRUTH).stiffness)
+
+    def off(record):
+        """Of the plant's stiffness from the wish, and of the estimate from the plant's, over the last second."""
+        stiffness = np.asarray(true(record.state.angle, record.state.pressures))
+        errors = stiffness - 15.0, np.asarray(record.telemetry["stiffness_estimate"]) - stiffness
+        return [np.sqrt(np.mean(each[-1000:] ** 2)) for each in errors]
+
+    (wish_error, estimate_error), (wish_before, estimate_before) = off(adapting(0.06)), off(adapting(1e-6))
+    assert estimate_before > 0.8
+    assert estimate_error < 0.4 * estimate_before
+    assert wish_error < 0.4 * wish_before

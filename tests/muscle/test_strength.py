@@ -1,0 +1,74 @@
+"""Muscles that are weaker or stronger than their law; what holds for each law is in test_law_contract."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.errors import RangeError
+from mckibben.joint import AntagonisticJoint
+from mckibben.muscle import LAWS, HuntLaw, Muscle, stronger
+from mckibben.numerics.compiled import numeric
+from mckibben.units import bar
+
+
+def with_strengths(joint: AntagonisticJoint, strength1, strength2) -> AntagonisticJoint:
+    muscle1, muscle2 = (
+        dataclasses.replace(muscle, law=stronger(muscle.law, strength))
+        for muscle, strength in ((joint.muscle1, strength1), (joint.muscle2, strength2))
+    )
+    return dataclasses.replace(joint, muscle1=muscle1, muscle2=muscle2)
+
+
+@pytest.mark.parametrize("strength", [0.0, -0.5, np.nan, np.inf, np.array([1.0, -1.0])])
+def test_a_factor_that_makes_no_sense_is_refused(law, strength):
+    with pytest.raises(RangeError, match="stronger: strength is"):
+        stronger(law, strength)
+
+
+def test_it_is_no_law_to_be_identified(law):
+    assert not any(name.startswith("Stronger") for name in LAWS)
+    assert type(stronger(law, 0.9)).parameters() == ()
+
+
+def test_a_joint_of_other_muscles_has_their_torque_and_stiffness(knee, paper_precontracted):
+    """By the paper's equations, each muscle's tension times its own factor."""
+    angle, pressures, (s1, s2) = 0.1, (3.2 * bar, 4.1 * bar), (0.9, 1.1)
+    joint = with_strengths(knee, s1, s2)
+    (torque, stiffness), (by_torque, by_stiffness) = jax.jit(
+        lambda joint: (joint.torque_and_stiffness(angle, pressures), joint.affine_map(angle))
+    )(numeric(joint))
+
+    def pulled(angle):
+        eps, arms = paper_precontracted.contractions(angle), paper_precontracted.eq5(angle)
+        force1, force2 = (paper_precontracted.eq3(e, p) for e, p in zip(eps, pressures, strict=True))
+        return s2 * force2 * arms[1] - s1 * force1 * arms[0]
+
+    assert float(torque) == pytest.approx(pulled(angle), rel=1e-12)
+    slope = (pulled(angle + 1e-6) - pulled(angle - 1e-6)) / 2e-6
+    assert float(stiffness) == pytest.approx(-slope, rel=1e-7)
+    for (at_zero, first, second), value in ((by_torque, torque), (by_stiffness, stiffness)):
+        assert at_zero + first * pressures[0] + second * pressures[1] == pytest.approx(float(value), rel=1e-12)
+
+
+def test_of_a_strong_muscle_a_strong_one_is_both_in_one(law):
+    twice = stronger(stronger(law, 0.9), 1.2)
+    assert float(twice.force(0.1, 3e5)) == pytest.approx(1.08 * float(law.force(0.1, 3e5)), rel=1e-13)
+    assert twice.domain == law.domain.intersection(law.holds)
+
+
+def test_one_strength_a_muscle_of_many(law):
+    strengths = np.array([0.8, 1.0, 1.25])
+    many = stronger(law, strengths)
+    axes = jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, many)
+    forces = jax.vmap(lambda one: one.force(0.1, 3e5), in_axes=(axes,))(many)
+    np.testing.assert_allclose(forces, strengths * float(law.force(0.1, 3e5)), rtol=1e-13)
+
+
+def test_a_muscle_knows_where_its_law_holds_however_strong(specimen):
+    """Some laws have no meaning beyond a place of their own, whatever they were fitted to."""
+    law = HuntLaw(254.3e3, 1230.0, 192e3, 0.22, catalog.law("lei-mas-10-180n").domain)
+    plain, strong = Muscle(specimen, law), Muscle(specimen, stronger(law, 1.1))
+    assert jax.tree.map(float, plain.domain) == jax.tree.map(float, strong.domain)

@@ -1,0 +1,129 @@
+"""What a controller is told: counts, noise and delay, alike in single runs, batches and 32 bits."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.errors import RangeError
+from mckibben.numerics.compiled import numeric
+from mckibben.numerics.lanes import cast
+from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors, SampledSensors
+from mckibben.plant.sensors import Reading
+from mckibben.units import deg
+
+PERIOD, PERIODS = 1e-3, 4000
+STEP, NOISE = 0.022 * deg, 4e3
+
+
+@jax.jit
+def _told(sensors, true):
+    def next_period(last, at):
+        return sensors.read(last, *at)
+
+    first = sensors.first(jax.tree.map(lambda x: x[0], true))
+    return jax.lax.scan(next_period, first, (jnp.arange(PERIODS, dtype=true.angle.dtype), true))[1]
+
+
+def told(sensors, true, kind=jnp.float64):
+    """What sensors tell of readings over time."""
+    return Reading(*map(np.asarray, _told(*cast((numeric(sensors), jax.tree.map(jnp.asarray, true)), kind))))
+
+
+@pytest.fixture(scope="module")
+def true():
+    """An angle and two pressures that change all the time."""
+    times = PERIOD * np.arange(PERIODS)
+    return Reading(0.2 * np.sin(times), 3e5 + 2e4 * times, 4e5 - 1e4 * times)
+
+
+@pytest.fixture(scope="module")
+def noise(true):
+    """Of both pressures, shape (2, periods), for some seeds."""
+
+    def of(seed, kind=jnp.float64, size=NOISE):
+        found = told(
+            SampledSensors(pressure_noise=size, seed=seed), Reading(0 * true.angle, *[0 * true.angle] * 2), kind
+        )
+        return np.stack([found.pressure1, found.pressure2])
+
+    return {seed: of(seed) for seed in (0, 1, 2**31 - 1)} | {"32 bits": of(1, jnp.float32), "none": of(1, size=0.0)}
+
+
+def test_perfect_sensors_tell_the_truth_at_once():
+    here = Reading(jnp.asarray(0.1), jnp.asarray(2e5), jnp.asarray(3e5))
+    sensors = PerfectSensors()
+    assert sensors.first(here) == ()
+    assert sensors.read((), 3, here) == ((), here)
+
+
+def test_without_faults_sampled_sensors_are_perfect(true):
+    for told_, truth in zip(told(SampledSensors(seed=3), true), true, strict=True):
+        np.testing.assert_array_equal(told_, truth)
+
+
+def test_an_encoder_counts_whole_steps_and_takes_the_nearest(true):
+    found = told(SampledSensors(encoder=STEP), true)
+    counts = found.angle / STEP
+    np.testing.assert_allclose(counts, np.rint(true.angle / STEP), atol=1e-9)
+    assert np.abs(found.angle - true.angle).max() == pytest.approx(STEP / 2, rel=0.01)
+    np.testing.assert_array_equal(found.pressure1, true.pressure1)
+
+
+def test_the_noise_is_white_normal_and_of_the_size_that_was_said(noise):
+    """Each bound is four standard deviations of what is estimated from so many samples."""
+    for seed in (0, 1, 2**31 - 1):
+        both = noise[seed] / NOISE
+        assert np.abs(both.mean(axis=1)).max() < 4 / np.sqrt(PERIODS)
+        assert np.abs(both.std(axis=1) - 1).max() < 4 / np.sqrt(2 * PERIODS)
+        within = [(np.abs(both) < width).mean() - share for width, share in ((1, 0.682689), (2, 0.954500))]
+        assert np.abs(within).max() < 4 * np.sqrt(0.68 * 0.32 / (2 * PERIODS))
+        for one, other in (
+            (both[0], both[1]),
+            *((each[1:], each[:-1]) for each in both),
+            *((each[2:], each[:-2]) for each in both),
+        ):
+            assert abs(np.mean(one * other)) < 4 / np.sqrt(one.size)
+
+
+def test_another_seed_is_another_noise_and_the_same_the_same(noise, true):
+    for one, other in ((0, 1), (1, 2**31 - 1), (0, 2**31 - 1)):
+        assert np.abs(np.mean(noise[one] * noise[other], axis=1)).max() / NOISE**2 < 4 / np.sqrt(PERIODS)
+    np.testing.assert_array_equal(noise["none"], 0.0)
+    found = told(SampledSensors(pressure_noise=NOISE, seed=1), true)  # whatever is measured
+    np.testing.assert_allclose(found.pressure1 - true.pressure1, noise[1][0], atol=1e-9)
+
+
+def test_in_32_bits_the_noise_is_the_same(noise):
+    assert noise["32 bits"].dtype == np.float32
+    np.testing.assert_allclose(noise["32 bits"], noise[1], rtol=2e-7)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.25, 1.0])
+def test_a_reading_is_late_by_a_part_of_a_period(true, delay):
+    """The noise is that of when it was sampled, and so are the counts."""
+    sensors = {"encoder": STEP, "pressure_noise": NOISE, "seed": 1}
+    at_once, late = told(SampledSensors(**sensors), true), told(SampledSensors(**sensors, delay=delay), true)
+    for now, then in zip(at_once, late, strict=True):
+        before = np.concatenate([now[:1], now[:-1]])  # nothing was before the first
+        np.testing.assert_allclose(then, (1 - delay) * now + delay * before, rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("encoder", -0.1, "encoder is -0.1 rad"),
+        ("encoder", np.nan, "encoder is nan rad"),
+        ("pressure_noise", -1.0, "pressure_noise is -1 Pa"),
+        ("delay", 1.5, "delay is 1.5, outside 0..1 periods"),
+        ("delay", np.array([0.0, -0.5]), "delay is -0.5, outside 0..1 periods"),
+    ],
+)
+def test_sensors_that_make_no_sense_are_refused(field, value, message):
+    with pytest.raises(RangeError, match=f"SampledSensors: {message}"):
+        SampledSensors(**{field: value})
+
+
+def test_arguments_that_are_swapped_are_named(knee, load):
+    with pytest.raises(RangeError, match=r"sensors is a NoDisturbance.*swapped"):
+        JointPlant(knee, load, IdealValve(), NoDisturbance(), PerfectSensors())

@@ -1,0 +1,193 @@
+"""The figures and the page of a contest: complete, alone, the same bytes each time, one colour a controller."""
+
+import base64
+import html
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+
+from mckibben.report.contest import _against, contest_air, contest_errors, contest_wishes, write_contest
+from mckibben.report.panels import plain_numbers
+from mckibben.report.tables import number
+from mckibben.simulation import Batch, Metrics, Outcome
+from mckibben.simulation.outcome import OUTCOMES
+from mckibben.study.comparison import Contest, Suite, draw
+from mckibben.study.comparison.standing import standing
+from mckibben.units import deg
+
+TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
+RUNS = 16
+
+
+class Page(HTMLParser):
+    """Tags, and whether each is closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.open = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("meta", "img", "br", "link"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def made(lost=None):
+    """Three controllers, the second better by a decade, the third with the lost runs."""
+    suite = Suite.parse(TEXT)
+    runs = draw(suite, RUNS, 1)
+    rng = np.random.default_rng(2)
+    flags = {"flag_values": np.arange(len(OUTCOMES)), "flag_meanings": " ".join(each.name for each in OUTCOMES)}
+    batches = {}
+    for name, scale in (("PID 3", 1.0), ("decoupling", 0.1), ("as it is", 0.5)):
+        table = {metric: ("run", scale * rng.lognormal(size=RUNS)) for metric in Metrics._fields}
+        codes = np.zeros(RUNS, int)
+        if name == "as it is" and lost is not None:
+            codes[list(lost)] = OUTCOMES.index(Outcome.SWUNG_OVER)
+        batches[name] = Batch(xr.Dataset({**table, "outcome": ("run", codes, flags)}))
+    tuned = {name: {each.name: each.address.nominal for each in suite.tuned_over(name)} for name in batches}
+    costs = {"PID 3": (1.25, 20.5), "decoupling": (0.5, 0.6)}
+    return Contest(suite, runs, tuned, costs, dict.fromkeys(batches, ()), batches)
+
+
+@pytest.fixture(scope="module")
+def contest():
+    return made([3, 7])
+
+
+@pytest.fixture(scope="module")
+def numbers(contest):
+    return standing(contest)
+
+
+@pytest.fixture(scope="module")
+def kept(contest, numbers, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    return write_contest(contest, numbers, folder)
+
+
+@pytest.fixture(scope="module")
+def text(kept):
+    return kept.read_text(encoding="utf-8")
+
+
+def plain(text):
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", text)).split())
+
+
+def test_the_page_is_complete_and_needs_nothing_else(kept, text):
+    page = Page(text)
+    assert page.open == []
+    for tag, attributes in page.tags:
+        assert tag not in ("script", "link", "iframe", "object")
+        assert attributes.get("src", "data:image/").startswith("data:image/")
+    assert "url(" not in text
+    assert len([tag for tag, _ in page.tags if tag == "table"]) == 5
+    assert not list(kept.parent.glob(".*"))
+
+
+def test_every_figure_is_embedded_and_lies_beside_the_page(kept, text):
+    for name in ("errors", "wishes", "air"):
+        assert f'<figure id="{name}">' in text
+        drawing = (kept.parent / "figures" / f"{name}.svg").read_bytes()
+        assert base64.b64encode(drawing).decode("ascii") in text
+        assert (kept.parent / "figures" / f"{name}.png").stat().st_size > 5000
+
+
+def test_the_same_contest_makes_the_same_bytes(contest, numbers, kept, tmp_path):
+    again = write_contest(contest, numbers, tmp_path)
+    assert again.read_bytes() == kept.read_bytes()
+    for path in sorted((kept.parent / "figures").iterdir()):
+        assert (tmp_path / "figures" / path.name).read_bytes() == path.read_bytes()
+
+
+def test_its_words_and_numbers(text, numbers, contest):
+    words = plain(text)
+    assert "3 controllers on 16 runs that none of them was tuned on" in words
+    assert "Each but as it is was tuned with the same budget: 2 searches of 2 generations of 4 points" in words
+    for name, found in numbers["controllers"].items():
+        assert f"{name} {number(found['metrics']['angle_rmse_deg']['median'])}" in words
+    ratio = numbers["controllers"]["decoupling"]["against_first"]["angle_rmse_deg"]
+    assert f"{number(ratio['ratio'])} ({number(ratio['low'])} to {number(ratio['high'])})" in words
+    assert "as it is as in the suite" in words
+    assert "cost 20.5 before, 1.25 tuned" in words
+    assert "position.kp 1.2 bar/rad" in words
+    assert "--repeat 'PID 3 15'" in words, "a run that there is"
+    assert Suite.parse(html.unescape(re.search(r"<summary>.*<code>(.*)</code>", text, re.S)[1])) == contest.suite
+    assert f"Chance alone gives less than {number(1.96 / 15**0.5, 2)}" in words.replace("\u00a0", " ")
+
+
+def colours(figure):
+    return {line.get_label(): line.get_color() for axes in figure.axes for line in axes.lines}
+
+
+def test_a_controller_has_one_colour_in_all_figures(contest, numbers):
+    assert numbers["order"] != list(contest.batches), "else there is nothing to see"
+    several = [contest_errors(contest), contest_wishes(contest, numbers), contest_air(contest, numbers)]
+    for name in contest.batches:
+        assert len({colours(figure)[name] for figure in several}) == 1
+    assert len({colours(several[0])[name] for name in contest.batches}) == 3
+
+
+def test_errors_are_distributions(contest):
+    """Of the controller that lost 2 of 16 runs the line ends at 14/16."""
+    angle, stiffness = contest_errors(contest).axes
+    for axes, metric, unit in ((angle, "angle_rmse", deg), (stiffness, "stiffness_rmse", 1.0)):
+        lines = {line.get_label(): line for line in axes.lines}
+        for name in contest.batches:
+            values, share = lines[name].get_data()
+            expected = np.sort(contest.metric(name, metric) / unit)
+            expected = expected[np.isfinite(expected)]
+            assert np.allclose(values, [expected[0], *expected])
+            assert np.allclose(share, np.arange(expected.size + 1) / 16)
+    assert lines["as it is"].get_ydata()[-1] == 14 / 16
+
+
+def test_air_and_error_are_drawn_with_the_middle_of_the_runs(contest, numbers):
+    (axes,) = contest_air(contest, numbers).axes
+    (mark,) = [line for line in axes.lines if line.get_label() == "decoupling"]
+    found = numbers["controllers"]["decoupling"]["metrics"]
+    assert mark.get_xydata()[0] == pytest.approx([found["air_L"]["median"], found["angle_rmse_deg"]["median"]])
+    across = axes.lines[axes.lines.index(mark) - 2].get_xdata()
+    assert across == pytest.approx(np.percentile(contest.metric("decoupling", "air") * 1e3, [5, 95]))
+
+
+def test_nobody_has_to_come_through(tmp_path):
+    """A controller that lost every run is left out of figures; so is the only one there is. Its name is no markup."""
+    contest = made(range(RUNS))
+    numbers = standing(contest)
+    assert "as it is" not in colours(contest_air(contest, numbers))
+    assert list(_against(numbers).rows[-1]) == ["as it is", "– (– to –)", "– (– to –)"]
+    suite = contest.suite.model_copy(update={"name": "<b>&"})
+    name = "as it is"
+    alone = Contest(suite, contest.runs, {name: {}}, {}, {name: ()}, {name: contest.batches[name]})
+    text = write_contest(alone, standing(alone), tmp_path).read_text(encoding="utf-8")
+    assert Page(text).open == []
+    assert "<title>&lt;b&gt;&amp;</title>" in text
+
+
+@pytest.mark.parametrize(
+    ("limits", "expected"), [((0.3, 1.4), ["0.5", "1"]), ((0.004, 13), ["0.01", "0.1", "1", "10"])]
+)
+def test_logarithmic_axes_are_labelled_plainly(limits, expected):
+    axes = Figure().subplots()
+    axes.set(xscale="log", xlim=limits)
+    plain_numbers(axes.xaxis)
+    axes.figure.draw_without_rendering()
+    labels = [
+        label
+        for minor in (False, True)
+        for label, at in zip(axes.xaxis.get_ticklabels(minor=minor), axes.xaxis.get_ticklocs(minor=minor), strict=True)
+        if limits[0] <= at <= limits[1] and label.get_text()
+    ]
+    assert sorted((label.get_text() for label in labels), key=float) == expected
+    assert np.ptp([label.get_window_extent().y1 for label in labels]) < 1.0, "on one line"

@@ -1,0 +1,102 @@
+"""A learned inverse and a minimum tension beside two loops in scenario files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mckibben.control import InverseModelControl, PositionStiffnessControl
+from mckibben.errors import ParameterError, ScenarioError
+from mckibben.study.parameters import addresses, find, lanes
+from mckibben.study.scenario import Scenario
+from mckibben.study.tuning import around_gains
+
+TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
+BEFORE, AFTER = TEXT.split("reference:")
+FULL = """\
+  minimum_tension: 8 N
+  inverse_model:
+    learning_rate: 3 1/s
+    hidden: 12
+    valve_time_constant: 15 ms
+    filter_bandwidth: 50 rad/s
+    angle_scale: 10 deg
+    velocity_scale: 2 rad/s
+    acceleration_scale: 9 rad/s^2
+    stiffness_scale: 4 N*m/rad
+    pressure_scale: 0.5 bar
+    seed: 7
+    load: {from: knee-table-2, mass2: 0.6 kg}
+"""
+
+
+def scenario(more="  inverse_model: {learning_rate: 5 1/s}\n"):
+    return Scenario.parse(f"{BEFORE.rstrip()}\n{more}\nreference:{AFTER}")
+
+
+def problem(more):
+    with pytest.raises(ScenarioError) as caught:
+        scenario(more)
+    assert len(caught.value.problems) == 1, caught.value
+    return caught.value.problems[0]
+
+
+def test_it_builds_what_it_says():
+    control = scenario(FULL).control()
+    assert isinstance(control, InverseModelControl)
+    assert (control.learning_rate, control.hidden, control.seed) == (3.0, 12, 7)
+    assert (control.valve_time_constant, control.filter_bandwidth) == (0.015, 50.0)
+    assert (control.velocity_scale, control.acceleration_scale, control.stiffness_scale) == (2.0, 9.0, 4.0)
+    assert (control.angle_scale, control.pressure_scale) == pytest.approx((np.pi / 18, 0.5e5))
+    assert control.load.mass2 == 0.6 and control.loops.minimum_tension == 8.0
+
+
+def test_what_is_left_out_is_that_of_the_plant_and_the_class():
+    short = scenario()
+    control, plain = short.control(), Scenario.parse(TEXT).control()
+    assert control == InverseModelControl(plain, short.plant().load, learning_rate=5.0, valve_time_constant=0.02)
+    assert plain.minimum_tension is None
+    assert scenario("  inverse_model: {alone: true}\n").control().load is None
+    kept = scenario("  minimum_tension: 5 N\n").control()
+    assert isinstance(kept, PositionStiffnessControl) and kept.minimum_tension == 5.0
+
+
+@pytest.mark.parametrize("more", [FULL, "  inverse_model: {alone: true}\n", "  minimum_tension: 5 N\n"])
+def test_it_comes_back_from_its_text(more):
+    assert Scenario.parse(scenario(more).dumps()) == scenario(more)
+
+
+def test_its_numbers_can_be_varied_and_have_a_value():
+    for more in (FULL, "  inverse_model: {learning_rate: 5 1/s}\n"):
+        mine = [a for a in addresses(scenario(more)) if a.name.startswith("controller.inverse_model.")]
+        assert len(mine) >= 9
+        assert all(a.nominal is not None for a in mine), mine
+    assert find(scenario(), "controller.inverse_model.valve_time_constant").nominal == 0.02
+    values = {"controller.inverse_model.learning_rate": [1.0, 2.0], "controller.minimum_tension": [5.0, 6.0]}
+    many = lanes(scenario(FULL), values).control()
+    np.testing.assert_array_equal(many.learning_rate, [1.0, 2.0])
+    np.testing.assert_array_equal(many.loops.minimum_tension, [5.0, 6.0])
+    many = lanes(scenario(FULL), {"controller.inverse_model.load.m2": [0.4, 0.5]})
+    np.testing.assert_array_equal(many.control().load.mass2, [0.4, 0.5])
+    with pytest.raises(ParameterError, match="the controller's load is that of the plant itself"):
+        find(scenario(), "controller.inverse_model.load.mass2")
+    with pytest.raises(ParameterError, match="outside above 0"):
+        lanes(scenario(FULL), {"controller.minimum_tension": [5.0, 0.0]})
+
+
+def test_only_the_loops_have_gains():
+    """How fast it learns is none: no feedback goes faster with it."""
+    assert all(name.split(".")[1] in ("position", "stiffness") for name in around_gains(scenario(FULL)))
+
+
+def test_what_does_not_go_together_is_said():
+    both = "  inverse_model: {alone: true, load: knee-table-2}\n"
+    assert "beside alone" in problem(both).message
+    found = problem("  friction_compensation: true\n  inverse_model: {alone: true}\n".replace("\n", "\n", 1))
+    assert "friction_compensation" in found.message
+    assert "outside" in problem("  minimum_tension: 0 N\n").message
+    loops = BEFORE.index("controller:\n") + len("controller:\n")
+    for more in ("inverse_model: {learning_rate: 5 1/s}", "minimum_tension: 5 N"):
+        text = f"{BEFORE[:loops]}  decoupling: {{poles: {{bandwidth: 50 rad/s}}}}\n  {more}\n\nreference:{AFTER}"
+        with pytest.raises(ScenarioError, match="goes with position and stiffness"):
+            Scenario.parse(text)

@@ -1,0 +1,182 @@
+"""Real sensors, pushes, muscles of another strength, and a law corrected on line, in scenario files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mckibben.control import DecouplingControl, LawAdaptation
+from mckibben.errors import ParameterError, ScenarioError
+from mckibben.muscle import PressureAffineLaw
+from mckibben.plant import NoDisturbance, PerfectSensors, SampledSensors, TorquePulses
+from mckibben.study.parameters import addresses, find, lanes, with_values
+from mckibben.study.scenario import Scenario
+from mckibben.study.sweep.words import listed
+from mckibben.study.tuning import around_gains
+from mckibben.units import deg, ms
+
+BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
+MUSCLE = "law: lei-mas-10-180n}"
+LOOPS = BASE[BASE.index("  # From the angle's error") : BASE.index("reference:")]
+SENSORS = "sensors: {encoder: 0.022 deg, pressure_noise: 4 kPa, delay: 0.5, seed: 7}\n"
+PULSES = "disturbance: {pulses: {height: 0.5 N*m, width: 100 ms, interval: 1 s, start: 250 ms}}\n"
+DECOUPLING = "  decoupling: {{poles: {{bandwidth: 50 rad/s}}, adaptation: {}}}\n\n"
+FULL = "{strength_spread: 0.08, mass_spread: 0.1 kg, friction_spread: 0.4, torque_error: 0.03 N*m, bandwidth: 25 rad/s}"
+
+
+def text(sensors=SENSORS, disturbance=PULSES, strength=0.93, adaptation=FULL):
+    whole = BASE.replace("controller:\n", f"{sensors}{disturbance}controller:\n")
+    if strength is not None:
+        whole = whole.replace(MUSCLE, f"law: lei-mas-10-180n, strength: {strength}}}")
+    return whole if adaptation is None else whole.replace(LOOPS, DECOUPLING.format(adaptation))
+
+
+def problem(said):
+    with pytest.raises(ScenarioError) as caught:
+        Scenario.parse(said)
+    assert len(caught.value.problems) == 1, caught.value
+    return caught.value.problems[0]
+
+
+@pytest.fixture(scope="module")
+def real():
+    return Scenario.parse(text())
+
+
+def test_it_builds_what_it_says(real):
+    plant, control = real.plant(), real.control()
+    assert plant.sensors == SampledSensors(0.022 * deg, 4e3, 0.5, 7)
+    assert plant.disturbance == TorquePulses(0.5, 100 * ms, 1.0, 250 * ms)
+    assert isinstance(control, DecouplingControl)
+    assert control.adaptation == LawAdaptation(0.08, 0.1, 0.4, 0.03, 25.0)
+    plain = Scenario.parse(BASE).plant().joint
+    for muscle in (plant.joint.muscle1, plant.joint.muscle2, control.model.muscle1):
+        assert isinstance(muscle.law, PressureAffineLaw)
+        assert float(muscle.force(0.1, 3e5)) == pytest.approx(0.93 * float(plain.muscle1.force(0.1, 3e5)), rel=1e-12)
+
+
+def test_without_them_all_is_as_before():
+    before = Scenario.parse(BASE)
+    assert before.plant().sensors == PerfectSensors() and before.plant().disturbance == NoDisturbance()
+    assert type(before.plant().joint.muscle1.law).__name__ == "ExponentialLaw"
+    assert Scenario.parse(text("", "", None, "{}")).control().adaptation == LawAdaptation()
+    for word in ("sensors", "disturbance", "strength", "adaptation"):
+        assert word not in before.dumps()
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        text(),
+        text(sensors="sensors: {encoder: 0.1 deg}\n", disturbance="", strength=None, adaptation="{}"),
+        text(sensors="", strength=1.2, adaptation=None),
+        text(sensors="sensors: {}\n", adaptation="{torque_error: 0.03 N*m}"),
+    ],
+)
+def test_it_comes_back_from_its_text(said):
+    read = Scenario.parse(said)
+    again = Scenario.parse(read.dumps())
+    assert again == read
+    assert (again.plant().sensors, again.plant().disturbance) == (read.plant().sensors, read.plant().disturbance)
+    assert ("adaptation" in read.dumps()) == ("adaptation" in said)
+
+
+NUMBERS = {
+    "joint.muscle.strength": 0.93,
+    "sensors.encoder": 0.022 * deg,
+    "sensors.pressure_noise": 4e3,
+    "sensors.delay": 0.5,
+    "sensors.seed": 7,
+    "disturbance.pulses.height": 0.5,
+    "disturbance.pulses.width": 0.1,
+    "disturbance.pulses.interval": 1.0,
+    "disturbance.pulses.start": 0.25,
+    "controller.decoupling.adaptation.strength_spread": 0.08,
+    "controller.decoupling.adaptation.mass_spread": 0.1,
+    "controller.decoupling.adaptation.friction_spread": 0.4,
+    "controller.decoupling.adaptation.torque_error": 0.03,
+    "controller.decoupling.adaptation.bandwidth": 25.0,
+}
+
+
+def test_all_its_numbers_are_listed_with_what_they_are(real):
+    nominal = {each.name: each.nominal for each in addresses(real)}
+    assert {name: nominal[name] for name in NUMBERS} == pytest.approx(NUMBERS)
+    shown = {each["name"]: (each["nominal"], each["range"], each["unit"]) for each in listed(real)}
+    assert shown["sensors.encoder"] == ("0.022 deg", "0 to 90 deg", "deg")
+    assert shown["sensors.pressure_noise"] == ("4 kPa", "0 to 100000 kPa", "kPa")
+    assert shown["controller.decoupling.adaptation.strength_spread"] == ("0.08", "above 0 to 0.3", "1")
+
+
+def test_what_is_left_out_is_that_of_the_classes():
+    read = Scenario.parse(text("sensors: {}\n", "", None, "{}"))
+    nominal = {each.name: each.nominal for each in addresses(read)}
+    assert nominal["joint.muscle.strength"] == 1.0  # that of the law
+    assert [nominal[f"sensors.{key}"] for key in ("encoder", "pressure_noise", "delay", "seed")] == [0.0, 0.0, 0.0, 0]
+    for key in ("strength_spread", "mass_spread", "friction_spread", "torque_error", "bandwidth"):
+        assert nominal[f"controller.decoupling.adaptation.{key}"] == getattr(LawAdaptation(), key)
+
+
+def test_they_can_be_varied(real):
+    table = {name: [value, value * 2 if isinstance(value, int) else value * 1.5] for name, value in NUMBERS.items()}
+    many = lanes(real, table)
+    plant, control = many.plant(), many.control()
+    np.testing.assert_array_equal(plant.sensors.seed, [7, 14])
+    np.testing.assert_array_equal(plant.disturbance.height, [0.5, 0.75])
+    np.testing.assert_array_equal(plant.joint.muscle2.law.strength, table["joint.muscle.strength"])
+    np.testing.assert_array_equal(control.model.muscle2.law.strength, table["joint.muscle.strength"])
+    np.testing.assert_allclose(control.adaptation.torque_error, [0.03, 0.045])
+    bare = with_values(Scenario.parse(BASE), {"joint.muscle.strength": 1.1})
+    assert bare.plant().joint.muscle1.law.strength == 1.1
+
+
+def test_the_model_keeps_its_own_strength():
+    own = text(strength=None, adaptation=None).replace(
+        "controller:\n",
+        "controller:\n  model: {geometry: knee-table-2, connector_length: 208 mm, "
+        f"muscle: {{specimen: MAS-10-180N-AA-MC-O, {MUSCLE}}}\n",
+    )
+    many = lanes(Scenario.parse(own), {"joint.muscle.strength": [0.9, 1.1], "controller.model.muscle.strength": [1, 1]})
+    np.testing.assert_array_equal(many.plant().joint.muscle1.law.strength, [0.9, 1.1])
+    np.testing.assert_array_equal(many.control().model.muscle1.law.strength, [1.0, 1.0])
+    alone = lanes(Scenario.parse(own), {"joint.muscle.strength": [0.9, 1.1]})
+    assert type(alone.control().model.muscle1.law).__name__ == "ExponentialLaw"
+
+
+def test_what_an_adaptation_takes_for_true_is_no_gain(real):
+    assert not [name for name in around_gains(real) if ".adaptation." in name]
+
+
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [("sensors.delay", "none"), ("disturbance.pulses.height", "none"), ("controller.decoupling.adaptation", "")],
+)
+def test_what_is_not_there_cannot_be_varied(name, what):
+    with pytest.raises(ParameterError, match=f"cannot be varied: .*{what}") as refused:
+        find(Scenario.parse(BASE), name)
+    assert "write" in refused.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("said", "field", "words"),
+    [
+        (text(strength=0), "joint.muscle.strength", "outside above 0 to 100"),
+        (text(strength="93 N"), "joint.muscle.strength", "N"),
+        (text(sensors="sensors: {delay: 2}\n"), "sensors.delay", "outside 0 to 1"),
+        (text(sensors="sensors: {encoder: -1 deg}\n"), "sensors.encoder", "outside 0 to 90 deg"),
+        (text(sensors="sensors: {encoder: 1 mm}\n"), "sensors.encoder", "unit"),
+        (text(sensors="sensors: {seed: 1.5}\n"), "sensors.seed", "1.5"),
+        (text(sensors="sensors: {noise: 1 kPa}\n"), "sensors.noise", "is no key"),
+        (text(disturbance="disturbance: {}\n"), "disturbance.pulses", "is missing"),
+        (text(disturbance=PULSES.replace(", start: 250 ms", "")), "disturbance.pulses.start", "is missing"),
+        (text(disturbance=PULSES.replace("1 s", "0 s")), "disturbance.pulses.interval", "outside above 0"),
+        (text(adaptation="{strength_spread: 0.5}"), "controller.decoupling.adaptation.strength_spread", "to 0.3"),
+        (text(adaptation="{torque_error: 0 N*m}"), "controller.decoupling.adaptation.torque_error", "outside above 0"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_line(said, field, words):
+    found = problem(said)
+    assert found.field == field
+    assert words in found.message
+    assert found.line
+    assert found.remedy or words.startswith("outside")
