@@ -18,6 +18,7 @@ from mckibben.commands.identify import identify, validate
 from mckibben.commands.options import Json, Out, said
 from mckibben.commands.plan import plan
 from mckibben.commands.points import points
+from mckibben.commands.rig import rig
 from mckibben.commands.sweep import sweep
 from mckibben.commands.tune import tune
 from mckibben.errors import McKibbenError, McKibbenWarning
@@ -127,6 +128,7 @@ app.command()(plan)
 app.command()(sweep)
 app.command()(tune)
 app.command()(compare)
+app.add_typer(rig)
 
 
 @app.command()

@@ -77,6 +77,34 @@ class UnreachableError(McKibbenError, ValueError):
     """No pressures within limits give what was asked of a joint."""
 
 
+class RigError(McKibbenError, RuntimeError):
+    """A test rig cannot do what it was told, or is not there."""
+
+
+class SilentError(RigError):
+    """Samples that were due did not come."""
+
+
+class StoppedError(RigError):
+    """A test was stopped and the muscle vented; the text says why."""
+
+
+class SignalledError(StoppedError):
+    """A test was stopped by a signal, such as Ctrl-C.
+
+    Parameters
+    ----------
+    message
+        As of a `McKibbenError`.
+    signal
+        Its number.
+    """
+
+    def __init__(self, message: str, *, signal: int) -> None:
+        super().__init__(message)
+        self.signal = signal
+
+
 @dataclass(frozen=True, slots=True)
 class Problem:
     """One thing that is wrong in a file."""

@@ -25,13 +25,13 @@ def table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> 
 
 
 @contextmanager
-def progress() -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on standard error."""
+def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on standard error, itself so many columns wide."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (
-        BarColumn(),
+        BarColumn(bar_width=width),
         TextColumn("{task.percentage:3.0f} %"),
         TimeElapsedColumn(),
         TextColumn("{task.description}"),

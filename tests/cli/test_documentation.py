@@ -31,11 +31,19 @@ def test_the_python_of_the_readme_runs_and_gives_the_numbers_in_its_comments(mon
 
 def test_the_commands_and_options_that_the_documentation_names_exist(cli):
     text = README + "".join(p.read_text(encoding="utf-8") for p in sorted((ROOT / "docs").glob("*.md")))
-    named = {name for name in re.findall(r"\bmckibben ([a-z]+)", text) if name != "as"}
-    known = {command.name or command.callback.__name__ for command in app.registered_commands}
-    assert {"identify", "validate", "simulate", "reproduce"} <= named <= known
-    for command in known:
-        help_text = cli(command, "--help").out
+    named = {name for name in re.findall(r"\bmckibben ([a-z]+)", text) if name not in ("as", "import")}
+    single = {command.name or command.callback.__name__ for command in app.registered_commands}
+    groups = {group.typer_instance.info.name: group.typer_instance for group in app.registered_groups}
+    assert {"identify", "validate", "simulate", "reproduce"} <= named <= single | groups.keys()
+    nested = {
+        f"{name} {command.name or command.callback.__name__}"
+        for name, group in groups.items()
+        for command in group.registered_commands
+    }
+    for name in groups:
+        assert {f"{name} {word}" for word in re.findall(rf"\bmckibben {name} ([a-z]+)", text)} <= nested
+    for command in sorted(single | nested):
+        help_text = cli(*command.split(), "--help").out
         for option in re.findall(rf"mckibben {command} [^`\n]*?(--[a-z-]+)", text):
             assert option in help_text, (command, option)
 

@@ -12,7 +12,7 @@ INTERRUPTED = 130
 
 
 @contextmanager
-def late_progress(*, quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
+def late_progress(*, quiet: bool, width: int = 40) -> Iterator[Callable[[str, float], None] | None]:
     """A progress bar that is not there before it is told of progress: what is wrong with the options comes first.
 
     None where it is to be quiet.
@@ -25,7 +25,7 @@ def late_progress(*, quiet: bool) -> Iterator[Callable[[str, float], None] | Non
 
         def report(what: str, part: float) -> None:
             if not bars:
-                bars.append(shown.enter_context(progress()))
+                bars.append(shown.enter_context(progress(width=width)))
             bars[0](what, part)
 
         yield report

@@ -110,6 +110,8 @@ def _model_at(place: Place, model: type[BaseModel]) -> type[BaseModel] | None:
     """The model that validates what stands at a place."""
     annotation: Any = model
     for key in place:
+        if isinstance(key, int):  # an item of a list of models
+            continue
         if get_origin(annotation) is dict:  # of parts, by names that people choose
             annotation = get_args(annotation)[1]
             continue
@@ -122,8 +124,7 @@ def _model_at(place: Place, model: type[BaseModel]) -> type[BaseModel] | None:
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:
-    """The model in an annotation such as ``Model | None``."""
-    for candidate in (annotation, *get_args(annotation)):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate
-    return None
+    """The model in an annotation such as ``Model | None`` or ``tuple[Model, ...]``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next(filter(None, map(_model_in, get_args(annotation))), None)

@@ -1,0 +1,122 @@
+"""Control in real time: the table of docs/joint-rig.md.
+
+    python benchmarks/realtime.py [--duration 60] [--period 1] [--ordinary]
+
+The knee of examples/, virtual and paced, under PID and under decoupling control, recorded to disk as `mckibben rig
+control` does. It prints how many deadlines were missed, how late samples were taken and commands given, and beside it
+what the machine itself does to a loop of the same period that only sleeps: a deadline that this one misses, no program
+could have met. The machine's load is printed with it.
+"""
+
+import argparse
+import os
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+from machine import describe, sentence
+
+from mckibben.study.joint_rig import JointRig, compute_in_this_thread, prepared
+from mckibben.study.joint_rig import undisturbed as module
+from mckibben.study.joint_rig.timing import Spread
+from mckibben.study.joint_rig.undisturbed import undisturbed
+from mckibben.study.scenario import Scenario
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+DECOUPLING = {"decoupling": {"poles": {"bandwidth": "80 rad/s"}, "disturbance_observer": {"bandwidth": "250 rad/s"}}}
+
+
+def scenario(duration, period, controller=None):
+    """The knee that moves along a sine, in SI."""
+    read = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml")
+    changes = {"duration": duration, "control_period": period}
+    if controller is not None:
+        changes["controller"] = type(read.controller).model_validate(controller)
+    return read.model_copy(update=changes)
+
+
+def asleep(duration, period):
+    """How late a thread wakes that does nothing but sleep; `missed` are sleeps that took a whole period too long."""
+    count = round(duration / period)
+    late = np.empty(count)
+    with undisturbed():
+        origin = time.perf_counter()
+        for i in range(count):
+            until = origin + i * period
+            left = until - time.perf_counter()
+            if left > 0:
+                time.sleep(left)
+            late[i] = time.perf_counter() - until
+    return int((late > period).sum()), Spread.of(late)
+
+
+class Load:
+    """What else the machine did meanwhile: the processor time of others, in cores."""
+
+    def __enter__(self):
+        self.begun = time.perf_counter(), self._busy(), time.process_time()
+        return self
+
+    def __exit__(self, *_):
+        wall, busy, ours = (
+            now - then
+            for now, then in zip((time.perf_counter(), self._busy(), time.process_time()), self.begun, strict=True)
+        )
+        self.others, self.ours = (busy - ours) / wall, ours / wall
+
+    @staticmethod
+    def _busy():
+        """Of all cores, in seconds: all but idle and waiting; with it what a hypervisor took."""
+        try:
+            fields = Path("/proc/stat").read_text(encoding="utf-8").splitlines()[0].split()[1:9]
+        except OSError:
+            return float("nan")
+        ticks = [int(field) for field in fields]
+        return (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")
+
+
+def spread(times):
+    return " / ".join(f"{time * 1e6:.0f}" for time in times)
+
+
+def main():
+    parser = argparse.ArgumentParser(description="Control in real time, on a virtual joint.")
+    parser.add_argument("--duration", type=float, default=60.0, help="of each run [s]")
+    parser.add_argument("--period", type=float, default=1.0, help="of control [ms]")
+    parser.add_argument("--ordinary", action="store_true", help="without real-time priority")
+    asked = parser.parse_args()
+    period = asked.period * 1e-3
+    if asked.ordinary:
+        module._first = lambda: None
+    compute_in_this_thread()
+    print(sentence(describe()) + "\n")
+    print("| | missed | skipped | sample to loop [us] | loop to valves [us] | jitter [us] | others, ours [cores] |")
+    print("|---|---|---|---|---|---|---|", flush=True)
+    for name, controller in (("PID", None), ("decoupling, 80 rad/s", DECOUPLING)):
+        session = prepared(scenario(asked.duration, period, controller), JointRig(virtual={}))
+        with tempfile.TemporaryDirectory() as folder, Load() as load:
+            ran = session.run(folder)
+        timing = ran.timing
+        assert ran.ending.completed, ran.ending.text
+        cells = (
+            f"{name}, {ran.priority} priority",
+            f"{timing.missed} of {timing.periods}",
+            str(timing.skipped),
+            spread(timing.lateness),
+            spread(timing.work),
+            spread(timing.jitter),
+            f"{load.others:.2f}, {load.ours:.2f}",
+        )
+        print("| " + " | ".join(cells) + " |", flush=True)
+    with Load() as load:
+        missed, late = asleep(asked.duration, period)
+    count = round(asked.duration / period)
+    cells = ("sleep alone", f"{missed} of {count}", "", spread(late), "", "", f"{load.others:.2f}, {load.ours:.2f}")
+    print("| " + " | ".join(cells) + " |\n")
+    print(f"Times are median / 95 % / 99.9 % / worst. {threading.active_count()} threads at the end.")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,300 @@
+"""What the volts of a channel mean: a straight line, found from known loads and kept with the data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mckibben.errors import Problem, RangeError, RigError
+from mckibben.rig.backend import Channel
+from mckibben.units import percent
+
+_NUMBERS = ("gain", "offset", "tare", "low", "high")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    r"""A channel's straight line between volts and a quantity in SI.
+
+    .. math:: x = g\,(U - U_0) - x_0
+
+    Of an input it turns what is read into what is meant, of an output (a valve) the other way round.
+
+    Parameters
+    ----------
+    name
+        Of the channel: "force", "pressure", "valve", "angle" ...
+    unit
+        Of the quantity, SI: "N", "Pa", "rad".
+    gain
+        g, in the unit per volt; negative where the sensor is wired the other way round.
+    offset
+        U0 [V].
+    tare
+        x0, in the unit: what is read off an unloaded sensor, see `tared`.
+    low, high
+        The sensor's span, in the unit.
+    margin
+        How far a reading may leave the span, as a share of it [-], before the sensor counts as `lost`: 2 %.
+    made, by, method
+        When, by whom and how it was made, in words.
+    known, volts_read
+        What it was fitted to, in the unit and in volts; empty where it is a data sheet's.
+    residual
+        The largest distance of these from the line, in the unit.
+
+    Raises
+    ------
+    RangeError
+        If a number has no meaning.
+
+    Examples
+    --------
+    >>> force = Calibration(name="force", unit="N", gain=200.0, low=-2000.0, high=2000.0)
+    >>> force.si([0.0, 1.5]), float(force.volts(630.0))
+    (array([  0., 300.]), 3.15)
+    """
+
+    name: str
+    unit: str
+    gain: float
+    offset: float = 0.0
+    tare: float = 0.0
+    low: float
+    high: float
+    margin: float = 2 * percent
+    made: str = ""
+    by: str = ""
+    method: str = ""
+    known: tuple[float, ...] = ()
+    volts_read: tuple[float, ...] = ()
+    residual: float = 0.0
+
+    _texts: ClassVar[tuple[str, ...]] = ("name", "unit", "made", "by", "method")
+
+    def __post_init__(self) -> None:
+        for field in (*_NUMBERS, "margin", "residual"):
+            value = getattr(self, field)
+            if not math.isfinite(value) or (field == "gain" and value == 0):
+                raise RangeError(
+                    f"calibration of {self.name}: {field} is {value:g}",
+                    value=value,
+                    remedy="it has to be finite" + (" and other than 0" if field == "gain" else ""),
+                )
+        if not self.low < self.high or self.margin < 0:
+            raise RangeError(
+                f"calibration of {self.name}: the span {self.low:g}..{self.high:g} {self.unit} with a margin of "
+                f"{self.margin / percent:g} % is empty",
+                remedy="give low below high, and a margin of 0 or more",
+            )
+
+    def si(self, volts: ArrayLike) -> NDArray[np.float64]:
+        """What volts mean, in the unit; any shape."""
+        return (np.asarray(volts, np.float64) - self.offset) * self.gain - self.tare
+
+    def volts(self, si: ArrayLike) -> NDArray[np.float64]:
+        """The volts [V] of a value in the unit; any shape."""
+        return (np.asarray(si, np.float64) + self.tare) / self.gain + self.offset
+
+    def lost(self, volts: ArrayLike, channel: Channel | None = None) -> NDArray[np.bool_]:
+        """Whether no working sensor gives these volts [V]; any shape.
+
+        They are further outside the span than the margin, exactly at an end of what the converter can tell, or no
+        number. The span is the sensor's own: a tare does not move it.
+        """
+        volts = np.asarray(volts, np.float64)
+        lowest, highest = self.limits
+        lost = ~((volts >= lowest) & (volts <= highest))
+        return lost if channel is None else lost | (volts <= channel.low) | (volts >= channel.high)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The lowest and highest volts [V] of a working sensor: its span and the margin."""
+        beyond = self.margin * (self.high - self.low)
+        ends = sorted(end / self.gain + self.offset for end in (self.low - beyond, self.high + beyond))
+        return ends[0], ends[1]
+
+    def check(self, low: float, high: float, channel: Channel | None = None) -> list[Problem]:
+        """What stands against measuring (or giving) values from low to high, in the unit.
+
+        The span must hold them, and so must the converter, where it is given.
+        """
+        problems: list[Problem] = []
+        if low < self.low or high > self.high:
+            problems.append(
+                Problem(
+                    f"{low:g}..{high:g} {self.unit} leaves its span {self.low:g}..{self.high:g} {self.unit}",
+                    field=self.name,
+                    remedy="stay within it, or take another sensor",
+                )
+            )
+        if channel is not None:
+            ends = sorted(float(end) for end in self.volts([low, high]))
+            if ends[0] < channel.low or ends[1] > channel.high:
+                problems.append(
+                    Problem(
+                        f"{low:g}..{high:g} {self.unit} are {ends[0]:g}..{ends[1]:g} V, and the converter has "
+                        f"{channel.low:g}..{channel.high:g} V",
+                        field=self.name,
+                        remedy="stay within it, or set its range",
+                    )
+                )
+        return problems
+
+    def tared(self, volts: ArrayLike) -> Calibration:
+        """The same, reading 0 where the unloaded sensor gives these volts [V]; their mean is taken.
+
+        Raises
+        ------
+        RigError
+            If the sensor is lost, or its zero is off by more than a tenth of its span: then something hangs on it.
+        """
+        readings = np.asarray(volts, np.float64)
+        if not readings.size or self.lost(readings).any():
+            raise RigError(f"no {self.name} to tare: the sensor is lost", remedy="check its wiring and its supply")
+        tare = float(np.mean((readings - self.offset) * self.gain))
+        if abs(tare) > 0.1 * (self.high - self.low):
+            raise RigError(
+                f"the unloaded {self.name} reads {tare:g} {self.unit}, more than a tenth of its span",
+                value=tare,
+                unit=self.unit,
+                remedy="take the load off, or calibrate anew",
+            )
+        return replace(self, tare=tare)
+
+    def to_json(self) -> dict[str, Any]:
+        """As a JSON object (or YAML): what `from_json` takes."""
+        form: dict[str, Any] = {field: getattr(self, field) for field in (*self._texts[:2], *_NUMBERS, "margin")}
+        form |= {field: getattr(self, field) for field in self._texts[2:] if getattr(self, field)}
+        if self.known:
+            form |= {"known": list(self.known), "volts_read": list(self.volts_read), "residual": self.residual}
+        return form
+
+    @classmethod
+    def from_json(cls, form: Mapping[str, Any]) -> Calibration:
+        """From a JSON object.
+
+        Raises
+        ------
+        RangeError
+            If a field is missing, unknown, or not of its kind; all of them at once.
+        """
+        lists, numbers = ("known", "volts_read"), (*_NUMBERS, "margin", "residual")
+        needed = ("name", "unit", "gain", "low", "high")
+        problems = [Problem("missing", field=field) for field in needed if field not in form]
+        for field, value in form.items():
+            if field in cls._texts:
+                right = isinstance(value, str)
+            elif field in numbers:
+                right = isinstance(value, int | float) and not isinstance(value, bool)
+            elif field in lists:
+                right = isinstance(value, list | tuple) and all(isinstance(one, int | float) for one in value)
+            else:
+                problems.append(Problem("unknown", field=str(field)))
+                continue
+            if not right:
+                problems.append(Problem(f"{value!r} has no meaning", field=field))
+        if problems:
+            name = form.get("name", "a channel")
+            raise RangeError("\n  ".join([f"calibration of {name}: {len(problems)} problem(s)", *map(str, problems)]))
+        values: dict[str, Any] = dict(form)
+        values |= {field: float(values[field]) for field in numbers if field in values}
+        values |= {field: tuple(map(float, values[field])) for field in lists if field in values}
+        return cls(**values)
+
+
+def calibrate(
+    name: str,
+    unit: str,
+    *,
+    volts: Sequence[float],
+    known: Sequence[float],
+    low: float,
+    high: float,
+    made: str = "",
+    by: str = "",
+    coverage: float = 60 * percent,
+    tolerance: float = 1 * percent,
+) -> Calibration:
+    """The straight line through readings [V] at known values, by least squares.
+
+    With two points it goes through both; with more the largest residual is told and checked.
+
+    Parameters
+    ----------
+    name, unit
+        Of the channel, and of the known values.
+    volts, known
+        What was read [V], and what lay on the sensor, in the unit; shape (points,).
+    low, high
+        The sensor's span, in the unit.
+    made, by
+        When and by whom, in words.
+    coverage
+        Share of the span [-] that the known values have to cover, counted from the smaller side of zero where
+        the span has two signs: 60 %.
+    tolerance
+        The largest residual that is let pass, as a share [-] of the known values' range: 1 %.
+
+    Raises
+    ------
+    RigError
+        If there are fewer than two different points, the span is not covered, or the residual is too large; it tells
+        the point that is furthest off.
+
+    Examples
+    --------
+    >>> made = calibrate("force", "N", volts=[0.02, 1.02, 3.02], known=[0, 200, 600], low=0, high=800)
+    >>> round(made.gain, 6), round(made.offset, 6), round(made.residual, 6)
+    (200.0, 0.02, 0.0)
+    """
+    read, there = np.asarray(volts, np.float64), np.asarray(known, np.float64)
+    if read.shape != there.shape or read.ndim != 1 or not np.isfinite([read, there]).all():
+        raise RigError(f"{name}: {read.size} readings for {there.size} known values", remedy="give one for each")
+    if len(set(there.tolist())) < 2 or np.ptp(read) <= 0:
+        raise RigError(f"{name}: a line needs two different points", remedy="put another load on, and read again")
+    reach = high - low if low * high >= 0 else min(-low, high)
+    covered = float(np.ptp(there)) / reach
+    if covered < coverage or there.min() < low or there.max() > high:
+        raise RigError(
+            f"{name}: the known values {there.min():g}..{there.max():g} {unit} cover {covered / percent:.0f} % of the "
+            f"span {low:g}..{high:g} {unit}",
+            value=covered,
+            lower=coverage,
+            upper=1.0,
+            remedy=f"spread them over at least {coverage / percent:g} % of it, and not beyond, or give the span that "
+            f"you use",
+        )
+    middle = read.mean()
+    gain, at_middle = np.polynomial.polynomial.polyfit(read - middle, there, 1)[::-1]
+    off = there - (at_middle + gain * (read - middle))
+    worst = int(np.argmax(np.abs(off)))
+    residual = float(abs(off[worst]))
+    if residual > tolerance * np.ptp(there):
+        raise RigError(
+            f"{name}: the reading {read[worst]:g} V at {there[worst]:g} {unit} is {residual:g} {unit} off the line, "
+            f"{residual / float(np.ptp(there)) / percent:.2g} % of the range",
+            value=residual,
+            upper=tolerance * float(np.ptp(there)),
+            unit=unit,
+            remedy="read it again; if it stays, the sensor is not linear or is overloaded",
+        )
+    return Calibration(
+        name=name,
+        unit=unit,
+        gain=float(gain),
+        offset=float(middle - at_middle / gain),
+        low=low,
+        high=high,
+        made=made,
+        by=by,
+        method=f"least squares of {len(read)} points" if len(read) > 2 else "two points",
+        known=tuple(there.tolist()),
+        volts_read=tuple(read.tolist()),
+        residual=residual if len(read) > 2 else 0.0,
+    )

@@ -1,0 +1,293 @@
+"""A rig on a card of National Instruments, by way of their driver NI-DAQmx."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import RangeError, RigError
+from mckibben.numerics.checks import check_positive
+from mckibben.rig.backend import Block, Channel
+from mckibben.rig.ni.driver import Driver
+from mckibben.rig.ni.wiring import Wiring
+
+_BUFFER = 10.0  # s of samples that the driver keeps for us
+_OFF = 1e-3  # V: a signal nearer to rest is rest
+_SAME = 1e-9
+
+
+class NiBackend:
+    """Sensors and valves on a card; a `Backend`.
+
+    All inputs are sampled by one clock of the card; the outputs are held by it. A card holds its last output when its
+    host dies: nothing in it vents. That is the work of an external relay that watches the line `heartbeat`, and cuts
+    the current of a valve that a spring opens; `patience` has to be the time for which that relay waits. What the host
+    can see of a missed beat it enforces here: the line then rests until the backend is opened anew.
+
+    Parameters
+    ----------
+    wiring
+        Which terminal goes where.
+    rate
+        Samples a second of each input [Hz]; the card has to have it exactly.
+    patience
+        After how long without a beat the relay lets go [s].
+    server
+        Address of an NI gRPC Device Server, "host:port", on whose machine the card is; empty: this one.
+    """
+
+    def __init__(
+        self, wiring: Wiring | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
+    ) -> None:
+        check_positive("rig", "Hz", rate=rate)
+        check_positive("rig", "s", patience=patience)
+        self.wiring = wiring or Wiring()
+        self.rate = float(rate)
+        self.patience = float(patience)
+        self.server = server
+        self._driver: Driver | None = None
+        self._tasks: list[Any] = []
+        self._inputs: Any = None
+        self._reader: Any = None
+        self._writer: Any = None
+        self._switch: Any = None
+        self._lines: dict[str, bool] = {}
+        self._taken = 0
+        self._beaten = 0.0
+        self._tripped = False
+        self._facts: dict[str, str] = {}
+
+    @property
+    def inputs(self) -> Sequence[Channel]:
+        """What is measured."""
+        return tuple(Channel(name, *self.wiring.input_range, where) for name, where in self.wiring.inputs.items())
+
+    @property
+    def outputs(self) -> Sequence[Channel]:
+        """The valves."""
+        return tuple(Channel(name, *self.wiring.output_range, where) for name, where in self.wiring.outputs.items())
+
+    @property
+    def described(self) -> Mapping[str, str]:
+        """What it is, for the record; driver and serial numbers once it has been opened."""
+        wired = {**self.wiring.inputs, **self.wiring.outputs, **self.wiring.lines}
+        if self.wiring.counter:
+            wired["counter"] = self.wiring.counter
+        return {
+            "kind": "nidaqmx",
+            **({"server": self.server} if self.server else {}),
+            **self._facts,
+            "wiring": ", ".join(f"{name} at {where}" for name, where in wired.items()),
+            "patience": f"{self.patience:g} s, of the relay",
+        }
+
+    def open(self) -> None:
+        """Take hold of the card; vented, at rest, its clock at 0.
+
+        Raises
+        ------
+        RigError
+            If the package, the driver, the device or a terminal is missing, or the card has not that rate.
+        """
+        if self._driver is not None:
+            raise RigError("the rig is open already", remedy="close it first")
+        self._driver = Driver(self.server)
+        try:
+            self._take_hold(self._driver)
+        except BaseException:
+            self.close()
+            raise
+
+    def clock(self) -> float:
+        """Since it was opened [s], by the card's clock: samples that it has taken."""
+        driver = self._open()
+        with driver.translated("the card's clock"):
+            return self._inputs.in_stream.total_samp_per_chan_acquired / self.rate
+
+    def read(self, count: int, *, timeout: float = 1.0) -> Block:
+        """Wait for so many samples, and take them.
+
+        Raises
+        ------
+        SilentError
+            If they have not come after the timeout [s] beyond the time that they take.
+        RigError
+            If the device is lost, or the host was away for too long.
+        """
+        driver = self._open()
+        if count < 1:
+            raise RangeError(f"{count} samples cannot be read", value=count, lower=1)
+        volts = np.empty((len(self.wiring.inputs), count))
+        with driver.translated("reading"):
+            self._reader.read_many_sample(volts, count, timeout=count / self.rate + timeout)
+        first = self._taken
+        self._taken += count
+        times = np.arange(first, self._taken) / self.rate
+        return Block(first, times, np.ascontiguousarray(volts.T), self._counted(times))
+
+    def press(self, volts: Sequence[float]) -> None:
+        """Hold these signals at the valves [V]; one other than rest closes the spring valve again.
+
+        Raises
+        ------
+        RigError
+            If it is not open, a beat was missed, or a signal is outside the range.
+        """
+        driver = self._must_go()
+        low, high = self.wiring.output_range
+        signals = np.asarray(volts, np.float64)
+        if signals.shape != (len(self.wiring.outputs),) or not ((signals >= low) & (signals <= high)).all():
+            raise RigError(
+                f"{list(volts)} V cannot be given at {len(self.wiring.outputs)} output(s) of {low:g}..{high:g} V"
+            )
+        with driver.translated("the valves"):
+            self._writer.write_one_sample(signals)
+            if (np.abs(signals - self.wiring.rest) > _OFF).any():
+                self._set(hold=True)
+
+    def beat(self) -> None:
+        """Say that the host lives. After a missed beat the line rests.
+
+        Raises
+        ------
+        RigError
+            If the device is lost.
+        """
+        driver = self._open()
+        if self._missed():
+            return
+        with driver.translated("the heartbeat"):
+            self._set(heartbeat=not self._lines["heartbeat"])
+        self._beaten = time.monotonic()
+
+    def vent(self) -> None:
+        """Let all air out: cut the spring valve's current, then bring the signals to rest. Never raises."""
+        self._quietly(lambda: self._set(hold=False))
+        self._quietly(lambda: self._writer.write_one_sample(np.full(len(self.wiring.outputs), self.wiring.rest)))
+
+    def close(self) -> None:
+        """Vent, let the heartbeat rest, and let go of the card. Never raises."""
+        self.vent()
+        self._quietly(lambda: self._set(heartbeat=False))
+        for task in reversed(self._tasks):
+            self._quietly(task.close)
+        if self._driver is not None:
+            self._quietly(self._driver.close)
+        self._tasks, self._driver, self._lines = [], None, {}
+        self._inputs = self._reader = self._writer = self._switch = None
+
+    # What is below is for this class and the one with a motor
+
+    def _take_hold(self, driver: Driver) -> None:
+        self._take_hold_of_outputs(driver)
+        self._take_hold_of_inputs(driver)
+        self._taken, self._tripped = 0, False
+        self._beaten = time.monotonic()
+
+    def _take_hold_of_outputs(self, driver: Driver) -> None:
+        """Lines first: they vent."""
+        package, wiring = driver.package, self.wiring
+        self._lines = dict.fromkeys(wiring.lines, False)
+        lines = self._new_task(driver)
+        for name, where in wiring.lines.items():
+            with driver.translated(f"{name} at {where}"):
+                lines.do_channels.add_do_chan(where, line_grouping=package.constants.LineGrouping.CHAN_PER_LINE)
+        self._switch = package.stream_writers.DigitalMultiChannelWriter(lines.out_stream, auto_start=True)
+        self._switch.verify_array_shape = False  # which would ask the driver at each write
+        with driver.translated("the digital lines"):
+            self._set()
+
+        valves = self._new_task(driver)
+        low, high = wiring.output_range
+        for name, where in wiring.outputs.items():
+            with driver.translated(f"{name} at {where}"):
+                valves.ao_channels.add_ao_voltage_chan(where, min_val=low, max_val=high)
+        self._writer = package.stream_writers.AnalogMultiChannelWriter(valves.out_stream, auto_start=True)
+        self._writer.verify_array_shape = False
+        with driver.translated("the valves"):
+            self._writer.write_one_sample(np.full(len(wiring.outputs), wiring.rest))
+
+    def _take_hold_of_inputs(self, driver: Driver) -> None:
+        package, wiring = driver.package, self.wiring
+        constants = package.constants
+        self._inputs = self._new_task(driver)
+        for name, where in wiring.inputs.items():
+            with driver.translated(f"{name} at {where}"):
+                self._inputs.ai_channels.add_ai_voltage_chan(
+                    where,
+                    terminal_config=constants.TerminalConfiguration.DIFF,
+                    min_val=wiring.input_range[0],
+                    max_val=wiring.input_range[1],
+                )
+        self._reader = package.stream_readers.AnalogMultiChannelReader(self._inputs.in_stream)
+        self._reader.verify_array_shape = False
+        with driver.translated("the sample clock"):
+            self._inputs.timing.cfg_samp_clk_timing(
+                self.rate,
+                sample_mode=constants.AcquisitionType.CONTINUOUS,
+                samps_per_chan=math.ceil(_BUFFER * self.rate),
+            )
+            actual = self._inputs.timing.samp_clk_rate
+        if abs(actual - self.rate) > _SAME * self.rate:
+            raise RigError(
+                f"the card cannot sample at {self.rate:g} Hz, the nearest is {actual:.9g} Hz", remedy="give that rate"
+            )
+        self._facts = {"driver": f"NI-DAQmx {driver.version()}, nidaqmx {_version(package)}"}
+        devices = {where.split("/")[0] for where in [*wiring.inputs.values(), *wiring.outputs.values()]}
+        self._facts["devices"] = ", ".join(
+            f"{name} ({model}, serial {serial})"
+            for name, (model, serial) in driver.devices().items()
+            if name in devices
+        )
+        with driver.translated("the start of the inputs"):
+            self._inputs.start()
+
+    def _new_task(self, driver: Driver) -> Any:
+        task = driver.task()
+        self._tasks.append(task)
+        return task
+
+    def _open(self) -> Driver:
+        if self._driver is None or self._reader is None:
+            raise RigError("the rig is not open", remedy="open it first")
+        return self._driver
+
+    def _must_go(self) -> Driver:
+        driver = self._open()
+        if self._missed():
+            raise RigError(
+                f"there was no beat for {self.patience:g} s: the relay has let go, the muscle is vented",
+                remedy="open the rig anew, and beat in time",
+            )
+        return driver
+
+    def _missed(self) -> bool:
+        if not self._tripped and time.monotonic() - self._beaten > self.patience:
+            self._tripped = True
+            self.vent()
+        return self._tripped
+
+    def _set(self, **lines: bool) -> None:
+        """Write the digital lines, all at once."""
+        self._lines |= lines
+        self._switch.write_one_sample_one_line(np.array([*self._lines.values()], bool))
+
+    def _quietly(self, what: Callable[[], object]) -> None:
+        """Do it, and let nothing that goes wrong keep the next from being done."""
+        with contextlib.suppress(Exception):
+            what()
+
+    def _counted(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
+        return np.zeros(len(times), np.int64)
+
+
+def _version(package: Any) -> str:
+    from importlib.metadata import version
+
+    return version(package.__name__)

@@ -1,0 +1,144 @@
+"""The way to National Instruments' driver: found late, and its errors in our words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from mckibben.errors import RigError, SilentError
+
+_TIMEOUT = -200284
+_OVERWRITTEN = -200279
+_RESERVED = (-50103, -200022)
+_NO_DEVICE = -200220
+_NO_CHANNEL = (-200170, -200149)
+_GONE = (-88709, -201003, -200324, -50405)
+
+_DRIVER = "install NI-DAQmx from ni.com (`nidaqmx installdriver` helps), or give the server of another machine's cards"
+
+
+class Driver:
+    """`nidaqmx`, imported when this is made.
+
+    Parameters
+    ----------
+    server
+        Address of an NI gRPC Device Server, "host:port", on whose machine the cards are; empty: this one.
+
+    Raises
+    ------
+    RigError
+        If the package is missing.
+    """
+
+    def __init__(self, server: str = "") -> None:
+        try:
+            import nidaqmx
+            import nidaqmx.constants
+            import nidaqmx.errors
+            import nidaqmx.stream_readers
+            import nidaqmx.stream_writers
+            import nidaqmx.system
+        except ImportError as error:
+            raise RigError(
+                f"the package {error.name or 'nidaqmx'} is missing", remedy="pip install 'mckibben[daq]'"
+            ) from error
+        self.package = nidaqmx
+        self.server = server
+        self._channel: Any = None
+        if server:
+            try:
+                import grpc
+            except ImportError as error:
+                raise RigError("the package grpcio is missing", remedy="pip install 'nidaqmx[grpc]'") from error
+            self._channel = grpc.insecure_channel(server)
+
+    def task(self) -> Any:
+        """A new task without a name."""
+        with self.translated("a task"):
+            return self.package.Task(grpc_options=self._options())
+
+    def version(self) -> str:
+        """Of the driver."""
+        with self.translated("the driver"):
+            version = self._system().driver_version
+        return f"{version.major_version}.{version.minor_version}.{version.update_version}"
+
+    def devices(self) -> dict[str, tuple[str, str]]:
+        """Names of the devices, each with its model and serial number."""
+        with self.translated("the devices"):
+            return {device.name: (device.product_type, f"{device.serial_num:X}") for device in self._system().devices}
+
+    def close(self) -> None:
+        """Let go of the connection."""
+        if self._channel is not None:
+            self._channel.close()
+            self._channel = None
+
+    @contextmanager
+    def translated(self, what: str) -> Iterator[None]:
+        """Errors of the driver become `RigError`s.
+
+        Raises
+        ------
+        RigError
+            With what was being done, what is missing or wrong, and what to do.
+        SilentError
+            If samples did not come in time.
+        """
+        errors = self.package.errors
+        try:
+            yield
+        except errors.DaqNotFoundError as error:
+            raise RigError("the driver NI-DAQmx is not installed on this machine", remedy=_DRIVER) from error
+        except errors.DaqNotSupportedError as error:
+            raise RigError("there is no driver NI-DAQmx for this system", remedy=_DRIVER) from error
+        except errors.RpcError as error:
+            raise RigError(
+                f"{what}, by the NI gRPC Device Server at {self.server}: {_first(error)}",
+                remedy="check that it runs there, that its version is that of nidaqmx, and the address",
+            ) from error
+        except errors.DaqError as error:
+            raise self._said(error, what) from error
+
+    def _said(self, error: Any, what: str) -> RigError:
+        code, text = error.error_code, _first(error)
+        if code == _TIMEOUT:
+            return SilentError(f"{what}: samples did not come in time", remedy="is the card there still? open it anew")
+        if code == _OVERWRITTEN:
+            return RigError(
+                f"{what}: samples were overwritten, the host was away for too long", remedy="open the rig anew"
+            )
+        if code == _NO_DEVICE or code in _NO_CHANNEL:
+            return RigError(f"{what}: {text}", remedy=f"{self._there()}; correct the address in the wiring")
+        if code in _RESERVED:
+            return RigError(f"{what} is in use by another program", remedy="end that (NI MAX, another test)")
+        if code in _GONE:
+            return RigError(f"{what}: the device is gone ({text})", remedy="check its cable and power, open it anew")
+        return RigError(f"{what}: {text} (NI-DAQmx {code})", remedy="look the number up at ni.com")
+
+    def _there(self) -> str:
+        try:
+            names = list(self._system().devices.device_names)
+        except self.package.errors.Error:
+            return "no device can be listed"
+        return f"connected are {', '.join(names)}" if names else "no device is connected"
+
+    def _system(self) -> Any:
+        system = self.package.system.System
+        options = self._options()
+        return system.local() if options is None else system.remote(options)
+
+    def _options(self) -> Any:
+        if not self.server:
+            return None
+        if self._channel is None:
+            raise RigError("the connection to the device server is closed", remedy="open the rig anew")
+        return self.package.GrpcSessionOptions(self._channel, "")
+
+
+def _first(error: Exception) -> str:
+    """What an error says first: the driver goes on for paragraphs."""
+    lines: Sequence[str] = str(error).strip().splitlines()
+    return lines[0].strip().rstrip(".") if lines else type(error).__name__

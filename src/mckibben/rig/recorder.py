@@ -1,0 +1,317 @@
+"""The recorder: every sample is on disk within a second of being taken, and stays there whatever happens to us."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mckibben.errors import FileError, Problem, RangeError, RigError
+from mckibben.files import folder as made
+from mckibben.rig.chunks import EVENT, HEADER, SAMPLES, VERSION, Column, pack, pack_json, pack_rows, read_header
+from mckibben.rig.record import rows_in, segments
+
+PERIOD = 0.25
+"""How often [s] what was appended is written and brought to the disk."""
+
+_MOST_PENDING = 1 << 20  # bytes: an append waits while more than that is to be written
+_RESERVE = 1 << 22  # bytes kept free for what is pending, and for the reason, when the disk is full
+_RESERVE_NAME = "reserve"
+
+
+class Recorder:
+    """Appends samples and events to a record; a thread of its own writes them.
+
+    `append` and `event` take microseconds and never wait for the disk, unless it is a megabyte behind. What they took
+    is on the disk (``fsync``) a `PERIOD` later, or when `flush` returns. Samples and events keep their order.
+
+    Each process that records into a folder writes a file of its own, which holds the header and only ever grows:
+    nothing that was written is touched again.
+
+    Use `create` or `resume`. As a context manager it closes itself.
+
+    Raises
+    ------
+    RigError
+        From `append`, `event`, `flush` and `close`, if something could not be written: the disk is full, or gone. When
+        the disk fills up, what was appended until then still finds room that was kept for it, and the reason as well.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mckibben.rig.record import read_record
+    >>> with tempfile.TemporaryDirectory() as name:
+    ...     with Recorder.create(name, {"specimen": "none"}, [Column("time", "s"), Column("force", "N")]) as recorder:
+    ...         recorder.append({"time": [0.0, 0.1], "force": [1.0, 2.0]})
+    ...         recorder.event("stopped", "that was all")
+    ...     record = read_record(name)
+    >>> record.columns["force"], record.events[0].text, record.events[0].row
+    (array([1., 2.]), 'that was all', 2)
+    """
+
+    def __init__(self, path: Path, header: Mapping[str, Any], columns: Sequence[Column], first: int) -> None:
+        self.path = path
+        self.columns = tuple(columns)
+        self._row_size = sum(column.stored.itemsize for column in self.columns)
+        self._rows = first  # appended
+        self._written = first  # of those, in the file
+        self._pending: list[list[np.ndarray] | bytes] = []
+        self._bytes = 0
+        self._failure: Exception | None = None
+        self._closing = self._hurry = False
+        self._asked = self._done = 0  # flushes
+        self._change = threading.Condition()
+        content = {
+            "format": "mckibben record",
+            "version": VERSION,
+            "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            "columns": [column._asdict() for column in self.columns],
+            "header": dict(header),
+        }
+        try:
+            self._reserve = path.with_name(_RESERVE_NAME)
+            _keep_free(self._reserve)
+            self._file, self._end = _begun(path, pack_json(HEADER, first, content))
+        except OSError as error:
+            self._reserve.unlink(missing_ok=True)
+            raise FileError(str(path), [Problem(f"it cannot be written: {error.strerror}")]) from error
+        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def create(cls, folder: str | os.PathLike[str], header: Mapping[str, Any], columns: Sequence[Column]) -> Self:
+        """Begin a record in a folder, which is made if need be.
+
+        Parameters
+        ----------
+        folder
+            It may hold other things, but no record.
+        header
+            What belongs to the record and goes into JSON: protocol, specimen, calibration, versions ...
+        columns
+            The quantities of a row, all names different.
+
+        Raises
+        ------
+        FileError
+            If there is a record already, or the folder cannot be written to.
+        """
+        folder = made(folder)
+        if segments(folder):
+            remedy = "resume it, or choose another folder"
+            raise FileError(str(folder), [Problem("holds a record already", remedy=remedy)])
+        return cls(folder / _name(1), header, _checked(columns), 0)
+
+    @classmethod
+    def resume(cls, folder: str | os.PathLike[str], header: Mapping[str, Any], columns: Sequence[Column]) -> Self:
+        """Go on with a record, in a file of its own.
+
+        Raises
+        ------
+        FileError
+            If there is no record, one with other columns, or the folder cannot be written to.
+        """
+        folder = Path(folder)
+        there = segments(folder)
+        if not there:
+            raise FileError(str(folder), [Problem("holds no record to go on with", remedy="begin one")])
+        if read_header(there[-1])[1] != list(_checked(columns)):
+            raise FileError(str(folder), [Problem("holds a record of other columns", remedy="choose another folder")])
+        number = int(there[-1].stem.rpartition("-")[2]) + 1
+        return cls(folder / _name(number), header, columns, rows_in(folder))
+
+    @property
+    def rows(self) -> int:
+        """Rows of the record, those included that are still to be written."""
+        return self._rows
+
+    def append(self, table: Mapping[str, ArrayLike]) -> None:
+        """Take rows: of each column an array, all of one length, or single numbers for one row. They are copied."""
+        arrays = [np.array(table[column.name], column.stored, ndmin=1) for column in self.columns]
+        count = len(arrays[0])
+        if len(table) != len(arrays) or any(array.shape != (count,) for array in arrays):
+            given = ", ".join(f"{name} {np.shape(values)}" for name, values in table.items())
+            names = ", ".join(column.name for column in self.columns)
+            raise RangeError(f"no rows of {names} can be made of {given}")
+        if not count:
+            return
+        with self._change:
+            self._raise_closed()
+            self._raise_failure()
+            while self._bytes > _MOST_PENDING and self._failure is None:
+                self._hurry = True
+                self._change.notify_all()
+                self._change.wait(PERIOD)
+            self._raise_failure()
+            self._pending.append(arrays)
+            self._bytes += count * self._row_size
+            self._rows += count
+
+    def event(self, kind: str, text: str = "", /, **data: Any) -> None:
+        """Note that something happened, between the rows before and after it.
+
+        Parameters
+        ----------
+        kind
+            In one word, for programs.
+        text
+            In words, for people.
+        data
+            Numbers and texts that go into JSON.
+        """
+        content = {"kind": kind, "text": text, "data": data}
+        with self._change:
+            chunk = pack_json(EVENT, self._rows, content)
+            self._raise_closed()
+            self._raise_failure(but_full=True)
+            self._pending.append(chunk)
+
+    def flush(self) -> None:
+        """Return when everything is on the disk that was appended before."""
+        with self._change:
+            self._asked += 1
+            asked = self._asked
+            self._change.notify_all()
+            while self._done < asked and self._thread.is_alive():
+                self._change.wait(PERIOD)
+            self._raise_failure()
+
+    def close(self) -> None:
+        """Write what is left, and let go of the file. May be called again."""
+        with self._change:
+            self._closing = True
+            self._change.notify_all()
+        self._thread.join()
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+            self._reserve.unlink(missing_ok=True)
+            self._raise_failure()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        try:
+            self.close()
+        except RigError:
+            if error is None:  # what went wrong first says more
+                raise
+
+    def _raise_closed(self) -> None:
+        if self._closing:
+            raise RigError(f"{self.path} is closed", remedy="record before that")
+
+    def _raise_failure(self, *, but_full: bool = False) -> None:
+        failure = self._failure
+        if failure is not None and not (but_full and getattr(failure, "errno", None) == errno.ENOSPC):
+            reason = getattr(failure, "strerror", None) or f"{type(failure).__name__}: {failure}".rstrip(": ")
+            raise RigError(
+                f"{self.path} cannot be written: {reason}",
+                remedy="what was recorded before is kept; make room and resume",
+            ) from failure
+
+    def _work(self) -> None:
+        lost = False
+        while True:
+            with self._change:
+                if not (self._closing or self._hurry or self._asked > self._done):
+                    self._change.wait(PERIOD)
+                pending, self._pending = self._pending, []
+                asked, closing = self._asked, self._closing
+                self._bytes, self._hurry = 0, False
+            try:
+                if pending and not lost:
+                    self._write(b"".join(self._packed(pending)))
+            except Exception as error:  # whatever it is: a thread that ends here would lose the rest in silence
+                lost = True  # what comes later would stand after a gap
+                with self._change:
+                    self._failure = error
+            with self._change:
+                self._done = asked
+                self._change.notify_all()
+                if closing and not self._pending:
+                    return
+
+    def _packed(self, pending: list[list[np.ndarray] | bytes]) -> list[bytes]:
+        """Rows in a row as one chunk."""
+        packed: list[bytes] = []
+        together: list[list[np.ndarray]] = []
+        for one in [*pending, b""]:
+            if isinstance(one, list):
+                together.append(one)
+                continue
+            if together:
+                arrays = [np.concatenate(parts) for parts in zip(*together, strict=True)]
+                packed.append(pack(SAMPLES, self._written, pack_rows(self.columns, arrays)))
+                self._written += len(arrays[0])
+                together = []
+            packed.append(one)
+        return packed
+
+    def _write(self, content: bytes) -> None:
+        """Append to the file; where that fails, the file ends as it did before, and the room kept free is tried."""
+        try:
+            _put(self._file, self._end, content)
+        except OSError as error:
+            os.ftruncate(self._file, self._end)
+            if error.errno != errno.ENOSPC:
+                raise
+            self._reserve.unlink(missing_ok=True)
+            _put(self._file, self._end, content)
+            with self._change:
+                self._failure = error  # it is kept, but nothing more should come
+        self._end += len(content)
+
+
+def _put(file: int, at: int, content: bytes) -> None:
+    view = memoryview(content)
+    while view:
+        done = os.pwrite(file, view, at)
+        view, at = view[done:], at + done
+    os.fsync(file)
+
+
+def _begun(path: Path, content: bytes) -> tuple[int, int]:
+    """A file that holds its header when it appears: the descriptor, and where it ends."""
+    part = path.with_suffix(".part")
+    file = os.open(part, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
+    try:
+        _put(file, 0, content)
+        part.rename(path)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except BaseException:
+        os.close(file)
+        part.unlink(missing_ok=True)
+        raise
+    return file, len(content)
+
+
+def _keep_free(path: Path) -> None:
+    with path.open("wb") as file:
+        os.posix_fallocate(file.fileno(), 0, _RESERVE) if hasattr(os, "posix_fallocate") else file.write(
+            bytes(_RESERVE)
+        )
+
+
+def _name(number: int) -> str:
+    return f"record-{number:04d}.chunks"
+
+
+def _checked(columns: Sequence[Column]) -> Sequence[Column]:
+    names = [column.name for column in columns]
+    if not names or len(set(names)) < len(names):
+        raise RangeError(f"columns {names} cannot be told apart", remedy="give each its own name")
+    return columns

@@ -1,0 +1,328 @@
+"""The virtual rig behind the interface of a real one: it takes volts and pulses, and gives volts."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mckibben.errors import RangeError, RigError, SilentError
+from mckibben.muscle import Muscle
+from mckibben.numerics.checks import check_positive
+from mckibben.rig.backend import Block, Channel
+from mckibben.rig.calibration import Calibration
+from mckibben.rig.drive import Drive
+from mckibben.rig.twin.chamber import Regulator
+from mckibben.rig.twin.faults import Dropping, Fault, HostDelayed
+from mckibben.rig.twin.machine import INSTANT, Machine, Truth
+from mckibben.rig.twin.sampling import Sampling
+from mckibben.rig.twin.sensor import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Converter, Sensor
+from mckibben.rig.twin.stretcher import Stretcher
+from mckibben.units import Hz, s
+
+
+class TwinRig:
+    """The paper's stretching device with a muscle in it, as a `MovingBackend` of two inputs and one output.
+
+    Its time is its own: `read` lets as much go by as the samples take, other calls take none; `Paced` makes it real
+    time. The same seed and the same calls give the same samples. Samples are noise on a truth that is integrated in
+    steps that suit it: the slow hours of a test cost little.
+
+    - The muscle pulls as its law (a table of it, see `error` in `described`), and with its own friction and creep; it
+      has none unless given. What contracts further than the specimen may by 3 % of its length pulls as at that end.
+    - Its air follows ISO 6358 and the ideal gas at room temperature, in the volume of the braid between the clamps.
+    - After `vent`, or a missed beat, a spring opens the way out whatever the regulator does: from 8 bar, at any
+      contraction, the true pressure is below 0.2 bar within 1 s (tested), whatever else is broken.
+    - `vent` holds until `press` gives a signal above 0 again. A missed beat holds until the rig is opened anew.
+
+    Parameters
+    ----------
+    muscle
+        What is tested.
+    seed
+        Of noise, wander and the regulator's offsets, each its own stream.
+    mounted_at
+        Contraction [-] at which it is clamped, and relaxed.
+    faults
+        What goes wrong, and when.
+    regulator, stretcher, converter, force_sensor, pressure_sensor, valve
+        The parts. `valve` is the signal of the regulator, as pressure and volts.
+    rate
+        Samples a second of each input [Hz].
+    patience
+        How long it goes on without a beat [s].
+
+    Raises
+    ------
+    RangeError
+        If a number has no meaning, or the muscle's law is too rough.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> from mckibben.units import bar
+    >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+    >>> rig = TwinRig(muscle, seed=1)
+    >>> rig.open()
+    >>> rig.press([float(rig.calibrations["valve"].volts(6 * bar))])
+    >>> for _ in range(20):
+    ...     block = rig.read(100)
+    ...     rig.beat()
+    >>> force, pressure = block.volts.mean(axis=0)
+    >>> round(float(rig.calibrations["force"].si(force)))  # of Eq. 3: 585 N
+    582
+    >>> round(float(rig.calibrations["pressure"].si(pressure)) / bar, 2)  # the regulator is 0.02 bar off
+    5.97
+    >>> rig.vent()
+    >>> rig.pass_time(1.0)
+    >>> rig.truth.pressure < 0.2 * bar
+    True
+    """
+
+    def __init__(
+        self,
+        muscle: Muscle,
+        *,
+        seed: int = 0,
+        mounted_at: float = 0.0,
+        faults: Sequence[Fault] = (),
+        regulator: Regulator | None = None,
+        stretcher: Stretcher | None = None,
+        converter: Converter | None = None,
+        force_sensor: Sensor = FORCE_SENSOR,
+        pressure_sensor: Sensor = PRESSURE_SENSOR,
+        valve: Calibration = VALVE,
+        rate: float = 1000 * Hz,
+        patience: float = 1 * s,
+    ) -> None:
+        check_positive("virtual rig", "Hz", rate=rate)
+        check_positive("virtual rig", "s", patience=patience)
+        self.rate = float(rate)
+        self.patience = float(patience)
+        self._muscle, self._seed, self._faults = muscle, seed, tuple(faults)
+        self._regulator = regulator or Regulator()
+        self._stretcher = stretcher or Stretcher()
+        self._converter = converter or Converter()
+        self._sensors = {"force": force_sensor, "pressure": pressure_sensor}
+        self._valve = valve
+        noise, offsets, *wanders = np.random.default_rng(seed).spawn(4)
+        self._offsets = offsets
+        self._sampling = Sampling(self._sensors, self._converter, self.rate, noise, wanders)
+        self._machine = Machine(muscle, mounted_at, self._regulator, self._stretcher)
+        self._opened = 0.0  # by the machine's time [s]
+        self._is_open = False
+        self._tripped = False
+        self._beaten = 0.0
+        self._late = 0.0  # of the host [s]
+        self._turn = itertools.count()
+        self._schedule = [(fault.at, next(self._turn), fault) for fault in self._faults]
+        heapq.heapify(self._schedule)
+
+    # What it is
+
+    @property
+    def inputs(self) -> Sequence[Channel]:
+        """Force and pressure."""
+        low, high = self._converter.low, self._converter.high
+        return tuple(Channel(name, low, high, f"virtual {name}") for name in self._sensors)
+
+    @property
+    def outputs(self) -> Sequence[Channel]:
+        """The valve."""
+        return (Channel("valve", -10.0, 10.0, "virtual regulator"),)
+
+    @property
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """What the volts of its channels mean, by name: "force", "pressure", "valve"."""
+        return {**{name: sensor.calibration for name, sensor in self._sensors.items()}, "valve": self._valve}
+
+    @property
+    def drive(self) -> Drive:
+        """Its pulses and their way."""
+        return self._stretcher.drive
+
+    @property
+    def described(self) -> Mapping[str, str]:
+        """What it is, for the record."""
+        return {
+            "kind": "virtual",
+            "muscle": self._muscle.specimen.name,
+            "law": repr(self._muscle.law),
+            "friction": repr(self._muscle.friction),
+            "creep": repr(self._muscle.creep),
+            "error": f"the table of the law is within {self._machine.grip.table.error:.2g} N",
+            "mounted_at": f"{self._machine.grip.start:g}",
+            "regulator": repr(self._regulator),
+            "stretcher": repr(self._stretcher),
+            "converter": repr(self._converter),
+            **{f"{name} sensor": repr(sensor) for name, sensor in self._sensors.items()},
+            "faults": ", ".join(map(repr, self._faults)) or "none",
+            "seed": str(self._seed),
+        }
+
+    @property
+    def truth(self) -> Truth:
+        """What is, now."""
+        return self._machine.truth
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it has been opened and not closed."""
+        return self._is_open
+
+    # What a host does with it
+
+    def open(self) -> None:
+        """Begin, vented and at rest. Faults count from the first time.
+
+        Raises
+        ------
+        RigError
+            If it is open.
+        """
+        if self._is_open:
+            raise RigError("the virtual rig is open already", remedy="close it first")
+        self.vent()
+        self.stop()
+        self._is_open, self._tripped = True, False
+        self._opened = self._beaten = now = self._machine.now
+        self._sampling.begin(now, int(self._machine.motor.counted(np.array([now]))[0]))
+
+    def clock(self) -> float:
+        """Since it was opened [s]."""
+        return self._machine.now - self._opened
+
+    def due(self, count: int) -> float:
+        """When the next so many samples will be there, by its clock [s]."""
+        return self._sampling.due(count) + self._sampling.delay
+
+    def pass_time(self, duration: float) -> None:
+        """Let time go by [s] without a host; samples wait meanwhile."""
+        self._go(self._machine.now + duration)
+
+    def read(self, count: int, *, timeout: float = 1.0) -> Block:
+        """Let time go by until so many samples are there, and take them.
+
+        Raises
+        ------
+        SilentError
+            If they have not come after the timeout [s] beyond the time that they take.
+        RigError
+            If it is not open, or the host was away for longer than the converter keeps samples.
+        """
+        self._must_be_open()
+        if count < 1:
+            raise RangeError(f"{count} samples cannot be read", value=count, lower=1)
+        sampling, machine = self._sampling, self._machine
+        sampling.want(count)
+        while True:  # what happens on the way may put it off
+            taken = self._opened + sampling.due(count)
+            if sampling.silent(count) or sampling.delay > timeout:
+                self._go(taken + timeout)
+                raise SilentError(
+                    f"no samples for {timeout:g} s", remedy="the converter is lost: check its connection, open it anew"
+                )
+            if machine.now >= taken + sampling.delay - INSTANT:
+                break
+            self._go(taken + sampling.delay)
+        if self._late:
+            late, self._late = self._late, 0.0
+            self._go(machine.now + late)
+        return sampling.take(count)
+
+    def press(self, volts: Sequence[float]) -> None:
+        """Hold this signal at the valve [V]; one that means more than 0 bar ends a `vent`.
+
+        Raises
+        ------
+        RigError
+            If it is not open, or has tripped; or the converter cannot give the signal.
+        """
+        self._must_go()
+        if len(volts) != 1 or not -10 <= volts[0] <= 10:
+            raise RigError(f"{list(volts)} V cannot be given at one output of -10..10 V")
+        pressure = float(self._valve.si(volts[0]))
+        if self._machine.differs(pressure):
+            most = self._regulator.repeatability
+            self._machine.tell(pressure, float(self._offsets.uniform(-most, most)))
+        self._machine.hold()
+
+    def beat(self) -> None:
+        """Say that the host lives; after a missed beat it is too late."""
+        self._beaten = self._machine.now
+
+    def vent(self) -> None:
+        """Let all air out. Never raises."""
+        self._machine.tell(0.0, 0.0)
+        self._machine.cut()
+
+    def close(self) -> None:
+        """Vent, stop, and let go. Its time stands until `pass_time`. Never raises."""
+        self.vent()
+        self.stop()
+        self._is_open = False
+        self._sampling.forget()
+
+    def move(self, pulses: int, rate: float) -> None:
+        """Begin to move by so many pulses, positive = stretching, at so many a second [Hz].
+
+        Raises
+        ------
+        RigError
+            If it is not open, has tripped, is still moving, or the motor cannot go at that rate.
+        """
+        self._must_go()
+        self._machine.motor.move(self._machine.now, pulses, rate)
+
+    @property
+    def moving(self) -> bool:
+        """Whether pulses are being sent."""
+        return self._machine.motor.moving(self._machine.now)
+
+    def stop(self) -> None:
+        """Stand still, at once. Never raises."""
+        self._machine.motor.stop(self._machine.now)
+
+    # How its time goes
+
+    def _must_be_open(self) -> None:
+        if not self._is_open:
+            raise RigError("the virtual rig is not open", remedy="open it first")
+
+    def _must_go(self) -> None:
+        self._must_be_open()
+        if self._tripped:
+            raise RigError(
+                f"the rig vented and stopped by itself, without a beat for {self.patience:g} s",
+                remedy="open it anew, and beat in time",
+            )
+
+    def _go(self, to: float) -> None:
+        """Let time go by until then, from event to event."""
+        machine = self._machine
+        while machine.now < to - INSTANT:
+            patient = self._beaten + self.patience if self._is_open and not self._tripped else math.inf
+            fault = self._schedule[0][0] if self._schedule else math.inf
+            event = min(patient, fault, machine.next_event())
+            if event > machine.now:
+                knots = machine.pass_until(min(to, event))
+                if self._is_open:
+                    self._sampling.sample(knots, machine.motor)
+            if machine.now >= patient - INSTANT:
+                self._tripped = True
+                machine.cut()
+                self.stop()
+            machine.settle()
+            while self._schedule and machine.now >= self._schedule[0][0] - INSTANT:
+                self._happen(heapq.heappop(self._schedule)[-1])
+
+    def _happen(self, fault: Fault) -> None:
+        if isinstance(fault, HostDelayed):
+            self._late += fault.duration
+        if isinstance(fault, Dropping) and fault.every is not None:
+            heapq.heappush(self._schedule, (self._machine.now + fault.every, next(self._turn), fault))
+        self._machine.damage(fault)
+        self._sampling.damage(fault)

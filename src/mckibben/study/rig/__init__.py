@@ -1,0 +1,1 @@
+"""Tests on a rig, from a protocol file to the dataset that `identify` reads."""

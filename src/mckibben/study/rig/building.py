@@ -1,0 +1,186 @@
+"""The parts of a protocol file as the objects that run it. Only here is JAX needed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from mckibben import catalog
+from mckibben.errors import McKibbenError, Problem, ScenarioError
+from mckibben.muscle import ChouLaw, ForceLaw, Muscle, Specimen
+from mckibben.rig.backend import MovingBackend
+from mckibben.rig.bench import Bench
+from mckibben.rig.calibration import Calibration
+from mckibben.rig.drive import Drive
+from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, Procedure, steps_of
+from mckibben.rig.protocol import IsobaricProtocol
+from mckibben.rig.safety import Limits
+from mckibben.rig.steps import Step
+from mckibben.study.rig.document import CardSpec, RigTest, VirtualSpec
+from mckibben.study.rig.protocol import ProtocolSpec
+from mckibben.study.rig.step import steps
+from mckibben.study.scenario.building import build_creep, build_friction
+from mckibben.study.scenario.part import Part
+
+if TYPE_CHECKING:
+    from mckibben.rig.ni import Wiring
+
+_PROCEDURES: Mapping[str, type[Procedure]] = {
+    "isobaric": IsobaricProtocol,
+    "isometric": IsometricProtocol,
+    "isotonic": IsotonicProtocol,
+}
+
+_APART = 1_000_003  # between the seeds of sessions
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A rig that is still closed, and what stands on it."""
+
+    backend: MovingBackend
+    bench: Bench
+
+
+def build_setup(test: RigTest, session: int = 0) -> Setup:
+    """The rig of a test, which was begun so often before.
+
+    Raises
+    ------
+    ScenarioError
+        If a calibration cannot be read.
+    RigError
+        If a driver or a package is missing.
+    """
+    of = build_muscle(test)
+    if test.rig.virtual is not None:
+        backend, calibrations, drive = _virtual(test.rig.virtual, test, of, session)
+    else:
+        assert test.rig.nidaqmx is not None  # the model of the rig sees to it
+        backend, calibrations, drive = _card(test.rig.nidaqmx)
+    specimen = of.specimen if isinstance(of, Muscle) else of
+    limits = Limits(**{"force": float(specimen.rated_force), **_given(test.limits)})
+    bench = Bench(
+        of=of,
+        mounted_at=test.muscle.mounted_at,
+        drive=drive,
+        calibrations=calibrations,
+        limits=limits,
+        rate=backend.rate,
+        **_given(test.recording),
+    )
+    return Setup(backend, bench)
+
+
+def build_muscle(test: RigTest) -> Muscle | Specimen:
+    """What is tested: the specimen with its law, or alone where that is not known."""
+    specimen = catalog.specimen(test.muscle.specimen)
+    return specimen if test.muscle.law is None else Muscle(specimen, _law(test.muscle.law, specimen))
+
+
+def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ...]:
+    """What is done.
+
+    Raises
+    ------
+    RangeError
+        If a whole test does not suit the muscle.
+    """
+    if protocol.steps is not None:
+        return steps(protocol.steps)
+    return steps_of(_PROCEDURES[protocol.form](**_given(getattr(protocol, protocol.form))), of)
+
+
+def _virtual(
+    spec: VirtualSpec, test: RigTest, of: Muscle | Specimen, session: int
+) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
+    from dataclasses import replace
+
+    from mckibben.rig.twin import FORCE_SENSOR, PRESSURE_SENSOR, Converter, Paced, Regulator, Stretcher, TwinRig
+
+    specimen = of.specimen if isinstance(of, Muscle) else of
+    law = spec.law or test.muscle.law
+    assert law is not None  # the model of the test sees to it
+    muscle = Muscle(specimen, _law(law, specimen), build_friction(spec.friction), build_creep(spec.creep))
+    parts: dict[str, Any] = {}
+    if spec.parts == "ideal":
+        parts = {
+            "regulator": Regulator(hysteresis=0.0, repeatability=0.0, leak=0.0),
+            "stretcher": Stretcher(backlash=0.0),
+            "converter": Converter(bits=32),
+            "force_sensor": replace(FORCE_SENSOR, noise=0.0),
+            "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
+        }
+    twin = TwinRig(muscle, seed=spec.seed + _APART * session, mounted_at=test.muscle.mounted_at, **parts)
+    return Paced(twin) if spec.paced else twin, twin.calibrations, twin.drive
+
+
+def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
+    from mckibben.rig.ni import NiRig
+
+    calibrations = read_calibrations(cast(Path, spec.calibration))
+    given = {name: getattr(spec, name) for name in ("rate", "patience", "server") if getattr(spec, name) is not None}
+    return NiRig(build_wiring(spec), **given), calibrations, Drive(**_given(spec.drive) if spec.drive else {})
+
+
+def build_wiring(spec: CardSpec) -> Wiring:
+    """Which terminal goes where."""
+    from mckibben.rig.ni import Wiring
+
+    def at(name: str) -> str:
+        return f"{spec.device}/{getattr(spec, name)}"
+
+    return Wiring(
+        inputs={name: at(name) for name in ("force", "pressure")},
+        outputs={"valve": at("valve")},
+        counter=at("counter"),
+        heartbeat=at("heartbeat"),
+        hold=at("hold"),
+        direction=at("direction"),
+    )
+
+
+def read_calibrations(path: Path) -> dict[str, Calibration]:
+    """The calibrations of a file: a JSON object of them, by the names of their channels.
+
+    Raises
+    ------
+    ScenarioError
+        With all that is wrong with them.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ScenarioError(str(path), [Problem(f"cannot be read as JSON: {error}")]) from None
+    if not isinstance(content, dict):
+        raise ScenarioError(str(path), [Problem("is no mapping of calibrations", remedy="see docs/rig-hardware.md")])
+    problems: list[Problem] = []
+    found: dict[str, Calibration] = {}
+    problems += [
+        Problem("is missing", field=name, remedy="calibrate it, see docs/rig-hardware.md")
+        for name in ("force", "pressure", "valve")
+        if name not in content
+    ]
+    for name, form in content.items():
+        try:
+            found[name] = Calibration.from_json(cast(Mapping[str, Any], form))
+        except (McKibbenError, TypeError, AttributeError) as error:
+            problems.append(Problem(str(error), field=name))
+    if problems:
+        raise ScenarioError(str(path), problems)
+    return found
+
+
+def _law(named: str | Path, specimen: Specimen) -> ForceLaw:
+    if isinstance(named, Path):
+        from mckibben.identification import read_law
+
+        return read_law(named)
+    return ChouLaw.of(specimen) if named == "chou" else catalog.law(named)
+
+
+def _given(spec: Part) -> dict[str, Any]:
+    return {name: value for name, value in spec if value is not None}

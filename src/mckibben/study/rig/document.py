@@ -1,0 +1,244 @@
+"""A protocol file: everything that one test on a rig needs."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from mckibben.files import whole
+from mckibben.study.rig.fields import (
+    Address,
+    Contraction,
+    Factor,
+    JsonPath,
+    SampleRate,
+    Tension,
+    Way,
+)
+from mckibben.study.rig.protocol import ProtocolSpec
+from mckibben.study.scenario.document import Document
+from mckibben.study.scenario.fields import Duration, Flag, Force, Law, PositiveTime, Pressure, PressureRate, Title
+from mckibben.study.scenario.joint import CreepSpec, FrictionSpec
+from mckibben.study.scenario.part import Part, refuse
+from mckibben.study.scenario.reading import parsed, text_of
+from mckibben.study.scenario.words import Choice, Entry, Whole
+from mckibben.study.scenario.writing import to_text
+
+
+class MuscleSpec(Part):
+    """What is tested.
+
+    With a `law` the boundaries of the test are known beforehand; without one they are found as it goes.
+    """
+
+    specimen: Annotated[str, Entry("specimens")]
+    law: Law | None = None
+    mounted_at: Contraction = 0.0
+
+
+class VirtualSpec(Part):
+    """The virtual rig, see `TwinRig`.
+
+    What it has in its clamps follows `law` (by default the one of the `muscle`), with friction and creep where they are
+    given. Its `parts` are real, with noise, offsets, play and steps, or ideal, without any of these.
+    """
+
+    seed: Annotated[int, Whole(0, 2**31 - 1)] = 0
+    law: Law | None = None
+    friction: FrictionSpec | None = None
+    creep: CreepSpec | None = None
+    parts: Annotated[str, Choice(("real", "ideal"))] | None = None
+    paced: Flag | None = None
+
+
+class DriveSpec(Part):
+    """The motor, its reducer and its lead screw, see `Drive`; the paper's unless given."""
+
+    steps: Annotated[int, Whole(1, 1_000_000)] | None = None
+    reduction: Factor | None = None
+    lead: Way | None = None
+    fastest: SampleRate | None = None
+
+
+class CardSpec(Part):
+    """A card of National Instruments, see `Wiring` and `NiRig`: its terminals, and the file of its calibrations."""
+
+    device: Address = "Dev1"
+    force: Address = "ai0"
+    pressure: Address = "ai1"
+    valve: Address = "ao0"
+    counter: Address = "ctr0"
+    heartbeat: Address = "port0/line0"
+    hold: Address = "port0/line1"
+    direction: Address = "port0/line2"
+    server: Address | None = None
+    calibration: JsonPath
+    rate: SampleRate | None = None
+    patience: PositiveTime | None = None
+    drive: DriveSpec | None = None
+
+
+class RigSpec(Part):
+    """One of `virtual` and `nidaqmx`."""
+
+    virtual: VirtualSpec | None = None
+    nidaqmx: CardSpec | None = Field(None, validate_default=True)
+
+    @field_validator("virtual", mode="before")
+    @classmethod
+    def _word_alone(cls, value: Any) -> Any:
+        return {} if value == "" else value
+
+    @field_validator("nidaqmx", mode="after")
+    @classmethod
+    def _one(cls, value: Any, info: ValidationInfo) -> Any:
+        given = [
+            key for key, one in (("virtual", info.data.get("virtual", "wrong")), ("nidaqmx", value)) if one is not None
+        ]
+        if len(given) != 1:
+            refuse("is both at once" if given else "is empty", "give `virtual: {seed: 1}`, or `nidaqmx`", parent=True)
+        return value
+
+
+class LimitsSpec(Part):
+    """What may not be exceeded, see `Limits`; the force is the rated one unless given."""
+
+    pressure: Pressure
+    force: Tension | None = None
+    stretch: Way
+    shorten: Way
+    pressure_rate: PressureRate | None = None
+    pressure_error: Pressure | None = None
+    settling: Duration | None = None
+    gap: PositiveTime | None = None
+    frozen: Duration | None = None
+    deviation: Tension | None = None
+
+
+class RecordingSpec(Part):
+    """How often readings are taken and watched, how many samples are recorded between plateaus, and up to which mean
+    force a point is one of a slack muscle.
+    """
+
+    cycle: PositiveTime | None = None
+    between: SampleRate | None = None
+    slack_force: Force | None = None
+
+
+class RigTest(Part):
+    """A test: what is tested, on which rig, within which limits, and how; in SI, `read` and `to_yaml` know the units.
+
+    Attributes
+    ----------
+    name
+        What it is about, in a few words.
+    muscle
+        What is in the clamps.
+    rig
+        Virtual, or a card.
+    limits
+        What may not be exceeded.
+    recording
+        How often it is watched, and what is recorded between plateaus.
+    protocol
+        What is done.
+
+    Examples
+    --------
+    >>> test = RigTest.read("examples/rig/paper-protocol.yaml")
+    >>> test.protocol.form, test.muscle.specimen
+    ('isobaric', 'MAS-10-180N-AA-MC-O')
+    """
+
+    name: Title = Field(examples=["isobaric test of a new muscle"])
+    muscle: MuscleSpec
+    rig: RigSpec
+    limits: LimitsSpec
+    recording: RecordingSpec = RecordingSpec()
+    protocol: ProtocolSpec
+
+    @field_validator("rig", mode="after")
+    @classmethod
+    def _law_known(cls, value: RigSpec, info: ValidationInfo) -> RigSpec:
+        muscle = info.data.get("muscle")
+        if value.virtual is not None and value.virtual.law is None and muscle is not None and muscle.law is None:
+            refuse("has no law for its virtual muscle", "give `virtual: {law: lei-mas-10-180n}`, or the muscle a law")
+        return value
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> RigTest:
+        """Read a protocol file.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file: line, field, value, allowed range and remedy.
+        """
+        return read_test(path)[0]
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "protocol", folder: str | os.PathLike[str] = ".") -> RigTest:
+        """Read a protocol from text, in which paths are relative to a folder.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the text.
+        """
+        return parsed(RigTest, text, source=source, folder=folder)[0]
+
+    def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
+        """The test as text that `parse` reads back to the last bit; paths are relative to a folder."""
+        data = self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)})
+        steps = data["protocol"].pop("steps", None)
+        if not any(value is not None for value in self.recording.model_dump().values()):
+            del data["recording"]
+        if steps is None:
+            return to_text(_pruned(data))
+        del data["protocol"]
+        return to_text(_pruned(data)) + "\n".join(["protocol:", "  steps:", *_listed(steps, 2)]) + "\n"
+
+    def to_yaml(self, path: str | os.PathLike[str]) -> None:
+        """Write the test to a file that `read` reads back to the last bit."""
+        with whole(path) as part:
+            part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
+
+
+def read_test(path: str | os.PathLike[str]) -> tuple[RigTest, Document]:
+    """A protocol file, and the lines of what stands in it.
+
+    Raises
+    ------
+    ScenarioError
+        As `RigTest.read`.
+    """
+    return parsed(RigTest, text_of(path, "a protocol"), source=os.fspath(path), folder=Path(path).parent)
+
+
+def _pruned(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _pruned(item) for key, item in value.items() if item is not None}
+    return value
+
+
+def _listed(steps: list[Any], indent: int) -> list[str]:
+    """Steps as a YAML list, one a line, those of a repeat below it."""
+    pad, lines = "  " * indent, []
+    for step in steps:
+        if isinstance(step, dict) and "repeat" in step:
+            lines += [f"{pad}- repeat:", f"{pad}    times: {step['repeat']['times']}", f"{pad}    steps:"]
+            lines += _listed(step["repeat"]["steps"], indent + 3)
+        else:
+            lines.append(f"{pad}- {_on_one_line(step)}")
+    return lines
+
+
+def _on_one_line(value: Any, *, inside: bool = False) -> str:
+    """Words and quantities, none of which needs quotes, and mappings of them."""
+    if isinstance(value, dict):
+        text = ", ".join(f"{key}: {_on_one_line(item, inside=True)}" for key, item in value.items())
+        return f"{{{text}}}" if inside else text
+    return str(value).lower() if isinstance(value, bool) else str(value)

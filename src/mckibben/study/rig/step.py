@@ -1,0 +1,228 @@
+"""The steps of a protocol as they are written, and the typed steps that they stand for."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
+
+from mckibben.rig import steps as typed
+from mckibben.study.rig.fields import Contraction, Speed, Tension, Wait, Way
+from mckibben.study.scenario.fields import Duration, Flag, Force, Pressure, PressureRate
+from mckibben.study.scenario.part import Part, refuse, suggest
+from mckibben.study.scenario.words import Choice, Whole
+
+_MOST = 1_000_000
+Direction = Annotated[str, Choice(typed.DIRECTIONS[1:])]
+Phase = Annotated[str, Choice(typed.PHASES[1:])]
+
+
+class MoveSpec(Part):
+    """Stretch or shorten; ``move: 10 %`` is one with the paper's speed."""
+
+    to: Contraction
+    speed: Speed | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _alone(cls, value: Any) -> Any:
+        return {"to": value} if isinstance(value, str) and value else value
+
+
+class DwellSpec(Part):
+    """Wait: ``dwell: 5 s``."""
+
+    duration: Wait
+
+    @model_validator(mode="before")
+    @classmethod
+    def _alone(cls, value: Any) -> Any:
+        return {"duration": value} if isinstance(value, str) and value else value
+
+
+class PressuriseSpec(Part):
+    """Set a pressure; ``pressurise: 2 bar`` is one at once."""
+
+    pressure: Pressure
+    rate: PressureRate | None = None
+    holding: Tension | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _alone(cls, value: Any) -> Any:
+        return {"pressure": value} if isinstance(value, str) and value else value
+
+
+class HoldForceSpec(Part):
+    """Move until it pulls with a force; ``hold_force: 100 N``."""
+
+    force: Tension
+    tolerance: Tension | None = None
+    speed: Speed | None = None
+    longest: Duration | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _alone(cls, value: Any) -> Any:
+        return {"force": value} if isinstance(value, str) and value else value
+
+
+class AcquireSpec(Part):
+    """Take a point; nothing given is the paper's 1000 samples in 1 s."""
+
+    samples: Annotated[int, Whole(1, _MOST)] | None = None
+    duration: Duration | None = None
+    direction: Direction | None = None
+    phase: Phase | None = None
+    keep: Flag | None = None
+
+
+class WalkSpec(Part):
+    """Plateau after plateau; without `to` back to where the walk before began."""
+
+    to: Contraction | None = None
+    step: Way | None = None
+    speed: Speed | None = None
+    dwell: Wait | None = None
+    acquire: AcquireSpec | None = None
+    force: Tension | None = None
+    slack: Annotated[int, Whole(1, 10_000)] | None = None
+    slack_force: Force | None = None
+
+
+class VentSpec(Part):
+    """Let the air out."""
+
+
+class RepeatSpec(Part):
+    """Steps several times."""
+
+    times: Annotated[int, Whole(1, 10_000)]
+    steps: tuple[StepSpec, ...]
+
+    @field_validator("steps", mode="after")
+    @classmethod
+    def _some(cls, value: Any) -> Any:
+        return value or refuse("is empty", "give at least one")
+
+
+_WORDS = ("vent", "acquire", "walk")
+_ALONE = {"move": "to", "dwell": "duration", "pressurise": "pressure", "hold_force": "force"}
+_KINDS = ("move", "dwell", "pressurise", "hold_force", "acquire", "walk", "vent", "repeat")
+
+
+class StepSpec(Part):
+    """One of the steps; ``vent``, ``acquire`` and ``walk`` alone will do."""
+
+    move: MoveSpec | None = None
+    dwell: DwellSpec | None = None
+    pressurise: PressuriseSpec | None = None
+    hold_force: HoldForceSpec | None = None
+    acquire: AcquireSpec | None = None
+    walk: WalkSpec | None = None
+    vent: VentSpec | None = None
+    repeat: RepeatSpec | None = Field(default=None, validate_default=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _word_alone(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            if value not in _WORDS:
+                refuse(f"{value[:40]!r} is no step", suggest(value, _KINDS))
+            return {value: {}}
+        if isinstance(value, dict):
+            for key in value:
+                if key not in _KINDS:
+                    refuse(f"{key[:40]!r} is no step", suggest(str(key), _KINDS))
+            return {key: {} if key in _WORDS and inner == "" else inner for key, inner in value.items()}
+        return value
+
+    @field_validator("repeat", mode="after")
+    @classmethod
+    def _one_kind(cls, value: Any, info: ValidationInfo) -> Any:
+        given = {**{key: info.data.get(key, "wrong") for key in _KINDS[:-1]}, "repeat": value}
+        chosen = [key for key in _KINDS if given[key] is not None]
+        if len(chosen) != 1:
+            what = f"is {' and '.join(chosen)} at once" if chosen else "is empty"
+            refuse(what, f"give one of {', '.join(_KINDS)} for each step", parent=True)
+        return value
+
+    @model_serializer(mode="plain", when_used="json")
+    def _write(self) -> Any:
+        if self.repeat is not None:
+            return {"repeat": {"times": self.repeat.times, "steps": [step._write() for step in self.repeat.steps]}}
+        kind, part = next((kind, part) for kind, part in self if part is not None)
+        inside = _pruned(part.model_dump(mode="json"))
+        if not inside and kind in _WORDS:
+            return kind
+        return {kind: next(iter(inside.values())) if list(inside) == [_ALONE.get(kind)] else inside}
+
+    def step(self) -> typed.Step:
+        """The step that it stands for."""
+        if self.repeat is not None:
+            return typed.Repeat(times=self.repeat.times, steps=steps(self.repeat.steps))
+        if self.walk is not None:
+            given = _given(self.walk, "acquire", "to")
+            acquire = typed.Acquire(**_given(self.walk.acquire)) if self.walk.acquire else typed.Acquire()
+            return typed.Walk(to=self.walk.to, acquire=acquire, **given)
+        if self.move is not None:
+            return typed.Move(**_given(self.move))
+        if self.dwell is not None:
+            return typed.Dwell(duration=self.dwell.duration)
+        if self.pressurise is not None:
+            return typed.Pressurise(**_given(self.pressurise))
+        if self.hold_force is not None:
+            return typed.HoldForce(**_given(self.hold_force))
+        return typed.Acquire(**_given(self.acquire)) if self.acquire is not None else typed.Vent()
+
+    @classmethod
+    def of(cls, step: typed.Step) -> StepSpec:
+        """As it is written."""
+        match step:
+            case typed.Repeat():
+                return cls(repeat=RepeatSpec(times=step.times, steps=tuple(map(cls.of, step.steps))))
+            case typed.Walk():
+                values = _changed(step, "acquire")
+                acquire = _changed(step.acquire)
+                return cls(walk=WalkSpec(**values, acquire=AcquireSpec(**acquire) if acquire else None))
+            case typed.Move():
+                return cls(move=MoveSpec(**_changed(step)))
+            case typed.Dwell():
+                return cls(dwell=DwellSpec(duration=step.duration))
+            case typed.Pressurise():
+                return cls(pressurise=PressuriseSpec(**_changed(step)))
+            case typed.HoldForce():
+                return cls(hold_force=HoldForceSpec(**_changed(step)))
+            case typed.Acquire():
+                return cls(acquire=AcquireSpec(**_changed(step)))
+            case typed.Vent():
+                return cls(vent=VentSpec())
+
+
+RepeatSpec.model_rebuild()
+
+
+def steps(written: tuple[StepSpec, ...]) -> tuple[typed.Step, ...]:
+    """The steps that they stand for."""
+    return tuple(one.step() for one in written)
+
+
+def _given(spec: Part | None, *without: str) -> dict[str, Any]:
+    """The fields that were given; what was not takes the default of the step."""
+    if spec is None:
+        return {}
+    return {name: value for name, value in spec if name not in without and value is not None}
+
+
+def _changed(step: Any, *without: str) -> dict[str, Any]:
+    """The fields of a step that differ from their default."""
+    fields = type(step).__dataclass_fields__
+    return {
+        name: getattr(step, name)
+        for name, field in fields.items()
+        if name not in without and getattr(step, name) != field.default
+    }
+
+
+def _pruned(value: Any) -> Any:
+    return {key: _pruned(item) for key, item in value.items() if item is not None} if isinstance(value, dict) else value

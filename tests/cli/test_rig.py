@@ -1,0 +1,83 @@
+"""`mckibben rig`, as it is typed."""
+
+import pytest
+
+TEXT = """name: a short test
+muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+rig: {virtual: {seed: 1}}
+limits: {pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm}
+protocol:
+  isobaric: {pressures: [3 bar, 4 bar, 6 bar], contraction_min: 2 %, contraction_max: 6 %, repeats: 2, speed: 4 mm/s,
+    dwell: 200 ms, acquisition: 100 ms, samples: 100}
+"""
+
+
+@pytest.fixture
+def protocol(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(TEXT)
+    return path
+
+
+def test_a_dry_run_prints_the_steps_and_what_they_take(cli, protocol, tmp_path):
+    answer = cli("rig", "run", "p.yaml", "--dry-run")
+    assert answer.code == 0 and answer.err == ""
+    lines = answer.out.splitlines()
+    assert lines[0] == "a short test: MAS-10-180N-AA-MC-O on the virtual rig"
+    assert lines[1:4] == ["  vent", "  move to 4.778 % contraction at 4 mm/s", "  pressurise to 3 bar"]
+    assert "2 times" in lines[6] and "walk to 5.889 % contraction in steps of 1 mm (unloading)" in lines[7]
+    assert "96 points, 9600 samples, " in lines[-2] and "pulses" in lines[-2] and "MB on the disk" in lines[-2]
+    assert lines[-1].startswith("contraction 0..5.889 %, pressure 0..6 bar; ")
+    assert {path.name for path in tmp_path.iterdir()} == {"p.yaml"}
+
+
+def test_it_runs_and_its_dataset_is_identified(cli, protocol):
+    answer = cli("rig", "run", "p.yaml", "--out", "out")
+    assert answer.code == 0, answer.err
+    assert "96 points" in answer.out and "mckibben identify out/isobaric.nc" in answer.out
+    found = cli("identify", "out/isobaric.nc", "--law", "chou", "--json")
+    assert found.code == 0 and '"law": "ChouLaw"' in found.out
+    assert cli("rig", "data", "out").out.startswith("<IsobaricDataset")
+    again = cli("rig", "run", "p.yaml", "--out", "out")
+    assert again.code == 2 and "go on with it (--resume)" in again.err
+
+
+def test_what_is_wrong_is_refused_before_anything_moves(cli, protocol, tmp_path):
+    protocol.write_text(TEXT.replace("4 bar, 6 bar", "4 bar, 8 bar").replace("speed: 4 mm/s", "speed: 40 mm/s"))
+    answer = cli("rig", "run", "p.yaml", "--out", "out")
+    assert (
+        answer.code == 2
+        and "line 6, protocol.isobaric.pressures" in answer.err
+        and "8 bar outside 0..6 bar" in answer.err
+    )
+    assert not (tmp_path / "out").exists()
+    protocol.write_text(TEXT.replace("shorten: 50 mm", "shorten: 5 mm").replace("speed: 4 mm/s", "speed: 40 mm/s"))
+    answer = cli("rig", "run", "p.yaml", "--out", "out")
+    assert answer.code == 2 and "and the travel is 5 mm" in answer.err and "the motor does 2000 at most" in answer.err
+    assert not (tmp_path / "out").exists()
+    assert cli("rig", "run", "p.yaml").code == 2
+
+
+def test_a_stopped_test_says_why_and_how_to_go_on(cli, protocol):
+    protocol.write_text(TEXT.replace("shorten: 50 mm", "shorten: 50 mm, force: 300 N"))
+    text = protocol.read_text().replace("law: lei-mas-10-180n}", "mounted_at: 0 %}")
+    protocol.write_text(text.replace("{seed: 1}", "{seed: 1, law: lei-mas-10-180n}"))
+    answer = cli("rig", "run", "p.yaml", "--out", "out")
+    assert answer.code == 1
+    assert "stopped: the force of 3" in answer.err and "beyond the limit of 300 N; the muscle is vented" in answer.err
+    assert "go on with: mckibben rig run p.yaml --out out --resume" in answer.err
+
+
+def test_check_shows_the_channels_and_what_stands_against_it(cli, protocol):
+    answer = cli("rig", "check", "p.yaml")
+    assert answer.code == 0, answer.err
+    assert "force at virtual force: " in answer.out and " N" in answer.out
+    assert answer.out.splitlines()[-1] == "nothing stands against it"
+    protocol.write_text(TEXT.replace("shorten: 50 mm", "shorten: 5 mm"))
+    answer = cli("rig", "check", "p.yaml")
+    assert answer.code == 1 and "the travel is 5 mm" in answer.out
+
+
+def test_standing_at_is_for_a_test_that_goes_on(cli, protocol):
+    answer = cli("rig", "run", "p.yaml", "--out", "out", "--standing-at", "5 %")
+    assert answer.code == 2 and "add --resume" in answer.err

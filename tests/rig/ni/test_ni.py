@@ -1,0 +1,320 @@
+"""The backend on `nidaqmx`, the real package, that talks to a card in this process; see `device_server`."""
+
+import ast
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.errors import RangeError, RigError, SilentError
+from mckibben.muscle import Muscle
+from mckibben.rig.backend import Backend, MovingBackend
+from mckibben.rig.ni import NiBackend, NiRig, Wiring, backend, present
+from mckibben.rig.twin import Dropping, HostDelayed, Silent, TwinRig, Unplugged
+from mckibben.units import bar, mm
+
+pytest.importorskip("nidaqmx", reason="needs the extra daq")
+pytest.importorskip("grpc", reason="needs the extra daq")
+
+# By its path: as a package this folder would be called `ni`, as one of the package's own is.
+_spec = importlib.util.spec_from_file_location("device_server", Path(__file__).with_name("device_server.py"))
+device = importlib.util.module_from_spec(_spec)
+sys.modules["device_server"] = device
+_spec.loader.exec_module(device)
+
+MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+SAFE = 0.2 * bar
+
+
+class Bench:
+    """A card with a twin, and its address."""
+
+    def __init__(self, **settings):
+        self.twin = TwinRig(MUSCLE, **settings)
+        self.card = device.Card(self.twin)
+        self.server, self.address = device.serve(self.card)
+        self.rigs = []
+
+    def rig(self, kind=NiRig, **settings):
+        rig = kind(server=self.address, **settings)
+        self.rigs.append(rig)
+        rig.open()
+        return rig
+
+    def end(self):
+        for rig in self.rigs:
+            rig.close()
+        self.server.stop(None)
+
+
+@pytest.fixture
+def bench():
+    made = []
+
+    def make(**settings):
+        made.append(Bench(**settings))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.end()
+
+
+def read(rig, duration, count=100):
+    kept = []
+    for _ in range(round(duration * rig.rate / count)):
+        kept.append(rig.read(count))
+        rig.beat()
+    return kept
+
+
+def press(rig, twin, pressure):
+    rig.press([float(twin.calibrations["valve"].volts(pressure))])
+
+
+def test_it_is_a_backend_before_anything_is_connected():
+    assert isinstance(NiRig(), MovingBackend) and isinstance(NiBackend(), Backend)
+    assert [channel.where for channel in NiRig().inputs] == ["Dev1/ai0", "Dev1/ai1"]
+
+
+def test_nidaqmx_is_not_imported_until_a_rig_is_opened():
+    """No module imports it, or `grpc`, when it is imported itself."""
+    for path in Path(importlib.util.find_spec("mckibben.rig").submodule_search_locations[0]).rglob("*.py"):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            names = [name.name for name in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module] if isinstance(node, ast.ImportFrom) else []
+            assert not {name.split(".")[0] for name in names} & {"nidaqmx", "grpc"}, path
+
+
+def test_it_reads_the_samples_of_the_card(bench):
+    """The very samples that the twin gives when nothing stands between."""
+    there = bench(seed=3)
+    rig = there.rig()
+    alone = TwinRig(MUSCLE, seed=3)
+    alone.open()
+    for one, twin in ((rig, alone), (alone, alone)):
+        press(one, twin, 3 * bar)
+    for _ in range(10):
+        block, expected = rig.read(100), alone.read(100)
+        assert block.first == expected.first
+        np.testing.assert_array_equal(block.time, expected.time)
+        np.testing.assert_array_equal(block.volts, expected.volts)
+        rig.beat()
+        alone.beat()
+    assert rig.clock() == pytest.approx(1.0)
+    assert there.twin.truth.pressure > 2.5 * bar and there.card.beats == 10
+
+
+def test_order_of_the_inputs_is_that_of_the_wiring(bench):
+    there = bench()
+    rig = there.rig(wiring=Wiring(inputs={"pressure": "Dev1/ai1", "force": "Dev1/ai0"}))
+    press(rig, there.twin, 4 * bar)
+    pressure, force = read(rig, 2.0)[-1].volts.mean(axis=0)
+    assert pressure == pytest.approx(4, abs=0.1) and force * 200 == pytest.approx(there.twin.truth.force, abs=1)
+
+
+def test_backend_without_a_motor_needs_no_counter(bench):
+    there = bench()
+    rig = there.rig(NiBackend, wiring=Wiring(inputs={"pressure": "Dev1/ai1"}, counter=""))
+    assert rig.read(50).volts.shape == (50, 1) and (rig.read(50).pulses == 0).all()
+    assert not {task.kind for task in there.card.tasks.values()} & {"co"}
+    with pytest.raises(RangeError, match="counter"):
+        NiRig(Wiring(counter=""))
+
+
+def test_motor_makes_its_pulses_and_counts_them(bench):
+    there = bench()
+    rig = there.rig()
+    rig.move(-40, 80.0)
+    assert rig.moving and there.card.lines[device.DIRECTION] is False
+    with pytest.raises(RigError, match="still moving"):
+        rig.move(1, 80.0)
+    block = rig.read(400)
+    np.testing.assert_array_equal(block.pulses, -np.floor(np.arange(400) * 0.08 + 1e-6))
+    rig.beat()
+    assert rig.read(200).pulses[-1] == -40 and not rig.moving
+    rig.beat()
+    rig.move(100, 200.0)
+    assert there.card.lines[device.DIRECTION] is True
+    rig.read(250)
+    rig.stop()
+    rig.beat()
+    assert rig.read(100).pulses.tolist() == [10] * 100 and not rig.moving
+    assert there.twin.truth.stretch == pytest.approx(there.twin.drive.way(10), abs=0.02 * mm)
+    for pulses, rate in ((1, 0.0), (1, float("nan"))):
+        with pytest.raises(RigError, match="cannot go"):
+            rig.move(pulses, rate)
+    rig.move(0, 80.0)
+    assert not rig.moving
+    rig.move(-1, 80.0)
+    assert rig.read(100).pulses[-1] == 9 and not rig.moving
+
+
+def test_vented_muscle_has_its_valve_without_current_and_no_signal(bench):
+    there = bench()
+    rig = there.rig()
+    press(rig, there.twin, 6 * bar)
+    read(rig, 2.0)
+    assert there.card.lines[device.HOLD] and there.twin.truth.pressure > 5.5 * bar
+    rig.vent()
+    assert not there.card.lines[device.HOLD] and there.card.valve == 0
+    read(rig, 1.0)
+    assert there.twin.truth.pressure < SAFE
+    rig.press([0.0])
+    assert not there.card.lines[device.HOLD]
+    press(rig, there.twin, 1 * bar)
+    assert there.card.lines[device.HOLD]
+
+
+def test_closed_rig_is_vented_and_lets_go_of_the_card(bench):
+    there = bench()
+    rig = there.rig()
+    press(rig, there.twin, 6 * bar)
+    rig.move(-4000, 80.0)
+    read(rig, 1.0)
+    rig.close()
+    rig.close()
+    assert there.card.valve == 0 and not any(there.card.lines.values()) and not there.twin.moving
+    there.twin.pass_time(1.0)
+    assert there.twin.truth.pressure < SAFE
+    assert {task.kind for task in there.card.tasks.values()} == {"cleared"}
+    with pytest.raises(RigError, match="not open"):
+        rig.read(1)
+    rig.open()
+    assert rig.read(10).first == 0
+
+
+def test_host_that_dies_leaves_the_outputs_and_the_relay_vents(bench):
+    """The card holds its last signal; the twin's patience stands for the relay."""
+    there = bench(patience=0.4)
+    rig = there.rig(patience=0.4)
+    press(rig, there.twin, 6 * bar)
+    read(rig, 2.0)
+    there.twin.pass_time(0.4 + 1.0)
+    assert there.card.valve > 6 and there.card.lines[device.HOLD]
+    assert there.twin.truth.pressure < SAFE
+
+
+def test_missed_beat_holds_until_it_is_opened_anew(bench, monkeypatch):
+    there = bench()
+    rig = there.rig()
+    press(rig, there.twin, 3 * bar)
+    rig.move(4000, 80.0)
+    read(rig, 1.0)
+    now = backend.time.monotonic()
+    monkeypatch.setattr(backend.time, "monotonic", lambda: now + 1.5)
+    beats = there.card.beats
+    rig.beat()
+    assert there.card.beats == beats and not there.card.lines[device.HOLD] and not rig.moving
+    for what in (lambda: rig.press([1.0]), lambda: rig.move(1, 80.0)):
+        with pytest.raises(RigError, match="no beat"):
+            what()
+
+
+def test_silent_and_overrun_cards_are_told(bench):
+    rig = bench(faults=[Silent(0.25)]).rig()
+    rig.read(100)
+    with pytest.raises(SilentError):
+        rig.read(200, timeout=0.1)
+    rig = bench(faults=[HostDelayed(0.05, 12.0)], patience=100.0).rig(patience=100.0)
+    with pytest.raises(RigError, match="overwritten"):
+        rig.read(100)
+    assert Dropping  # a card drops nothing without telling: -200279 above is all there is
+
+
+def test_card_that_is_gone_is_told_and_closes_without_an_error(bench):
+    there = bench()
+    rig = there.rig()
+    there.card.unplugged = True
+    for what in (lambda: rig.read(10), rig.clock, rig.beat, lambda: rig.press([1.0]), lambda: rig.move(1, 80.0)):
+        with pytest.raises(RigError, match="the device is gone"):
+            what()
+    rig.vent()
+    rig.stop()
+    rig.close()
+    there.card.unplugged = False
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"wiring": Wiring(inputs={"force": "Dev2/ai0"})}, "force at Dev2/ai0: .*connected are Dev1"),
+        ({"wiring": Wiring(inputs={"force": "Dev1/ai40"})}, "force at Dev1/ai40: Physical channel"),
+        ({"wiring": Wiring(heartbeat="Dev1/port7/line0")}, "heartbeat at Dev1/port7/line0"),
+        ({"wiring": Wiring(outputs={"valve": "Dev1/ao3"})}, "valve at Dev1/ao3"),
+        ({"rate": 1003.0}, r"nearest is 1002\.99645 Hz"),
+    ],
+)
+def test_what_is_missing_is_told_and_the_card_let_go(bench, settings, text):
+    there = bench()
+    with pytest.raises(RigError, match=text):
+        there.rig(**settings)
+    assert {task.kind for task in there.card.tasks.values()} == {"cleared"}
+    there.rig().read(10)
+
+
+def test_card_in_use_is_told(bench):
+    there = bench()
+    there.rig()
+    with pytest.raises(RigError, match="in use by another program"):
+        there.rig()
+
+
+def test_missing_server_driver_and_package_are_told(monkeypatch):
+    with pytest.raises(RigError, match=r"127\.0\.0\.1:9.*check that it runs"):
+        NiRig(server="127.0.0.1:9").open()
+    import nidaqmx.errors
+    import nidaqmx.task._task as module
+
+    def none(*_):
+        raise nidaqmx.errors.DaqNotFoundError("Could not find an installation of NI-DAQmx.")
+
+    monkeypatch.setattr(module.utils, "_select_interpreter", none)  # so too on a machine that has a driver
+    with pytest.raises(RigError, match="driver NI-DAQmx is not installed"):
+        NiRig().open()
+    monkeypatch.setitem(sys.modules, "nidaqmx", None)
+    with pytest.raises(RigError, match=r"pip install 'mckibben\[daq\]'"):
+        NiRig().open()
+    (only,) = present()
+    assert only.name == "package" and "mckibben[daq]" in only.problem
+
+
+def test_what_is_present_is_shown_with_readings(bench):
+    there = bench(faults=[Unplugged(0.0, "pressure")])
+    wiring = Wiring(
+        inputs={"force": "Dev1/ai0", "pressure": "Dev1/ai1", "angle": "Dev1/ai7"}, outputs={"valve": "X/ao0"}
+    )
+    found = {row.name: row for row in present(wiring, there.twin.calibrations, server=there.address)}
+    assert found["driver"].reading == "NI-DAQmx 24.5.0" and found["device"].reading == "PCI-6281, serial 1234ABC"
+    assert " N (noise" in found["force"].reading and not found["force"].problem
+    assert "no working sensor" in found["pressure"].problem
+    assert "Dev1/ai7" in found["angle"].problem and "no device X" in found["valve"].problem
+    assert not found["counter"].problem
+    assert there.card.beats == 0 and there.twin.truth.vented  # nothing was touched
+    assert not {task.kind for task in there.card.tasks.values()} - {"cleared"}
+
+
+def test_description_tells_card_driver_and_wiring(bench):
+    described = bench().rig().described
+    assert described["devices"] == "Dev1 (PCI-6281, serial 1234ABC)"
+    assert "NI-DAQmx 24.5.0, nidaqmx 1." in described["driver"] and "valve at Dev1/ao0" in described["wiring"]
+
+
+def test_wiring_that_cannot_be_safe_is_refused():
+    with pytest.raises(RangeError) as caught:
+        Wiring(inputs={}, heartbeat="", direction="", rest=11.0)
+    for text in ("inputs", "heartbeat", "direction", "rest"):
+        assert f"\n  {text}: " in str(caught.value)
+    with pytest.raises(RangeError, match="Dev1/ai0 is given twice"):
+        Wiring(inputs={"force": "Dev1/ai0", "pressure": "Dev1/ai0"})
+
+
+@pytest.mark.parametrize("signals", [[10.1], [-0.1], [float("nan")], [], [1.0, 1.0]])
+def test_signal_that_cannot_be_given_is_refused(bench, signals):
+    there = bench()
+    with pytest.raises(RigError, match="cannot be given"):
+        there.rig().press(signals)
+    assert there.card.valve == 0

@@ -1,0 +1,93 @@
+"""The record of a test to its dataset: the right rows, wherever the chunks end."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.errors import DatasetError
+from mckibben.rig.assembly import assemble
+from mckibben.rig.bench import Bench
+from mckibben.rig.drive import Drive
+from mckibben.rig.plateaus import PLACE, POINT, Point, points
+from mckibben.rig.record import Event
+from mckibben.rig.recorder import Recorder
+from mckibben.rig.runner import columns_of
+from mckibben.rig.safety import Limits
+from mckibben.rig.twin.sensor import FORCE, PRESSURE, VALVE
+
+BENCH = Bench(
+    of=catalog.specimen("MAS-10-180N-AA-MC-O"),
+    drive=Drive(),
+    calibrations={"force": FORCE, "pressure": PRESSURE, "valve": VALVE},
+    limits=Limits(pressure=6e5, force=630.0, stretch=0.01, shorten=0.05),
+)
+POINT_0 = Point(
+    number=0,
+    first=5,
+    rows=28,
+    every=3,
+    samples=10,
+    time=0.5,
+    pulses=-720,
+    contraction=0.01,
+    force=0.0,
+    pressure=0.0,
+    set_pressure=1e5,
+    direction="loading",
+    phase="",
+    repeat=0,
+    keep=True,
+)
+POINTS = [
+    POINT_0,
+    replace(POINT_0, number=1, first=40, time=1.5, keep=False),
+    replace(POINT_0, number=2, first=70, time=2.5, repeat=1),
+]
+
+
+def write(folder, size, kept=POINTS):
+    """A hundred rows in chunks of a size, whose volts are their number."""
+    with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
+        for first in range(0, 100, size):
+            number = np.arange(first, min(first + size, 100))
+            table = {"time": number / 1e3, "force": number / 100, "pressure": number / 20, "pulses": number}
+            recorder.append({**table, "plateau": np.zeros(len(number))})
+            recorder.flush()
+        for point in kept:
+            recorder.event(POINT if point.keep else PLACE, **point.to_json())
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 28, 100])
+def test_each_point_gets_its_own_samples(tmp_path, size):
+    write(tmp_path, size)
+    data = assemble(tmp_path, BENCH, source="ours")
+    rows = np.array([5 + 3 * np.arange(10), 70 + 3 * np.arange(10)])
+    np.testing.assert_allclose(data.table["force_samples"], FORCE.si(rows / 100), rtol=1e-6)
+    np.testing.assert_allclose(data.table["pressure_samples"], PRESSURE.si(rows / 20), rtol=1e-6)
+    np.testing.assert_allclose(data.force, FORCE.si(rows / 100).mean(axis=1), rtol=1e-6)
+    assert data.table["time"].to_numpy().tolist() == [0.5, 2.5]
+    assert data.repeats.tolist() == [0, 1] and data.table.attrs["source"] == "ours"
+
+
+def test_points_of_different_lengths_have_means_and_no_samples(tmp_path):
+    write(tmp_path, 9, [POINT_0, replace(POINT_0, number=1, first=40, rows=5, every=1, samples=5)])
+    data = assemble(tmp_path, BENCH)
+    assert "force_samples" not in data.table
+    assert data.force == pytest.approx([FORCE.si(0.185), FORCE.si(0.42)])
+
+
+def test_what_is_not_there_is_told(tmp_path):
+    write(tmp_path / "1", 9, [])
+    with pytest.raises(DatasetError, match="holds no point yet"):
+        assemble(tmp_path / "1", BENCH)
+    for name, first, left in (("2", 200, 0), ("3", 90, 4)):
+        write(tmp_path / name, 9, [replace(POINT_0, first=first)])
+        with pytest.raises(DatasetError, match=f"of the 10 samples of point 0 {left} are there"):
+            assemble(tmp_path / name, BENCH)
+
+
+def test_a_point_counts_once_and_first_comes_first():
+    events = [Event(POINT, "", 0, point.to_json()) for point in (POINTS[2], POINT_0, replace(POINT_0, first=50))]
+    assert points([*events, Event("stopped", "", 0, {})]) == [POINT_0, POINTS[2]]

@@ -1,0 +1,286 @@
+"""The recorder: what was appended is on the disk, in order, whatever becomes of the process or of the disk."""
+
+import errno
+import os
+import time
+
+import numpy as np
+import pytest
+
+from mckibben.errors import DatasetError, FileError, RangeError, RigError
+from mckibben.rig import recorder as recorder_module
+from mckibben.rig.chunks import Column, chunks
+from mckibben.rig.record import Event, passages, read_record, rows_in, segments
+from mckibben.rig.recorder import Recorder
+
+COLUMNS = [Column("time", "s"), Column("force", "V", "float32"), Column("pulses", "1", "int32")]
+
+
+def rows(first, count):
+    number = np.arange(first, first + count)
+    return {"time": number / 1e3, "force": np.sin(number), "pulses": number}
+
+
+@pytest.fixture
+def filled(tmp_path):
+    """A record of 50 chunks of 20 rows, an event after each."""
+    folder = tmp_path / "record"
+    with Recorder.create(folder, {"specimen": "ours"}, COLUMNS) as recorder:
+        for number in range(50):
+            recorder.append(rows(20 * number, 20))
+            recorder.event("point", number=number)
+            recorder.flush()
+    return folder
+
+
+def test_what_goes_in_comes_out(filled):
+    record = read_record(filled)
+    assert record.header == {"specimen": "ours"} and record.units == {"time": "s", "force": "V", "pulses": "1"}
+    np.testing.assert_array_equal(record.columns["pulses"], np.arange(1000))
+    np.testing.assert_array_equal(record.columns["force"], np.sin(np.arange(1000)).astype(np.float32))
+    assert record.columns["force"].dtype == np.float32
+    assert [event.row for event in record.events] == [20 * (number + 1) for number in range(50)]
+    assert [event.data["number"] for event in record.events] == list(range(50))
+
+
+def test_single_rows_are_rows(tmp_path):
+    with Recorder.create(tmp_path, {}, COLUMNS) as recorder:
+        recorder.append({"time": 1.0, "force": 2.0, "pulses": 3})
+        recorder.append({"time": [], "force": [], "pulses": []})
+        assert recorder.rows == 1
+    assert read_record(tmp_path).columns["time"].tolist() == [1.0]
+
+
+def test_the_callers_arrays_may_change_afterwards(tmp_path):
+    table = rows(0, 3)
+    with Recorder.create(tmp_path, {}, COLUMNS) as recorder:
+        recorder.append(table)
+        table["time"][:] = -1
+    assert read_record(tmp_path).columns["time"].tolist() == [0.0, 0.001, 0.002]
+
+
+def test_a_file_cut_anywhere_keeps_all_whole_chunks(filled):
+    (path,) = segments(filled)
+    content = path.read_bytes()
+    generator = np.random.default_rng(0)
+    header = len(content) - sum(40 + len(chunk.payload) - 8 for chunk in list(chunks(path))[1:])
+    for cut in [len(content), *generator.integers(header + 60, len(content), 60).tolist()]:
+        path.write_bytes(content[:cut])
+        record = read_record(filled)
+        np.testing.assert_array_equal(record.columns["pulses"], np.arange(len(record)))
+        assert len(record) in (20 * len(record.events), 20 * (len(record.events) + 1))
+        assert len(record) >= 1000 * (cut - header) // (len(content) - header) - 20
+
+
+def test_a_changed_bit_is_not_taken_for_data(filled):
+    (path,) = segments(filled)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(bytes(content))
+    record = read_record(filled)
+    assert 0 < len(record) < 1000
+    np.testing.assert_array_equal(record.columns["pulses"], np.arange(len(record)))
+
+
+def test_a_record_goes_on_in_a_file_of_its_own_after_a_torn_end(filled):
+    (path,) = segments(filled)
+    path.write_bytes(path.read_bytes()[:-120])
+    there, before = rows_in(filled), path.read_bytes()
+    assert there == 980
+    with Recorder.resume(filled, {"specimen": "ours"}, COLUMNS) as recorder:
+        assert recorder.rows == there
+        recorder.append(rows(there, 5))
+        recorder.event("resumed")
+    assert path.read_bytes() == before
+    record = read_record(filled)
+    np.testing.assert_array_equal(record.columns["pulses"], np.arange(985))
+    assert record.events[-1].row == 985
+
+
+def test_a_file_missing_from_the_middle_is_told(filled):
+    with Recorder.resume(filled, {}, COLUMNS) as recorder:
+        recorder.append(rows(1000, 5))
+    segments(filled)[0].unlink()
+    with pytest.raises(DatasetError, match="rows 0 to 999 are missing"):
+        read_record(filled)
+
+
+def test_samples_are_on_the_disk_within_a_second_and_without_being_asked(tmp_path):
+    with Recorder.create(tmp_path, {}, COLUMNS) as recorder:
+        recorder.append(rows(0, 10))
+        end = time.monotonic() + 5
+        while not rows_in(tmp_path) and time.monotonic() < end:
+            time.sleep(0.02)
+        assert rows_in(tmp_path) == 10
+    assert recorder_module.PERIOD <= 0.5
+
+
+def test_what_was_flushed_was_brought_to_the_disk(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(recorder_module.os, "fsync", lambda file: synced.append(rows_in(tmp_path)))
+    with Recorder.create(tmp_path, {}, COLUMNS) as recorder:
+        recorder.append(rows(0, 10))
+        recorder.flush()
+        assert synced[-1] == 10
+
+
+def test_a_record_is_not_begun_twice_and_not_gone_on_with_by_another(filled, tmp_path):
+    with pytest.raises(FileError, match="holds a record already; resume it, or choose another"):
+        Recorder.create(filled, {}, COLUMNS)
+    with pytest.raises(FileError, match="holds a record of other columns"):
+        Recorder.resume(filled, {}, COLUMNS[:2])
+    with pytest.raises(FileError, match="holds no record to go on with"):
+        Recorder.resume(tmp_path / "elsewhere", {}, COLUMNS)
+    with pytest.raises(RangeError, match="cannot be told apart"):
+        Recorder.create(tmp_path / "new", {}, [COLUMNS[0], COLUMNS[0]])
+
+
+def test_rows_that_are_none_are_refused(tmp_path):
+    with Recorder.create(tmp_path, {}, COLUMNS) as recorder:
+        with pytest.raises(RangeError, match="no rows of time, force, pulses"):
+            recorder.append({**rows(0, 3), "force": [1.0]})
+        with pytest.raises(RangeError, match="no rows of time, force, pulses"):
+            recorder.append({**rows(0, 3), "other": [1.0, 2.0, 3.0]})
+
+
+def test_a_full_disk_keeps_what_came_before_and_the_reason(tmp_path, monkeypatch):
+    put, left = recorder_module._put, [3]
+
+    def filling(file, at, content):
+        left[0] -= 1
+        if left[0] == 0:  # part of it is written, as a full disk does
+            os.pwrite(file, content[: len(content) // 2], at)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        put(file, at, content)
+
+    monkeypatch.setattr(recorder_module, "_put", filling)
+    recorder = Recorder.create(tmp_path, {}, COLUMNS)
+    recorder.append(rows(0, 10))
+    recorder.flush()
+    recorder.append(rows(10, 10))
+    with pytest.raises(RigError, match=r"cannot be written: No space left on device; what was recorded before is kept"):
+        recorder.flush()
+    with pytest.raises(RigError, match="No space left"):
+        recorder.append(rows(20, 10))
+    recorder.event("stopped", "the disk is full")
+    with pytest.raises(RigError, match="No space left"):
+        recorder.close()
+    record = read_record(tmp_path)
+    np.testing.assert_array_equal(record.columns["pulses"], np.arange(20))
+    assert record.events[-1].text == "the disk is full"
+    assert not (tmp_path / "reserve").exists()
+
+
+def test_a_broken_disk_leaves_no_gap(tmp_path, monkeypatch):
+    put, left = recorder_module._put, [3]
+
+    def breaking(file, at, content):
+        left[0] -= 1
+        if left[0] == 0:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        put(file, at, content)
+
+    monkeypatch.setattr(recorder_module, "_put", breaking)
+    recorder = Recorder.create(tmp_path, {}, COLUMNS)
+    for first in (0, 10):
+        recorder.append(rows(first, 10))
+        try:
+            recorder.flush()
+        except RigError as error:
+            assert "Input/output error" in str(error)
+    with pytest.raises(RigError, match="Input/output error"):
+        recorder.event("stopped")
+    with pytest.raises(RigError):
+        recorder.close()
+    assert len(read_record(tmp_path)) == 10
+
+
+def test_what_was_left_of_a_write_that_failed_is_cut_off(tmp_path, monkeypatch):
+    put, calls = recorder_module._put, []
+
+    def breaking(file, at, content):
+        calls.append(at)
+        if len(calls) == 3:
+            os.pwrite(file, content[: len(content) // 2], at)
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        put(file, at, content)
+
+    monkeypatch.setattr(recorder_module, "_put", breaking)
+    recorder = Recorder.create(tmp_path, {}, COLUMNS)
+    recorder.append(rows(0, 10))
+    recorder.flush()
+    whole = recorder.path.stat().st_size
+    recorder.append(rows(10, 10))
+    with pytest.raises(RigError):
+        recorder.flush()
+    assert recorder.path.stat().st_size == whole
+    with pytest.raises(RigError):
+        recorder.close()
+
+
+def test_after_a_write_that_failed_nothing_more_is_written(tmp_path, monkeypatch):
+    """What came later would stand after a gap; also what was taken while the failure was not known yet."""
+    put, calls = recorder_module._put, []
+
+    def breaking(file, at, content):
+        calls.append(at)
+        if len(calls) == 2:
+            recorder.event("point", "taken meanwhile")  # by the test, which does not know yet
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        put(file, at, content)
+
+    monkeypatch.setattr(recorder_module, "_put", breaking)
+    recorder = Recorder.create(tmp_path, {}, COLUMNS)
+    recorder.append(rows(0, 10))
+    with pytest.raises(RigError):
+        recorder.flush()
+    with pytest.raises(RigError):
+        recorder.close()
+    assert len(calls) == 2
+    assert len(read_record(tmp_path)) == 0 and not read_record(tmp_path).events
+
+
+def test_whatever_goes_wrong_in_its_thread_is_told_and_nothing_is_lost_in_silence(tmp_path, monkeypatch):
+    recorder = Recorder.create(tmp_path, {}, COLUMNS)
+    monkeypatch.setattr(recorder_module, "pack_rows", lambda *_: (_ for _ in ()).throw(MemoryError()))
+    recorder.append(rows(0, 10))
+    with pytest.raises(RigError, match="cannot be written: MemoryError"):
+        recorder.flush()
+    with pytest.raises(RigError, match="MemoryError"):
+        recorder.append(rows(10, 10))
+    with pytest.raises(RigError, match="MemoryError"):
+        recorder.close()
+
+
+def test_what_comes_after_its_end_is_refused(tmp_path):
+    recorder = Recorder.create(tmp_path, {}, COLUMNS)
+    recorder.close()
+    with pytest.raises(RigError, match="is closed"):
+        recorder.append(rows(0, 10))
+    with pytest.raises(RigError, match="is closed"):
+        recorder.event("point")
+    recorder.close()
+
+
+def test_a_slow_disk_holds_the_appender_back_and_loses_nothing(tmp_path, monkeypatch):
+    put = recorder_module._put
+    monkeypatch.setattr(recorder_module, "_put", lambda *rest: (time.sleep(2e-3), put(*rest)))
+    monkeypatch.setattr(recorder_module, "_MOST_PENDING", 10_000)
+    with Recorder.create(tmp_path, {}, COLUMNS) as recorder:
+        for first in range(0, 100_000, 1000):
+            recorder.append(rows(first, 1000))
+            assert recorder._bytes <= 10_000 + 1000 * 16
+    np.testing.assert_array_equal(read_record(tmp_path).columns["pulses"], np.arange(100_000))
+
+
+def test_something_else_is_no_record(tmp_path):
+    with pytest.raises(DatasetError, match="holds no record of a rig"):
+        read_record(tmp_path)
+    (tmp_path / "record-0001.chunks").write_bytes(b"something else")
+    with pytest.raises(DatasetError, match="is no record of a rig"):
+        read_record(tmp_path)
+
+
+def test_it_is_read_a_chunk_at_a_time(filled):
+    kinds = [isinstance(one, Event) for one in passages(filled)]
+    assert kinds == [False, True] * 50

@@ -1,0 +1,234 @@
+"""A test on the virtual rig: it does the steps, records them whole, goes on where it was stopped, and always vents."""
+
+import importlib
+import signal
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.errors import SignalledError, StoppedError
+from mckibben.muscle import MaxwellSlip, Muscle, forces
+from mckibben.rig import IsobaricProtocol
+from mckibben.rig.assembly import assemble, recorded_points
+from mckibben.rig.bench import Bench
+from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_of
+from mckibben.rig.record import read_record
+from mckibben.rig.recorder import Recorder
+from mckibben.rig.runner import Runner, columns_of
+from mckibben.rig.safety import Limits
+from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Walk
+from mckibben.rig.twin import Regulator, SupplyLost, TwinRig
+from mckibben.units import bar, mm, percent
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+LIMITS = Limits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
+EXACT = Regulator(hysteresis=0.0, repeatability=0.0)
+QUICK = {"dwell": 0.2, "acquisition": 0.1, "samples": 100, "speed": 4 * mm}
+
+
+@pytest.fixture
+def trials(monkeypatch):
+    """The benchmarks that kill and break."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    return SimpleNamespace(**{name: importlib.import_module(name) for name in ("kill", "faults")})
+
+
+def run(folder, steps, *, of=MUSCLE, muscle=MUSCLE, twin=None, limits=LIMITS, **given):
+    twin = twin or TwinRig(muscle, seed=3, regulator=EXACT)
+    bench = Bench(of=of, drive=twin.drive, calibrations=twin.calibrations, limits=limits, steady=0.3)
+    with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
+        Runner(twin, bench, recorder, **given).run(steps)
+    twin.pass_time(1.5)
+    assert twin.truth.pressure < 0.2 * bar
+    return bench
+
+
+def test_the_isobaric_test_measures_the_law(tmp_path):
+    protocol = IsobaricProtocol(pressures=[1 * bar, 6 * bar], repeats=2, contraction_max=6 * percent, **QUICK)
+    bench = run(tmp_path, steps_of(protocol, MUSCLE))
+    data, planned = assemble(tmp_path, bench), protocol.plateaus(MUSCLE)
+    np.testing.assert_allclose(data.contraction, planned.contraction, atol=1e-9)
+    np.testing.assert_array_equal(data.table["repeat"], planned.repeat)
+    np.testing.assert_array_equal(data.table["direction"] == "loading", planned.stretching)
+    np.testing.assert_array_equal(data.levels, np.array(protocol.pressures)[planned.level])
+    there = forces(MUSCLE, data.contraction, data.pressure)
+    assert np.abs(data.force - there).max() < 5 * 0.5 / np.sqrt(100) + 0.3  # 0.3 N: pressure noise and the screw's play
+    assert data.table["force_samples"].shape == (len(planned.time), 100)
+    assert (np.diff(data.table["time"]) > 0).all()
+
+
+def test_boundaries_are_found_where_no_law_tells_them(tmp_path):
+    protocol = IsobaricProtocol(pressures=[1 * bar, 6 * bar], repeats=1, step=2 * mm, **QUICK)
+    bench = run(tmp_path, steps_of(protocol, MUSCLE.specimen), of=MUSCLE.specimen)
+    data = assemble(tmp_path, bench)
+    for pressure in protocol.pressures:
+        here = data.at(pressure)
+        assert 450 < here.force.max() <= 630 * 0.95 or here.contraction.min() == pytest.approx(-0.03, abs=0.012)
+        slack = (here.force < 1) & (here.table["direction"] == "unloading").to_numpy()
+        assert slack.sum() in (1, 2, 3)  # three, or as many as the stroke has
+        loading = here.select((here.table["direction"] == "loading").to_numpy())
+        assert loading.contraction.min() == here.contraction.min()
+
+
+def test_at_constant_length_and_at_constant_force(tmp_path):
+    quick = {"dwell": 0.2, "acquisition": 0.1, "samples": 100}
+    isometric = IsometricProtocol(contractions=[5 * percent], pressures=[1e5, 3e5, 5e5], speed=4 * mm, **quick)
+    data = assemble(tmp_path / "1", run(tmp_path / "1", steps_of(isometric, MUSCLE)))
+    assert list(data.table["phase"].to_numpy()) == ["filling"] * 3 + ["venting"] * 3
+    np.testing.assert_allclose(data.contraction, 0.05)
+    np.testing.assert_allclose(data.force, forces(MUSCLE, data.contraction, data.pressure), atol=1.0)
+    isotonic = IsotonicProtocol(forces=[100.0], pressures=[2e5, 4e5], rate=1 * bar, **quick)
+    data = assemble(tmp_path / "2", run(tmp_path / "2", steps_of(isotonic, MUSCLE)))
+    np.testing.assert_allclose(data.force, 100.0, atol=2.5)
+    np.testing.assert_allclose(data.force, forces(MUSCLE, data.contraction, data.pressure), atol=1.5)
+    assert data.contraction[1] > data.contraction[0] + 0.03
+
+
+def test_plateaus_are_recorded_whole_and_the_way_between_thinned_out(tmp_path):
+    acquire = Acquire(samples=50, duration=0.1)
+    run(tmp_path, [Move(to=2 * percent, speed=4 * mm), Dwell(duration=1.0), acquire, acquire])
+    rows = read_record(tmp_path).columns
+    for number in (0, 1):
+        there = rows["time"][rows["plateau"] == number]
+        assert len(there) == 99  # of a card twice as quick each second is a sample, the first and the last among them
+        np.testing.assert_allclose(np.diff(there), 1e-3)
+    between = rows["time"][rows["plateau"] == -1]
+    assert np.diff(between).max() < 0.31 and len(between) < 60
+    assert [point.every for point in recorded_points(tmp_path)] == [2, 2]
+
+
+class Interrupting:
+    """Counts cycles, and interrupts a test after so many."""
+
+    def __init__(self, after=0):
+        self.after, self.cycles, self.runner = after, 0, None
+
+    def __call__(self, progress):
+        self.cycles += 1
+        if self.cycles == self.after:
+            self.runner.interrupt(signal.SIGINT, "SIGINT")
+
+
+def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
+    slow = Muscle(MUSCLE.specimen, MUSCLE.law, MaxwellSlip(12.0, 0.5e-3))
+    acquire = Acquire(samples=250, duration=0.25)
+    walk = {"step": 1 * mm, "speed": 4 * mm, "dwell": 0.1, "acquire": acquire}
+    steps = [
+        Move(to=6 * percent, speed=4 * mm),
+        Pressurise(pressure=2 * bar),
+        Move(to=1 * percent, speed=4 * mm),
+        Repeat(times=2, steps=(Walk(to=5 * percent, **walk), Walk(to=None, **walk))),
+        Pressurise(pressure=1 * bar),
+        acquire,
+    ]
+    counting = Interrupting()
+    whole = assemble(tmp_path / "whole", run(tmp_path / "whole", steps, muscle=slow, report=counting))
+    partly = 0
+    for after in np.linspace(1, counting.cycles - 2, 9, dtype=int).tolist():
+        folder = tmp_path / str(after)
+        twin = TwinRig(slow, seed=3, regulator=EXACT)
+        bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
+        with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
+            interrupting = Interrupting(after)
+            runner = interrupting.runner = Runner(twin, bench, recorder, report=interrupting)
+            with pytest.raises(SignalledError, match=r"interrupted \(SIGINT\); the muscle is vented") as stopped:
+                runner.run(steps)
+        assert stopped.value.signal == signal.SIGINT
+        assert twin.truth.pressure < 0.2 * bar
+        record = read_record(folder)
+        assert [event.kind for event in record.events][-2:] == ["stopped", "vented"]
+        done = recorded_points(folder)
+        stop = len(done)
+        partly += bool((record.columns["plateau"] == stop).any())
+        with Recorder.resume(folder, {}, columns_of(["force", "pressure"])) as recorder:
+            again = TwinRig(slow, seed=4, regulator=EXACT)
+            since = float(record.columns["time"][-1]) + 1e-3
+            Runner(again, bench, recorder, done=done, since=since).run(steps)
+        data = assemble(folder, bench)
+        np.testing.assert_allclose(data.contraction, whole.contraction, atol=1e-9)
+        np.testing.assert_array_equal(data.table["repeat"], whole.table["repeat"])
+        np.testing.assert_array_equal(data.force[:stop], whole.force[:stop])
+        # from the same side, so that friction is as it was: 24 N are between the sides
+        np.testing.assert_allclose(data.force, whole.force, atol=1.5)
+        assert (np.diff(data.table["time"]) > 0).all()
+    assert partly >= 2  # were stopped in the midst of a plateau, which is then done again
+
+
+def test_it_goes_on_from_where_the_motor_stands(tmp_path):
+    """Of a rig that was not opened where the muscle was mounted."""
+    twin = TwinRig(MUSCLE, seed=3, mounted_at=4 * percent, regulator=EXACT)
+    bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
+    with Recorder.create(tmp_path, {}, columns_of(["force", "pressure"])) as recorder:
+        steps = [Pressurise(pressure=2 * bar), Move(to=3 * percent, speed=4 * mm), Acquire(samples=100, duration=0.1)]
+        Runner(twin, bench, recorder, origin=bench.pulses_at(4 * percent)).run(steps)
+    data = assemble(tmp_path, bench)
+    assert data.contraction == pytest.approx(0.03)
+    assert data.force == pytest.approx(forces(MUSCLE, 0.03, data.pressure), abs=0.5)
+
+
+def test_a_fault_of_ours_vents_and_is_told(tmp_path):
+    def report(progress):
+        if progress.points:
+            raise ZeroDivisionError("ours")
+
+    steps = [Pressurise(pressure=2 * bar), Acquire(samples=100, duration=0.1)]
+    with pytest.raises(StoppedError, match="stopped: ZeroDivisionError: ours; the muscle is vented") as stopped:
+        run(tmp_path, steps, report=report)
+    assert isinstance(stopped.value.__cause__, ZeroDivisionError)
+    assert "ZeroDivisionError: ours" in [event.text for event in read_record(tmp_path).events]
+
+
+def test_a_muscle_that_does_not_pull_as_its_law_tells_stops(tmp_path):
+    other = Muscle(MUSCLE.specimen, MUSCLE.law, MaxwellSlip(30.0, 0.5e-3))
+    steps = [Pressurise(pressure=3 * bar), Move(to=5 * percent, speed=4 * mm), Acquire(samples=100, duration=0.1)]
+    with pytest.raises(StoppedError, match=r"the muscle pulls [\d.]+ N at 5 % and [\d.]+ bar, and by its law [\d.]+ N"):
+        run(tmp_path, steps, muscle=other, limits=replace(LIMITS, deviation=20.0))
+
+
+def test_a_full_disk_vents_and_is_told(tmp_path, monkeypatch):
+    from mckibben.errors import RigError
+
+    def full(recorder, table):
+        raise RigError("the disk is full")
+
+    twin = TwinRig(MUSCLE, seed=3)
+    monkeypatch.setattr(Recorder, "append", full)
+    with pytest.raises(StoppedError, match="stopped: the disk is full; the muscle is vented"):
+        run(tmp_path, [Pressurise(pressure=2 * bar)], twin=twin)
+    assert twin.truth.pressure < 0.2 * bar
+
+
+def test_an_empty_supply_is_found_at_once_after_the_pressure_had_settled(tmp_path):
+    twin = TwinRig(MUSCLE, seed=3, faults=[SupplyLost(4.0)])
+    with pytest.raises(StoppedError, match="the pressure does not follow"):
+        run(tmp_path, [Pressurise(pressure=2 * bar), Dwell(duration=60.0)], twin=twin)
+    assert twin.truth.time < 4.0 + 3.0
+
+
+def test_every_fault_at_some_instants_ends_vented_and_recorded(trials, tmp_path):
+    """Hundreds of instants each: `python benchmarks/faults.py`."""
+    generator = np.random.default_rng(7)
+    stopped = 0
+    for name, make in trials.faults.FAULTS.items():
+        for number in range(5):
+            fault = make(float(generator.uniform(0, trials.faults.DURATION)))
+            stopped += bool(trials.faults.broken(fault, number, tmp_path / f"{name} {number}"))
+    assert stopped > 2.5 * len(trials.faults.FAULTS)
+
+
+def test_killed_at_random_instants_it_loses_nothing_that_was_recorded(trials, tmp_path, monkeypatch):
+    """200 kills: `python benchmarks/kill.py`."""
+    monkeypatch.setattr(trials.kill.recorder, "PERIOD", trials.kill.PERIOD)
+    reference, longest = trials.kill.prepare(tmp_path)
+    generator = np.random.default_rng(5)
+    kills = 0
+    for number in range(40):
+        kills += trials.kill.trial(tmp_path / str(number), reference, generator, longest)
+        if kills >= 10:
+            break
+    assert kills >= 10

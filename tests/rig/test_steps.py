@@ -1,0 +1,141 @@
+"""Steps and whole tests, and what they add up to before anything moves."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from mckibben import catalog
+from mckibben.errors import RangeError
+from mckibben.muscle import Muscle
+from mckibben.rig import IsobaricProtocol
+from mckibben.rig.bench import Bench
+from mckibben.rig.drive import Drive
+from mckibben.rig.outline import outline
+from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_of
+from mckibben.rig.safety import Limits
+from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Vent, Walk, described
+from mckibben.rig.twin.sensor import FORCE, PRESSURE, VALVE
+from mckibben.units import bar, mm, percent
+
+MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+LIMITS = Limits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
+BENCH = Bench(
+    of=MUSCLE, drive=Drive(), calibrations={"force": FORCE, "pressure": PRESSURE, "valve": VALVE}, limits=LIMITS
+)
+
+
+def problems(*steps, bench=BENCH, **arguments):
+    return {str(problem) for problem in outline(steps, bench, **arguments).problems}
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Move(to=10.0), "to: 10 is no contraction; it is a ratio below 1"),
+        (lambda: Move(to=0.1, speed=0.0), r"speed: 0 m/s is not above 0"),
+        (lambda: Dwell(duration=math.nan), "duration: nan s is not 0 or above"),
+        (lambda: Pressurise(pressure=math.inf), "pressure: is not finite"),
+        (lambda: Acquire(samples=0), "samples: 0 is not a whole number"),
+        (lambda: Acquire(direction="up"), "'up' is none of"),
+        (lambda: Walk(to=0.1, step=-1 * mm), "step: -0.001 m is not above 0"),
+        (lambda: Repeat(times=2, steps=()), "steps: is empty"),
+        (lambda: HoldForce(force=-1.0), "force: -1 N is not above 0"),
+        (lambda: IsometricProtocol(pressures=[2e5, 1e5]), "pressures: do not rise"),
+        (lambda: IsotonicProtocol(forces=[]), "forces: give at least one"),
+    ],
+)
+def test_a_step_without_a_meaning_is_refused(make, message):
+    with pytest.raises(RangeError, match=message):
+        make()
+
+
+def test_the_papers_test_adds_up():
+    protocol = IsobaricProtocol(contraction_min=0.0, contraction_max=24.5 * percent, slack_steps=44)
+    found = outline(steps_of(protocol, MUSCLE), BENCH)
+    assert found.problems == []
+    assert (found.plateaus, found.samples) == (5850, 5_850_000)
+    # 13 times: 130 times 44 steps of 10 s and 45 points of 1 s, 5 s of waiting, and what setting a pressure takes
+    least = 13 * 10 * (44 * 10 + 45) + 13 * 5
+    assert least < found.duration < least + 13 * (250 + 60)
+    assert found.pulses > 13 * 10 * 44 * 400
+    assert found.force == pytest.approx(584.7, abs=0.1)
+    assert not found.at_most
+
+
+def test_a_test_and_its_plan_have_the_same_plateaus():
+    protocol = IsobaricProtocol()
+    assert outline(steps_of(protocol, MUSCLE), BENCH).plateaus == len(protocol.plateaus(MUSCLE).time)
+
+
+def test_without_a_law_the_whole_stroke_is_the_upper_bound():
+    bench = replace(BENCH, of=MUSCLE.specimen)
+    protocol = IsobaricProtocol(pressures=[6 * bar], repeats=2)
+    found = outline(steps_of(protocol, bench.of), bench)
+    assert found.at_most and found.problems == []
+    assert found.plateaus == 4 * 51
+    assert any("until 598.5 N" in line for line in described(steps_of(protocol, bench.of)))
+
+
+@pytest.mark.parametrize("protocol", [IsometricProtocol(), IsotonicProtocol()])
+def test_the_other_tests_suit_the_papers_muscle(protocol):
+    found = outline(steps_of(protocol, MUSCLE), BENCH)
+    assert found.problems == []
+    assert found.force < 630 and found.plateaus > 50
+
+
+def test_every_limit_is_held_against_the_steps():
+    steps = (
+        Move(to=26 * percent, speed=6 * mm),
+        Pressurise(pressure=7 * bar),
+        Move(to=-3 * percent),
+        Walk(to=0.0, step=1.001 * mm, acquire=Acquire(samples=700)),
+    )
+    said = problems(*steps)
+    assert said == {
+        "[0].move.to: 26 % is outside -3..25 % of MAS-10-180N-AA-MC-O; stay inside",
+        "[0].move.speed: 6 mm/s are 2400 pulses a second; the motor does 2000 at most; move at up to 5 mm/s",
+        "[1].pressurise.pressure: 7 bar is outside 0..6 bar of MAS-10-180N-AA-MC-O; stay inside",
+        "[1].pressurise.pressure: 7 bar is above the limit of 6.5 bar; lower it, or raise limits.pressure",
+        "[2].move: by its law the muscle pulls 982 N at -3 % and 7 bar, above the limit of 630 N; stay on the short "
+        "side there, or lower the pressure",
+        "[3].walk.step: 1.001 mm are 400.4 pulses; take a multiple of 0.0025 mm",
+        "[3].walk.acquire.samples: 700 samples in 1 s are no whole part of 1000 Hz; take 1000, or a whole part of it",
+    }
+
+
+def test_a_way_longer_than_the_travel_is_refused():
+    short = replace(BENCH, limits=replace(LIMITS, shorten=20 * mm, stretch=2 * mm))
+    said = problems(Walk(to=20 * percent), Move(to=-2 * percent), bench=short)
+    assert said == {
+        "[0].walk.to: 20 % is 36 mm from where it was mounted, and the travel is 20 mm; raise limits.shorten, if the "
+        "rig has it",
+        "[1].move.to: -2 % is 3.6 mm from where it was mounted, and the travel is 2 mm; raise limits.stretch, if the "
+        "rig has it",
+    }
+
+
+def test_limits_beyond_muscle_and_sensors_are_refused():
+    small = {**BENCH.calibrations, "force": replace(FORCE, low=-500.0, high=500.0)}
+    wide = replace(BENCH, limits=replace(LIMITS, force=700.0, pressure=12 * bar), calibrations=small)
+    said = "\n".join(problems(Dwell(duration=1.0), bench=wide))
+    assert "700 N is above the rated 630 N" in said
+    assert "12 bar is more than a tenth above the 6 bar" in said
+    assert "0..700 N leaves its span -500..500 N" in said
+    assert "0..1.2e+06 Pa leaves its span 0..1e+06 Pa" in said
+
+
+def test_a_force_that_cannot_be_held_is_refused():
+    (said,) = problems(Pressurise(pressure=1 * bar), HoldForce(force=500.0))
+    assert said.startswith("[1].hold_force: at 1 bar the muscle pulls 0 to") and "500 N are to be held" in said
+
+
+def test_the_cycle_has_to_fit_into_the_patience():
+    (said,) = problems(Dwell(duration=1.0), bench=replace(BENCH, cycle=0.6), patience=1.0)
+    assert said == "recording.cycle: 0.6 s is more than half of the 1 s after which the rig vents by itself; shorten it"
+
+
+def test_a_walk_back_returns_to_where_the_one_before_began():
+    found = outline((Move(to=2 * percent), Walk(to=10 * percent), Walk(to=None), Vent()), BENCH)
+    assert found.plateaus == 2 * 15
+    assert found.pulses == 3.6 * 400 + 2 * 14 * 400

@@ -1,0 +1,262 @@
+"""What a test does when it is stopped: vent whatever happens meanwhile, and claim nothing that was not seen."""
+
+import signal
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.errors import RigError, SignalledError, SilentError, StoppedError
+from mckibben.muscle import Muscle
+from mckibben.rig.assembly import recorded_points
+from mckibben.rig.backend import Block
+from mckibben.rig.bench import Bench
+from mckibben.rig.record import read_record
+from mckibben.rig.recorder import Recorder
+from mckibben.rig.runner import Runner, columns_of
+from mckibben.rig.safety import Limits
+from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Walk
+from mckibben.rig.twin import Regulator, Silent, SupplyLost, TwinRig
+from mckibben.units import bar, mm, percent
+
+MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+LIMITS = Limits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
+UNDER_PRESSURE = [Pressurise(pressure=2 * bar), Dwell(duration=5.0)]
+
+
+class Around:
+    """A twin whose methods do something else from some reading on."""
+
+    def __init__(self, twin, after, **instead):
+        self._twin, self._after, self._instead, self.reads = twin, after, instead, 0
+        self.closed = 0
+
+    def __getattr__(self, name):
+        if name in self._instead and self.reads >= self._after:
+            return lambda *given, **named: self._instead[name](self, *given, **named)
+        return getattr(self._twin, name)
+
+    def read(self, count, *, timeout=1.0):
+        self.reads += 1
+        if "read" in self._instead and self.reads > self._after:
+            return self._instead["read"](self, count, timeout=timeout)
+        return self._twin.read(count, timeout=timeout)
+
+    def close(self):
+        self.closed += 1
+        self._twin.close()
+
+
+def start(folder, rig, steps, **given):
+    bench = Bench(of=MUSCLE, drive=rig.drive, calibrations=rig.calibrations, limits=LIMITS, steady=0.3)
+    with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
+        runner = Runner(rig, bench, recorder, **given)
+        if hasattr(given.get("report"), "runner"):
+            given["report"].runner = runner
+        runner.run(steps)
+
+
+def twin(**given):
+    return TwinRig(MUSCLE, seed=3, regulator=Regulator(hysteresis=0.0, repeatability=0.0), **given)
+
+
+def empty(rig):
+    rig.pass_time(1.5)
+    return rig.truth.pressure < 0.2 * bar
+
+
+class Signalling:
+    """Interrupts a test after so many cycles."""
+
+    runner = None
+
+    def __init__(self, after):
+        self.left = after
+
+    def __call__(self, progress):
+        self.left -= 1
+        if self.left == 0:
+            self.runner.interrupt(signal.SIGINT, "SIGINT")
+
+
+def test_a_signal_that_comes_again_while_it_stops_cuts_the_watching_short(tmp_path):
+    def again(rig, count, timeout):
+        raise KeyboardInterrupt
+
+    rig = Around(twin(), 20, read=again)
+    with pytest.raises(SignalledError, match="no reading tells that it did"):
+        start(tmp_path, rig, UNDER_PRESSURE, report=Signalling(20))
+    assert empty(rig) and rig.closed
+    assert [event.kind for event in read_record(tmp_path).events][-2:] == ["stopped", "vented"]
+
+
+def test_a_signal_that_comes_again_at_once_is_told_as_that_signal(tmp_path):
+    class Twice(Signalling):
+        def __call__(self, progress):
+            super().__call__(progress)
+            if self.left == 0:
+                raise KeyboardInterrupt
+
+    rig = twin()
+    with pytest.raises(SignalledError, match=r"interrupted \(SIGINT\); the muscle is vented") as stopped:
+        start(tmp_path, rig, UNDER_PRESSURE, report=Twice(20))
+    assert stopped.value.signal == signal.SIGINT and empty(rig)
+
+
+def test_a_signal_in_the_midst_of_a_vent_still_closes(tmp_path):
+    def interrupted(rig):
+        raise KeyboardInterrupt
+
+    rig = Around(twin(), 20, vent=interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        start(tmp_path, rig, UNDER_PRESSURE, report=Signalling(20))
+    assert rig.closed and empty(rig)
+
+
+def test_nobody_beats_after_a_stop_so_that_a_rig_whose_vent_fails_vents_by_itself(tmp_path):
+    rig = Around(twin(), 20, vent=lambda rig: None)
+    with pytest.raises(SignalledError, match="the muscle is vented"):
+        start(tmp_path, rig, UNDER_PRESSURE, report=Signalling(20))
+    assert rig.truth.pressure < 0.2 * bar
+
+
+def test_readings_from_before_the_stop_do_not_tell_that_it_is_vented(tmp_path):
+    def away(progress):
+        if not went:  # the host is away, and meanwhile air comes in: the samples that wait begin without it
+            went.append(rig.pass_time(0.6))
+            rig.press([float(rig.calibrations["valve"].volts(2 * bar))])
+            rig.pass_time(0.3)
+
+    went = []
+    rig = twin()
+    with pytest.raises(StoppedError, match=r"readings are .* old;.*; the muscle is vented"):
+        start(tmp_path, rig, UNDER_PRESSURE, report=away)
+    assert rig.truth.pressure < 0.2 * bar
+    record = read_record(tmp_path)
+    assert record.columns["time"][-1] > 0.1 + 0.6 + 0.3
+    assert record.columns["pressure"].max() > rig.calibrations["pressure"].volts(1 * bar)  # it saw it come and go
+
+
+@pytest.mark.parametrize("back", [0.0, 0.3])
+def test_readings_that_come_twice_or_go_back_stop_it(tmp_path, back):
+    def same(rig, count, timeout):
+        block = rig._twin.read(count, timeout=timeout)
+        past = 200 if not back else 500
+        return Block(block.first - past, block.time - past / 1e3, block.volts, block.pulses)
+
+    rig = Around(twin(), 20, read=same)
+    with pytest.raises(StoppedError, match="the readings go back in time"):
+        start(tmp_path, rig, UNDER_PRESSURE)
+    assert empty(rig)
+
+
+def test_nothing_moves_before_the_muscle_was_seen_to_be_empty(tmp_path):
+    """Air that was left in it, or a valve that does not let it out."""
+
+    def full(rig, count, timeout):
+        block = rig._twin.read(count, timeout=timeout)
+        block.volts[:, 1] += float(rig.calibrations["pressure"].volts(1 * bar))
+        return block
+
+    rig = Around(twin(), 0, read=full)
+    with pytest.raises(StoppedError, match=r"1 bar are left 10.* s after venting; shut the supply by hand"):
+        start(tmp_path, rig, [Move(to=5 * percent, speed=4 * mm), Dwell(duration=1.0)])
+    assert (read_record(tmp_path).columns["pulses"] == 0).all()
+
+
+def test_what_the_watch_found_is_told_even_where_it_cannot_be_recorded(tmp_path, monkeypatch):
+    rig = Around(twin(), 20, read=lambda rig, count, timeout: lost(rig._twin.read(count, timeout=timeout)))
+
+    def lost(block):
+        def full(*_):
+            raise RigError("the disk is full")
+
+        monkeypatch.setattr(Recorder, "append", full)
+        return block._replace(volts=np.full_like(block.volts, 10.0))
+
+    with pytest.raises(StoppedError, match=r"the force sensor is lost.*the disk is full"):
+        start(tmp_path, rig, UNDER_PRESSURE)
+    assert empty(rig)
+
+
+def test_a_supply_that_fails_in_a_long_ramp_is_found_within_it(tmp_path):
+    rig = twin(faults=[SupplyLost(30.0)])
+    with pytest.raises(StoppedError, match="the pressure does not follow"):
+        start(tmp_path, rig, [Pressurise(pressure=6 * bar, rate=0.1 * bar)])
+    assert rig.truth.time < 40.0
+
+
+def test_where_the_motor_stands_is_recorded_only_where_it_was_seen_to_stand(tmp_path):
+    steps = [Move(to=20 * percent, speed=4 * mm)]
+    rig = twin()
+    with pytest.raises(SignalledError):
+        start(tmp_path / "1", rig, steps, report=Signalling(20))
+    told = read_record(tmp_path / "1").events[-1]
+    assert told.kind == "vented"
+    assert told.data["pulses"] == pytest.approx(rig.drive.nearest(rig.truth.stretch), abs=9)  # the play of the nut
+    rig = twin(faults=[Silent(2.0)])
+    with pytest.raises(StoppedError) as stopped:
+        start(tmp_path / "2", rig, steps)
+    assert isinstance(stopped.value.__cause__, SilentError)
+    assert "pulses" not in read_record(tmp_path / "2").events[-1].data
+
+
+def resumed(folder, steps, stop_at, *, again=None, origin=0):
+    """Run steps up to a point, then go on; the points of the whole."""
+
+    def report(progress):
+        if progress.points >= stop_at:
+            report.runner.interrupt(signal.SIGINT, "SIGINT")
+
+    report.runner = None
+    rig = twin()
+    with pytest.raises(SignalledError):
+        start(folder, rig, steps, report=report)
+    done = recorded_points(folder)
+    again = again or twin()
+    bench = Bench(of=MUSCLE, drive=again.drive, calibrations=again.calibrations, limits=LIMITS, steady=0.3)
+    with Recorder.resume(folder, {}, columns_of(["force", "pressure"])) as recorder:
+        Runner(again, bench, recorder, done=done, origin=origin, since=read_record(folder).columns["time"][-1]).run(
+            steps
+        )
+    return recorded_points(folder)
+
+
+@pytest.mark.parametrize("stop_at", [0, 2])
+def test_a_walk_that_goes_on_from_elsewhere_keeps_its_places(tmp_path, stop_at):
+    """A card's motor stands where it was left, and the first walk begins where the muscle was mounted."""
+    acquire = Acquire(samples=20, duration=0.02)
+    steps = [Walk(to=4 * percent, step=1 * mm, speed=4 * mm, dwell=0.0, acquire=acquire)]
+    elsewhere = TwinRig(MUSCLE, seed=3, mounted_at=10 * percent)
+    found = resumed(tmp_path, steps, stop_at, again=elsewhere, origin=elsewhere.drive.nearest(-18 * mm))
+    assert [point.pulses for point in found] == [-400 * number for number in range(8)]
+
+
+def test_going_on_takes_the_muscle_nowhere_it_was_not_taken_before(tmp_path):
+    """6 bar at 15 %, then 1 bar and stretched, where 6 bar would be above the limit."""
+    acquire = Acquire(samples=20, duration=0.02)
+    steps = [
+        Move(to=15 * percent, speed=4 * mm),
+        Pressurise(pressure=6 * bar),
+        Pressurise(pressure=1 * bar),
+        Move(to=-2 * percent, speed=4 * mm),
+        Move(to=2 * percent, speed=4 * mm),
+        acquire,
+        acquire,
+        acquire,
+    ]
+    found = resumed(tmp_path, steps, 1)
+    assert len(found) == 3 and read_record(tmp_path).events[-1].kind == "done"
+    force = twin().calibrations["force"].si(read_record(tmp_path).columns["force"])
+    assert force.max() < LIMITS.force / 2
+
+
+def test_after_going_on_it_waits_as_long_as_it_had_waited(tmp_path):
+    acquire = Acquire(samples=20, duration=0.02)
+    steps = [Move(to=2 * percent, speed=4 * mm), Dwell(duration=7.0), acquire, acquire, acquire]
+    resumed(tmp_path, steps, 1)
+    record = read_record(tmp_path)
+    (went_on,) = [event.row for event in record.events if event.kind == "resumed"]
+    time, pulses, plateau = (record.columns[name][went_on:] for name in ("time", "pulses", "plateau"))
+    stood = time[pulses == pulses[plateau == 2][0]]
+    assert time[plateau == 2][0] - stood[0] == pytest.approx(7.0, abs=0.3)

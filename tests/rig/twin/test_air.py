@@ -1,0 +1,139 @@
+"""Flow and pressure, against closed forms and an integrator that knows nothing of ours."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from mckibben.rig.twin.chamber import Chamber, Regulator
+from mckibben.rig.twin.gas import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR, mass_flow
+from mckibben.units import bar
+
+VOLUME = 20e-6
+TIGHT = Regulator(leak=0.0, hysteresis=0.0, repeatability=0.0)
+
+
+def filled(chamber, duration, volume=lambda time: VOLUME, times=None):
+    """Pressures [Pa, gauge] at the end of each step, and the times."""
+    now, kept = 0.0, [(0.0, chamber.pressure, chamber.mass, chamber.flow)]
+    while now < duration - 1e-12:
+        now += chamber.step(min(duration - now, 0.1), lambda time, now=now: volume(now + time))
+        kept.append((now, chamber.pressure, chamber.mass, chamber.flow))
+    return np.array(kept).T
+
+
+def at_work(regulator=TIGHT, pressure=0.0):
+    chamber = Chamber(regulator, VOLUME)
+    chamber.exhausting = False
+    chamber.tell(pressure, 0.0)
+    return chamber
+
+
+def test_flow_is_that_of_the_standard():
+    full = mass_flow(1e-8, 0.3, 7e5, 1e5)
+    assert full == pytest.approx(1e-8 * DENSITY * 7e5)
+    assert mass_flow(1e-8, 0.3, 7e5, 0.3 * 7e5) == full  # chokes at b
+    assert mass_flow(1e-8, 0.3, 7e5, 0.65 * 7e5) == pytest.approx(full * np.sqrt(0.75))  # half way from b to 1
+    assert mass_flow(1e-8, 0.3, 5e5, 7e5) == -mass_flow(1e-8, 0.3, 7e5, 5e5)
+    assert mass_flow(1e-8, 0.3, 7e5, 7e5) == 0 == mass_flow(1e-8, 0.3, 0.0, 0.0)
+    edge = [mass_flow(1e-8, 0.3, 7e5, 7e5 * ratio) for ratio in (0.999 - 1e-9, 0.999 + 1e-9)]
+    assert edge[0] == pytest.approx(edge[1], rel=1e-5)
+
+
+def test_choked_filling_is_a_straight_line():
+    """dp/dt = C rho0 R T p_supply / V while the pressure is below b times the supply's."""
+    chamber = at_work()
+    chamber.stuck = 1.0
+    time, pressure, *_ = filled(chamber, 0.2)
+    slope = TIGHT.conductance * DENSITY * ENERGY * (TIGHT.supply + ATMOSPHERE) / (VOLUME + TIGHT.dead_volume)
+    choked = pressure + ATMOSPHERE < TIGHT.critical * (TIGHT.supply + ATMOSPHERE)
+    assert choked.sum() > 20 and choked.all() == (pressure[-1] < 1.7 * bar)
+    np.testing.assert_allclose(pressure[choked], slope * time[choked], rtol=1e-9)
+
+
+def test_choked_exhaust_is_an_exponential():
+    chamber = at_work()
+    chamber.stuck = 1.0
+    filled(chamber, 5.0)
+    chamber.exhausting = True
+    before = chamber.pressure + ATMOSPHERE
+    assert before == pytest.approx(TIGHT.supply + ATMOSPHERE, rel=1e-3)
+    time, pressure, *_ = filled(chamber, 0.3)
+    rate = TIGHT.exhaust * DENSITY * ENERGY / (VOLUME + TIGHT.dead_volume)
+    choked = pressure + ATMOSPHERE > ATMOSPHERE / TIGHT.critical
+    assert choked.sum() > 20
+    # Each step is the exponential of its own middle: 3e-4 remain.
+    np.testing.assert_allclose(pressure[choked] + ATMOSPHERE, before * np.exp(-rate * time[choked]), rtol=1e-3)
+
+
+@pytest.mark.parametrize("target", [0.5 * bar, 3 * bar, 6 * bar])
+def test_filling_is_that_of_an_independent_integrator(target):
+    """A step of the signal, the chamber growing by half within a second, with a leak."""
+    leaky = Regulator(hysteresis=0.0, repeatability=0.0, leak=2e-4 * L_PER_S_BAR)
+
+    def volume(time):
+        return VOLUME * (1 + 0.5 * time)
+
+    def psi(ratio):
+        return np.sqrt(max(1 - (max(ratio - 0.3, 0) / 0.7) ** 2, 0.0))
+
+    def flow(c, one, other):
+        return c * 1.185 * (one * psi(other / one) if one > other else -other * psi(one / other))
+
+    def rates(time, state):
+        command, mass = state
+        pressure = mass * 288 * 293.15 / (volume(time) + 5e-6)
+        opening = np.clip((command - pressure + 101325) / 1e4, -1, 1)
+        source = 9.01325e5 if opening > 0 else 101325
+        grown = flow(9.1e-11 * abs(opening), source, pressure) - flow(2e-12, pressure, 101325)
+        return [(target - command) / 0.03, grown]
+
+    start = 101325 * 25e-6 / (288 * 293.15)
+    exact = solve_ivp(rates, (0, 1), [0.0, start], method="LSODA", rtol=1e-9, atol=1e-14, max_step=1e-3)
+    there = exact.y[1] * 288 * 293.15 / (volume(exact.t) + 5e-6) - 101325
+
+    time, pressure, *_ = filled(at_work(leaky, target), 1.0, volume)
+    assert np.abs(np.interp(time, exact.t, there) - pressure).max() < 0.0025 * bar
+
+
+def test_air_is_neither_made_nor_lost():
+    """What flowed in is what is there, and what is there has its pressure."""
+    chamber = at_work(Regulator(), 4 * bar)
+    time, pressure, mass, flow = filled(chamber, 2.0, lambda t: VOLUME * (1 + 0.2 * np.sin(3 * t)))
+    np.testing.assert_allclose(mass[1:] - mass[0], np.cumsum(flow[1:] * np.diff(time)), rtol=1e-9)
+    volume = VOLUME * (1 + 0.2 * np.sin(3 * time)) + 5e-6
+    np.testing.assert_allclose(pressure + ATMOSPHERE, mass * 288 * 293.15 / volume, rtol=1e-9)
+
+
+def test_pressure_settles_where_the_regulator_covers_the_leak():
+    leaky = Regulator(hysteresis=0.0, leak=1e-3 * L_PER_S_BAR)
+    chamber = at_work(leaky, 5 * bar)
+    filled(chamber, 5.0)
+    gone = 1e-11 * 1.185 * (chamber.pressure + ATMOSPHERE)  # choked
+    pressures = leaky.supply + ATMOSPHERE, chamber.pressure + ATMOSPHERE
+    came = mass_flow(leaky.conductance * chamber.opening, 0.3, *pressures)
+    assert came == pytest.approx(gone, rel=5e-3) and abs(chamber.flow) < 5e-3 * gone
+    assert 5 * bar - chamber.pressure == pytest.approx(0.0859 * 0.1 * bar, rel=0.01)  # by hand
+
+
+def test_steps_of_half_a_bar_take_what_a_regulator_takes():
+    """Below 0.4 s to 95 %, as its maker has it for a small volume."""
+    for first in (0.5, 2.0, 5.5):
+        chamber = at_work(TIGHT, first * bar)
+        filled(chamber, 3.0)
+        chamber.tell((first + 0.5) * bar, 0.0)
+        time, pressure, *_ = filled(chamber, 1.0)
+        reached = time[np.argmax(pressure > (first + 0.475) * bar)]
+        assert 0.05 < reached < 0.4
+
+
+def test_signals_from_above_and_below_differ_by_the_hysteresis():
+    plain = Regulator(leak=0.0, repeatability=0.0)
+    ends = []
+    for first in (1.0, 5.0):
+        chamber = at_work(plain, first * bar)
+        filled(chamber, 5.0)
+        chamber.tell(3 * bar, 0.0)
+        filled(chamber, 5.0)
+        ends.append(chamber.pressure)
+    assert ends[1] - ends[0] == pytest.approx(plain.hysteresis, rel=0.01)
+    assert sum(ends) / 2 == pytest.approx(3 * bar, rel=1e-4)

@@ -1,0 +1,478 @@
+"""What a host sees of the twin, and what is true."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.errors import RangeError, RigError, SilentError
+from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
+from mckibben.rig.backend import MovingBackend
+from mckibben.rig.drive import Drive
+from mckibben.rig.twin import (
+    FORCE_SENSOR,
+    PRESSURE_SENSOR,
+    Burst,
+    Converter,
+    Delaying,
+    Dropping,
+    HostDelayed,
+    Paced,
+    Regulator,
+    Silent,
+    Slipped,
+    Stalled,
+    Stretcher,
+    SupplyLost,
+    TwinRig,
+    Unplugged,
+    ValveStuck,
+)
+from mckibben.units import bar, kPa, mm
+
+SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")
+PLAIN = Muscle(SPECIMEN, catalog.law("lei-mas-10-180n"))
+REAL = Muscle(SPECIMEN, PLAIN.law, MaxwellSlip(12.0, 0.5 * mm), MaxwellCreep(500.0, 5.0, arms=2))
+QUIET = {
+    "force_sensor": dataclasses.replace(FORCE_SENSOR, noise=0.0),
+    "pressure_sensor": dataclasses.replace(PRESSURE_SENSOR, noise=0.0),
+    "regulator": Regulator(hysteresis=0.0, repeatability=0.0, leak=0.0),
+    "converter": Converter(bits=40),
+}
+SAFE = 0.2 * bar
+
+
+def opened(muscle=PLAIN, **settings):
+    rig = TwinRig(muscle, **settings)
+    rig.open()
+    return rig
+
+
+def press(rig, pressure):
+    rig.press([float(rig.calibrations["valve"].volts(pressure))])
+
+
+def blocks(rig, duration, count=100):
+    """Read for so long, beating."""
+    kept = []
+    for _ in range(round(duration * rig.rate / count)):
+        kept.append(rig.read(count))
+        rig.beat()
+    return kept
+
+
+def columns(rig, kept):
+    """Times, force [N], pressure [Pa], pulses."""
+    volts = np.concatenate([block.volts for block in kept])
+    si = [rig.calibrations[channel.name].si(volts[:, k]) for k, channel in enumerate(rig.inputs)]
+    return np.concatenate([block.time for block in kept]), *si, np.concatenate([block.pulses for block in kept])
+
+
+def test_it_is_a_backend():
+    for rig in (TwinRig(PLAIN), Paced(TwinRig(PLAIN))):
+        assert isinstance(rig, MovingBackend)
+        assert [channel.name for channel in rig.inputs] == ["force", "pressure"]
+        assert [channel.name for channel in rig.outputs] == ["valve"]
+        assert all(isinstance(value, str) for value in rig.described.values())
+
+
+def test_sensors_tell_the_truth_of_the_law():
+    rig = opened(**QUIET)
+    press(rig, 4 * bar)
+    rig.move(-rig.drive.pulses(9 * mm), 400.0)
+    _, force, pressure, pulses = columns(rig, blocks(rig, 15.0))
+    truth = rig.truth
+    assert truth.contraction == pytest.approx(0.05) and pulses[-1] == -3600
+    assert pressure[-1] == pytest.approx(truth.pressure, abs=1) and truth.pressure == pytest.approx(4 * bar, rel=1e-4)
+    assert force[-1] == pytest.approx(float(forces(PLAIN, 0.05, truth.pressure)), abs=1e-3)
+    # On the way, too: the force of each sample is that of the law at its pulses and its pressure.
+    along = forces(PLAIN, -np.arange(0, 1) / 0.18, 0.0)
+    assert force[0] == pytest.approx(along[0], abs=1e-3)
+    middle = slice(2000, 9000, 500)
+    contraction = -rig.drive.way(pulses[middle]) / 0.18
+    np.testing.assert_allclose(force[middle], forces(PLAIN, contraction, pressure[middle]), atol=0.3)
+
+
+def test_noise_steps_and_zeros_are_those_of_the_sensors():
+    drifting = dataclasses.replace(FORCE_SENSOR, drift=3600.0)  # 1 N/s
+    rig = opened(force_sensor=drifting)
+    time, force, pressure, _ = columns(rig, blocks(rig, 20.0))
+    line = np.polyfit(time, force, 1)
+    assert line[0] == pytest.approx(1.0, abs=0.01)
+    assert np.std(force - np.polyval(line, time)) == pytest.approx(0.5, rel=0.03)
+    assert np.std(pressure) == pytest.approx(0.5 * kPa, rel=0.03)
+    steps = (force / 200) / (20 / 2**18)
+    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
+    assert abs(np.mean(pressure)) < 25
+
+
+def test_zero_that_wanders_is_a_random_walk():
+    wander = dataclasses.replace(QUIET["force_sensor"], wander=5.0)
+    rig = opened(seed=3, **{**QUIET, "force_sensor": wander}, rate=1.0, patience=1e9)
+    force = rig.calibrations["force"].si(rig.read(400_000).volts[:, 0])
+    steps = np.diff(force[::10]) / math.sqrt(10 / 3600)
+    assert np.std(steps) == pytest.approx(5.0, rel=0.03) and abs(np.mean(steps)) < 0.1
+
+
+def test_reading_that_leaves_the_converter_sits_on_its_rail():
+    rig = opened(**{**QUIET, "force_sensor": dataclasses.replace(FORCE_SENSOR, noise=1e4)})
+    volts = rig.read(500).volts[:, 0]
+    assert volts.max() == 10.0 and volts.min() == -10.0
+
+
+def test_same_seed_same_samples_however_they_are_read():
+    def run(seed, count):
+        rig = opened(REAL, seed=seed)
+        press(rig, 5 * bar)
+        rig.move(-400, 80.0)
+        return rig, columns(rig, blocks(rig, 8.0, count))
+
+    (one, first), (_, again), (_, other), (two, split) = run(1, 100), run(1, 100), run(2, 100), run(1, 250)
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert (first[1] != other[1]).any()
+    np.testing.assert_array_equal(first[3], split[3])
+    assert np.abs(first[2] - split[2]).max() < 0.005 * bar  # the noise is the same, the steps differ
+    assert one.truth.force == pytest.approx(two.truth.force, abs=0.2)
+
+
+def test_friction_and_creep_are_in_the_force():
+    rig = opened(REAL, mounted_at=0.02, patience=10.0, **QUIET)
+    press(rig, 3 * bar)
+    blocks(rig, 5.0)
+    ends = []
+    for way in (-2 * mm, 2 * mm, 2 * mm, -2 * mm):
+        rig.move(rig.drive.pulses(way), 800.0)
+        blocks(rig, 2.0)
+        ends.append(rig.truth.force - float(forces(PLAIN, rig.truth.contraction, rig.truth.pressure)))
+        blocks(rig, 200.0, 1000)
+    assert ends[0] < -10 < 10 < ends[1] and ends[3] < -10
+    creeping = opened(dataclasses.replace(REAL, friction=PLAIN.friction), mounted_at=0.02, **QUIET)
+    press(creeping, 3 * bar)
+    blocks(creeping, 5.0)
+    creeping.move(400, 800.0)
+    time, force, *_ = columns(creeping, blocks(creeping, 5.5))
+    read = time[1000::500] - time[0] - 0.5  # by then the regulator has made good what the move did to the pressure
+    expected = REAL.creep.along([0.1764, 0.1774], 150.0, moving=0.5, resting=9.0, read=read)[1]
+    tension = float(forces(PLAIN, creeping.truth.contraction, creeping.truth.pressure))
+    np.testing.assert_allclose(force[1000::500] - tension, expected, atol=0.005)
+
+
+def test_motor_counts_its_pulses_in_time():
+    rig = opened()
+    rig.move(40, 80.0)
+    assert rig.moving
+    with pytest.raises(RigError, match="still moving"):
+        rig.move(1, 80.0)
+    block = rig.read(600)
+    np.testing.assert_array_equal(block.pulses, np.minimum(np.floor(np.arange(600) * 0.08 + 1e-6), 40))
+    assert not rig.moving and rig.truth.stretch == pytest.approx(0.1 * mm)
+    rig.beat()
+    rig.move(-40, 80.0)
+    rig.read(250)
+    rig.stop()
+    assert rig.read(10).pulses.tolist() == [20] * 10
+    with pytest.raises(RigError, match="2000 at most"):
+        rig.move(1, 2001.0)
+
+
+def test_motor_ramps_where_it_has_an_acceleration():
+    """100 pulses at 100 a second, 200 a second more each second: 0.5 s up, 0.5 s even, 0.5 s down."""
+    rig = opened(stretcher=Stretcher(acceleration=200.0), patience=10.0)
+    rig.move(100, 100.0)
+    pulses = rig.read(1600).pulses
+    assert pulses[[0, 500, 1000, 1499]].tolist() == [0, 25, 75, 99] and pulses[1500] == 100 and not rig.moving
+    assert (np.diff(pulses) >= 0).all()
+    rig.beat()
+    rig.move(-8, 100.0)  # too short to get there: up and down in 2 sqrt(8/200) s
+    assert rig.read(500).pulses[[0, 200, 399, 400]].tolist() == [100, 96, 93, 92]
+
+
+def test_slack_muscle_is_left_in_the_play_of_the_screw():
+    play = 0.05 * mm
+    rig = opened(mounted_at=0.2, stretcher=Stretcher(backlash=play), patience=1e9)
+    rig.move(400, 800.0)
+    rig.read(600)
+    assert rig.truth.stretch == pytest.approx(1 * mm)
+    rig.move(-400, 800.0)
+    rig.read(600)
+    assert rig.truth.stretch == pytest.approx(play)
+    press(rig, 6 * bar)  # taut: it takes the play up
+    rig.read(3000)
+    assert rig.truth.force > 50 and rig.truth.stretch == pytest.approx(0, abs=1e-12)
+
+
+def test_calibration_of_the_host_may_be_wrong():
+    """Gains that differ by 2 % show as 2 % of the reading."""
+    off = dataclasses.replace(FORCE_SENSOR.calibration, gain=204.0)
+    rig = opened(**{**QUIET, "force_sensor": dataclasses.replace(FORCE_SENSOR, calibration=off, noise=0.0)})
+    volts = rig.read(10).volts[0, 0]
+    assert FORCE_SENSOR.calibration.si(volts) == pytest.approx(rig.truth.force / 1.02)
+
+
+# Vented
+
+
+@pytest.mark.parametrize("contraction", [-0.03, 0.1, 0.25])
+def test_vented_muscle_has_no_pressure_within_a_second(contraction):
+    rig = opened(mounted_at=contraction, patience=1e9)
+    press(rig, 8 * bar)
+    rig.read(8000)
+    assert rig.truth.pressure > 7.5 * bar and not rig.truth.vented
+    rig.vent()
+    rig.pass_time(1.0)
+    assert rig.truth.vented and rig.truth.pressure < SAFE
+    press(rig, 0.0)
+    rig.pass_time(1.0)
+    assert rig.truth.vented
+    press(rig, 2 * bar)
+    rig.pass_time(3.0)
+    assert rig.truth.pressure == pytest.approx(2 * bar, abs=0.1 * bar)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        lambda at: SupplyLost(at),
+        lambda at: ValveStuck(at, 1.0),
+        lambda at: Unplugged(at, "pressure"),
+        lambda at: Unplugged(at, "force", None),
+        lambda at: Slipped(at),
+        lambda at: Burst(at),
+        lambda at: Stalled(at),
+        lambda at: HostDelayed(at, 0.5),
+        lambda at: HostDelayed(at, 3.0),
+        lambda at: Silent(at),
+        lambda at: Dropping(at, 20, every=0.1),
+        lambda at: Delaying(at, 0.3),
+    ],
+)
+def test_whatever_is_broken_it_vents_when_told_and_when_not(fault):
+    """At random instants of a move at 6 bar; the host vents, closes, or dies."""
+    random = np.random.default_rng(5)
+    for at, until in random.uniform(0, 3, (6, 2)):
+        for ending in ("vent", "close", "nothing"):
+            rig = opened(faults=[fault(at)], patience=0.5)
+            press(rig, 6 * bar)
+            rig.move(-800, 400.0)
+            before = []
+            try:
+                while rig.clock() < until:
+                    before.append(rig.read(50, timeout=0.2))
+                    rig.beat()
+            except SilentError:
+                pass
+            if ending != "nothing":
+                getattr(rig, ending)()
+                if ending == "close":
+                    assert not rig.moving
+            rig.pass_time(1.0 if ending != "nothing" else 0.5 + 1.0)
+            assert rig.truth.pressure < SAFE and rig.truth.vented
+            if ending == "nothing":
+                assert not rig.moving
+                for what in (lambda rig=rig: press(rig, 1 * bar), lambda rig=rig: rig.move(1, 80.0)):
+                    with pytest.raises(RigError, match="without a beat"):
+                        what()
+            assert all((np.diff(block.time) > 0).all() for block in before)
+
+
+def test_missed_beat_vents_in_time_and_holds_until_opened_anew():
+    rig = opened(patience=0.3)
+    press(rig, 6 * bar)
+    rig.move(-800, 80.0)
+    blocks(rig, 2.0)
+    pulses = rig.read(600).pulses  # the beat was at 2.0 s
+    assert pulses[299] == -183 and (pulses[300:] == -184).all()
+    rig.beat()
+    with pytest.raises(RigError, match="open it anew"):
+        press(rig, 1 * bar)
+    rig.close()
+    rig.open()
+    press(rig, 1 * bar)
+    assert rig.clock() == 0 and rig.read(10).pulses[0] == 0 and not rig.truth.vented
+    rig.move(40, 80.0)
+    assert rig.read(200).pulses.tolist() == np.floor(np.arange(200) * 0.08 + 1e-6).tolist()
+
+
+# Faults, each with what tells of it
+
+
+def after(fault, pressure=4 * bar, duration=4.0, **settings):
+    rig = opened(faults=[fault], mounted_at=0.05, **{**QUIET, **settings})
+    press(rig, pressure)
+    return rig, columns(rig, blocks(rig, duration))
+
+
+def test_lost_supply_lets_the_pressure_go():
+    _, (time, _, pressure, _) = after(SupplyLost(2.0), duration=20.0, regulator=Regulator())
+    assert pressure[1990] > 3.9 * bar and pressure[-1] < 0.2 * bar
+    assert (np.diff(pressure[time > 2]) < 1).all()
+
+
+def test_stuck_regulator_fills_to_the_supply():
+    rig, (_, _, pressure, _) = after(ValveStuck(2.0), duration=12.0)
+    assert pressure[-1] == pytest.approx(8 * bar, rel=0.01)
+    press(rig, 0.0)
+    blocks(rig, 1.0)
+    assert rig.truth.pressure > 7.9 * bar  # it does not follow
+
+
+def test_unplugged_sensor_reads_a_rail_a_plausible_value_or_the_mains():
+    for volts, low, high in ((10.0, 10.0, 10.0), (0.5, 0.5, 0.5), (None, -1.1, 3.1)):
+        rig, (time, force, pressure, _) = after(Unplugged(1.5, "pressure", volts))
+        read = pressure[time >= 1.5] / bar
+        assert low - 1e-6 <= read.min() <= read.max() <= high + 1e-6
+        assert rig.truth.pressure == pytest.approx(4 * bar, rel=1e-3) and force[-1] == pytest.approx(rig.truth.force)
+    assert np.std(read) == pytest.approx(2 / math.sqrt(2), rel=0.05)
+    _, (time, force, *_) = after(Unplugged(1.5, "force"))
+    assert (force[time >= 1.5] == 2000).all() and force[1400] < 500
+
+
+def test_muscle_that_slips_pulls_at_nothing():
+    rig, (time, force, pressure, _) = after(Slipped(2.0))
+    assert force[1990] > 100 and (force[time >= 2.0] == 0).all()
+    volumes = [float(SPECIMEN.volume(contraction)) + 5e-6 for contraction in (0.05, 0.25)]
+    dip = (pressure[1999] + 101325) * volumes[0] / volumes[1] - 101325  # its air has more room
+    assert pressure[2001] == pytest.approx(dip, rel=0.02) and rig.truth.contraction == pytest.approx(0.25)
+
+
+def test_muscle_that_bursts_loses_its_pressure_at_once():
+    _, (time, force, pressure, _) = after(Burst(2.0))
+    assert pressure[1990] > 3.9 * bar and pressure[time > 2.1].max() < 0.05 * bar
+    assert force[-1] == pytest.approx(float(forces(PLAIN, 0.05, pressure[-1])), abs=0.01)
+
+
+def test_stalled_motor_counts_and_stands():
+    rig = opened(faults=[Stalled(1.0)], stretcher=Stretcher(backlash=0.0), patience=1e9)
+    rig.move(-160, 80.0)
+    assert rig.read(2500).pulses[-1] == -160
+    assert rig.truth.stretch == pytest.approx(rig.drive.way(-80))
+
+
+def test_late_host_finds_its_samples_waiting():
+    rig = opened(faults=[HostDelayed(0.55, 0.4)])
+    kept = blocks(rig, 0.6)
+    assert rig.clock() == pytest.approx(1.0)
+    kept += blocks(rig, 0.4)
+    assert rig.clock() == pytest.approx(1.0)
+    np.testing.assert_allclose(columns(rig, kept)[0], np.arange(1000) / 1000)
+
+
+def test_host_that_is_away_for_too_long_loses_samples_and_is_told():
+    rig = opened(patience=1e9)
+    rig.pass_time(10.0)
+    assert rig.read(100).first == 0
+    rig.pass_time(11.0)
+    with pytest.raises(RigError, match="overwritten"):
+        rig.read(100)
+
+
+def test_silent_converter_is_told_after_the_timeout():
+    rig = opened(faults=[Silent(0.25)])
+    assert rig.read(200).first == 0
+    rig.beat()
+    with pytest.raises(SilentError):
+        rig.read(100, timeout=0.3)
+    assert rig.clock() == pytest.approx(0.3 + 0.3)
+
+
+def test_dropped_samples_are_missing_from_the_numbers():
+    rig = opened(faults=[Dropping(0.45, 25, every=1.0)])
+    kept = blocks(rig, 2.0)
+    firsts = np.array([block.first for block in kept])
+    assert [*np.flatnonzero(np.diff(firsts) != 100)] == [3, 12]
+    assert firsts[4] == 475 and firsts[13] == 1475
+    for block in kept:
+        np.testing.assert_allclose(block.time, (block.first + np.arange(100)) / 1000)
+
+
+def test_delayed_samples_come_later_than_they_were_taken():
+    rig = opened(faults=[Delaying(0.5, 0.2)])
+    lag = [(rig.clock() - block.time[-1]) for _ in range(10) for block in blocks(rig, 0.1)]
+    assert max(lag[:4]) < 0.002 and min(lag[6:]) == pytest.approx(0.201)
+    with pytest.raises(SilentError):
+        rig.read(100, timeout=0.1)
+
+
+# Wrong use
+
+
+def test_wrong_use_is_refused():
+    rig = TwinRig(PLAIN)
+    for what in (lambda: rig.read(1), lambda: rig.press([1.0]), lambda: rig.move(1, 80.0)):
+        with pytest.raises(RigError, match="not open"):
+            what()
+    rig.open()
+    for what in (lambda: rig.open(), lambda: rig.press([11.0]), lambda: rig.press([math.nan]), lambda: rig.press([])):
+        with pytest.raises(RigError):
+            what()
+    for what in (
+        lambda: rig.read(0),
+        lambda: TwinRig(PLAIN, rate=0.0),
+        lambda: Regulator(band=0.0),
+        lambda: Unplugged(1.0, "angle"),
+        lambda: Burst(-1.0),
+        lambda: Dropping(1.0, 0),
+        lambda: ValveStuck(0.0, 2.0),
+        lambda: Stretcher(backlash=-1.0),
+        lambda: Drive(lead=0.0),
+    ):
+        with pytest.raises(RangeError):
+            what()
+
+
+# In real time
+
+
+class Wall:
+    """A clock that goes on when one sleeps."""
+
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+    def sleep(self, span):
+        assert span > 0
+        self.now += span
+
+
+def test_paced_rig_waits_for_the_wall():
+    wall = Wall()
+    rig = Paced(TwinRig(PLAIN), wall=wall, sleep=wall.sleep)
+    rig.open()
+    for k in range(5):
+        assert rig.read(100).first == 100 * k
+        rig.beat()
+        assert rig.clock() == pytest.approx(0.1 * (k + 1))
+    wall.now += 0.25  # the host was busy
+    assert rig.read(100).first == 500 and rig.clock() == pytest.approx(0.75)
+    assert rig.read(100).first == 600 and rig.clock() == pytest.approx(0.75)
+    assert rig.read(100).first == 700 and rig.clock() == pytest.approx(0.8)
+
+
+def test_paced_rig_vents_while_the_host_is_away():
+    wall = Wall()
+    rig = Paced(TwinRig(PLAIN), wall=wall, sleep=wall.sleep)
+    rig.open()
+    press(rig.rig, 6 * bar)
+    for _ in range(30):
+        rig.read(100)
+        rig.beat()
+    assert rig.rig.truth.pressure > 5 * bar
+    wall.now += 2.5
+    assert not rig.moving and rig.rig.truth.pressure < SAFE
+    with pytest.raises(RigError, match="without a beat"):
+        rig.press([1.0])
+
+
+def test_paced_rig_that_is_silent_takes_its_timeout():
+    wall = Wall()
+    rig = Paced(TwinRig(PLAIN, faults=[Silent(0.05)]), wall=wall, sleep=wall.sleep)
+    rig.open()
+    with pytest.raises(SilentError):
+        rig.read(100, timeout=0.5)
+    assert rig.clock() == pytest.approx(0.6)

@@ -1,0 +1,231 @@
+"""Protocol files: what they say comes back, and what is wrong with them is told all at once."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mckibben.errors import ScenarioError
+from mckibben.rig import IsobaricProtocol
+from mckibben.rig import steps as typed
+from mckibben.study.rig.building import build_steps, read_calibrations
+from mckibben.study.rig.checking import check
+from mckibben.study.rig.document import RigTest, read_test
+from mckibben.study.rig.step import StepSpec
+from mckibben.units import bar, mm, percent
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+HEAD = """name: a test
+muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+rig: {virtual: {seed: 1}}
+limits: {pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm}
+"""
+STEPS = (
+    HEAD
+    + """protocol:
+  steps:
+    - vent
+    - move: 10 %
+    - move: {to: 5 %, speed: 1 mm/s}
+    - dwell: 5 s
+    - pressurise: 2 bar
+    - pressurise: {pressure: 3 bar, rate: 0.5 bar/s, holding: 100 N}
+    - hold_force: 100 N
+    - acquire
+    - acquire: {samples: 500, duration: 1 s, direction: loading, keep: false}
+    - repeat:
+        times: 3
+        steps:
+          - walk: {to: 20 %, step: 2 mm, acquire: {direction: unloading}}
+          - walk
+          - repeat: {times: 2, steps: [vent]}
+"""
+)
+
+
+def test_steps_are_read_as_typed_steps():
+    steps = build_steps(RigTest.parse(STEPS).protocol, None)
+    assert steps == (
+        typed.Vent(),
+        typed.Move(to=10 * percent),
+        typed.Move(to=5 * percent, speed=1 * mm),
+        typed.Dwell(duration=5.0),
+        typed.Pressurise(pressure=2 * bar),
+        typed.Pressurise(pressure=3 * bar, rate=0.5 * bar, holding=100.0),
+        typed.HoldForce(force=100.0),
+        typed.Acquire(),
+        typed.Acquire(samples=500, direction="loading", keep=False),
+        typed.Repeat(
+            times=3,
+            steps=(
+                typed.Walk(to=20 * percent, step=2 * mm, acquire=typed.Acquire(direction="unloading")),
+                typed.Walk(to=None),
+                typed.Repeat(times=2, steps=(typed.Vent(),)),
+            ),
+        ),
+    )
+
+
+@pytest.mark.parametrize(
+    "protocol",
+    [
+        "isobaric:",
+        "isobaric: {pressures: [0 bar, 2.3 bar], step: 2 mm, force_reserve: 7 %, repeats: 3}",
+        "isometric: {contractions: [0 %, 3.3 %], rate: 0.1 bar/s}",
+        "isotonic:",
+        "isotonic: {forces: [30 N], tolerance: 1 N}",
+    ],
+)
+def test_a_whole_test_comes_back(protocol):
+    test = RigTest.parse(f"{HEAD}protocol:\n  {protocol}\n")
+    assert RigTest.parse(test.dumps()) == test
+
+
+def test_steps_come_back_as_they_were_written():
+    test = RigTest.parse(STEPS)
+    text = test.dumps()
+    assert RigTest.parse(text) == test
+    assert "    - move: 10 %\n" in text and "    - hold_force: 100 N\n" in text
+    assert RigTest.parse(text).dumps() == text
+
+
+CONTRACTION = st.floats(-0.03, 0.25)
+POSITIVE = st.floats(1e-3, 1e3)
+ACQUIRE = st.builds(
+    typed.Acquire,
+    samples=st.integers(1, 5000),
+    duration=POSITIVE,
+    direction=st.sampled_from(typed.DIRECTIONS),
+    phase=st.sampled_from(typed.PHASES),
+    keep=st.booleans(),
+)
+SIMPLE = st.one_of(
+    st.builds(typed.Move, to=CONTRACTION, speed=st.floats(1e-5, 1e-2)),
+    st.builds(typed.Dwell, duration=st.floats(0, 1e3)),
+    st.builds(typed.Pressurise, pressure=st.floats(0, 6e5), rate=st.none() | POSITIVE, holding=st.none() | POSITIVE),
+    st.builds(typed.HoldForce, force=POSITIVE, tolerance=POSITIVE, speed=st.floats(1e-5, 1e-2), longest=POSITIVE),
+    ACQUIRE,
+    st.builds(
+        typed.Walk,
+        to=st.none() | CONTRACTION,
+        step=st.floats(1e-4, 1e-2),
+        dwell=st.floats(0, 10),
+        acquire=ACQUIRE,
+        force=st.none() | POSITIVE,
+        slack=st.none() | st.integers(1, 9),
+        slack_force=st.floats(0, 10),
+    ),
+    st.just(typed.Vent()),
+)
+
+
+def repeated(inner):
+    return st.builds(typed.Repeat, times=st.integers(1, 9), steps=st.lists(inner, min_size=1, max_size=3))
+
+
+STEP = SIMPLE | repeated(SIMPLE) | repeated(repeated(SIMPLE))  # a file is nested no deeper
+
+
+@given(steps=st.lists(STEP, min_size=1, max_size=4))
+@settings(max_examples=60)
+def test_any_typed_steps_are_written_and_read_back_to_the_last_bit(steps):
+    text = (
+        RigTest.parse(STEPS)
+        .model_copy(
+            update={
+                "protocol": RigTest.parse(STEPS).protocol.model_copy(update={"steps": tuple(map(StepSpec.of, steps))})
+            }
+        )
+        .dumps()
+    )
+    assert build_steps(RigTest.parse(text).protocol, None) == tuple(steps)
+
+
+def test_everything_that_is_wrong_is_told_at_once_with_its_line():
+    text = """name: a test
+muscle: {specimen: MAS-10-180N, law: lei-mas-10-180n}
+rig: {virtual: {seed: -1}}
+limits: {pressure: 6.5, stretch: 8 mm}
+protocol:
+  steps:
+    - move: 10
+    - dwel: 5 s
+    - acquire: {samples: none}
+    - walk: {stp: 1 mm}
+"""
+    with pytest.raises(ScenarioError) as found:
+        RigTest.parse(text, source="p.yaml")
+    said = str(found.value)
+    for part in (
+        "line 2, muscle.specimen: the catalog has no specimen 'MAS-10-180N'; did you mean 'MAS-10-180N-AA-MC-O'?",
+        "line 3, rig.virtual.seed: -1 is outside 0 to",
+        "line 4, limits.pressure: '6.5' has no unit; write it like '6.5 bar'",
+        "line 4, limits.shorten: is missing",
+        "line 7, protocol.steps[0].move: '10' has no unit, and as a ratio is outside -50 to 80 %; write '10 %'",
+        "line 8, protocol.steps[1]: 'dwel' is no step; did you mean 'dwell'?",
+        "line 10, protocol.steps[3].walk.stp: is no key of a scenario here; did you mean 'step'?",
+        "line 9, protocol.steps[2].acquire.samples: 'none' is not a whole number",
+    ):
+        assert part in said, said
+    assert said.startswith("p.yaml: 8 problems")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("isobaric:", "isobaric:\n  isotonic:"), "protocol: is isobaric and isotonic at once; give one of"),
+        (("  isobaric:", "  {}"), "protocol: is empty; give one of isobaric, isometric, isotonic, steps"),
+        (("rig: {virtual: {seed: 1}}", "rig: {}"), "rig: is empty; give `virtual: {seed: 1}`, or `nidaqmx`"),
+        ((", law: lei-mas-10-180n", ""), "rig: has no law for its virtual muscle; give"),
+    ],
+)
+def test_what_does_not_go_together_is_told(change, message):
+    with pytest.raises(ScenarioError, match=message.replace("{", r"\{").replace("}", r"\}")):
+        RigTest.parse(f"{HEAD}protocol:\n  isobaric:\n".replace(*change))
+
+
+def test_what_exceeds_the_rig_is_told_with_its_line_before_anything_moves(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(STEPS.replace("pressurise: 2 bar", "pressurise: 7 bar").replace("step: 2 mm", "step: 2.0001 mm"))
+    test, document = read_test(path)
+    with pytest.raises(ScenarioError) as found:
+        check(test, document, source="p.yaml")
+    said = str(found.value)
+    assert "line 11, protocol.steps[4].pressurise.pressure: 7 bar is above the limit of 6.5 bar" in said
+    assert "line 19, protocol.steps[9].repeat.steps[0].walk.step: 2.0001 mm are 800.04 pulses; take a mult" in said
+
+
+def test_a_whole_test_that_does_not_suit_the_muscle_is_told_with_its_line():
+    text = f"{HEAD}protocol:\n  isobaric: {{pressures: [0 bar, 9 bar]}}\n"
+    test = RigTest.parse(text)
+    with pytest.raises(ScenarioError, match=r"protocol\.isobaric\.pressures: 9 bar outside 0\.\.6 bar"):
+        check(test)
+
+
+def test_the_example_is_the_papers_test():
+    checked = check(RigTest.read(EXAMPLES / "rig" / "paper-protocol.yaml"))
+    assert checked.outline.samples == 5_850_000
+    assert checked.test.protocol.isobaric is not None
+    paper = IsobaricProtocol(contraction_min=0.0, contraction_max=0.245, slack_steps=44)
+    given_ = {name: value for name, value in checked.test.protocol.isobaric if value is not None}
+    assert IsobaricProtocol(**given_) == paper
+    assert "5850 points, 5850000 samples" in checked.describe()
+
+
+def test_a_card_and_its_calibrations(tmp_path):
+    from mckibben.rig.twin.sensor import FORCE, PRESSURE, VALVE
+    from mckibben.study.numbers import to_json
+
+    path = tmp_path / "calibration.json"
+    path.write_text(to_json({one.name: one.to_json() for one in (FORCE, PRESSURE, VALVE)}))
+    text = HEAD.replace("rig: {virtual: {seed: 1}}", "rig: {nidaqmx: {device: Dev2, calibration: calibration.json}}")
+    test = RigTest.parse(f"{text}protocol:\n  isobaric:\n", folder=tmp_path)
+    assert RigTest.parse(test.dumps(folder=tmp_path), folder=tmp_path) == test
+    checked = check(test)
+    assert [channel.where for channel in checked.setup.backend.inputs] == ["Dev2/ai0", "Dev2/ai1"]
+    assert read_calibrations(path)["force"] == FORCE
+    path.write_text(to_json({"force": {**FORCE.to_json(), "gain": "much"}}))
+    with pytest.raises(ScenarioError) as found:
+        check(test)
+    assert "pressure: is missing" in str(found.value) and "'much'" in str(found.value)

@@ -1,0 +1,179 @@
+"""A test in a folder: begun, gone on with, kept to itself, and in the end a dataset."""
+
+import dataclasses
+import errno
+import fcntl
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from mckibben.dataset import read_dataset
+from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError, SignalledError, StoppedError
+from mckibben.rig.record import header_of, read_record, segments
+from mckibben.rig.recorder import Recorder
+from mckibben.study.rig import checking, running
+from mckibben.study.rig.checking import check
+from mckibben.study.rig.document import RigSpec, RigTest
+from mckibben.study.rig.running import gather, run_test
+
+TEXT = """name: a short test
+muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
+rig: {virtual: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}
+limits: {pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm}
+protocol:
+  isobaric: {pressures: [3 bar, 4 bar], contraction_min: 2 %, contraction_max: 6 %, repeats: 1, speed: 4 mm/s,
+    dwell: 200 ms, acquisition: 100 ms, samples: 100}
+"""
+
+
+def checked(text=TEXT, session=0):
+    return check(RigTest.parse(text), session=session)
+
+
+def stopping(after, number=signal.SIGINT):
+    """A report that sends this process a signal when so many points were taken."""
+    sent = []
+
+    def report(progress):
+        if progress.points >= after and not sent:
+            sent.append(os.kill(os.getpid(), number))
+
+    return report
+
+
+def test_a_folder_has_the_protocol_the_record_and_the_dataset(tmp_path):
+    data = run_test(checked(), tmp_path / "out")
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"protocol.yaml", "record-0001.chunks", "isobaric.nc"}
+    kept = read_dataset(tmp_path / "out" / "isobaric.nc")
+    assert kept.table.identical(data.table)
+    assert len(data) == 2 * 2 * 8 and data.table.sizes["sample"] == 100
+    assert RigTest.read(tmp_path / "out" / "protocol.yaml") == RigTest.parse(TEXT)
+    header, _ = header_of(tmp_path / "out")
+    assert RigTest.parse(header["protocol"]) == RigTest.parse(TEXT)
+    assert {"specimen", "calibration", "rig", "versions", "date", "steps", "clock"} <= {*header}
+    assert header["calibration"]["force"]["unit"] == "N"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_stops_it_vented_and_it_goes_on(tmp_path, number):
+    handlers = signal.getsignal(number)
+    if number != signal.SIGINT:
+        signal.signal(number, lambda *_: None)
+    with pytest.raises(SignalledError, match="the muscle is vented") as stopped:
+        run_test(checked(), tmp_path, report=stopping(11, number))
+    assert stopped.value.signal == number
+    signal.signal(number, handlers)
+    assert not (tmp_path / "isobaric.nc").exists()
+    assert read_record(tmp_path).events[-1].kind == "vented"
+    begun = gather(tmp_path)
+    assert len(begun) == 11
+    (tmp_path / "isobaric.nc").unlink()
+    data = run_test(checked(session=1), tmp_path, resume=True)
+    assert len(data) == 32 and len(segments(tmp_path)) == 2
+    np.testing.assert_array_equal(data.force[:11], begun.force)
+    again = run_test(checked(session=2), tmp_path, resume=True)  # all is done: the dataset is made anew
+    assert again.table.identical(data.table) and len(segments(tmp_path)) == 2
+
+
+def test_it_overwrites_nothing_and_goes_on_with_nothing_else(tmp_path):
+    with pytest.raises(FileError, match="holds no test to go on with"):
+        run_test(checked(), tmp_path, resume=True)
+    run_test(checked(), tmp_path)
+    with pytest.raises(FileError, match=r"holds a record already; go on with it \(--resume\)"):
+        run_test(checked(), tmp_path)
+    with pytest.raises(ScenarioError, match="holds another test; go on with its own"):
+        run_test(checked(TEXT.replace("repeats: 1", "repeats: 2")), tmp_path, resume=True)
+
+
+def test_a_folder_in_use_is_left_alone(tmp_path):
+    with (tmp_path / "lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(FileError, match="is running a test here"):
+            run_test(checked(), tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"lock"}
+
+
+def test_a_rig_that_is_not_there_leaves_nothing_behind(tmp_path, monkeypatch):
+    def missing(_):
+        raise RigError("no device Dev1", remedy="connect it")
+
+    monkeypatch.setattr("mckibben.rig.twin.TwinRig.open", missing)
+    with pytest.raises(RigError, match="no device Dev1; connect it") as refused:
+        run_test(checked(), tmp_path)
+    assert not isinstance(refused.value, StoppedError)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_record_whose_last_chunk_cannot_be_written_is_kept(tmp_path, monkeypatch):
+    close = Recorder.close
+
+    def fail(recorder):
+        close(recorder)
+        raise RigError("the disk is gone")
+
+    monkeypatch.setattr(Recorder, "close", fail)
+    with pytest.raises(RigError, match="the disk is gone"):
+        run_test(checked(), tmp_path)
+    monkeypatch.setattr(Recorder, "close", close)
+    assert len(gather(tmp_path)) == 32
+
+
+def test_too_small_a_disk_is_refused_before_anything_moves(tmp_path, monkeypatch):
+    class Usage:
+        free = 100_000
+
+    monkeypatch.setattr(checking.shutil, "disk_usage", lambda _: Usage)
+    with pytest.raises(ScenarioError, match="has 0 MB left, and the test takes up to 1 MB; make room"):
+        run_test(checked(), tmp_path)
+    assert not segments(tmp_path)
+
+
+def test_a_dataset_for_which_there_is_no_room_is_told_with_what_to_do(tmp_path, monkeypatch):
+    def full(_, path):
+        raise OSError(errno.ENOSPC, "nc_close: a long story")
+
+    monkeypatch.setattr("mckibben.dataset.IsobaricDataset.to_netcdf", full)
+    with pytest.raises(
+        FileError, match=r"No space left on device; the record is whole: make room, then mckibben rig data"
+    ):
+        run_test(checked(), tmp_path)
+    monkeypatch.undo()
+    assert len(gather(tmp_path)) == 32
+
+
+def test_a_dataset_of_another_calibration_than_was_recorded_is_told(tmp_path, monkeypatch):
+    made = run_test(checked(), tmp_path)
+    tared = dataclasses.replace(checked().setup.bench.calibrations["force"], tare=3.0)
+    build = checking.build_setup
+
+    def mended(test, session=0):
+        setup = build(test, session)
+        bench = dataclasses.replace(setup.bench, calibrations={**setup.bench.calibrations, "force": tared})
+        return dataclasses.replace(setup, bench=bench)
+
+    monkeypatch.setattr(checking, "build_setup", mended)
+    with pytest.warns(McKibbenWarning, match=r"record-0001\.chunks was recorded with another calibration"):
+        again = gather(tmp_path)
+    np.testing.assert_allclose(again.force, made.force - 3.0, atol=1e-4)
+
+
+def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path):
+    with pytest.raises(SignalledError):
+        run_test(checked(), tmp_path, report=stopping(5))
+    past = running._past(tmp_path)
+    assert past.certain and len(past.done) == 5
+    assert past.left == read_record(tmp_path).columns["pulses"][-1] < 0
+    (path,) = segments(tmp_path)
+    path.write_bytes(path.read_bytes()[:-500])
+    killed = running._past(tmp_path)
+    assert not killed.certain
+    virtual = checked()
+    assert running._origin(virtual, tmp_path, killed, None) == 0
+    card = dataclasses.replace(virtual, test=virtual.test.model_copy(update={"rig": RigSpec.model_construct()}))
+    assert running._origin(card, tmp_path, past, None) == past.left
+    assert running._origin(card, tmp_path, killed, 0.05) == -0.05 * 180 * 400
+    with pytest.raises(FileError, match=r"nothing tells where the motor stands .*--standing-at '5 %'"):
+        running._origin(card, tmp_path, killed, None)
