@@ -109,7 +109,7 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
     assert (found.code, found.err) == (0, "")
     known = addresses(Scenario.read(scenario))
     for address in known:
-        nominal = re.escape(address.show(address.nominal))
+        nominal = "-" if address.nominal is None else re.escape(address.show(address.nominal))
         assert re.search(rf"{re.escape(address.name)} +{nominal} +.*{re.escape(address.shown)}", found.out), address
     listed = json.loads(cli("sweep", "s.yaml", "--list", "--json").out)
     assert [each["name"] for each in listed] == [address.name for address in known]

@@ -6,7 +6,8 @@ from html.parser import HTMLParser
 
 import pytest
 
-from mckibben.report.html import SOURCES, typeset
+from mckibben.report.html import SOURCES
+from mckibben.report.page import typeset
 from mckibben.report.tables import number, with_error
 from mckibben.report.words import NAMES, decisions
 from mckibben.study.paper import file_stem

@@ -23,6 +23,7 @@ from mckibben.units import deg
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
 _PAGE = "comparison.html"
+_NARROW = 3.0  # a range of less has too few ticks in the logarithm
 
 
 @styled
@@ -80,8 +81,10 @@ def contest_wishes(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
             if places:
                 x, y = zip(*places, strict=True)
                 panel.plot(x, y, linestyle="", marker="o", markersize=3.5, color=look["color"], label=name)
-        panel.set_xscale("log")
-        plain_numbers(panel.xaxis)
+        shown = [x for line in panel.lines for x in np.asarray(line.get_xdata())]
+        if shown and max(shown) > _NARROW * min(shown):
+            panel.set_xscale("log")
+            plain_numbers(panel.xaxis)
         panel.set(xlabel=f"median {label}")
         letter(panel, mark, label.split(" [")[0])
     axes[0].set_yticks(range(len(wishes)), wishes)

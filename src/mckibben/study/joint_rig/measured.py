@@ -58,7 +58,7 @@ def measured_result(
     wishes = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
     nothing = np.full(count, np.nan)
     moved = compiled_trajectory(numeric(_by_laws(plant)), wishes, record, nothing)  # type: ignore[arg-type]
-    moved = moved._replace(air=nothing)  # type: ignore[arg-type]
+    moved = moved._replace(air1=nothing, air2=nothing)  # type: ignore[arg-type]
     band = reach.lowest[:count], reach.highest[:count]
     return Result.of(moved, period, band=band, telemetry=telemetry, scenario=scenario)
 

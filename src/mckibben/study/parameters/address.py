@@ -32,7 +32,8 @@ class Address:
     mark
         The kind of field: it reads text, and knows units and range.
     nominal
-        What it is in the scenario: a float in SI, or an int. None for a starting stiffness that is not given.
+        What it is in the scenario: a float in SI, or an int. None for a starting stiffness or a minimum tension that is
+        not given.
     """
 
     name: str
