@@ -64,7 +64,7 @@ class Load:
             now - then
             for now, then in zip((time.perf_counter(), self._busy(), time.process_time()), self.begun, strict=True)
         )
-        self.others, self.ours = (busy - ours) / wall, ours / wall
+        self.others, self.ours = max(busy - ours, 0.0) / wall, ours / wall
 
     @staticmethod
     def _busy():
