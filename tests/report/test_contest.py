@@ -91,7 +91,7 @@ def test_the_page_is_complete_and_needs_nothing_else(kept, text):
         assert tag not in ("script", "link", "iframe", "object")
         assert attributes.get("src", "data:image/").startswith("data:image/")
     assert "url(" not in text
-    assert len([tag for tag, _ in page.tags if tag == "table"]) == 5
+    assert len([tag for tag, _ in page.tags if tag == "table"]) == 6
     assert not list(kept.parent.glob(".*"))
 
 
@@ -115,7 +115,9 @@ def test_its_words_and_numbers(text, numbers, contest):
     assert "3 controllers on 16 runs that none of them was tuned on" in words
     assert "Each but as it is was tuned with the same budget: 2 searches of 2 generations of 4 points" in words
     for name, found in numbers["controllers"].items():
-        assert f"{name} {number(found['metrics']['angle_rmse_deg']['median'])}" in words
+        assert f"{name} {found['lost']} {number(found['metrics']['angle_rmse_deg']['median'])}" in words
+        ripple, estimate = (number(found["metrics"][key]["median"]) for key in ("stiffness_ripple", "estimate_rmse"))
+        assert f"{name} {ripple} {estimate}" in words
     ratio = numbers["controllers"]["decoupling"]["against_first"]["angle_rmse_deg"]
     assert f"{number(ratio['ratio'])} ({number(ratio['low'])} to {number(ratio['high'])})" in words
     assert "as it is as in the suite" in words
