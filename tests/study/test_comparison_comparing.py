@@ -209,7 +209,7 @@ def test_a_controller_does_not_differ_from_run_to_run(suite, controller):
     plants = [jax.tree.leaves(runs.plant) for runs in several]
     assert any(not np.array_equal(a, b) for a, b in zip(plants[0], plants[1], strict=True))
     for table in ({}, {each.name: [float(each.address.nominal)] for each in suite.tuned_over(controller)[:1]}):
-        first, *others = (jax.tree.leaves(_controller(runs, controller, table, 1)) for runs in several)
+        first, *others = (jax.tree.leaves(_controller(runs, controller, table)) for runs in several)
         varying = [leaf for leaf in first if np.ndim(leaf)]
         assert len(varying) == len(table)
         assert all(np.ptp(leaf) == 0 for leaf in varying)
@@ -219,7 +219,7 @@ def test_a_controller_does_not_differ_from_run_to_run(suite, controller):
 
 def test_sets_of_numbers_lie_one_after_the_other(suite):
     runs = draw(suite, 4, 1)
-    control = _controller(runs, "PID 3", {KP: np.array([1e5, 2e5, 3e5])}, 3)
+    control = _controller(runs, "PID 3", {KP: np.array([1e5, 2e5, 3e5])})
     assert np.array_equal(control.position.kp, np.repeat([1e5, 2e5, 3e5], 4))
 
 
@@ -228,7 +228,7 @@ def test_every_set_meets_every_run(suite, monkeypatch):
     given = {}
     monkeypatch.setattr(comparing, "simulate_many", lambda *parts, **options: given.update(parts=parts, **options))
     runs = draw(suite, 4, 1)
-    control = _controller(runs, "PID 3", {KP: np.array([1e5, 2e5, 3e5])}, 3)
+    control = _controller(runs, "PID 3", {KP: np.array([1e5, 2e5, 3e5])})
     comparing._simulated(runs, control, 3, ("air",))
     plant, controller, reference = given["parts"]
     mass = runs.conditions["load.mass2"]

@@ -178,17 +178,17 @@ class Watch:
         pressure = means[self._pressure] * pressure_gain + pressure_at_zero
         top = (highest if pressure_gain > 0 else lowest)[self._pressure] * pressure_gain + pressure_at_zero
         if top > limits.pressure:
-            raise _beyond("pressure", top / bar, limits.pressure / bar, "bar")
+            raise beyond("pressure", top / bar, limits.pressure / bar, "bar")
         top = (highest if gain > 0 else lowest)[self._force] * gain + at_zero
         if top > limits.force:
-            raise _beyond("force", top, limits.force, "N")
+            raise beyond("force", top, limits.force, "N")
         pulses = block.pulses
         for end in (int(pulses[0]), int(pulses[-1])):
             position = (end + self._origin) / self._per_metre
             if position > limits.stretch + 1e-9:
-                raise _beyond("stretch", position / mm, limits.stretch / mm, "mm")
+                raise beyond("stretch", position / mm, limits.stretch / mm, "mm")
             if position < -limits.shorten - 1e-9:
-                raise _beyond("way on the short side", -position / mm, limits.shorten / mm, "mm")
+                raise beyond("way on the short side", -position / mm, limits.shorten / mm, "mm")
         time, first = float(block.time[-1]), float(block.time[0])
         self._timely(first, time, clock)
         middle = (first + time) / 2
@@ -196,7 +196,7 @@ class Watch:
             before, at_time = self._mean
             rate = (pressure - before) / max(middle - at_time, 1e-9)
             if abs(rate) > limits.pressure_rate:
-                raise _beyond("rate of the pressure", rate / bar, limits.pressure_rate / bar, "bar/s")
+                raise beyond("rate of the pressure", rate / bar, limits.pressure_rate / bar, "bar/s")
         self._mean = pressure, middle
         wanted = self.set_pressure
         if wanted is not None and time > self.since + limits.settling:
@@ -242,7 +242,8 @@ class Watch:
             )
 
 
-def _beyond(what: str, value: float, limit: float, unit: str) -> StoppedError:
+def beyond(what: str, value: float, limit: float, unit: str) -> StoppedError:
+    """What stops a test whose reading is beyond a limit, both in the same unit."""
     return StoppedError(
         f"the {what} of {value:.4g} {unit} is beyond the limit of {limit:.4g} {unit}",
         value=value,

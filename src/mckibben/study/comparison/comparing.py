@@ -22,16 +22,13 @@ from mckibben.study.comparison.runs import Runs, draw
 from mckibben.study.comparison.suite import Suite
 from mckibben.study.parameters import Over, allowed, lanes
 from mckibben.study.scenario import Scenario
+from mckibben.study.tuning.cube import Numbers, as_written, at_bound, nominal_of, point_of, values_at
 from mckibben.study.tuning.history import History, Trial
 from mckibben.study.tuning.problem import LOST
 from mckibben.study.tuning.search import Method, by_cma, check_method
 from mckibben.study.tuning.searching import Generations
-from mckibben.units import quantity
-
-Numbers = NDArray[np.float64]
 
 _TUNING = 0.98  # of the time that a controller takes
-_DIGITS = 6  # of tuned numbers, as they are written down
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +141,7 @@ def compare(
 
 def judged(runs: Runs, controller: str, values: dict[str, float]) -> Batch:
     """What a controller with these numbers [SI] does in the runs."""
-    return _simulated(runs, _controller(runs, controller, {name: [value] for name, value in values.items()}, 1), 1)
+    return _simulated(runs, _controller(runs, controller, {name: [value] for name, value in values.items()}), 1)
 
 
 def _began(batch: Batch) -> NDArray[np.bool_]:
@@ -179,17 +176,15 @@ class _Task:
     @property
     def nominal(self) -> Numbers:
         """The numbers [SI] of the file, or the middle of their ranges."""
-        middle = self.values(np.full((1, len(self.over)), 0.5))[0]
-        nominal = [each.address.nominal for each in self.over]
-        return np.array([m if n is None else float(n) for n, m in zip(nominal, middle, strict=True)])
+        return nominal_of(self.over, [each.address.nominal for each in self.over])
 
     def values(self, points: Numbers) -> Numbers:
         """Numbers [SI] at points of the unit cube, shape (n, numbers)."""
-        return np.stack([each.spread.at(points[:, i]) for i, each in enumerate(self.over)], axis=1)
+        return values_at(self.over, points)
 
     def point(self, values: Numbers) -> Numbers:
         """The point of numbers [SI], moved into the ranges."""
-        return np.array([float(each.spread.quantile(value)) for each, value in zip(self.over, values, strict=True)])
+        return point_of(self.over, values)
 
     def costs(self, values: Numbers) -> Numbers:
         """The mean cost of rows of numbers [SI] over the training runs that can begin."""
@@ -198,7 +193,7 @@ class _Task:
         if not good.any():
             return np.full(len(values), LOST)
         table = {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
-        control = _controller(self.runs, self.controller, table, len(values))
+        control = _controller(self.runs, self.controller, table)
         batch = _simulated(self.runs, control, len(values), self.suite.cost.metrics)
         found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
         found = np.where(np.isfinite(found) & ~batch.lost, np.minimum(found, LOST), LOST)
@@ -238,7 +233,7 @@ def _searched(
     path = None if folder is None else folder / f"{filename(task.controller)}.jsonl"
     resumed = resume and path is not None and path.exists()
     with History.kept(path, task.about(), numbers=len(task.over), slopes=False, resume=resumed) as past:
-        tried = Generations(task, past, tuning.population)  # type: ignore[arg-type]  # it needs values and costs alone
+        tried = Generations(task, past, tuning.population)
         first = task.point(task.nominal)
         tried(first[None])
         places = np.random.default_rng(tuning.seed).random((tuning.starts, len(task.over)))
@@ -257,12 +252,12 @@ def _searched(
                 f"{task.controller}: none of the {len(past.trials)} points that were tried came through a run",
                 remedy="search other ranges, or begin with other gains",
             )
-        rounded = _rounded(task, task.values(np.array(best.point)[None])[0])
+        rounded = as_written(task.over, task.values(np.array(best.point)[None])[0])
         found = past.find(task.point(rounded)) or _tried(tried, task, past, rounded)
         before = past.find(first)
         assert before is not None  # it was tried first
-        at_bound = tuple(name for name, at in zip(task.names, best.point, strict=True) if min(at, 1 - at) < 0.01)
-        return dict(zip(task.names, rounded.tolist(), strict=True)), (found.cost, before.cost), at_bound
+        values = dict(zip(task.names, rounded.tolist(), strict=True))
+        return values, (found.cost, before.cost), at_bound(task.over, best.point)
 
 
 def _cma(
@@ -290,17 +285,8 @@ def _tried(tried: Generations, task: _Task, past: History, values: Numbers) -> T
     return found
 
 
-def _rounded(task: _Task, values: Numbers) -> Numbers:
-    """The numbers as they are written down."""
-    written = [
-        quantity(each.address.show(value, _DIGITS), each.address.unit) if not each.address.whole else round(value)
-        for each, value in zip(task.over, values, strict=True)
-    ]
-    return np.array(written).clip(*np.array([each.spread.ends for each in task.over]).T)
-
-
-def _controller(runs: Runs, controller: str, table: dict[str, Any], sets: int) -> Controller:
-    """A controller for so many sets of numbers, each in all runs: arrays of shape (sets * runs,) where they differ."""
+def _controller(runs: Runs, controller: str, table: dict[str, Any]) -> Controller:
+    """A controller with sets of numbers, each in all runs: arrays of shape (sets * runs,) where they are."""
     scenario = runs.suite.scenario(controller, next(iter(runs.suite.wishes)))
     if not table:
         return scenario.control()

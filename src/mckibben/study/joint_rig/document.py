@@ -6,15 +6,13 @@ import os
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationError, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben.errors import Problem, ScenarioError
 from mckibben.study.rig.fields import JsonPath, Wait
-from mckibben.study.scenario.document import LONGEST, read_document
 from mckibben.study.scenario.fields import Angle, Duration, PositiveTime, Pressure, PressureRate, Title
 from mckibben.study.scenario.part import Part, refuse
-from mckibben.study.scenario.problems import problems_of
 from mckibben.study.scenario.quantity import Quantity
+from mckibben.study.scenario.reading import parsed, text_of
 from mckibben.study.scenario.words import Whole
 
 _Step = Annotated[float, Quantity("rad", "deg", 0, 10)]
@@ -128,24 +126,8 @@ class JointRig(Part):
         ScenarioError
             With every problem of the file: line, field, value, allowed range and remedy.
         """
-        source = os.fspath(path)
-        try:
-            with Path(path).open("rb") as file:
-                text = file.read(4 * LONGEST + 1).decode("utf-8-sig")
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            remedy = "give the path of a joint rig, see examples/rig/joint-rig.yaml"
-            raise ScenarioError(source, [Problem(f"cannot be read: {reason}", remedy=remedy)]) from None
-        document = read_document(text)
-        if not document.readable:
-            raise ScenarioError(source, document.problems)
-        try:
-            rig = cls.model_validate(document.data, context={"folder": Path(path).parent})
-        except ValidationError as error:
-            raise ScenarioError(source, problems_of(error, document, cls)) from None
-        if document.problems:
-            raise ScenarioError(source, document.problems)
-        return rig
+        text = text_of(path, "a joint rig", "examples/rig/joint-rig.yaml")
+        return parsed(cls, text, source=os.fspath(path), folder=Path(path).parent)[0]
 
     def to_json(self) -> dict[str, Any]:
         """What was given, with units, for the record."""

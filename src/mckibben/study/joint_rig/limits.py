@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from mckibben.errors import RangeError, StoppedError
+from mckibben.rig.safety import beyond
 from mckibben.study.joint_rig.wiring import Reading
 from mckibben.units import bar, deg, ms
 
@@ -129,7 +130,7 @@ class Watch:
             )
         if not (pressure1 <= limits.pressure and pressure2 <= limits.pressure):
             which, value = (1, pressure1) if not pressure1 <= limits.pressure else (2, pressure2)
-            raise _beyond(f"pressure {which}", value / bar, limits.pressure / bar, "bar")
+            raise beyond(f"pressure {which}", value / bar, limits.pressure / bar, "bar")
         self._look_at_rates(time, reading)
 
     def _look_at_rates(self, time: float, reading: Reading) -> None:
@@ -156,7 +157,7 @@ class Watch:
         ):
             rate = (sums[4 + i] - sums[i]) / time
             if not abs(rate) <= limit:
-                raise _beyond(what, abs(rate) / unit, limit / unit, name)
+                raise beyond(what, abs(rate) / unit, limit / unit, name)
 
 
 def _add(sums: list[float], at: int, one: tuple[float, Reading], sign: float) -> None:
@@ -165,12 +166,3 @@ def _add(sums: list[float], at: int, one: tuple[float, Reading], sign: float) ->
     sums[at + 1] += sign * angle
     sums[at + 2] += sign * pressure1
     sums[at + 3] += sign * pressure2
-
-
-def _beyond(what: str, value: float, limit: float, unit: str) -> StoppedError:
-    return StoppedError(
-        f"the {what} of {value:.4g} {unit} is beyond the limit of {limit:.4g} {unit}",
-        value=value,
-        upper=limit,
-        unit=unit,
-    )

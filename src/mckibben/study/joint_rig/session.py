@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import platform
 from collections.abc import Callable, Iterator, Mapping
@@ -19,10 +18,10 @@ from mckibben.errors import FileError, McKibbenError, Problem, RigError, Scenari
 from mckibben.files import folder as made
 from mckibben.plant import JointPlant, PlantState
 from mckibben.rig.backend import Backend
-from mckibben.rig.calibration import Calibration
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
 from mckibben.simulation import Reach, Result, check_reference, sampled
+from mckibben.study.calibrations import calibrations_in, content_of
 from mckibben.study.joint_rig.course import Course, Ending, Shown
 from mckibben.study.joint_rig.document import JointCardSpec, JointRig
 from mckibben.study.joint_rig.limits import JointLimits
@@ -281,31 +280,19 @@ def read_wiring(path: str | os.PathLike[str]) -> Wiring:
     ScenarioError
         With all that is wrong with them.
     """
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ScenarioError(str(path), [Problem(f"cannot be read as JSON: {error}")]) from None
     names = [field.name for field in dataclasses.fields(Wiring)]
     remedy = f"it needs {', '.join(names)}"
-    if not isinstance(content, dict):
-        raise ScenarioError(str(path), [Problem("is no mapping of calibrations", remedy=remedy)])
+    content = content_of(Path(path), remedy)
     problems = [Problem("is missing", field=name, remedy="calibrate it") for name in names if name not in content]
     problems += [
         Problem("is no channel of a joint", field=name, remedy=remedy) for name in content if name not in names
     ]
-    found = {}
-    for name in names:
-        if name not in content:
-            continue
-        try:
-            one = Calibration.from_json(content[name])
-        except (McKibbenError, TypeError, AttributeError) as error:
-            problems.append(Problem(str(error), field=name))
-            continue
+    found, wrong = calibrations_in({name: content[name] for name in names if name in content})
+    problems += wrong
+    for name, one in found.items():
         unit = "rad" if name == "angle" else "Pa"
         if (one.name, one.unit) != (name, unit):
             problems.append(Problem(f"is of {one.name!r} in {one.unit}, not in {unit}", field=name))
-        found[name] = one
     if problems:
         raise ScenarioError(str(path), problems)
     return Wiring(**found)

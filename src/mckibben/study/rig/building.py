@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from mckibben import catalog
-from mckibben.errors import McKibbenError, Problem, ScenarioError
+from mckibben.errors import Problem, ScenarioError
 from mckibben.muscle import ChouLaw, ForceLaw, Muscle, Specimen
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench
@@ -19,11 +18,12 @@ from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, Procedu
 from mckibben.rig.protocol import IsobaricProtocol
 from mckibben.rig.safety import Limits
 from mckibben.rig.steps import Step
+from mckibben.study.calibrations import calibrations_in, content_of
 from mckibben.study.rig.document import CardSpec, RigTest, VirtualSpec
 from mckibben.study.rig.protocol import ProtocolSpec
 from mckibben.study.rig.step import steps
 from mckibben.study.scenario.building import build_creep, build_friction
-from mckibben.study.scenario.part import Part
+from mckibben.study.scenario.part import given_fields
 
 if TYPE_CHECKING:
     from mckibben.rig.ni import Wiring
@@ -62,7 +62,7 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         assert test.rig.nidaqmx is not None  # the model of the rig sees to it
         backend, calibrations, drive = _card(test.rig.nidaqmx)
     specimen = of.specimen if isinstance(of, Muscle) else of
-    limits = Limits(**{"force": float(specimen.rated_force), **_given(test.limits)})
+    limits = Limits(**{"force": float(specimen.rated_force), **given_fields(test.limits)})
     bench = Bench(
         of=of,
         mounted_at=test.muscle.mounted_at,
@@ -70,7 +70,7 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         calibrations=calibrations,
         limits=limits,
         rate=backend.rate,
-        **_given(test.recording),
+        **given_fields(test.recording),
     )
     return Setup(backend, bench)
 
@@ -91,7 +91,7 @@ def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ..
     """
     if protocol.steps is not None:
         return steps(protocol.steps)
-    return steps_of(_PROCEDURES[protocol.form](**_given(getattr(protocol, protocol.form))), of)
+    return steps_of(_PROCEDURES[protocol.form](**given_fields(getattr(protocol, protocol.form))), of)
 
 
 def _virtual(
@@ -123,7 +123,7 @@ def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Dri
 
     calibrations = read_calibrations(cast(Path, spec.calibration))
     given = {name: getattr(spec, name) for name in ("rate", "patience", "server") if getattr(spec, name) is not None}
-    return NiRig(build_wiring(spec), **given), calibrations, Drive(**_given(spec.drive) if spec.drive else {})
+    return NiRig(build_wiring(spec), **given), calibrations, Drive(**given_fields(spec.drive) if spec.drive else {})
 
 
 def build_wiring(spec: CardSpec) -> Wiring:
@@ -151,26 +151,15 @@ def read_calibrations(path: Path) -> dict[str, Calibration]:
     ScenarioError
         With all that is wrong with them.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ScenarioError(str(path), [Problem(f"cannot be read as JSON: {error}")]) from None
-    if not isinstance(content, dict):
-        raise ScenarioError(str(path), [Problem("is no mapping of calibrations", remedy="see docs/rig-hardware.md")])
-    problems: list[Problem] = []
-    found: dict[str, Calibration] = {}
-    problems += [
+    content = content_of(path, "see docs/rig-hardware.md")
+    problems = [
         Problem("is missing", field=name, remedy="calibrate it, see docs/rig-hardware.md")
         for name in ("force", "pressure", "valve")
         if name not in content
     ]
-    for name, form in content.items():
-        try:
-            found[name] = Calibration.from_json(cast(Mapping[str, Any], form))
-        except (McKibbenError, TypeError, AttributeError) as error:
-            problems.append(Problem(str(error), field=name))
-    if problems:
-        raise ScenarioError(str(path), problems)
+    found, wrong = calibrations_in(content)
+    if problems or wrong:
+        raise ScenarioError(str(path), [*problems, *wrong])
     return found
 
 
@@ -180,7 +169,3 @@ def _law(named: str | Path, specimen: Specimen) -> ForceLaw:
 
         return read_law(named)
     return ChouLaw.of(specimen) if named == "chou" else catalog.law(named)
-
-
-def _given(spec: Part) -> dict[str, Any]:
-    return {name: value for name, value in spec if value is not None}

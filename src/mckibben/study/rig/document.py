@@ -215,7 +215,8 @@ def read_test(path: str | os.PathLike[str]) -> tuple[RigTest, Document]:
     ScenarioError
         As `RigTest.read`.
     """
-    return parsed(RigTest, text_of(path, "a protocol"), source=os.fspath(path), folder=Path(path).parent)
+    text = text_of(path, "a protocol", "examples/rig/paper-protocol.yaml")
+    return parsed(RigTest, text, source=os.fspath(path), folder=Path(path).parent)
 
 
 def _pruned(value: Any) -> Any:

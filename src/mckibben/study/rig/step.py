@@ -9,7 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_serializer, m
 from mckibben.rig import steps as typed
 from mckibben.study.rig.fields import Contraction, Speed, Tension, Wait, Way
 from mckibben.study.scenario.fields import Duration, Flag, Force, Pressure, PressureRate
-from mckibben.study.scenario.part import Part, refuse, suggest
+from mckibben.study.scenario.part import Part, given_fields, refuse, suggest
 from mckibben.study.scenario.words import Choice, Whole
 
 _MOST = 1_000_000
@@ -162,18 +162,18 @@ class StepSpec(Part):
         if self.repeat is not None:
             return typed.Repeat(times=self.repeat.times, steps=steps(self.repeat.steps))
         if self.walk is not None:
-            given = _given(self.walk, "acquire", "to")
-            acquire = typed.Acquire(**_given(self.walk.acquire)) if self.walk.acquire else typed.Acquire()
+            given = given_fields(self.walk, "acquire", "to")
+            acquire = typed.Acquire(**given_fields(self.walk.acquire)) if self.walk.acquire else typed.Acquire()
             return typed.Walk(to=self.walk.to, acquire=acquire, **given)
         if self.move is not None:
-            return typed.Move(**_given(self.move))
+            return typed.Move(**given_fields(self.move))
         if self.dwell is not None:
             return typed.Dwell(duration=self.dwell.duration)
         if self.pressurise is not None:
-            return typed.Pressurise(**_given(self.pressurise))
+            return typed.Pressurise(**given_fields(self.pressurise))
         if self.hold_force is not None:
-            return typed.HoldForce(**_given(self.hold_force))
-        return typed.Acquire(**_given(self.acquire)) if self.acquire is not None else typed.Vent()
+            return typed.HoldForce(**given_fields(self.hold_force))
+        return typed.Acquire(**given_fields(self.acquire)) if self.acquire is not None else typed.Vent()
 
     @classmethod
     def of(cls, step: typed.Step) -> StepSpec:
@@ -205,13 +205,6 @@ RepeatSpec.model_rebuild()
 def steps(written: tuple[StepSpec, ...]) -> tuple[typed.Step, ...]:
     """The steps that they stand for."""
     return tuple(one.step() for one in written)
-
-
-def _given(spec: Part | None, *without: str) -> dict[str, Any]:
-    """The fields that were given; what was not takes the default of the step."""
-    if spec is None:
-        return {}
-    return {name: value for name, value in spec if name not in without and value is not None}
 
 
 def _changed(step: Any, *without: str) -> dict[str, Any]:

@@ -59,7 +59,7 @@ from mckibben.study.scenario.controller import (
     PIDSpec,
 )
 from mckibben.study.scenario.joint import CreepSpec, FrictionSpec, GeometrySpec, JointSpec, MuscleSpec, SpringSpec
-from mckibben.study.scenario.part import Part
+from mckibben.study.scenario.part import given_fields
 from mckibben.study.scenario.plant import DisturbanceSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
 from mckibben.study.scenario.samples import read_samples
@@ -102,22 +102,22 @@ def build_geometry(spec: JointSpec) -> KneeGeometry:
 
 def build_friction(spec: FrictionSpec | None) -> Friction:
     """What a muscle's way adds to its law."""
-    return NoFriction() if spec is None else MaxwellSlip(**_given(spec))
+    return NoFriction() if spec is None else MaxwellSlip(**given_fields(spec))
 
 
 def build_creep(spec: CreepSpec | None) -> Creep:
     """What the time since its last moves adds to a muscle's law."""
-    return NoCreep() if spec is None else MaxwellCreep(**_given(spec))
+    return NoCreep() if spec is None else MaxwellCreep(**given_fields(spec))
 
 
 def build_tendon(spec: SpringSpec | None) -> RigidTendon | SeriesSpring:
     """What lies between muscle and path."""
-    return RigidTendon() if spec is None else SeriesSpring(**_given(spec))
+    return RigidTendon() if spec is None else SeriesSpring(**given_fields(spec))
 
 
 def build_load(spec: LoadSpec) -> Load:
     """What is moved."""
-    numbers = _given(spec, "base")
+    numbers = given_fields(spec, "base")
     return Load(**numbers) if spec.base is None else dataclasses.replace(catalog.load(spec.base), **numbers)
 
 
@@ -128,12 +128,12 @@ def build_valve(spec: ValveSpec | None) -> Valve:
 
 def build_sensors(spec: SensorsSpec | None) -> Sensors:
     """What tells the controller."""
-    return PerfectSensors() if spec is None else SampledSensors(**_given(spec))
+    return PerfectSensors() if spec is None else SampledSensors(**given_fields(spec))
 
 
 def build_disturbance(spec: DisturbanceSpec | None) -> Disturbance:
     """What pushes from outside."""
-    return NoDisturbance() if spec is None else TorquePulses(**_given(spec.pulses))
+    return NoDisturbance() if spec is None else TorquePulses(**given_fields(spec.pulses))
 
 
 def build_control(
@@ -148,7 +148,7 @@ def build_control(
             "valve_time_constant": 0.0 if valve is None else valve.time_constant,
             "friction_compensation": bool(spec.friction_compensation),
             "adaptation": build_adaptation(believing.adaptation),
-            **_given(believing, *_PARTS),
+            **given_fields(believing, *_PARTS),
         }
         if isinstance(believing, DecouplingSpec):
             return DecouplingControl(*beliefs, *decoupling_parts(believing), **numbers)
@@ -167,33 +167,39 @@ def build_inverse_model(
     """Two loops with what learns beside them."""
     believed = None if spec.alone else build_load(spec.load or load)
     lag: dict[str, Any] = {"valve_time_constant": 0.0 if valve is None else valve.time_constant}
-    return InverseModelControl(loops, believed, **lag | _given(spec, "alone", "load"))
+    return InverseModelControl(loops, believed, **lag | given_fields(spec, "alone", "load"))
 
 
 def decoupling_parts(spec: DecouplingSpec) -> tuple[Feedback, Observer, PressureObserver]:
     """What a `DecouplingControl` is put together from."""
-    feedback = PolePlacement(**_given(spec.poles)) if spec.poles is not None else SlidingMode(**_given(spec.sliding))
+    feedback = (
+        PolePlacement(**given_fields(spec.poles))
+        if spec.poles is not None
+        else SlidingMode(**given_fields(spec.sliding))
+    )
     return feedback, *observers(spec)
 
 
 def observers(spec: BelievingSpec) -> tuple[Observer, PressureObserver]:
     """What a controller by a model observes with."""
     velocity, disturbance, pressure = spec.velocity_observer, spec.disturbance_observer, spec.pressure_observer
-    observer = VelocityObserver(**_given(velocity)) if velocity else ExtendedStateObserver(**_given(disturbance))
-    return observer, PressureObserver(**_given(pressure))
+    observer = (
+        VelocityObserver(**given_fields(velocity)) if velocity else ExtendedStateObserver(**given_fields(disturbance))
+    )
+    return observer, PressureObserver(**given_fields(pressure))
 
 
 def build_adaptation(spec: AdaptationSpec | None) -> LawAdaptation | None:
     """What corrects the model's muscles on line."""
-    return None if spec is None else LawAdaptation(**_given(spec))
+    return None if spec is None else LawAdaptation(**given_fields(spec))
 
 
 def build_loop(spec: LoopSpec[Any, Any, Any, Any]) -> PID | BackpropPID:
     """One of the controller's loops."""
     if spec.backprop is None:
         assert spec.pid is not None  # the model of the loop sees to it
-        return PID(**_given(spec.pid))
-    network = _given(spec.backprop, *PIDSpec.model_fields)
+        return PID(**given_fields(spec.pid))
+    network = given_fields(spec.backprop, *PIDSpec.model_fields)
     if "jacobian" in network:
         network["jacobian"] = Jacobian[network["jacobian"].upper()]
     return BackpropPID(_base(spec.backprop), **network)
@@ -207,14 +213,16 @@ def build_reference(spec: ReferenceSpec) -> Reference:
 def build_signal(spec: SignalSpec[Any], quantity: str) -> Signal:
     """What is wanted over time of "angle" or of "stiffness"."""
     if spec.step is not None:
-        return Step(**_given(spec.step))
+        return Step(**given_fields(spec.step))
     if spec.sine is not None:
-        return Sine(**_given(spec.sine))
+        return Sine(**given_fields(spec.sine))
     if spec.multisine is not None:
-        return Multisine(**_given(spec.multisine))
+        return Multisine(**given_fields(spec.multisine))
     if spec.samples is not None:
         file = spec.samples.file
-        return Samples(*read_samples(file, quantity, _UNITS[quantity])) if file else Samples(**_given(spec.samples))
+        return (
+            Samples(*read_samples(file, quantity, _UNITS[quantity])) if file else Samples(**given_fields(spec.samples))
+        )
     assert spec.constant is not None  # the model of the signal sees to it
     return Constant(spec.constant)
 
@@ -225,7 +233,7 @@ def build_start(plant: JointPlant, spec: StartSpec) -> PlantState:
 
 
 def _geometry(spec: GeometrySpec) -> KneeGeometry:
-    numbers = _given(spec, "base")
+    numbers = given_fields(spec, "base")
     return KneeGeometry(**numbers) if spec.base is None else dataclasses.replace(catalog.geometry(spec.base), **numbers)
 
 
@@ -241,15 +249,4 @@ def _muscle(spec: MuscleSpec) -> Muscle:
 
 
 def _base(spec: BackpropSpec[Any, Any, Any, Any]) -> PID:
-    return PID(**{key: value for key, value in _given(spec).items() if key in PIDSpec.model_fields})
-
-
-def _given(spec: Part | None, *without: str) -> dict[str, Any]:
-    """The fields that were given, by name; what was not takes the default of the class that is built."""
-    if spec is None:
-        return {}
-    return {
-        name: getattr(spec, name)
-        for name in type(spec).model_fields
-        if name not in without and getattr(spec, name) is not None
-    }
+    return PID(**{key: value for key, value in given_fields(spec).items() if key in PIDSpec.model_fields})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from pydantic import BaseModel, ConfigDict
 from pydantic_core import PydanticCustomError
@@ -17,6 +17,17 @@ class Part(BaseModel):
     """A part of a scenario: frozen, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+def given_fields(part: Part | None, *without: str) -> dict[str, Any]:
+    """The fields that were given, by name; what was not takes the default of the class that is built."""
+    if part is None:
+        return {}
+    return {
+        name: getattr(part, name)
+        for name in type(part).model_fields
+        if name not in without and getattr(part, name) is not None
+    }
 
 
 def refuse(message: str, remedy: str = "", *, parent: bool = False) -> NoReturn:

@@ -16,15 +16,15 @@ from mckibben.study.scenario.problems import problems_of
 P = TypeVar("P", bound=Part)
 
 
-def text_of(path: str | os.PathLike[str], what: str = "a scenario") -> str:
+def text_of(path: str | os.PathLike[str], what: str = "a scenario", example: str = "examples/") -> str:
     """The text of a file.
 
     Parameters
     ----------
     path
         Of the file.
-    what
-        It should be, in words: for the error.
+    what, example
+        What it should be, in words, and where such a one is: for the error.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def text_of(path: str | os.PathLike[str], what: str = "a scenario") -> str:
         raise ScenarioError(source, [Problem("is not text in UTF-8", remedy="give a YAML file")]) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        problem = Problem(f"cannot be read: {reason}", remedy=f"give the path of {what}, see examples/")
+        problem = Problem(f"cannot be read: {reason}", remedy=f"give the path of {what}, see {example}")
         raise ScenarioError(source, [problem]) from None
 
 

@@ -19,12 +19,11 @@ from mckibben.study.parameters import LogUniform, Over, Table, Uniform, allowed,
 from mckibben.study.scenario import Scenario
 from mckibben.study.starting import rest
 from mckibben.study.tuning.cost import SMOOTH, Cost
+from mckibben.study.tuning.cube import Numbers, nominal_of, point_of, values_at
 from mckibben.study.tuning.ranges import is_gain
 
 LOST = 1e6
 """The cost of numbers that are not allowed, or whose runs did not stay finite."""
-
-Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -72,17 +71,15 @@ class Problem:
     @property
     def nominal(self) -> Numbers:
         """The numbers of the first scenario, SI; the middle of the range where it has none."""
-        found = find_all(self.scenarios[0], self.names)
-        middle = self.values(np.full((1, len(self.over)), 0.5))[0]
-        return np.array([m if a.nominal is None else float(a.nominal) for a, m in zip(found, middle, strict=True)])
+        return nominal_of(self.over, [address.nominal for address in find_all(self.scenarios[0], self.names)])
 
     def values(self, points: Numbers) -> Numbers:
         """The numbers [SI] at points of shape (n, numbers)."""
-        return np.stack([each.spread.at(points[:, i]) for i, each in enumerate(self.over)], axis=1)
+        return values_at(self.over, points)
 
     def point(self, values: Numbers) -> Numbers:
         """The point of numbers [SI] of shape (numbers,), moved into the ranges."""
-        return np.array([float(each.spread.quantile(values[i])) for i, each in enumerate(self.over)])
+        return point_of(self.over, values)
 
     def costs(self, values: Numbers) -> Numbers:
         """The cost of each row of numbers [SI], shape (n, numbers)."""

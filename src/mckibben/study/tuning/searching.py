@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Protocol
 
 import jax
 import numpy as np
@@ -17,13 +18,11 @@ from mckibben.study.parameters import Over, Spread, with_values
 from mckibben.study.parameters import over as overs_of
 from mckibben.study.scenario import Scenario
 from mckibben.study.tuning.cost import Cost
+from mckibben.study.tuning.cube import as_written, at_bound
 from mckibben.study.tuning.history import History, Trial
 from mckibben.study.tuning.problem import LOST, Problem, problem
 from mckibben.study.tuning.search import Method, by_cma, by_evolution, by_gradient, check_method
-from mckibben.units import quantity
 
-_DIGITS = 6  # of the numbers that are written down; the cost is that of these
-_AT_BOUND = 0.01  # of the range
 _MOST_SEED = 2**32 - 1  # what all methods take
 
 
@@ -180,12 +179,7 @@ def _tuned(task: Problem, past: History, exact: Callable[[NDArray[np.float64]], 
         )
     best = np.array(past.best.point)
     values = task.values(best[None])[0]
-    rounded = np.array(
-        [
-            quantity(each.address.show(value, _DIGITS), each.address.unit)
-            for each, value in zip(task.over, values, strict=True)
-        ]
-    ).clip(*np.array([each.spread.ends for each in task.over]).T)
+    rounded = as_written(task.over, values)
     before = exact(task.nominal)
     most = past.best.cost * (1 + 1e-3)
     if before > past.best.cost * (1 - 1e-9):  # rounding is not to make worse what was good
@@ -200,7 +194,7 @@ def _tuned(task: Problem, past: History, exact: Callable[[NDArray[np.float64]], 
         cost=cost_after,
         cost_before=before if before < LOST else float("nan"),
         evaluated=len(past.trials),
-        at_bound=tuple(name for name, at in zip(task.names, best, strict=True) if min(at, 1 - at) < _AT_BOUND),
+        at_bound=at_bound(task.over, best),
         trials=tuple(past.trials),
     )
 
@@ -233,10 +227,22 @@ class _Descents:
         return float(self._task.costs_and_gradients(_padded(values[None], self._starts))[0][0])
 
 
+class Costed(Protocol):
+    """What is searched in generations."""
+
+    def values(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The numbers [SI] at points, both of shape (n, numbers)."""
+        ...
+
+    def costs(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The cost of each row of numbers [SI]."""
+        ...
+
+
 class Generations:
     """The costs of points, from the history or from runs; always as many runs at once, for one compiled program."""
 
-    def __init__(self, task: Problem, past: History, population: int) -> None:
+    def __init__(self, task: Costed, past: History, population: int) -> None:
         self._task, self._past, self._population = task, past, population
 
     def __call__(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
