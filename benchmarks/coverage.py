@@ -17,9 +17,9 @@ from scipy.signal import lfilter
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import DatasetSummary, Fit, Grouping
-from mckibben.identification.evidence import Evidence
+from mckibben.identification.intervals import Evidence
 from mckibben.identification.problem import FitProblem
-from mckibben.identification.projection import search, solve_by_projection
+from mckibben.identification.solvers import search, solve_by_projection
 from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ExponentialLaw, forces
 from mckibben.study.uncertainty import joint_bands

@@ -24,11 +24,11 @@ from mckibben.errors import StoppedError
 from mckibben.muscle import MaxwellSlip, Muscle
 from mckibben.rig.backend import Block
 from mckibben.rig.bench import Bench
-from mckibben.rig.handling import STOPPED
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import Limits
+from mckibben.rig.session import STOPPED
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Vent, Walk
 from mckibben.rig.twin import (
     Burst,

@@ -26,10 +26,8 @@ import numpy as np
 from mckibben import catalog
 from mckibben.muscle import Muscle
 from mckibben.rig import recorder
-from mckibben.rig.assembly import assemble
 from mckibben.rig.bench import Bench
-from mckibben.rig.plateaus import points
-from mckibben.rig.record import Event, passages, read_record, segments
+from mckibben.rig.record import Event, assemble, passages, points, read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.safety import Limits

@@ -32,7 +32,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder, begin = Path(name) / "test", time.perf_counter()
         load = os.getloadavg()[0]
-        subprocess.run([sys.executable, "-m", "mckibben.cli", "rig", "run", protocol, "--out", folder], check=True)
+        subprocess.run([sys.executable, "-m", "mckibben", "rig", "run", protocol, "--out", folder], check=True)
         wall, used = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
         size = sum(path.stat().st_size for path in folder.glob("record-*"))
         data = read_dataset(folder / "isobaric.nc")

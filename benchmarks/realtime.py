@@ -18,10 +18,9 @@ from pathlib import Path
 import numpy as np
 from machine import describe, sentence
 
-from mckibben.study.joint_rig import JointRig, compute_in_this_thread, prepared
-from mckibben.study.joint_rig import undisturbed as module
-from mckibben.study.joint_rig.timing import Spread
-from mckibben.study.joint_rig.undisturbed import undisturbed
+from mckibben.realtime import JointRig, compute_in_this_thread, prepared
+from mckibben.realtime import loop as module
+from mckibben.realtime.loop import Spread, undisturbed
 from mckibben.study.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -156,8 +156,7 @@ def main():
 
 def draw(found, path):
     """Distributions of the error, by what is known."""
-    from mckibben.report.panels import legend_above
-    from mckibben.report.style import BLUE, DOUBLE, VERMILLION, blank, house_style, save
+    from mckibben.report.style import BLUE, DOUBLE, VERMILLION, blank, house_style, legend_above, save
 
     with house_style():
         figure = blank(DOUBLE, 2.6)

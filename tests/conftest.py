@@ -17,7 +17,7 @@ from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
 from mckibben.simulation import Batch, Metrics, Outcome
-from mckibben.simulation.outcome import OUTCOMES
+from mckibben.simulation.result import OUTCOMES
 
 gc.set_threshold(100_000, 10, 10)  # as the command does: looking for garbage took a fifth of the time of tracing
 
@@ -202,5 +202,5 @@ def invented(runs, controller, sets=1, metrics=Metrics._fields):
 def simulating_nothing():
     """Comparisons go through `invented` in place of a simulation."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mckibben.study.comparison.comparing._simulated", invented)
+        patch.setattr("mckibben.study.benchmark.benchmark._simulated", invented)
         yield

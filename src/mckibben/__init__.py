@@ -17,7 +17,6 @@ __version__ = "0.1.0"
 _runtime.configure()
 
 if TYPE_CHECKING:
-    from mckibben import catalog, report, units
     from mckibben.control import (
         PID,
         BackpropPID,
@@ -40,8 +39,9 @@ if TYPE_CHECKING:
     )
     from mckibben.dataset import IsobaricDataset, Recording, read_dataset, read_recording
     from mckibben.errors import McKibbenError
+    from mckibben.experiment_design import plan
     from mckibben.identification import Fit, identify, identify_hysteresis, rank, validate
-    from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
+    from mckibben.joint import AntagonisticJoint, KneeGeometry, Load, RigidTendon, SeriesSpring
     from mckibben.muscle import (
         ChouLaw,
         Domain,
@@ -52,14 +52,13 @@ if TYPE_CHECKING:
         Specimen,
         TripleExponentialLaw,
     )
-    from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, Load
+    from mckibben.paper import reproduce
+    from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
     from mckibben.rig import IsobaricProtocol, VirtualRig
     from mckibben.simulation import Result, check_reference, differentiate, simulate, simulate_many
-    from mckibben.study.paper import reproduce
-    from mckibben.study.planning import plan
     from mckibben.study.scenario import Scenario
     from mckibben.study.sweep import sweep
-    from mckibben.study.tuning import tune
+    from mckibben.study.tune import tune
 
 _MODULES = ("catalog", "report", "units")
 _HOMES = {
@@ -71,16 +70,16 @@ _HOMES = {
     "dataset": "IsobaricDataset Recording read_dataset read_recording",
     "errors": "McKibbenError",
     "identification": "Fit identify identify_hysteresis rank validate",
-    "joint": "AntagonisticJoint KneeGeometry RigidTendon SeriesSpring",
+    "joint": "AntagonisticJoint KneeGeometry Load RigidTendon SeriesSpring",
     "muscle": "ChouLaw Domain TripleExponentialLaw ExponentialLaw MaxwellCreep MaxwellSlip Muscle Specimen",
-    "plant": "FirstOrderValve IdealValve JointPlant Load",
+    "plant": "FirstOrderValve IdealValve JointPlant",
     "rig": "IsobaricProtocol VirtualRig",
     "simulation": "Result check_reference differentiate simulate simulate_many",
-    "study.paper": "reproduce",
-    "study.planning": "plan",
+    "paper": "reproduce",
+    "experiment_design": "plan",
     "study.scenario": "Scenario",
     "study.sweep": "sweep",
-    "study.tuning": "tune",
+    "study.tune": "tune",
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names.split()}
 

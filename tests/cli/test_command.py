@@ -16,7 +16,7 @@ from mckibben.muscle import LAWS
 def run(*arguments: str, cwd=None, **environment: str) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own."""
     return subprocess.run(
-        [sys.executable, "-m", "mckibben.cli", *arguments],
+        [sys.executable, "-m", "mckibben", *arguments],
         capture_output=True,
         text=True,
         cwd=cwd,

@@ -9,12 +9,12 @@ import pytest
 import xarray as xr
 
 from mckibben import report
-from mckibben.study.comparison import Suite
-from mckibben.study.comparison.standing import standing
-from mckibben.study.numbers import plain
+from mckibben.cli.options import metric
+from mckibben.study.benchmark import Suite
+from mckibben.study.benchmark.benchmark import standing
+from mckibben.study.reporting import plain
 from mckibben.study.scenario import Scenario
-from mckibben.study.tuning.history import History
-from mckibben.terminal import metric
+from mckibben.study.tune.tune import History
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
 DECOUPLING = TEXT[TEXT.index("  decoupling:\n") : TEXT.index("  as it is:")]

@@ -12,9 +12,9 @@ import pytest
 
 from mckibben.rig.record import read_record
 from mckibben.simulation import Result
-from mckibben.study.numbers import shown
-from mckibben.study.running import run_scenario
+from mckibben.study.reporting import shown
 from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.running import run_scenario
 
 ROOT = Path(__file__).parents[2]
 NAME = "pre-contracted-step-pid"

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from mckibben.simulation import Result
-from mckibben.study.numbers import METRICS
-from mckibben.study.running import run_scenario
+from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.running import run_scenario
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted(p.stem for p in (ROOT / "examples").glob("*.yaml"))

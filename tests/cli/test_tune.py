@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from mckibben.study.numbers import METRICS
+from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
-from mckibben.study.tuning.problem import Problem
+from mckibben.study.tune.problem import TuningProblem
 
 HOLDING = """
 import os, signal, time
@@ -127,7 +127,7 @@ def test_json_alone_on_standard_output(cli, scenario, tmp_path):
 
 
 def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, text, monkeypatch):
-    monkeypatch.setattr(Problem, "costs", lambda self, values: values[:, 1])  # what is found does not matter here
+    monkeypatch.setattr(TuningProblem, "costs", lambda self, values: values[:, 1])  # what is found does not matter here
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
     (tmp_path / "a" / "wish.csv").write_text("time_s,angle_deg\n0,2\n1,2\n", encoding="utf-8")

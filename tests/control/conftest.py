@@ -3,7 +3,7 @@
 import equinox as eqx
 import pytest
 
-from mckibben.numerics.many import many_runs
+from mckibben.numerics.batching import many_runs
 from mckibben.simulation.loop import episode
 
 

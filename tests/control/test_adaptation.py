@@ -15,8 +15,8 @@ from mckibben.control import DecouplingControl, ExtendedStateObserver, LawAdapta
 from mckibben.control.adaptation import strengthened
 from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellSlip
+from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.numerics.lanes import cast
 from mckibben.units import deg, mm
 
 PERIOD, PERIODS = 1e-3, 4000

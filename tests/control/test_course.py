@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from mckibben.control.course import followed, standing
+from mckibben.control.reference import followed, standing
 
 PERIOD = 1e-3
 

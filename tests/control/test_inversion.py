@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.control.inversion import map_at, pressures_between, torque_first
+from mckibben.control.allocation import map_at, pressures_between, torque_first
 from mckibben.joint import SeriesSpring
 
 torque_and_stiffness = jax.jit(lambda joint, angle, pressures: joint.torque_and_stiffness(angle, pressures))

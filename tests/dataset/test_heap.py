@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import read_dataset
-from mckibben.dataset.heap import heaps_are_sound
+from mckibben.dataset.matlab import heaps_are_sound
 from mckibben.errors import DatasetError
 
 

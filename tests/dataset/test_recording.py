@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben.dataset import Recording, read_dataset, read_recording
-from mckibben.dataset.glued import glued
+from mckibben.dataset.points import glued
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, kPa, percent
 

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from mckibben import catalog
 from mckibben.identification import design_matrix
-from mckibben.identification.factors import triangle
+from mckibben.identification.uncertainty import triangle
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.units import deg, mm
 

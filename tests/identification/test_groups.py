@@ -5,7 +5,7 @@ import pytest
 
 from mckibben.dataset import IsobaricDataset, Recording
 from mckibben.identification import Grouping, identify
-from mckibben.identification.groups import finest_recorded, group_labels, ways
+from mckibben.identification.uncertainty import finest_recorded, group_labels, ways
 from mckibben.muscle import ReynoldsLaw
 from mckibben.units import bar
 

@@ -10,8 +10,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify
 from mckibben.identification.hysteresis import identify_hysteresis
-from mckibben.identification.strokes import DriftBasis, Strokes
-from mckibben.identification.way import FRICTION, WayModel
+from mckibben.identification.loading_path import FRICTION, DriftBasis, Strokes, WayModel
 from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellSlip, Muscle, forces
 from mckibben.rig import IsobaricProtocol, VirtualRig
 from mckibben.units import bar, mm, percent

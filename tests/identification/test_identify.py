@@ -12,7 +12,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify
 from mckibben.identification.problem import FitProblem
-from mckibben.identification.projection import search, solve_by_projection
+from mckibben.identification.solvers import search, solve_by_projection
 from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw
 from mckibben.units import bar, deg, mm, percent

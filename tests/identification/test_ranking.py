@@ -9,9 +9,8 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify, rank
-from mckibben.identification.blocks import UndeterminedError, leave_out
-from mckibben.identification.physical import unphysical
-from mckibben.identification.structure import structure_of
+from mckibben.identification.cross_validation import UndeterminedError, leave_out
+from mckibben.identification.fitting import structure_of, unphysical
 from mckibben.muscle import (
     LAWS,
     ChouLaw,

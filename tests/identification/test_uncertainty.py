@@ -12,8 +12,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, ParameterError, RangeError
 from mckibben.identification import Bootstrap, Fit, Grouping, bootstrap, identify, profile
-from mckibben.identification.groups import group_labels
-from mckibben.identification.robust import ClusterRobust
+from mckibben.identification.uncertainty import ClusterRobust, group_labels
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw, ReynoldsLaw
 from mckibben.units import bar, deg, mm, percent
 
@@ -392,7 +391,7 @@ def test_a_weight_is_a_repeated_point(chart):
     fit = identify(ExponentialLaw, chart)
     counts = np.random.default_rng(0).integers(0, 3, 119)
     problem = fit.evidence.problem.weighing(counts.astype(float))
-    from mckibben.identification.projection import solve_by_projection
+    from mckibben.identification.solvers import solve_by_projection
 
     rows = np.repeat(np.flatnonzero(chart.force > 0), counts)
     repeated = IsobaricDataset.of(

@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.numerics.derivative import derivative, value_and_derivative
+from mckibben.numerics.calculus import derivative, value_and_derivative
 
 
 @pytest.mark.parametrize("x", [0.7, [0.1, 0.2, 0.3], [[0.1], [0.9]]])

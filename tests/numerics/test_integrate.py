@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from mckibben.numerics.integrate import rk4
+from mckibben.numerics.calculus import rk4
 
 
 def pendulum(state):

@@ -17,8 +17,8 @@ import pytest
 
 import mckibben
 from mckibben.control import Constant, Sine
-from mckibben.numerics import kept, lasting
-from mckibben.numerics.kept import KeptProgram
+from mckibben.numerics import program_cache
+from mckibben.numerics.program_cache import KeptProgram
 
 TRACED = []
 
@@ -34,7 +34,7 @@ square.__module__ = "mckibben.pretended"  # what comes from elsewhere is not kep
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "programs"))
-    monkeypatch.setattr(lasting, "_files", lambda: lasting._AT_IMPORT)  # whoever edits ours while the tests run
+    monkeypatch.setattr(lasting, "_files", lambda: program_cache._AT_IMPORT)  # whoever edits ours while the tests run
     return tmp_path / "programs"
 
 
@@ -98,7 +98,7 @@ def test_a_damaged_file_is_not_even_looked_into(folder, monkeypatch):
     (file,) = folder.iterdir()
     good = file.read_bytes()
     opened = []
-    monkeypatch.setattr(kept.pickle, "loads", lambda content: opened.append(content))
+    monkeypatch.setattr(program_cache.pickle, "loads", lambda content: opened.append(content))
     for place in np.linspace(0, len(good) - 1, 9).astype(int):
         file.write_bytes(good[:place] + bytes([good[place] ^ 4]) + good[place + 1 :])
         assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
@@ -146,7 +146,7 @@ def test_functions_of_one_name_are_not_taken_for_each_other(folder):
 
 
 def test_source_that_was_edited_in_the_meantime_is_not_taken_for_what_runs(folder, monkeypatch):
-    files = lasting._AT_IMPORT
+    files = program_cache._AT_IMPORT
     for now in ((*files[:-1], (files[-1][0], 1, 1)), files[:-1], ()):
         monkeypatch.setattr(lasting, "_files", lambda now=now: now)
         assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
@@ -164,7 +164,7 @@ def test_another_process_takes_it_up_unless_the_source_was_edited_in_between(fol
         "assert file.is_relative_to(os.getcwd())\n"
         "for name in sys.argv[1:]:\n"
         "    file.write_text(file.read_text() + '\\n')\n"
-        "print(kept.KeptProgram(elementary.exp)(np.asarray(1.0)))\n"
+        "print(program_cache.KeptProgram(elementary.exp)(np.asarray(1.0)))\n"
     )
     left = []
     for arguments in (["edit"], [], []):
@@ -213,10 +213,10 @@ def test_threads_that_ask_at_once_wait_for_one_that_makes_it(folder, monkeypatch
 def test_another_processor_has_programs_of_its_own(folder, monkeypatch):
     for name in ("this", "that"):
         monkeypatch.setattr(lasting, "processor", lambda name=name: name)
-        lasting.surroundings.cache_clear()
+        program_cache.surroundings.cache_clear()
         asked(KeptProgram(square))
     assert len(list(folder.iterdir())) == 2
-    lasting.surroundings.cache_clear()
+    program_cache.surroundings.cache_clear()
 
 
 def test_a_folder_that_cannot_be_written_to_stops_nothing(tmp_path, monkeypatch):
@@ -250,7 +250,7 @@ def test_inside_other_programs_it_is_a_part_of_them(folder):
 
 
 def test_another_context_is_another_program():
-    from mckibben.numerics.many import many_runs, traced_for
+    from mckibben.numerics.batching import many_runs, traced_for
 
     seen = []
     program = KeptProgram(lambda x: (seen.append(traced_for()), x + 1)[1])

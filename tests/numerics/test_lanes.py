@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from mckibben.errors import ParameterError, RangeError
-from mckibben.numerics.checks import check_positive
-from mckibben.numerics.lanes import (
+from mckibben.numerics.batching import (
     RANK,
     by_name,
     cast,
@@ -23,6 +22,7 @@ from mckibben.numerics.lanes import (
     with_leaves,
     worked_off,
 )
+from mckibben.numerics.checks import check_positive
 
 
 class Inner(eqx.Module):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mckibben.control import PID, Constant, Jacobian, Sine
-from mckibben.numerics.lasting import NamelessError, name_of_code, name_of_structure, name_of_value
+from mckibben.numerics.program_cache import NamelessError, name_of_code, name_of_structure, name_of_value
 from mckibben.plant import IdealValve
 
 VALUES = (
@@ -70,7 +70,7 @@ def test_what_is_not_known_has_no_name(value):
 
 def test_structures_name_their_classes_in_full():
     text = name_of_structure(jax.tree.structure({"a": Constant(1.0), "b": (2.0, None)}))
-    assert "mckibben.control.signal.Constant" in text
+    assert "mckibben.control.reference.Constant" in text
     assert text != name_of_structure(jax.tree.structure({"a": Constant(1.0), "c": (2.0, None)}))
     with pytest.raises(NamelessError, match="Pair"):
         name_of_structure(jax.tree.structure([Pair(1.0, 2.0)]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from mckibben.numerics.root import increasing_root
+from mckibben.numerics.calculus import increasing_root
 
 
 def cubic(x, shift, power=3.0):

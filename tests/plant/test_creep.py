@@ -14,8 +14,8 @@ from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint,
 from mckibben.errors import RangeError
 from mckibben.joint import SeriesSpring, creep, friction
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, NoCreep
+from mckibben.numerics.batching import many_runs
 from mckibben.numerics.compiled import numeric
-from mckibben.numerics.many import many_runs
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState
 from mckibben.simulation import simulate
 from mckibben.simulation.loop import compiled_episode, episode

@@ -7,9 +7,10 @@ import pytest
 
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError
+from mckibben.joint import Load
+from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.numerics.lanes import cast
-from mckibben.plant import IdealValve, JointPlant, Load, NoDisturbance, TorquePulses
+from mckibben.plant import IdealValve, JointPlant, NoDisturbance, TorquePulses
 from mckibben.simulation import compiled_episode
 
 PERIOD = 1e-3

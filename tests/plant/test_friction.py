@@ -15,8 +15,8 @@ from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import SeriesSpring, friction
 from mckibben.muscle import MaxwellSlip
+from mckibben.numerics.batching import many_runs
 from mckibben.numerics.compiled import numeric
-from mckibben.numerics.many import many_runs
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import compiled_episode, episode
 from mckibben.units import bar, mm

@@ -6,25 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.paper import Reproduction
+from mckibben.paper.claims import judge
+from mckibben.paper.identification import run_identification, run_joint
+from mckibben.paper.settings import SETTINGS, Wish, bp_scenario, gains_of, pid_scenario
+from mckibben.paper.tracking import BP, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, Coupling, Run, Tracking
 from mckibben.simulation import Metrics
-from mckibben.study.paper import Reproduction
-from mckibben.study.paper.claims import judge
-from mckibben.study.paper.identification import run_identification
-from mckibben.study.paper.joint import run_joint
-from mckibben.study.paper.settings import SETTINGS, Wish, bp_scenario, gains_of, pid_scenario
-from mckibben.study.paper.tracking import (
-    BP,
-    FREE_TUNED_BP,
-    PID,
-    TUNED_BP,
-    TUNED_PID,
-    Coupling,
-    Run,
-    Tracking,
-)
 from mckibben.study.parameters import addresses, with_values
-from mckibben.study.running import run_scenario
-from mckibben.study.tuning import Tuned
+from mckibben.study.scenario.running import run_scenario
+from mckibben.study.tune import Tuned
 
 SEEDS = 3
 

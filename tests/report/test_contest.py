@@ -11,13 +11,13 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
-from mckibben.report.contest import _against, contest_air, contest_errors, contest_wishes, write_contest
-from mckibben.report.panels import plain_numbers
+from mckibben.report.benchmark import _against, contest_air, contest_errors, contest_wishes, write_contest
+from mckibben.report.style import plain_numbers
 from mckibben.report.tables import number
 from mckibben.simulation import Batch, Metrics, Outcome
-from mckibben.simulation.outcome import OUTCOMES
-from mckibben.study.comparison import Contest, Suite, draw
-from mckibben.study.comparison.standing import standing
+from mckibben.simulation.result import OUTCOMES
+from mckibben.study.benchmark import Contest, Suite, draw
+from mckibben.study.benchmark.benchmark import standing
 from mckibben.units import deg
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")

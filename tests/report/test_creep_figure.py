@@ -7,7 +7,7 @@ from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.identification.creep import identify_creep
 from mckibben.muscle import MaxwellCreep, Muscle, NoCreep
-from mckibben.report.creep import relaxation
+from mckibben.report.hysteresis import relaxation
 from mckibben.rig import IsobaricProtocol, VirtualRig
 from mckibben.units import bar
 

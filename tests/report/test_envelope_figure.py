@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.report.envelope import design as draw_design
-from mckibben.report.envelope import envelope as draw
-from mckibben.study.envelope import Choice, Wanted, design, envelope, holdable
+from mckibben.reachability import Choice, Wanted, design, envelope, holdable
+from mckibben.report.joint import design as draw_design
+from mckibben.report.joint import envelope as draw
 from mckibben.study.scenario import Scenario
 from mckibben.units import deg
 

@@ -12,10 +12,9 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import RangeError
 from mckibben.identification import identify
 from mckibben.muscle import ExponentialLaw
+from mckibben.paper.settings import SETTINGS, Wish
 from mckibben.report import isobaric, law_comparison, save, tracking
-from mckibben.report.panels import robust_limits
-from mckibben.report.style import CONTROLLERS, house_style, looks_of
-from mckibben.study.paper.settings import SETTINGS, Wish
+from mckibben.report.style import CONTROLLERS, house_style, looks_of, robust_limits
 
 NAMES = (
     "fig3-isobaric-curves",

@@ -6,11 +6,9 @@ from html.parser import HTMLParser
 
 import pytest
 
-from mckibben.report.html import SOURCES
-from mckibben.report.page import typeset
-from mckibben.report.tables import number, with_error
-from mckibben.report.words import NAMES, decisions
-from mckibben.study.paper import file_stem
+from mckibben.paper import file_stem
+from mckibben.report.page import SOURCES, typeset
+from mckibben.report.tables import NAMES, decisions, number, with_error
 
 
 class Page(HTMLParser):
@@ -130,8 +128,8 @@ def test_the_numbers_are_those_of_the_results(parsed, reproduction):
 def test_other_numbers_make_another_page(reproduction, text):
     import dataclasses
 
-    from mckibben.report.html import render
-    from mckibben.report.words import SECTIONS
+    from mckibben.report.page import render
+    from mckibben.report.tables import SECTIONS
 
     claims = tuple(dataclasses.replace(c, holds=False, evidence="seventeen") for c in reproduction.claims)
     other = render(dataclasses.replace(reproduction, claims=claims, quick=False), {key: [] for key in SECTIONS})

@@ -6,9 +6,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mckibben.report import save, tuning
-from mckibben.study.tuning import Tuned
-from mckibben.study.tuning.history import Trial
-from mckibben.study.tuning.problem import LOST
+from mckibben.study.tune import Tuned
+from mckibben.study.tune.problem import LOST
+from mckibben.study.tune.tune import Trial
 
 
 def searched(numbers, trials=40, *, lost=0, before=30.0, seed=0, named="controller.position.gain"):

@@ -9,7 +9,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Interval, identify, profile
 from mckibben.muscle import ExponentialLaw
-from mckibben.report.uncertainty import force_bands, profile_likelihood
+from mckibben.report.identification import force_bands, profile_likelihood
 from mckibben.units import bar, percent
 
 

@@ -7,15 +7,13 @@ import pytest
 
 from mckibben import catalog
 from mckibben.errors import DatasetError
-from mckibben.rig.assembly import assemble
+from mckibben.rig.backend import Drive
 from mckibben.rig.bench import Bench
-from mckibben.rig.drive import Drive
-from mckibben.rig.plateaus import PLACE, POINT, Point, points
-from mckibben.rig.record import Event
+from mckibben.rig.record import PLACE, POINT, Event, Point, assemble, points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import columns_of
 from mckibben.rig.safety import Limits
-from mckibben.rig.twin.sensor import FORCE, PRESSURE, VALVE
+from mckibben.rig.twin.sensing import FORCE, PRESSURE, VALVE
 
 BENCH = Bench(
     of=catalog.specimen("MAS-10-180N-AA-MC-O"),

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RangeError, RigError
-from mckibben.rig.backend import Channel
+from mckibben.rig.backend import Channel, Drive
 from mckibben.rig.calibration import Calibration, calibrate
-from mckibben.rig.drive import Drive
 from mckibben.units import bar, mm
 
 FORCE = Calibration(name="force", unit="N", gain=-200.0, offset=0.05, low=-2000.0, high=2000.0)

@@ -9,8 +9,7 @@ import pytest
 
 from mckibben.errors import DatasetError, FileError, RangeError, RigError
 from mckibben.rig import recorder as recorder_module
-from mckibben.rig.chunks import Column, chunks
-from mckibben.rig.record import Event, passages, read_record, rows_in, segments
+from mckibben.rig.record import Column, Event, chunks, passages, read_record, rows_in, segments
 from mckibben.rig.recorder import Recorder
 
 COLUMNS = [Column("time", "s"), Column("force", "V", "float32"), Column("pulses", "1", "int32")]

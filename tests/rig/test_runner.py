@@ -13,10 +13,9 @@ from mckibben import catalog
 from mckibben.errors import SignalledError, StoppedError
 from mckibben.muscle import MaxwellSlip, Muscle, forces
 from mckibben.rig import IsobaricProtocol
-from mckibben.rig.assembly import assemble, recorded_points
 from mckibben.rig.bench import Bench
 from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_of
-from mckibben.rig.record import read_record
+from mckibben.rig.record import assemble, read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import Limits

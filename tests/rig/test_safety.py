@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RangeError, StoppedError
-from mckibben.rig.backend import Block, Channel
-from mckibben.rig.drive import Drive
+from mckibben.rig.backend import Block, Channel, Drive
 from mckibben.rig.safety import Limits, Watch
-from mckibben.rig.twin.sensor import FORCE, PRESSURE
+from mckibben.rig.twin.sensing import FORCE, PRESSURE
 from mckibben.units import bar, mm
 
 LIMITS = Limits(pressure=4 * bar, force=500.0, stretch=5 * mm, shorten=40 * mm)

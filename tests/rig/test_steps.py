@@ -9,13 +9,13 @@ from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.muscle import Muscle
 from mckibben.rig import IsobaricProtocol
+from mckibben.rig.backend import Drive
 from mckibben.rig.bench import Bench
-from mckibben.rig.drive import Drive
-from mckibben.rig.outline import outline
+from mckibben.rig.dry_run import outline
 from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_of
 from mckibben.rig.safety import Limits
 from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Vent, Walk, described
-from mckibben.rig.twin.sensor import FORCE, PRESSURE, VALVE
+from mckibben.rig.twin.sensing import FORCE, PRESSURE, VALVE
 from mckibben.units import bar, mm, percent
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))

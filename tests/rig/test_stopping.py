@@ -8,10 +8,9 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RigError, SignalledError, SilentError, StoppedError
 from mckibben.muscle import Muscle
-from mckibben.rig.assembly import recorded_points
 from mckibben.rig.backend import Block
 from mckibben.rig.bench import Bench
-from mckibben.rig.record import read_record
+from mckibben.rig.record import read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import Limits

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from mckibben.control import Setpoint
 from mckibben.joint import AntagonisticJoint, SeriesSpring
+from mckibben.numerics.batching import many_runs
 from mckibben.numerics.compiled import numeric
-from mckibben.numerics.many import many_runs
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import SETTLING_PART, Metrics, Trajectory, episode, measure, trajectory, without_last_change
-from mckibben.simulation.measured import measured_episode
 from mckibben.simulation.metrics import Tally, last_change, metrics_of, tally
+from mckibben.simulation.streaming import measured_episode
 
 PERIOD = 1e-3
 FLAGS = ("saturated", "slack", "outside_domain", "overloaded")

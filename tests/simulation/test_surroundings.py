@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mckibben.control import Constant, Controller, Reference, Step
+from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.numerics.lanes import cast
 from mckibben.plant import (
     IdealValve,
     JointPlant,

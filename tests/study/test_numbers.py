@@ -10,7 +10,7 @@ from mckibben import catalog
 from mckibben.identification import identify
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.simulation import Metrics
-from mckibben.study.numbers import METRICS, fit_numbers, plain, shown, to_json, write_json
+from mckibben.study.reporting import METRICS, fit_numbers, plain, shown, to_json, write_json
 
 
 def test_every_metric_is_shown_once_under_a_name_that_says_its_unit():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mckibben.errors import ParameterError
 from mckibben.study.parameters import design, over, read_overs
-from mckibben.study.parameters.spread import LogUniform, Normal, Uniform, Values, Wholes
+from mckibben.study.parameters.distributions import LogUniform, Normal, Uniform, Values, Wholes
 from mckibben.study.scenario import Scenario
 
 BACKPROP = Scenario.read(Path(__file__).parents[2] / "examples" / "pre-contracted-step-backprop.yaml")

@@ -9,7 +9,7 @@ from mckibben.control import InverseModelControl, PositionStiffnessControl
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.study.parameters import addresses, find, lanes
 from mckibben.study.scenario import Scenario
-from mckibben.study.tuning import around_gains
+from mckibben.study.tune import around_gains
 
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 BEFORE, AFTER = TEXT.split("reference:")

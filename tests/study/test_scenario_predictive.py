@@ -8,7 +8,7 @@ from mckibben.control import ExtendedStateObserver, LawAdaptation, PredictiveCon
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.study.parameters import addresses, find, lanes
 from mckibben.study.scenario import Scenario
-from mckibben.study.tuning import around_gains
+from mckibben.study.tune import around_gains
 from mckibben.units import deg, ms
 
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()

@@ -11,8 +11,8 @@ from mckibben.muscle import PressureAffineLaw
 from mckibben.plant import NoDisturbance, PerfectSensors, SampledSensors, TorquePulses
 from mckibben.study.parameters import addresses, find, lanes, with_values
 from mckibben.study.scenario import Scenario
-from mckibben.study.sweep.words import listed
-from mckibben.study.tuning import around_gains
+from mckibben.study.sweep.result import listed
+from mckibben.study.tune import around_gains
 from mckibben.units import deg, ms
 
 BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()

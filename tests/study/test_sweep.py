@@ -16,13 +16,13 @@ import xarray as xr
 
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, SimulationError
 from mckibben.simulation import Metrics, Outcome
-from mckibben.simulation.reach import check_reference
+from mckibben.simulation.feasibility import check_reference
 from mckibben.study import sweep as package
 from mckibben.study.parameters import Normal, Uniform, design, over, read_overs, with_values
-from mckibben.study.running import run_scenario
 from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.running import run_scenario
 from mckibben.study.sweep import InterruptedSweep, Sweep, sweep
-from mckibben.study.sweep.attainable import attainability
+from mckibben.study.sweep.blocks import attainability
 from mckibben.study.sweep.plan import Asked, Plan, _sizes
 from mckibben.study.sweep.store import Store
 from mckibben.units import deg

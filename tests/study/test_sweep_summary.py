@@ -10,11 +10,17 @@ from scipy import stats
 
 from mckibben import report
 from mckibben.simulation import Metrics
-from mckibben.simulation.outcome import OUTCOMES, Outcome
-from mckibben.study.numbers import METRICS, to_json
+from mckibben.simulation.result import OUTCOMES, Outcome
+from mckibben.study.reporting import METRICS, to_json
 from mckibben.study.sweep import Sweep, summary
-from mckibben.study.sweep.summary import main_metrics, spearman
-from mckibben.study.sweep.words import correlation_rows, metric_rows, outcome_rows, reach_sentence
+from mckibben.study.sweep.result import (
+    correlation_rows,
+    main_metrics,
+    metric_rows,
+    outcome_rows,
+    reach_sentence,
+    spearman,
+)
 from mckibben.units import deg
 
 INPUTS = {

@@ -6,9 +6,8 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from mckibben.catalog.publications import FOLDER, find
-from mckibben.joint import AntagonisticJoint, KneeGeometry
+from mckibben.joint import AntagonisticJoint, KneeGeometry, Load
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
-from mckibben.plant import Load
 from mckibben.units import quantity
 
 if TYPE_CHECKING:

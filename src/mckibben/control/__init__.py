@@ -4,15 +4,14 @@ from mckibben.control.adaptation import LawAdaptation
 from mckibben.control.backprop import BackpropPID, Jacobian
 from mckibben.control.base import Controller, Loop, Measurement, Reference, Setpoint
 from mckibben.control.decoupling import DecouplingControl
-from mckibben.control.feedback import Feedback, PolePlacement
-from mckibben.control.friction import FrictionCompensation
+from mckibben.control.feedback import Feedback, PolePlacement, SlidingMode
+from mckibben.control.friction_compensation import FrictionCompensation
 from mckibben.control.inverse_model import InverseModelControl
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver, VelocityObserver
 from mckibben.control.pid import PID
 from mckibben.control.position_stiffness import PositionStiffnessControl
 from mckibben.control.predictive import PredictiveControl
-from mckibben.control.signal import Constant, Multisine, Samples, Signal, Sine, Step, Sum
-from mckibben.control.sliding import SlidingMode
+from mckibben.control.reference import Constant, Multisine, Samples, Signal, Sine, Step, Sum
 
 __all__ = [
     "PID",

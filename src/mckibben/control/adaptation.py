@@ -9,13 +9,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.joint import AntagonisticJoint, friction
+from mckibben.joint import AntagonisticJoint, Load, friction
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import stronger
-from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_positive, check_within
-from mckibben.numerics.elementary import exp, sincos
-from mckibben.plant import Load
+from mckibben.numerics.elementary import exp, floating, sincos
 
 Scalar = Float[Array, ""]
 

@@ -12,8 +12,8 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from mckibben.control.base import Loop
 from mckibben.control.pid import PID, PIDState
-from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.elementary import floating
 
 Scalar = Float[Array, ""]
 

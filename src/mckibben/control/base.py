@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.control.signal import Signal, as_signal
+from mckibben.control.reference import Signal, as_signal
 
 Scalar = Float[Array, ""]
 

@@ -8,17 +8,17 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.control.allocation import Chosen, map_at, pressures_between, torque_first
 from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.feedback import Feedback
-from mckibben.control.inversion import Chosen, map_at, pressures_between, torque_first
 from mckibben.control.model_based import Beliefs, ModelBasedControl
 from mckibben.control.observer import Observer, PressureObserver
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
+from mckibben.numerics.batching import apart
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.elementary import exp
-from mckibben.numerics.many import apart
 
 Scalar = Float[Array, ""]
 

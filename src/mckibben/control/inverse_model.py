@@ -9,17 +9,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from mckibben.control.allocation import map_at, pressures_between, torque_first
 from mckibben.control.backprop import Network
 from mckibben.control.base import Controller, Measurement, Setpoint
-from mckibben.control.course import Course, followed, standing
-from mckibben.control.inversion import map_at, pressures_between, torque_first
 from mckibben.control.position_stiffness import Forward, PositionStiffnessControl, PositionStiffnessState
+from mckibben.control.reference import Course, followed, standing
+from mckibben.joint import Load
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.arrays import floating
+from mckibben.numerics.batching import apart
 from mckibben.numerics.checks import check_kind, check_positive
-from mckibben.numerics.elementary import exp
-from mckibben.numerics.many import apart
-from mckibben.plant import Load
+from mckibben.numerics.elementary import exp, floating
 
 Scalar = Float[Array, ""]
 

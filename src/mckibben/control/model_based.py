@@ -6,21 +6,23 @@ import abc
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.adaptation import Adapted, LawAdaptation, strengthened
+from mckibben.control.allocation import map_at, pressures_between
 from mckibben.control.base import Controller, Measurement, Setpoint
-from mckibben.control.course import Course, followed, standing
 from mckibben.control.observer import Motion, Observer, PressureObserver
+from mckibben.control.reference import Course, followed, standing
 from mckibben.errors import RangeError
-from mckibben.joint import AntagonisticJoint, friction
-from mckibben.joint.attainable import pressure_limits_of
+from mckibben.joint import AffineMap, AntagonisticJoint, Load, TorqueStiffnessMap, friction
+from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
+from mckibben.numerics.batching import apart
 from mckibben.numerics.checks import check_kind, check_positive
 from mckibben.numerics.elementary import exp
-from mckibben.numerics.many import apart
-from mckibben.plant import Load
 
 Scalar = Float[Array, ""]
 
@@ -195,3 +197,54 @@ class ModelBasedControl(Controller):
             return memories, jnp.zeros_like(pressures[0])
         memories = friction.settled(self.model, memories, wish, pressures)
         return memories, friction.friction_torque(self.model, memories, wish, 0.0, pressures)
+
+
+_ASIDE = 0.02  # rad: where the model is asked a second time, to tell how it changes with the angle
+
+
+class Surroundings(NamedTuple):
+    """What a model says of the joint at an angle, and how it changes with the angle.
+
+    Attributes
+    ----------
+    torque, softening
+        Torque over the pressures, of taut muscles, and how it falls with the angle.
+    stiffness, stiffness_slope
+        The same of the stiffness, and how it grows.
+    lowest, highest, lowest_slope, highest_slope
+        Limits of the pressures.
+    """
+
+    torque: AffineMap
+    softening: AffineMap
+    stiffness: AffineMap
+    stiffness_slope: AffineMap
+    lowest: Pair
+    highest: Pair
+    lowest_slope: Pair
+    highest_slope: Pair
+
+
+def surroundings(
+    model: AntagonisticJoint, angle: Scalar, pressures: Pair, *, minimum_tension: ArrayLike
+) -> Surroundings:
+    """What a model says of the joint about an angle [rad] and pressures [Pa], no muscle below a tension [N]."""
+
+    def at(angle: Scalar) -> tuple[TorqueStiffnessMap, Pair, Pair]:
+        lowest, highest = pressures_between(model, angle, minimum_tension)
+        return map_at(model, angle, _taut(pressures, lowest)), lowest, highest
+
+    both = lax.map(at, jnp.stack([angle, angle + _ASIDE]))  # a loop: half of the code to compile
+    (torque, stiffness), lowest, highest = jax.tree.map(lambda values: values[0], both)
+    (_, stiffness_slope), *limit_slopes = jax.tree.map(lambda values: (values[1] - values[0]) / _ASIDE, both)
+    softening = stiffness
+    if not is_affine(model):  # a secant across the stop of a spring says nothing of other pressures
+        nothing = jnp.zeros_like(angle)
+        softening = AffineMap(stiffness(_taut(pressures, lowest)), nothing, nothing)
+        stiffness_slope = AffineMap(nothing, nothing, nothing)
+    return Surroundings(torque, softening, stiffness, stiffness_slope, lowest, highest, *limit_slopes)
+
+
+def _taut(pressures: Pair, lowest: Pair) -> Pair:
+    """The nearest pressures that keep both muscles taut."""
+    return jnp.maximum(pressures[0], lowest[0]), jnp.maximum(pressures[1], lowest[1])

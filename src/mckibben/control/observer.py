@@ -11,9 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_positive
-from mckibben.numerics.elementary import exp
+from mckibben.numerics.elementary import exp, floating
 
 Scalar = Float[Array, ""]
 

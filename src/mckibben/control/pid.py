@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.base import Loop
-from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_positive
+from mckibben.numerics.elementary import floating
 
 Scalar = Float[Array, ""]
 

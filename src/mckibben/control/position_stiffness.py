@@ -8,14 +8,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.control.allocation import differential_first, pressures_between
 from mckibben.control.base import Controller, Loop, Measurement, Setpoint
-from mckibben.control.inversion import differential_first, pressures_between
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
+from mckibben.numerics.batching import apart
+from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_positive
-from mckibben.numerics.derivative import derivative
-from mckibben.numerics.many import apart
 
 Scalar = Float[Array, ""]
 

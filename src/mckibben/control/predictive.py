@@ -10,16 +10,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.base import Measurement, Setpoint
-from mckibben.control.course import Course
-from mckibben.control.horizon import Bent, Outlook, Policy, later, planned, steady
-from mckibben.control.model_based import Beliefs, ModelBasedControl
+from mckibben.control.ddp import Bent, Outlook, Policy, later, planned, steady
+from mckibben.control.model_based import Beliefs, ModelBasedControl, Surroundings, surroundings
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
-from mckibben.control.surroundings import Surroundings, surroundings
+from mckibben.control.reference import Course
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
+from mckibben.numerics.batching import apart
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp
-from mckibben.numerics.many import apart
 from mckibben.units import bar, deg
 
 Scalar = Float[Array, ""]
@@ -70,7 +69,7 @@ class PredictiveControl(ModelBasedControl):
     given up for each other as their errors weigh: with a small :math:`\theta_s / K_s`, as it is unless given, the
     torque comes first.
 
-    The way is found by control-limited differential dynamic programming (`mckibben.control.horizon`): a Newton step or
+    The way is found by control-limited differential dynamic programming (`mckibben.control.ddp`): a Newton step or
     a few from the plan of the last period. There is no integral that could wind up: the observer is told the torque
     that the model gives at the measured pressures.
 

@@ -2,8 +2,7 @@
 
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.points import Points
-from mckibben.dataset.reading import read_dataset
-from mckibben.dataset.recorded import read_recording
+from mckibben.dataset.reading import read_dataset, read_recording
 from mckibben.dataset.recording import Recording
 
 __all__ = ["IsobaricDataset", "Points", "Recording", "read_dataset", "read_recording"]

@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from mckibben.dataset.headers import is_unit
+from mckibben.dataset.columns import is_unit
 from mckibben.dataset.sheet import Channel, RowProblem, Sheet, settled
 from mckibben.errors import DatasetError, Problem
 

@@ -1,4 +1,4 @@
-"""The measured points of isobaric tests, one row per plateau mean, in SI units."""
+"""The raw samples of plateaus to their means."""
 
 from __future__ import annotations
 
@@ -12,13 +12,89 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.netcdf import held_in, write_netcdf
-from mckibben.dataset.plateaus import mean_and_spread
-from mckibben.dataset.schema import assemble, conform, spanned
-from mckibben.dataset.selection import among, listed, near
-from mckibben.dataset.writing import write_csv
+from mckibben.dataset.schema import assemble, conform, held_in, spanned, write_csv, write_netcdf
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, percent
+
+_BLOCK = 32768  # samples worked on at a time: 256 KiB of floats stay in a core's cache
+
+
+def mean_and_spread(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and standard deviation of each row, in one pass through memory and without a copy of the whole.
+
+    Parameters
+    ----------
+    samples
+        Shape (points, samples), of any float type; the sums are of float64.
+
+    Returns
+    -------
+    mean, spread
+        Shape (points,), in the unit of the samples.
+
+    Examples
+    --------
+    >>> mean_and_spread(np.array([[1.0, 3.0], [5.0, 5.0]]))
+    (array([2., 5.]), array([1., 0.]))
+    """
+    points, count = samples.shape
+    mean, spread = np.empty(points), np.empty(points)
+    rows = max(1, _BLOCK // count)
+    deviation = np.empty((rows, count))
+    for start in range(0, points, rows):
+        block = samples[start : start + rows]
+        here = slice(start, start + len(block))
+        mean[here] = block.mean(axis=1, dtype=np.float64)
+        part = np.subtract(block, mean[here, None], out=deviation[: len(block)])
+        spread[here] = np.sqrt(np.einsum("ij,ij->i", part, part) / count)
+    return mean, spread
+
+
+def near(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: float = 1e3) -> NDArray[np.bool_]:
+    """The points whose level is within `tolerance` of any of the pressures, all in Pa.
+
+    Raises
+    ------
+    RangeError
+        If there is no point at one of the pressures.
+    """
+    wanted = np.atleast_1d(np.asarray(pressures, dtype=np.float64)).ravel()
+    close = np.abs(levels[:, None] - wanted) <= tolerance
+    if len(missing := wanted[~np.any(close, axis=0)]):
+        raise RangeError(
+            f"there is no point at {listed(missing / bar)} bar",
+            value=float(missing[0]),
+            unit="Pa",
+            remedy=f"the pressures are {listed(np.unique(levels) / bar)} bar" if len(levels) else "",
+        )
+    return np.asarray(np.any(close, axis=1))
+
+
+def among(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.bool_]:
+    """The points whose entry in a column is one of the values; an empty column is one that is not recorded.
+
+    Raises
+    ------
+    RangeError
+        If one of the values is not in the column, or none is given.
+    """
+    wanted = np.atleast_1d(np.asarray(values)).ravel()
+    present = np.unique(column)
+    if missing := sorted(set(wanted.tolist()) - set(present.tolist())):
+        raise RangeError(
+            f"there is no point of {name} {', '.join(map(str, missing))}",
+            value=missing[0],
+            remedy=f"the {name}s are {listed(present)}" if len(present) else f"no {name} is recorded",
+        )
+    if not len(wanted):
+        raise RangeError(f"no {name} is given", remedy=f"the {name}s are {listed(present)}" if len(present) else "")
+    return np.asarray(np.isin(column, wanted))
+
+
+def listed(values: np.ndarray, most: int = 24) -> str:
+    """Numbers or words as text, the first of them where there are many."""
+    shown = [value if isinstance(value, str) else f"{value:g}" for value in values[:most].tolist()]
+    return ", ".join(shown) + (f", ... ({len(values)} in all)" if len(values) > most else "")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

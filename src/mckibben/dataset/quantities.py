@@ -10,11 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.cells import decimal_sign, read_numbers
 from mckibben.dataset.columns import lay_out
-from mckibben.dataset.schema import VACUUM, WORDS
-from mckibben.dataset.sheet import Sheet
-from mckibben.dataset.writing import unplain
+from mckibben.dataset.schema import VACUUM, WORDS, unplain
+from mckibben.dataset.sheet import Sheet, decimal_sign, read_numbers
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError
 from mckibben.units import factor, quantity
 

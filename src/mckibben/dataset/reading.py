@@ -1,4 +1,4 @@
-"""Files of measurements to an `IsobaricDataset`, with all that is wrong in a file said at once."""
+"""Files of measurements to an `IsobaricDataset` or a `Recording`, with all errors of a file at once."""
 
 from __future__ import annotations
 
@@ -10,10 +10,61 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.formats import read_sheet
+from mckibben.dataset.columns import recognise
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.quantities import OnCorrupt, Quantities
+from mckibben.dataset.recording import Recording
+from mckibben.dataset.sheet import Sheet
+from mckibben.dataset.text import SIGNATURE, decode, read_bytes, read_lvm, read_text
 from mckibben.errors import DatasetError, McKibbenWarning, Problem
+
+_OLD_WORKBOOK = b"\xd0\xcf\x11\xe0"
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+def read_sheet(path: Path, mapping: Mapping[str, str]) -> Sheet:
+    """The columns of a file of any kind that is read.
+
+    Parameters
+    ----------
+    path
+        A text, .xlsx, .mat, .tdms, .lvm or HDF5 file.
+    mapping
+        Names of the file that the user has given a meaning.
+
+    Raises
+    ------
+    DatasetError
+        If it is none of these, or damaged so that nothing of it can be read.
+    """
+    data = read_bytes(path)
+
+    def known(header: str, unit: str) -> bool:
+        return header in mapping or recognise(header, unit) is not None
+
+    if data.startswith(b"TDSm"):
+        from mckibben.dataset.tdms import read_tdms
+
+        return read_tdms(path, data)
+    if data.startswith(b"PK\x03\x04"):
+        from mckibben.dataset.excel import read_excel
+
+        return read_excel(path, data, known)
+    if data.startswith(_HDF5) or data[512:520] == _HDF5:
+        from mckibben.dataset.matlab import read_hdf5
+
+        return read_hdf5(path, data)
+    if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and data):
+        from mckibben.dataset.matlab import read_matlab
+
+        return read_matlab(path, data)
+    if data.startswith(_OLD_WORKBOOK):
+        raise DatasetError(str(path), [Problem("is a workbook of before 2007", remedy="save it as .xlsx or CSV")])
+    text, zeros = decode(data, str(path))
+    if text.startswith(SIGNATURE):
+        return read_lvm(text, str(path), known, zeros=zeros)
+    return read_text(text, str(path), known, zeros=zeros)
+
 
 _NEEDED = ("pressure", "contraction", "force")
 _PLAUSIBLE = -0.1, 0.5  # contractions of any muscle
@@ -123,3 +174,100 @@ def _from_netcdf(
     given = {"initial_length": initial_length, "specimen": specimen or None, "slack_force": slack_force}
     changes = {name: value for name, value in given.items() if value is not None}
     return IsobaricDataset(dataset.table.assign_attrs(changes)) if changes else dataset
+
+
+_KEPT = ("time", "pressure", "force", "contraction", "set_pressure")
+_RATE_REMEDY = "give sample_rate (command line: --sample-rate '1000 Hz'), or a column time_s, time_ms or time_min"
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    *,
+    columns: Mapping[str, str] | None = None,
+    initial_length: float | None = None,
+    contraction: float | None = None,
+    sample_rate: float | None = None,
+    specimen: str = "",
+    slack_force: float | None = None,
+    on_corrupt: OnCorrupt = "raise",
+) -> Recording:
+    """Read a raw record of a rig from a file of any kind that `read_dataset` reads, by the same names of columns.
+
+    Needed are a pressure and a force. The time may be a column, come from `sample_rate`, or from the waveforms of a
+    TDMS file. A length becomes a contraction by the initial length. A file named ``*.nc`` is one that
+    `Recording.to_netcdf` wrote.
+
+    Parameters
+    ----------
+    path, columns, initial_length, specimen, slack_force
+        As for `read_dataset`.
+    contraction
+        At which the muscle was held [-], where the file has neither contractions nor lengths.
+    sample_rate
+        Of a file without times [Hz].
+    on_corrupt
+        As for `read_dataset`. The time of samples that are left out remains: they leave a gap.
+
+    Raises
+    ------
+    DatasetError
+        With every problem of the file, its line and column.
+
+    Warns
+    -----
+    McKibbenWarning
+        As `read_dataset`.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".nc":
+        return _recording_from_netcdf(path, columns, initial_length, contraction, specimen, slack_force)
+    mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
+    sheet = read_sheet(path, mapping)
+    file = Quantities(sheet, mapping, initial_length, ("pressure", "force"))
+    attrs = file.attributes(path, specimen, slack_force)
+    data = {name: values for name, values in file.columns().items() if name in _KEPT}
+    file.ignored += [
+        sheet.channels[file.places[name][0]].name for name in file.places if name not in (*_KEPT, "length")
+    ]
+    if "time" not in data and "pressure" in data:
+        step = sheet.interval if sample_rate is None else 1 / sample_rate if sample_rate > 0 else None
+        if step is None or not np.isfinite(step):
+            file.problems.append(Problem("no column for time, and no sample rate", remedy=_RATE_REMEDY))
+        else:
+            # by the number of the row: one that is left out keeps its place
+            rows = np.asarray(file.lines, np.float64)
+            data["time"] = (rows - (rows[0] if len(rows) else 0)) * step
+    elif sample_rate is not None and "time" in data:
+        file.problems.append(Problem("sample_rate is given, and the file has times", remedy="leave sample_rate out"))
+    if contraction is not None and "contraction" in data:
+        remedy = "leave contraction out"
+        file.problems.append(Problem("contraction is given, and the file has its own", remedy=remedy))
+    data, found = file.settle(path, data, on_corrupt)
+    if contraction is not None:
+        data["contraction"] = np.full(len(data["pressure"]), contraction)
+    try:
+        recording = Recording.of(**data, initial_length=file.initial_length, **attrs)
+    except DatasetError as error:  # what an argument brought in
+        raise DatasetError(str(path), error.problems) from None
+    return Recording(recording.table.assign_attrs(found)) if found else recording
+
+
+def _recording_from_netcdf(
+    path: Path,
+    columns: Mapping[str, str] | None,
+    initial_length: float | None,
+    contraction: float | None,
+    specimen: str,
+    slack_force: float | None,
+) -> Recording:
+    if columns:
+        raise DatasetError(str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")])
+    recording = Recording.from_netcdf(path)
+    given = {"initial_length": initial_length, "specimen": specimen or None, "slack_force": slack_force}
+    table = recording.table.assign_attrs({name: value for name, value in given.items() if value is not None})
+    if contraction is not None:
+        if "contraction" in table:
+            message = "contraction is given, and the file has its own"
+            raise DatasetError(str(path), [Problem(message, remedy="leave contraction out")])
+        table = table.assign(contraction=("sample", np.full(len(recording), contraction)))
+    return Recording(table)

@@ -14,9 +14,8 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isometric import isometric
-from mckibben.dataset.netcdf import held_in, write_netcdf
 from mckibben.dataset.points import Points
-from mckibben.dataset.schema import VACUUM, spanned
+from mckibben.dataset.schema import VACUUM, held_in, spanned, write_netcdf
 from mckibben.dataset.segmentation import plateaus
 from mckibben.errors import DatasetError, Problem
 from mckibben.units import bar, kPa, percent

@@ -1,4 +1,4 @@
-"""A delimited text file to a `Sheet`."""
+"""Delimited text files and LabVIEW measurement files (.lvm)."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ import io
 import re
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, islice
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from mckibben.dataset.headers import is_unit
+from mckibben.dataset.columns import is_unit
 from mckibben.dataset.sheet import Channel, Sheet
 from mckibben.errors import DatasetError, Problem
 
@@ -260,3 +261,131 @@ def _short(text: str, delimiter: str) -> str:
     if len(decimals) < 5 or len(set(decimals[:-1])) > 1 or decimals[-1] >= decimals[0]:
         return ""
     return f"its last number has {decimals[-1]} decimals where others have {decimals[0]}"
+
+
+_MARKS = (
+    (b"\xef\xbb\xbf", "utf-8-sig"),
+    (b"\xff\xfe\x00\x00", "utf-32"),
+    (b"\x00\x00\xfe\xff", "utf-32"),
+    (b"\xff\xfe", "utf-16"),
+    (b"\xfe\xff", "utf-16"),
+)
+_BINARY = 0.01  # parts of zero bytes above which a file is no text
+_PROBED = 4096  # bytes
+
+
+def read_bytes(path: Path) -> bytes:
+    """The content of a file.
+
+    Raises
+    ------
+    DatasetError
+        If the system has none.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise DatasetError(str(path), [Problem("there is no such file")]) from None
+    except IsADirectoryError:
+        raise DatasetError(str(path), [Problem("is a directory", remedy="name a file in it")]) from None
+    except (OSError, ValueError) as error:
+        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
+
+
+def decode(data: bytes, source: str) -> tuple[str, int]:
+    r"""The text of a file, and how many zero bytes were cut from its end.
+
+    A mark at the beginning says what the encoding is. Without one it is UTF-16 if every other byte is zero, else UTF-8
+    if it is valid, and else Windows-1252. For numbers it makes no difference; what goes wrong is a header in
+    another alphabet, and the header is then shown as it was read.
+
+    Zero bytes at the end are what a logger leaves that lost its power. Single ones elsewhere stay in the text.
+
+    Raises
+    ------
+    DatasetError
+        If it is no text.
+
+    Examples
+    --------
+    >>> decode("p / bar".encode("utf-16-le"), "rig.csv"), decode(b"1,2\n3\0\0", "rig.csv"), decode(b"K\xfcrzung", "")
+    (('p / bar', 0), ('1,2\n3', 2), ('Kürzung', 0))
+    """
+    for mark, encoding in _MARKS:
+        if data.startswith(mark):
+            return _decoded(data, encoding, source), 0
+    probe = data[:_PROBED]
+    for encoding, zeros, letters in (("utf-16-le", probe[1::2], probe[::2]), ("utf-16-be", probe[::2], probe[1::2])):
+        if len(zeros) > 1 and zeros.count(0) > 0.9 * len(zeros) and letters.count(0) < 0.1 * len(letters):
+            return _decoded(data, encoding, source), 0
+    whole = data.rstrip(b"\0")
+    if whole.count(0) > _BINARY * len(whole) or (data and not whole):
+        line = data.count(b"\n", 0, data.find(b"\0")) + 1
+        raise DatasetError(
+            str(source), [Problem("is a binary file", line=line, remedy="give text, .nc, .mat, .tdms ...")]
+        )
+    try:
+        return whole.decode("utf-8"), len(data) - len(whole)
+    except UnicodeDecodeError:
+        return _decoded(whole, "cp1252", source), len(data) - len(whole)
+
+
+def _decoded(data: bytes, encoding: str, source: str) -> str:
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError as error:
+        at, name = error.start, {"cp1252": "UTF-8 nor Windows-1252 text"}.get(encoding, f"{encoding[:6].upper()} text")
+        message = f"byte 0x{error.object[at]:02x} at {at} is {'neither' if encoding == 'cp1252' else 'no'} {name}"
+        line = error.object.count(b"\n", 0, at) + 1
+        raise DatasetError(source, [Problem(message, line=line, remedy="save the file as UTF-8")]) from None
+
+
+SIGNATURE = "LabVIEW Measurement"
+_END = "***End_of_Header***"
+
+
+def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros: int = 0) -> Sheet:
+    """Read a file of one segment: the columns under its second header, units from ``Y_Unit_Label``.
+
+    ``X_Value`` is the time [s] where the file says that its dimension is time.
+
+    Raises
+    ------
+    DatasetError
+        If there is no segment, or more than one.
+    """
+    parts = text.split(_END)
+    if len(parts) != 3:
+        found = f"has {len(parts) - 2} segments" if len(parts) > 3 else "is a LabVIEW measurement without a segment"
+        raise DatasetError(source, [Problem(found, remedy="write one segment to a file, or give TDMS")])
+    fields = [line.rstrip().split("\t") for line in parts[1].splitlines()]
+    said = {cells[0]: cells[1:] for cells in fields if cells}
+    first = text[: text.rindex(_END)].count("\n") + 1
+    body = parts[2].partition("\n")[2]
+    header, _, rows = body.partition("\n")
+    names = header.rstrip("\r\n").split("\t")
+    if names[-1] == "Comment":  # its cells are written only where there is a comment
+        rows = "".join(_padded(line, len(names)) for line in rows.splitlines(keepends=True))
+    # the lines before are put back blank, so that every row keeps its number
+    sheet = read_text("\n" * first + f"{header}\n{rows}", source, known, zeros=zeros)
+    units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
+    if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
+        units["X_Value"] = "s"
+    sheet.channels = [
+        Channel(
+            each.name,
+            each.cells,
+            each.lines,
+            "time" if each.name == "X_Value" else "",
+            each.unit or units.get(each.name, ""),
+        )
+        for each in sheet.channels
+    ]
+    return sheet
+
+
+def _padded(line: str, cells: int) -> str:
+    """A row with the cell of its comment, if that alone is missing."""
+    content = line.rstrip("\r\n")
+    missing = cells - 1 - content.count("\t")
+    return f"{content}\t{line[len(content) :]}" if missing == 1 and content.strip() else line

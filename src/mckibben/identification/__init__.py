@@ -1,20 +1,17 @@
 """From measured points to a force law and its friction: least squares, uncertainty, errors at unseen points."""
 
-from mckibben.identification.bands import Band, ForceBand, Interval
 from mckibben.identification.bootstrap import Bootstrap, bootstrap
-from mckibben.identification.creep import identify_creep
-from mckibben.identification.creep_fit import CreepFit
-from mckibben.identification.design import design_matrix
+from mckibben.identification.creep import CreepFit, identify_creep
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
-from mckibben.identification.fitting import identify
-from mckibben.identification.groups import Grouping
-from mckibben.identification.hysteresis import identify_hysteresis
-from mckibben.identification.hysteresis_fit import Drift, HysteresisFit
+from mckibben.identification.fitting import Structure, identify
+from mckibben.identification.hysteresis import Drift, HysteresisFit, identify_hysteresis
+from mckibben.identification.intervals import Band, ForceBand, Interval
 from mckibben.identification.posterior import Noise, Posterior, posterior
+from mckibben.identification.problem import design_matrix
 from mckibben.identification.profile import Profile, profile
 from mckibben.identification.ranking import Ranked, Ranking, rank
 from mckibben.identification.storage import read_law
-from mckibben.identification.structure import Structure
+from mckibben.identification.uncertainty import Grouping
 from mckibben.identification.validation import Errors, HoldOut, Validation, hold_out, validate
 
 __all__ = [

@@ -19,15 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification.bands import Band, Interval, check_level, quantile
-from mckibben.identification.bounded import solve_between_bounds
-from mckibben.identification.draws import law_forces
-from mckibben.identification.evidence import Evidence
 from mckibben.identification.fit import Fit
-from mckibben.identification.groups import Grouping, finest_recorded, group_labels
+from mckibben.identification.intervals import Band, Evidence, Interval, check_level, law_forces, quantile
 from mckibben.identification.problem import FitProblem, Solution
-from mckibben.identification.projection import project, solve_by_projection
-from mckibben.identification.uncertainty import CONDITION_LIMIT, condition
+from mckibben.identification.solvers import project, solve_between_bounds, solve_by_projection
+from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition, finest_recorded, group_labels
 from mckibben.muscle import ForceLaw
 
 FEWEST_BLOCKS = 8

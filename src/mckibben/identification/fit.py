@@ -11,9 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import IdentificationError
-from mckibben.identification.bands import ForceBand, Interval, force_band, parameter_interval
-from mckibben.identification.evidence import Evidence, RobustErrors
-from mckibben.identification.groups import Grouping
+from mckibben.identification.intervals import (
+    Evidence,
+    ForceBand,
+    Interval,
+    RobustErrors,
+    force_band,
+    parameter_interval,
+)
+from mckibben.identification.uncertainty import Grouping
 from mckibben.muscle import ForceLaw
 from mckibben.units import bar, factor
 
@@ -125,7 +131,7 @@ class Fit:
         level
             That share.
         by
-            Which points may share an error; unless said, as `mckibben.identification.evidence.Evidence.rule` has it:
+            Which points may share an error; unless said, as `mckibben.identification.intervals.Evidence.rule` has it:
             those of a stroke, or of a pressure where strokes are not known. ``Grouping.POINT`` gives the classical
             intervals.
 

@@ -1,24 +1,23 @@
-"""Identification: a type of law and measured points to a `Fit`."""
+"""Identification of a force law from measured points."""
 
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.blocks import UndeterminedError, held, pressure_blocks
-from mckibben.identification.evidence import Evidence
+from mckibben.identification.cross_validation import UndeterminedError, held, pressure_blocks
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
-from mckibben.identification.groups import Grouping
+from mckibben.identification.intervals import Evidence
 from mckibben.identification.problem import FitProblem, Solution
-from mckibben.identification.projection import project, search
-from mckibben.identification.solving import solve
-from mckibben.identification.uncertainty import CONDITION_LIMIT, condition, uncertainty, undetermined
-from mckibben.muscle import Domain, ForceLaw
-from mckibben.units import show
+from mckibben.identification.solvers import project, search, solve
+from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition, uncertainty, undetermined
+from mckibben.muscle import Domain, ForceLaw, forces
+from mckibben.units import bar, percent, show
 
 _STRONG_CORRELATION = 0.999
 _FRICTION = 1.0  # a gap between the directions above this part of the RMSE is what the residuals consist of
@@ -231,3 +230,138 @@ def _correlation_warnings(names: tuple[str, ...], correlations: NDArray[np.float
         for j in range(i + 1, len(names))
         if abs(correlations[i, j]) > _STRONG_CORRELATION
     ]
+
+
+_CONTRACTIONS, _PRESSURES = 57, 33
+_ROUNDING = 1e-9  # of the largest force
+
+
+def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
+    """Where the law has no force, or its taut muscle would pull harder when shorter or less at more pressure; or empty.
+
+    Parameters
+    ----------
+    law
+        To be looked at.
+    domain
+        On a grid over it, edges included; over the law's own unless given.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> unphysical(catalog.law("lei-mas-10-180n"))
+    ''
+    >>> from mckibben.muscle import ReynoldsLaw
+    >>> unphysical(ReynoldsLaw(100.0, 1e-3, 500.0, -2e-2, Domain(0.0, 0.2, 0.0, 6e5)))
+    'its force rises with contraction at 0 % and 0.375 bar'
+    """
+    box = law.domain if domain is None else domain
+    contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
+    pressure = np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
+    force = forces(law, contraction[:, None], pressure)
+    nowhere = ~np.isfinite(force)
+    if nowhere.any():
+        i, j = np.unravel_index(np.argmax(nowhere), nowhere.shape)
+        return f"it has no force at {contraction[i] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
+    rounding = _ROUNDING * float(np.abs(force).max())
+    for what, change, taut in (
+        ("rises with contraction", np.diff(force, axis=0), force[:-1] > 0),
+        ("falls with pressure", -np.diff(force, axis=1), force[:, :-1] > 0),
+    ):
+        wrong = taut & (change > rounding)
+        if wrong.any():
+            i, j = np.unravel_index(np.argmax(wrong), wrong.shape)
+            return f"its force {what} at {contraction[i] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
+    return ""
+
+
+_FEWEST_PAIRS = 10
+_SIGNIFICANT = 2.0  # standard deviations of the correlation of independent residuals
+_SAME_CONTRACTION = 0.1 * percent
+
+
+@dataclass(frozen=True)
+class Structure:
+    """How alike the residuals of neighbouring points are.
+
+    Attributes
+    ----------
+    along_contraction, along_pressure
+        Correlation of neighbours on the same curve, and of neighbours at the same contraction (to 0.1 %) on
+        neighbouring curves: 0 for independent errors, near 1 for a pattern; None for fewer than ten pairs.
+    pairs_contraction, pairs_pressure
+        How many neighbours there are.
+    """
+
+    along_contraction: float | None
+    along_pressure: float | None
+    pairs_contraction: int
+    pairs_pressure: int
+
+    @property
+    def pattern(self) -> str:
+        r"""In which direction a pattern is left, as text; empty where there is none.
+
+        A correlation counts from twice the standard deviation that it has for independent residuals,
+        :math:`1/\sqrt{pairs}`.
+        """
+        found = [
+            name
+            for name, correlation, pairs in (
+                ("contraction", self.along_contraction, self.pairs_contraction),
+                ("pressure", self.along_pressure, self.pairs_pressure),
+            )
+            if correlation is not None and correlation > _SIGNIFICANT / np.sqrt(pairs)
+        ]
+        return " and ".join(found)
+
+
+def beyond_directions(residuals: NDArray[np.float64], points: IsobaricDataset) -> NDArray[np.float64]:
+    """Residuals [N] without the mean of each direction (and phase): that is friction, and no fault of a static law."""
+    rest = np.array(residuals, float)
+    for name in ("direction", "phase"):
+        if name in points.table:
+            labels = points.table[name].to_numpy()
+            for label in filter(None, np.unique(labels).tolist()):
+                rest[labels == label] -= np.nanmean(rest[labels == label])
+    return rest
+
+
+def structure_of(points: IsobaricDataset, residuals: NDArray[np.float64]) -> Structure:
+    """The structure of residuals [N], shape (points,).
+
+    Examples
+    --------
+    >>> pressure, contraction = (values.ravel() for values in np.meshgrid(np.arange(1, 7) * 1e5, np.arange(8) / 40))
+    >>> points = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.ones(48))
+    >>> found = structure_of(points, np.cos(20 * contraction))
+    >>> round(found.along_contraction, 2), round(found.along_pressure, 2), found.pattern
+    (0.9, 1.0, 'contraction and pressure')
+    """
+    residuals = beyond_directions(residuals, points)
+    passes = np.zeros(len(points), np.int64)
+    for name in ("direction", "phase", "repeat"):
+        if name in points.table:
+            codes = np.unique(points.table[name].to_numpy(), return_inverse=True)[1].reshape(-1)
+            passes = passes * (int(codes.max()) + 1) + codes
+    levels = np.unique(points.levels, return_inverse=True)[1].reshape(-1)
+    places = np.round(points.contraction / _SAME_CONTRACTION)
+    curve, curve_pairs = _neighbours(residuals, (passes, levels), points.contraction)
+    place, place_pairs = _neighbours(residuals, (passes, places), points.levels)
+    return Structure(curve, place, curve_pairs, place_pairs)
+
+
+def _neighbours(
+    residuals: NDArray[np.float64], within: tuple[NDArray, NDArray], along: NDArray[np.float64]
+) -> tuple[float | None, int]:
+    """The correlation of points next to each other along something, within groups; and how many pairs there are."""
+    order = np.lexsort((along, within[1], within[0]))
+    same = np.ones(len(order) - 1, bool)
+    for group in within:
+        same &= group[order][1:] == group[order][:-1]
+    pairs = int(np.count_nonzero(same))
+    if pairs < _FEWEST_PAIRS:
+        return None, pairs
+    first, second = residuals[order][:-1][same], residuals[order][1:][same]
+    scale = float(np.sqrt((first @ first) * (second @ second)))
+    return (float(first @ second) / scale if scale > 0 else 0.0), pairs

@@ -29,12 +29,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import IdentificationError, ParameterError, RangeError
-from mckibben.identification.bands import Band, Interval, check_level
-from mckibben.identification.draws import law_forces
-from mckibben.identification.evidence import Evidence
 from mckibben.identification.fit import Fit
-from mckibben.identification.groups import Grouping, group_labels
-from mckibben.identification.ranges import UnitCube
+from mckibben.identification.intervals import Band, Evidence, Interval, check_level, law_forces
+from mckibben.identification.problem import UnitCube
+from mckibben.identification.uncertainty import Grouping, group_labels
 from mckibben.muscle import ForceLaw
 
 _RHAT = 1.05

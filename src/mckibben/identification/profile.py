@@ -25,12 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import IdentificationError, ParameterError
-from mckibben.identification.bands import Interval, parameter_interval, quantile
-from mckibben.identification.evidence import Evidence
 from mckibben.identification.fit import Fit
-from mckibben.identification.groups import Grouping
-from mckibben.identification.holding import Refit, solve_holding
-from mckibben.identification.uncertainty import CONDITION_LIMIT, condition
+from mckibben.identification.intervals import Evidence, Interval, parameter_interval, quantile
+from mckibben.identification.solvers import Refit, solve_holding
+from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition
 from mckibben.units import show
 
 _CURVE_POINTS = 41

@@ -11,11 +11,9 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.blocks import MOST_BLOCKS, LeftOut, UndeterminedError, pressure_blocks
+from mckibben.identification.cross_validation import MOST_BLOCKS, LeftOut, UndeterminedError, pressure_blocks
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import identify
-from mckibben.identification.physical import unphysical
-from mckibben.identification.structure import Structure, beyond_directions, structure_of
+from mckibben.identification.fitting import Structure, beyond_directions, identify, structure_of, unphysical
 from mckibben.muscle import LAWS, ForceLaw
 from mckibben.units import show
 

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from mckibben.errors import Problem, ScenarioError, UnitError
-from mckibben.files import whole
-from mckibben.identification.evidence import RobustErrors
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
-from mckibben.identification.groups import Grouping
+from mckibben.identification.intervals import RobustErrors
+from mckibben.identification.uncertainty import Grouping
 from mckibben.muscle import LAWS, Domain, ForceLaw, Parameter
+from mckibben.storage.files import whole
 from mckibben.units import factor, quantity, show
 
 

@@ -2,12 +2,14 @@
 
 from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.geometry import KneeGeometry
+from mckibben.joint.load import Load
 from mckibben.joint.tendon import RigidTendon, SeriesSpring, Tendon
 
 __all__ = [
     "AffineMap",
     "AntagonisticJoint",
     "KneeGeometry",
+    "Load",
     "RigidTendon",
     "SeriesSpring",
     "Tendon",

@@ -13,9 +13,9 @@ from mckibben.joint import attainable
 from mckibben.joint.geometry import KneeGeometry, Pair
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import MaxwellSlip, Muscle, NoCreep, PressureAffineLaw
-from mckibben.numerics.arrays import floating
+from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.checks import check_kind, check_within
-from mckibben.numerics.derivative import derivative, value_and_derivative
+from mckibben.numerics.elementary import floating
 from mckibben.units import deg
 
 

@@ -17,9 +17,9 @@ from jaxtyping import Array, ArrayLike
 from mckibben.joint.geometry import Pair
 from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
-from mckibben.numerics.arrays import floating
+from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import compiled
-from mckibben.numerics.derivative import value_and_derivative
+from mckibben.numerics.elementary import floating
 
 if TYPE_CHECKING:
     from mckibben.joint.antagonistic import AntagonisticJoint

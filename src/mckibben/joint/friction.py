@@ -18,7 +18,7 @@ from mckibben.joint.creep import NONE, Relaxings, creep_torque, has_creep
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import Memory, NoFriction
 from mckibben.muscle.muscle import GrippedMuscle
-from mckibben.numerics.arrays import floating
+from mckibben.numerics.elementary import floating
 
 Memories = tuple[Memory, Memory]
 """What muscles 1 and 2 remember; empty tuples without friction."""

@@ -8,8 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
-from mckibben.numerics.derivative import value_and_derivative
 from mckibben.numerics.elementary import sincos
 
 Pair = tuple[Float[Array, "..."], Float[Array, "..."]]

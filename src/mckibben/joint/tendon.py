@@ -11,9 +11,9 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle import Muscle
-from mckibben.numerics.arrays import floating
+from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive
-from mckibben.numerics.derivative import value_and_derivative
+from mckibben.numerics.elementary import floating
 
 
 class Tendon(eqx.Module):

@@ -3,7 +3,6 @@
 from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
 from mckibben.muscle.chou import ChouLaw
 from mckibben.muscle.creep import Creep, MaxwellCreep, NoCreep, Relaxing
-from mckibben.muscle.domain import Domain
 from mckibben.muscle.exponential import ExponentialLaw
 from mckibben.muscle.friction import Friction, MaxwellSlip, Memory, NoFriction
 from mckibben.muscle.hunt import HuntLaw
@@ -12,8 +11,8 @@ from mckibben.muscle.muscle import Muscle, forces
 from mckibben.muscle.repperger import ReppergerLaw
 from mckibben.muscle.reynolds import ReynoldsLaw
 from mckibben.muscle.sarosi import SarosiLaw
-from mckibben.muscle.specimen import Specimen
-from mckibben.muscle.strength import stronger
+from mckibben.muscle.scaled import stronger
+from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
 from mckibben.muscle.triple_exponential import TripleExponentialLaw
 from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw

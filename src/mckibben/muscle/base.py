@@ -1,6 +1,4 @@
-"""What every force law has: a force, its slope, its inverse in pressure, and the domain in which it holds."""
-
-# No `from __future__ import annotations` here: equinox does not see an AbstractVar written as text.
+"""The interface of a force law, its inverse in pressure, and the ideal braid."""
 
 import abc
 from dataclasses import dataclass
@@ -10,8 +8,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.domain import Domain
-from mckibben.numerics.derivative import derivative
+from mckibben.muscle.specimen import Domain
+from mckibben.numerics.calculus import derivative, increasing_root
+from mckibben.units import atm, bar, deg, mm
+
+# No `from __future__ import annotations` here: equinox does not see an AbstractVar written as text.
 
 
 @dataclass(frozen=True)
@@ -96,3 +97,38 @@ class PressureAffineLaw(ForceLaw):
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         offset, gain = self.pressure_terms(contraction)
         return (jnp.asarray(force) - offset) / gain
+
+
+_LOWEST, _HIGHEST = -0.5 * atm, 12 * bar  # beyond, no muscle of rubber and thread is used
+
+
+def pressure_for(law: ForceLaw, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+    """The gauge pressure [Pa] up to 12 bar that gives a force [N] at a contraction [-]; NaN for none.
+
+    The force has to rise with the pressure from 0 up; below 0, to -0.5 bar, it is looked for where that at 0 is more.
+    """
+    force, contraction = jnp.asarray(force), jnp.asarray(contraction)
+    lowest = jnp.where(law.force(contraction, 0.0) <= force, 0.0, _LOWEST)
+    return increasing_root(lambda pressure: law.force(contraction, pressure) - force, lowest, _HIGHEST)
+
+
+PARAMETERS = (
+    Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),
+    Parameter("initial_diameter", "m", "mm", "diameter of the deflated muscle", 1 * mm, 100 * mm),
+)
+"""The two numbers of it that data can determine."""
+
+
+def braid_gain(braid_angle: float | Array, initial_diameter: float | Array, length_ratio: Array) -> Float[Array, "..."]:
+    """The force per pressure [N/Pa] where the cylinder's length is this part of its initial one (Eq. 1).
+
+    Parameters
+    ----------
+    braid_angle, initial_diameter
+        alpha0 [rad] and d0 [m] of the deflated muscle.
+    length_ratio
+        1 - contraction [-].
+    """
+    b1 = 3 / jnp.tan(braid_angle) ** 2
+    b2 = 1 / jnp.sin(braid_angle) ** 2
+    return jnp.pi * initial_diameter**2 / 4 * (b1 * length_ratio**2 - b2)

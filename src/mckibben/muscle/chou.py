@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle import braid
-from mckibben.muscle.base import PressureAffineLaw
-from mckibben.muscle.braid import braid_gain
-from mckibben.muscle.domain import Domain
+from mckibben.muscle import base
+from mckibben.muscle.base import PressureAffineLaw, braid_gain
+from mckibben.muscle.specimen import Domain
 from mckibben.numerics.checks import check_positive, check_within
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ class ChouLaw(PressureAffineLaw):
 
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - eps)^2 - 1/sin^2(alpha0))"
     source = "Chou and Hannaford 1996; Eq. 1"
-    shape_parameters = braid.PARAMETERS
+    shape_parameters = base.PARAMETERS
 
     @classmethod
     def of(cls, specimen: Specimen) -> ChouLaw:

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
-from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.elementary import floating
 
 Relaxing = tuple[Array, ...]
 """What is on its way back to the law: the force [N] in each arm of the creep."""

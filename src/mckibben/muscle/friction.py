@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
-from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.elementary import floating
 
 Memory = tuple[Array, ...]
 """What friction remembers of the way: the length [m] at which each of its elements is unstressed."""

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import ForceLaw, Parameter
-from mckibben.muscle.domain import Domain
+from mckibben.muscle.specimen import Domain
+from mckibben.numerics.calculus import increasing_root
 from mckibben.numerics.checks import check_positive
-from mckibben.numerics.root import increasing_root
 from mckibben.units import kPa, percent
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle import braid
-from mckibben.muscle.base import Parameter, PressureAffineLaw
-from mckibben.muscle.braid import braid_gain
-from mckibben.muscle.domain import Domain
+from mckibben.muscle import base
+from mckibben.muscle.base import Parameter, PressureAffineLaw, braid_gain
+from mckibben.muscle.specimen import Domain
 from mckibben.numerics.checks import check_positive, check_within
 
 
@@ -69,7 +68,7 @@ class MartensBoblanLaw(PressureAffineLaw):
         Parameter("axial_stiffness", "N", "N", "rubber, along"),
         Parameter("radial_stiffness", "N", "N", "rubber, around"),
     )
-    shape_parameters = braid.PARAMETERS
+    shape_parameters = base.PARAMETERS
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from mckibben.muscle.base import ForceLaw
 from mckibben.muscle.creep import Creep, NoCreep, Relaxing
-from mckibben.muscle.domain import Domain
 from mckibben.muscle.friction import Friction, Memory, NoFriction
-from mckibben.muscle.specimen import Specimen
+from mckibben.muscle.specimen import Domain, Specimen
+from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
-from mckibben.numerics.derivative import derivative
 
 
 class Muscle(eqx.Module):

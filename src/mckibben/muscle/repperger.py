@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import Parameter, PressureAffineLaw
-from mckibben.muscle.domain import Domain
+from mckibben.muscle.specimen import Domain
 from mckibben.units import percent
 
 

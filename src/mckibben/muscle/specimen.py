@@ -1,13 +1,93 @@
-"""A make of muscle: what the maker says of it, before any test."""
+"""Specimen data and the domain of contraction and pressure."""
 
 from __future__ import annotations
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
-from mckibben.muscle.domain import Domain
+from mckibben.errors import RangeError
 from mckibben.numerics.checks import check_positive, check_within
+from mckibben.units import bar, percent
+
+
+class Domain(eqx.Module):
+    """A box of contraction [-] and gauge pressure [Pa]."""
+
+    contraction_min: float | Array = -jnp.inf
+    contraction_max: float | Array = jnp.inf
+    pressure_min: float | Array = -jnp.inf
+    pressure_max: float | Array = jnp.inf
+
+    def __check_init__(self) -> None:
+        for what, low, high in (
+            ("contraction", self.contraction_min, self.contraction_max),
+            ("pressure", self.pressure_min, self.pressure_max),
+        ):
+            if isinstance(low, int | float) and isinstance(high, int | float) and low > high:
+                raise RangeError(f"Domain: {what} from {low:g} to {high:g}", lower=low, upper=high, remedy="swap them")
+
+    def contains(self, contraction: ArrayLike, pressure: ArrayLike) -> Bool[Array, "..."]:
+        """Whether each point lies inside, the edges included (to rounding)."""
+        return self.contains_contraction(contraction) & (
+            (jnp.asarray(pressure) >= self.pressure_min - 1e-3) & (jnp.asarray(pressure) <= self.pressure_max + 1e-3)
+        )
+
+    def contains_contraction(self, contraction: ArrayLike) -> Bool[Array, "..."]:
+        """Whether each contraction lies inside, the edges included (to rounding)."""
+        contraction = jnp.asarray(contraction)
+        return (contraction >= self.contraction_min - 1e-9) & (contraction <= self.contraction_max + 1e-9)
+
+    def intersection(self, other: Domain) -> Domain:
+        """The part that both share."""
+        return Domain(
+            jnp.maximum(self.contraction_min, other.contraction_min),
+            jnp.minimum(self.contraction_max, other.contraction_max),
+            jnp.maximum(self.pressure_min, other.pressure_min),
+            jnp.minimum(self.pressure_max, other.pressure_max),
+        )
+
+    def check_contraction(self, contraction: float, of: str, remedy: str = "") -> None:
+        """Raise if a contraction lies outside.
+
+        Raises
+        ------
+        RangeError
+            It names the value, the range, whose range it is, and the remedy.
+        """
+        if not bool(self.contains_contraction(contraction)):
+            lower, upper = float(self.contraction_min), float(self.contraction_max)
+            raise RangeError(
+                f"contraction {contraction / percent:.1f} % is outside "
+                f"{lower / percent:g}..{upper / percent:g} % of {of}",
+                value=contraction,
+                lower=lower,
+                upper=upper,
+                unit="1",
+                remedy=remedy,
+            )
+
+    def bounds(self) -> str:
+        """Only the bounds that there are, as text.
+
+        >>> Domain(contraction_min=0.0).bounds()
+        'contraction from 0 %'
+        """
+        texts = []
+        for what, low, high, unit, scale in (
+            ("contraction", self.contraction_min, self.contraction_max, "%", percent),
+            ("pressure", self.pressure_min, self.pressure_max, "bar", bar),
+        ):
+            lower = f" from {low / scale:g} {unit}" if low > -jnp.inf else ""
+            upper = f" to {high / scale:g} {unit}" if high < jnp.inf else ""
+            texts += [f"{what}{lower}{upper}"] if lower or upper else []
+        return ", ".join(texts) or "everything"
+
+    def __str__(self) -> str:
+        return (
+            f"contraction {self.contraction_min / percent:g}..{self.contraction_max / percent:g} %, "
+            f"pressure {self.pressure_min / bar:g}..{self.pressure_max / bar:g} bar"
+        )
 
 
 class Specimen(eqx.Module):

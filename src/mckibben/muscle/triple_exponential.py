@@ -7,9 +7,8 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import ForceLaw, Parameter
-from mckibben.muscle.domain import Domain
-from mckibben.muscle.inverse import pressure_for
+from mckibben.muscle.base import ForceLaw, Parameter, pressure_for
+from mckibben.muscle.specimen import Domain
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import exp
 from mckibben.units import atm

@@ -9,7 +9,7 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import numpy as np
 
-from mckibben.numerics.kept import KeptProgram
+from mckibben.numerics.program_cache import KeptProgram
 from mckibben.numerics.runtime import batch_options
 
 P = ParamSpec("P")

@@ -1,14 +1,4 @@
-r"""`exp`, `sin` and `cos` that vectorise on the CPU, for the inner loops.
-
-XLA's own 64-bit versions are not vectorised on the CPU, which makes batches of simulations 6 to 12 times slower.
-These are polynomials after a Cody-Waite range reduction, good to about 1 ulp: `exp` wherever its result is a normal
-number (smaller ones are 0), `sin` and `cos` for :math:`|x| < 10^5` in 64 bits and :math:`|x| < 100` in 32 bits, but for
-the last digits of values next to a zero other than that at 0. On other devices, where they are the default, the native
-functions are used.
-
-The polynomial of `exp` is a Chebyshev-economised series of :math:`(e^r - 1 - r)/r^2`; those of `sin` and `cos` are the
-minimax polynomials of fdlibm (Sun Microsystems, 1993; 64 bits) and Cephes (Moshier, 1989; 32 bits).
-"""
+"""Arrays as the core wants them."""
 
 from __future__ import annotations
 
@@ -20,7 +10,15 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.numerics.arrays import floating
+
+def floating(x: ArrayLike) -> Float[Array, "..."]:
+    """As an array of floats, in the precision that it has; integers get the default precision.
+
+    >>> floating(3).dtype
+    dtype('float64')
+    """
+    x = jnp.asarray(x)
+    return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(jnp.result_type(float))
 
 
 class _Constants(NamedTuple):

@@ -2,7 +2,6 @@
 
 from mckibben.plant.disturbance import Disturbance, NoDisturbance, TorquePulses
 from mckibben.plant.joint_plant import JointPlant, PlantState
-from mckibben.plant.load import Load
 from mckibben.plant.sensors import PerfectSensors, SampledSensors, Sensors
 from mckibben.plant.valve import FirstOrderValve, IdealValve, Valve
 
@@ -11,7 +10,6 @@ __all__ = [
     "FirstOrderValve",
     "IdealValve",
     "JointPlant",
-    "Load",
     "NoDisturbance",
     "PerfectSensors",
     "PlantState",

@@ -8,8 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_positive
+from mckibben.numerics.elementary import floating
 
 
 class Disturbance(eqx.Module):

@@ -14,12 +14,12 @@ from mckibben.joint import AntagonisticJoint, creep, friction
 from mckibben.joint.attainable import Hold, hold
 from mckibben.joint.creep import Relaxings
 from mckibben.joint.friction import Memories
+from mckibben.joint.load import Load
 from mckibben.muscle import Memory, Relaxing
-from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
+from mckibben.numerics.elementary import floating
 from mckibben.plant.disturbance import Disturbance, NoDisturbance
-from mckibben.plant.load import Load
 from mckibben.plant.sensors import PerfectSensors, Reading, Sensors
 from mckibben.plant.valve import Valve
 

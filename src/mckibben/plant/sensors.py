@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.numerics.arrays import floating
 from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.elementary import floating
 
 Scalar = Float[Array, ""]
 

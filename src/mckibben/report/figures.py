@@ -9,16 +9,14 @@ from matplotlib.figure import Figure
 
 from mckibben.control import BackpropPID
 from mckibben.muscle import ChouLaw
-from mckibben.report.comparison import controller_comparison, gain_histories
+from mckibben.paper import Reproduction
+from mckibben.paper.identification import CHOU, EXPERIMENTAL, RIG
+from mckibben.paper.settings import FREE, SETTINGS, Setting, Wish
+from mckibben.paper.tracking import BP, PID, TUNED_BP, Run
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric_curves, law_comparison, measured_muscles
-from mckibben.report.tracking import control_results
-from mckibben.report.tracking_errors import error_curves
-from mckibben.report.words import SECTIONS, name_of
-from mckibben.study.paper import Reproduction
-from mckibben.study.paper.identification import CHOU, EXPERIMENTAL, RIG
-from mckibben.study.paper.settings import FREE, SETTINGS, Setting, Wish
-from mckibben.study.paper.tracking import BP, PID, TUNED_BP, Run
+from mckibben.report.tables import SECTIONS, name_of
+from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories
 from mckibben.study.scenario.building import build_loop
 from mckibben.units import deg
 
@@ -32,7 +30,7 @@ class ReportFigure:
     name
         Of its files.
     section
-        Where it belongs: one of the keys of `mckibben.report.words.SECTIONS`; empty on a page without these.
+        Where it belongs: one of the keys of `mckibben.report.tables.SECTIONS`; empty on a page without these.
     title, caption
         What it is, and what to see in it.
     alternative

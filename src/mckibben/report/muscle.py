@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit, Validation
 from mckibben.muscle import ForceLaw, forces
-from mckibben.report.panels import beside, legend_above, letter
 from mckibben.report.style import (
     DOUBLE,
     EXPERIMENTAL,
     LOADING,
     THEORETICAL,
     UNLOADING,
+    beside,
     blank,
+    legend_above,
+    letter,
     pressure_colours,
     styled,
 )

@@ -1,8 +1,9 @@
-"""What pages share: the template engine, the style, and figures as data addresses. They need no other file."""
+"""HTML pages: templates, embedded figures, the report of the paper."""
 
 from __future__ import annotations
 
 import base64
+import os
 import re
 from dataclasses import dataclass
 from importlib import resources
@@ -11,7 +12,15 @@ from pathlib import Path
 import jinja2
 import markupsafe
 
-from mckibben.report.figures import ReportFigure
+from mckibben import catalog
+from mckibben.paper import Reproduction, file_stem
+from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, Wish
+from mckibben.paper.tracking import PID
+from mckibben.report import tables
+from mckibben.report.figures import ReportFigure, figures
+from mckibben.report.style import save
+from mckibben.report.tables import SECTIONS, decisions, name_of
+from mckibben.storage.files import whole
 
 _LARGEST_SVG = 400_000  # bytes; a larger drawing is embedded as PNG
 
@@ -60,3 +69,92 @@ def address_of(png: Path, svg: Path) -> str:
 
 def _resource(name: str) -> str:
     return (resources.files("mckibben.report") / name).read_text(encoding="utf-8")
+
+
+SOURCES = ("lei-mas-10-180n", "dmsp-10-250-martens2017", "festo-tool-10mm")
+_PAGE = "report.html"
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source with what to know about it."""
+
+    reference: str
+    where: str
+    notes: tuple[str, ...]
+
+
+def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> Path:
+    """Write `report.html`, and its figures as PNG and SVG in `figures/` beside it.
+
+    The page holds its figures and its style: it needs no network, no script and no other file. Every number in it is
+    one of the reproduction, or worked out from the catalog.
+
+    Parameters
+    ----------
+    reproduction
+        What `mckibben.paper.reproduce` gave.
+    folder
+        Where to; made if need be.
+
+    Returns
+    -------
+    pathlib.Path
+        Of the page; it appears complete or not at all.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn: dict[str, list[EmbeddedFigure]] = {section: [] for section in SECTIONS}
+    for figure in figures(reproduction):
+        png, svg = save(figure.figure, folder / "figures", figure.name, preview=reproduction.quick)
+        drawn[figure.section].append(EmbeddedFigure(figure, address_of(png, svg)))
+    text = render(reproduction, drawn)
+    page = folder / _PAGE
+    with whole(page) as part:
+        part.write_text(text, encoding="utf-8")
+    return page
+
+
+def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
+    """The page as text, with figures that are drawn already, by section."""
+    results = reproduction.results()
+    template = template_of("report.html.jinja")
+    example = reproduction.tracking.runs[PRE_CONTRACTED.key, Wish.STEP, PID].scenario
+    return template.render(
+        style=style_sheet(),
+        results=results,
+        seconds=reproduction.seconds,
+        claims=[claim for claim in reproduction.claims if claim.of_paper],
+        questions=[claim for claim in reproduction.claims if not claim.of_paper],
+        holding=sum(claim.holds for claim in reproduction.claims if claim.of_paper),
+        sections=SECTIONS,
+        figures=drawn,
+        fit=tables.fit_table(results),
+        parameters=tables.parameter_table(results),
+        warnings={name_of(n): f["warnings"] for n, f in results["identification"].items() if f["warnings"]},
+        validation=tables.validation_tables(results),
+        joint=tables.joint_table(results),
+        tracking=tables.tracking_tables(results),
+        outcomes=_outcomes(reproduction),
+        gains=tables.gains_table(reproduction, results),
+        coupling=tables.coupling_table(results),
+        settings=tables.settings_table(reproduction),
+        decisions=decisions(reproduction),
+        sources=[_source(name) for name in SOURCES],
+        example=example.dumps(),
+        scenarios=[f"scenarios/{file_stem(*key)}.yaml" for key in reproduction.tracking.runs],
+    )
+
+
+def _outcomes(reproduction: Reproduction) -> list[tuple[str, str]]:
+    """How each run that the figures show ended."""
+    names = {setting.key: setting.name for setting in SETTINGS}
+    return [
+        (f"{names[key]}, {wish.value} stiffness, {controller}", run.result.describe())
+        for (key, wish, controller), run in reproduction.tracking.runs.items()
+    ]
+
+
+def _source(name: str) -> Source:
+    reference, where, *notes = catalog.cite(name).splitlines()
+    return Source(reference, where.strip("()"), tuple(note.removeprefix("- ") for note in notes))

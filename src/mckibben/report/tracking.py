@@ -1,18 +1,39 @@
-"""Figures of tracking runs: angle and stiffness over time, desired and actual, the attainable band behind (Fig. 7)."""
+"""Figures of tracking runs: time traces, errors (Fig. 8) and controllers over seeds."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
-from mckibben.report.panels import draw_band, legend_above, letter, note_off_scale, robust_limits
-from mckibben.report.style import BLUE, DESIRED, DOUBLE, SKY, blank, looks_of, styled
+from mckibben.paper.tracking import Run
+from mckibben.report.style import (
+    BLACK,
+    BLUE,
+    CONTROLLERS,
+    DESIRED,
+    DOUBLE,
+    GREEN,
+    PURPLE,
+    SKY,
+    blank,
+    draw_band,
+    legend_above,
+    letter,
+    looks_of,
+    note_off_scale,
+    robust_limits,
+    styled,
+)
 from mckibben.simulation import Result
+from mckibben.simulation.metrics import SETTLING_PART, last_change, settling_band
 from mckibben.units import bar, deg
 
 TIME, ANGLE, STIFFNESS = "time [s]", "angle [deg]", "stiffness [N·m/rad]"
@@ -164,3 +185,231 @@ def _same_reference(results: Mapping[str, Result]) -> None:
 
 def _column(result: Result, name: str) -> NDArray[np.float64]:
     return result.table[name].to_numpy()
+
+
+_BEFORE = 0.05  # s shown before a change of the wish
+_ZOOM = (0.1, 1.0)  # s: the shortest and the longest time shown after it
+
+
+@styled
+def error_curves(columns: Mapping[str, Mapping[str, Result]]) -> Figure:
+    """Errors of the angle and of the stiffness over time, and the stiffness error right after its wish changed.
+
+    Parameters
+    ----------
+    columns
+        By title, a column each: the runs to compare, by name of the controller.
+    """
+    figure = blank(DOUBLE, 6.3)
+    count = len(columns)
+    grid = figure.subplots(3, count, squeeze=False)
+    looks = looks_of(dict.fromkeys(name for runs in columns.values() for name in runs))
+    angle = {title: {n: _angle_error(r) for n, r in runs.items()} for title, runs in columns.items()}
+    stiffness = {title: {n: _stiffness_error(r) for n, r in runs.items()} for title, runs in columns.items()}
+    for i, (title, runs) in enumerate(columns.items()):
+        times = next(iter(runs.values())).table["time"].to_numpy()
+        for row, errors in ((0, angle[title]), (1, stiffness[title]), (2, stiffness[title])):
+            axes = grid[row, i]
+            for name, values in errors.items():
+                axes.plot(times, values, label=name, **looks[name])
+            axes.axhline(0, color="#444444", linewidth=0.7, zorder=1.5)
+            axes.set(xlabel="time [s]" if row == 2 else "")
+        letter(grid[0, i], "abcdef"[i], f"angle, {title}")
+        letter(grid[1, i], "abcdef"[count + i], f"stiffness, {title}")
+        _settling(grid[2, i], runs, times)
+    _share_limits(grid[0], angle, next(iter(columns.values())), "deg", part=0.998, margin=0.12)
+    _share_limits(grid[1], stiffness, next(iter(columns.values())), "N·m/rad", part=0.975, margin=0.7)
+    grid[0, 0].set_ylabel("angle error [deg]")
+    for row in (1, 2):
+        grid[row, 0].set_ylabel("stiffness error [N·m/rad]")
+    figure.align_ylabels(list(grid[:, 0]))
+    legend_above(figure, *grid.ravel())
+    return figure
+
+
+def _share_limits(
+    row: Sequence[Axes],
+    errors: Mapping[str, Mapping[str, NDArray[np.float64]]],
+    runs: Mapping[str, Result],
+    unit: str,
+    *,
+    part: float,
+    margin: float,
+) -> None:
+    low, high = robust_limits([v for column in errors.values() for v in column.values()], part=part, margin=margin)
+    times = next(iter(runs.values())).table["time"].to_numpy()
+    for axes, column in zip(row, errors.values(), strict=True):
+        axes.set_ylim(low, high)
+        note_off_scale(axes, times, dict(column), unit)
+
+
+def _settling(axes: Axes, runs: Mapping[str, Result], times: NDArray[np.float64]) -> None:
+    """The moments after the last change of the wish, with the settling band and each settling time marked."""
+    first = next(iter(runs.values()))
+    desired = first.table["desired_stiffness"].to_numpy()
+    change = int(last_change(desired).at)
+    start = float(times[change])
+    band = float(settling_band(first.trajectory, SETTLING_PART))
+    axes.axhspan(-band, band, color="#E8E8E8", zorder=0, label=f"{SETTLING_PART * 100:g} % of the change asked for")
+    settled = {name: result.metrics()["stiffness_settling"] for name, result in runs.items()}
+    finite = [value for value in settled.values() if np.isfinite(value)]
+    length = float(np.clip(2.5 * max(finite, default=_ZOOM[1]), *_ZOOM))
+    axes.set_xlim(start - (_BEFORE * length / 0.4 if change else 0), start + length)
+    shown = (times >= start) & (times <= start + length)
+    low, high = robust_limits([_stiffness_error(r)[shown] for r in runs.values()], part=1.0, margin=0.08)
+    axes.set_ylim(low, high)
+    looks = looks_of(runs)
+    for name, value in settled.items():
+        if np.isfinite(value) and value <= length:
+            axes.axvline(start + value, color=looks[name]["color"], linewidth=0.8, linestyle=":", zorder=1)
+    text = ", ".join(f"{n} {v:.3f} s" if np.isfinite(v) else f"{n} never" for n, v in settled.items())
+    axes.set_title(f"settling: {text}", fontsize=7.5)
+
+
+def _angle_error(result: Result) -> NDArray[np.float64]:
+    return (result.table["angle"] - result.table["desired_angle"]).to_numpy() / deg
+
+
+def _stiffness_error(result: Result) -> NDArray[np.float64]:
+    return (result.table["stiffness"] - result.table["desired_stiffness"]).to_numpy()
+
+
+_METRICS = (
+    ("angle_rmse", "angle RMSE [deg]", deg),
+    ("stiffness_rmse", "stiffness RMSE [N·m/rad]", 1.0),
+    ("stiffness_settling", "stiffness settling time [s]", 1.0),
+)
+_GAINS = {
+    "kp": {"color": BLACK, "linestyle": "-"},
+    "ki": {"color": GREEN, "linestyle": (0, (5, 1.5))},
+    "kd": {"color": PURPLE, "linestyle": (0, (1, 1))},
+}
+_ABOVE: dict[str, Any] = {
+    "xycoords": "axes fraction",
+    "textcoords": "offset points",
+    "va": "bottom",
+    "fontsize": 7.5,
+    "annotation_clip": False,
+}
+_WIDEST = 1e3  # an axis ends at so many times its smallest value; what lies beyond is an arrow
+
+
+@styled
+def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, Run]]]) -> Figure:
+    """A dot at the median over seeds and a line to the worst, for each controller, on logarithmic axes.
+
+    Parameters
+    ----------
+    found
+        By geometry, wish and controller.
+    """
+    figure = blank(DOUBLE, 2.5 * len(found) + 0.5)
+    grid = figure.subplots(len(found), len(_METRICS), squeeze=False, sharey="row")
+    for i, (geometry, wishes) in enumerate(found.items()):
+        names = list(dict.fromkeys(name for runs in wishes.values() for name in runs))
+        names.sort(key=lambda name: list(CONTROLLERS).index(name) if name in CONTROLLERS else len(CONTROLLERS))
+        for j, (metric, label, unit) in enumerate(_METRICS):
+            axes = grid[i, j]
+            _dots(axes, wishes, names, metric, unit)
+            axes.set(xlabel=label)
+            axes.set_yticks(range(len(names)), names)
+            axes.set_ylim(len(names) - 0.4, -0.6)
+            axes.tick_params(axis="y", length=0)
+            axes.grid(axis="y", visible=False)
+            letter(axes, "abcdefghi"[len(_METRICS) * i + j], geometry)
+    wishes = next(iter(found.values()))
+    handles = [
+        Line2D(
+            [],
+            [],
+            linestyle="",
+            marker="o",
+            color="#444444",
+            markersize=5,
+            markerfacecolor=face,
+            label=f"{w} stiffness",
+        )
+        for w, face in zip(wishes, ("#444444", "white"), strict=False)
+    ]
+    handles.append(Line2D([], [], color="#444444", linewidth=1.6, alpha=0.6, label="from the median to the worst seed"))
+    handles.append(Line2D([], [], linestyle="", marker=">", color="#444444", label="beyond the axis, never or lost"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    return figure
+
+
+@styled
+def gain_histories(results: Mapping[str, tuple[Result, float]]) -> Figure:
+    """The gains of BP over time, relative to the base gains that it started from.
+
+    Parameters
+    ----------
+    results
+        By title: a run with telemetry of gains, and the largest factor by which they may move.
+    """
+    figure = blank(DOUBLE, 4.4)
+    grid = figure.subplots(2, len(results), squeeze=False, sharex=True, sharey="col")
+    for i, (title, (result, ratio)) in enumerate(results.items()):
+        for row, loop in enumerate(("position", "stiffness")):
+            axes = grid[row, i]
+            for gain, look in _GAINS.items():
+                values = result.table[f"{loop}_{gain}"].to_numpy()
+                if values[0] != 0:  # a loop without this part
+                    axes.plot(result.table["time"], values / values[0], label=f"${gain[0]}_{gain[1]}$", **look)
+            for bound in (ratio, 1 / ratio):
+                axes.axhline(bound, color="#888888", linewidth=0.8, linestyle=(0, (2, 2)), label="bound on the gains")
+            axes.set_yscale("log", base=2)
+            axes.set_ylim(ratio**-1.15, ratio**1.15)
+            axes.yaxis.set_major_locator(FixedLocator([1 / ratio, ratio**-0.5, 1, ratio**0.5, ratio]))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+            axes.yaxis.set_minor_locator(NullLocator())
+            letter(axes, "abcdefgh"[len(results) * row + i], f"{loop} loop")
+            if row == 0:
+                axes.annotate(title, (0, 1), (0, 18), **_ABOVE)
+            axes.set(ylabel="gain / base gain [-]" if i == 0 else "", xlabel="time [s]" if row else "")
+    legend_above(figure, *grid.ravel())
+    return figure
+
+
+def _dots(axes: Axes, wishes: Mapping[str, Mapping[str, Run]], names: list[str], metric: str, unit: float) -> None:
+    runs = [(k, names.index(name), name, run) for k, w in enumerate(wishes.values()) for name, run in w.items()]
+    medians = [run.median(metric) / unit for *_, run in runs]
+    smallest = min((m for m in medians if np.isfinite(m) and m > 0), default=1.0)
+    good = [run.worst(metric) / unit for *_, run in runs if run.lost == 0]
+    largest = max((g for g in good if np.isfinite(g) and g < _WIDEST * smallest), default=10 * smallest)
+    end = 2.0 * largest
+    for (k, place, name, run), median in zip(runs, medians, strict=True):
+        y = place + (-0.17 if k == 0 else 0.17)
+        look = CONTROLLERS.get(name, {"color": "#444444", "marker": "o"})
+        worst = run.worst(metric) / unit
+        if not (median <= end) or run.lost > run_count(run) / 2:
+            axes.plot(end, y, linestyle="", marker=">", color=look["color"], clip_on=False, markersize=5)
+            text = (
+                f"{run.lost} of {run_count(run)} lost" if run.lost else "never" if np.isnan(median) else f"{median:.2g}"
+            )
+            axes.annotate(text, (end, y), (-6, 0), textcoords="offset points", ha="right", va="center", fontsize=6.5)
+            continue
+        beyond = not (worst <= end)
+        axes.plot([median, end if beyond else worst], [y, y], color=look["color"], linewidth=1.8, alpha=0.55)
+        if beyond:
+            axes.plot(end, y, linestyle="", marker=">", color=look["color"], clip_on=False, markersize=5)
+        axes.plot(
+            median,
+            y,
+            linestyle="",
+            marker=look["marker"],
+            markersize=5,
+            markeredgewidth=1.1,
+            color=look["color"],
+            markerfacecolor=look["color"] if k == 0 else "white",
+            zorder=3,
+        )
+    axes.set_xscale("log")
+    axes.set_xlim(smallest / 1.6, end)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if end / smallest < 60 else (1.0,)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def run_count(run: Run) -> int:
+    """With how many seeds a controller was run; one where it has none."""
+    return 1 if run.seeds is None else int(np.size(run.seeds.angle_rmse))

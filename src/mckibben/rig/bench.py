@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from mckibben.errors import RangeError
 from mckibben.muscle import Muscle, Specimen
-from mckibben.rig.boundaries import specimen_of
+from mckibben.rig.backend import Drive
 from mckibben.rig.calibration import Calibration
-from mckibben.rig.drive import Drive
+from mckibben.rig.protocol import specimen_of
 from mckibben.rig.safety import Limits
 from mckibben.units import Hz, N, bar, ms, s
 

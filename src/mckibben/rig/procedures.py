@@ -11,8 +11,7 @@ import numpy as np
 
 from mckibben.errors import Problem, RangeError
 from mckibben.muscle import Muscle, Specimen, forces
-from mckibben.rig.boundaries import boundaries, specimen_of
-from mckibben.rig.protocol import PAPER_PRESSURES, IsobaricProtocol
+from mckibben.rig.protocol import PAPER_PRESSURES, IsobaricProtocol, boundaries, specimen_of
 from mckibben.rig.steps import SPEED, Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Step, Vent, Walk
 from mckibben.units import bar, mm, percent, s
 

@@ -1,18 +1,131 @@
-"""What a recorder left, read back: whole, or chunk by chunk."""
+"""Recordings of a test: file format, reading, points and the dataset."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
+import struct
+import zlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from mckibben.dataset import IsobaricDataset
 from mckibben.errors import DatasetError, Problem
-from mckibben.rig.chunks import EVENT, SAMPLES, Column, chunks, read_header, unpack_rows
+from mckibben.rig.bench import Bench
+
+MAGIC = b"MCKCHUNK"
+VERSION = 1
+
+HEADER, SAMPLES, EVENT = b"H", b"S", b"E"
+"""The kinds of chunk."""
+
+_FRONT = struct.Struct("<8s1s3xIQQ")  # magic, kind, checksum, bytes of the payload, rows before it
+_LARGEST = 1 << 31
+
+
+class Column(NamedTuple):
+    """One quantity of a record.
+
+    Attributes
+    ----------
+    name, unit
+        "force", "V" ...
+    dtype
+        A number type of NumPy by name, stored little-endian.
+    """
+
+    name: str
+    unit: str
+    dtype: str = "float64"
+
+    @property
+    def stored(self) -> np.dtype[Any]:
+        """The type of the values in a file."""
+        return np.dtype(self.dtype).newbyteorder("<")
+
+
+class Chunk(NamedTuple):
+    """One chunk of a file: its kind, how many rows came before it, and what it holds."""
+
+    kind: bytes
+    first: int
+    payload: bytes
+
+
+def pack(kind: bytes, first: int, payload: bytes) -> bytes:
+    """A chunk as it is written.
+
+    >>> pack(EVENT, 7, b"{}")[:8], len(pack(EVENT, 7, b"{}"))
+    (b'MCKCHUNK', 34)
+    """
+    front = _FRONT.pack(MAGIC, kind, 0, len(payload), first)
+    return _FRONT.pack(MAGIC, kind, zlib.crc32(payload, zlib.crc32(front)), len(payload), first) + payload
+
+
+def pack_json(kind: bytes, first: int, content: Mapping[str, Any]) -> bytes:
+    """A chunk that holds JSON."""
+    return pack(kind, first, json.dumps(content, ensure_ascii=False, allow_nan=False).encode())
+
+
+def chunks(path: Path) -> Iterator[Chunk]:
+    """The whole chunks of a file, up to its end or to the first that is torn."""
+    with path.open("rb") as file:
+        while len(front := file.read(_FRONT.size)) == _FRONT.size:
+            magic, kind, checksum, length, first = _FRONT.unpack(front)
+            if magic != MAGIC or length > _LARGEST:
+                return
+            payload = file.read(length)
+            blank = _FRONT.pack(magic, kind, 0, length, first)
+            if len(payload) < length or zlib.crc32(payload, zlib.crc32(blank)) != checksum:
+                return
+            yield Chunk(kind, first, payload)
+
+
+def pack_rows(columns: Sequence[Column], arrays: Sequence[np.ndarray]) -> bytes:
+    """The payload of samples: one column after the other."""
+    return b"".join(
+        np.ascontiguousarray(array, column.stored).tobytes() for column, array in zip(columns, arrays, strict=True)
+    )
+
+
+def unpack_rows(columns: Sequence[Column], payload: bytes) -> dict[str, np.ndarray]:
+    """The columns of a payload of samples, read-only.
+
+    >>> columns = [Column("time", "s"), Column("count", "1", "int32")]
+    >>> unpack_rows(columns, pack_rows(columns, [np.array([0.5, 1.5]), np.array([3, 4])]))["count"]
+    array([3, 4], dtype=int32)
+    """
+    row = sum(column.stored.itemsize for column in columns)
+    count, at = len(payload) // row, 0
+    found: dict[str, np.ndarray] = {}
+    for column in columns:
+        found[column.name] = np.frombuffer(payload, column.stored, count, at)
+        at += count * column.stored.itemsize
+    return found
+
+
+def read_header(path: Path) -> tuple[dict[str, Any], list[Column]]:
+    """What stands at the beginning of a file: the header, and the columns.
+
+    Raises
+    ------
+    DatasetError
+        If the file is no record, or one of a later version.
+    """
+    with path.open("rb"):
+        pass  # what the system objects to, in its own words
+    front = next(chunks(path), None)
+    if front is None or front.kind != HEADER:
+        raise DatasetError(str(path), [Problem("is no record of a rig", remedy="give the folder of `rig run --out`")])
+    content = json.loads(front.payload)
+    if content["version"] != VERSION:
+        message = f"is of version {content['version']}, and this mckibben reads version {VERSION}"
+        raise DatasetError(str(path), [Problem(message, remedy="update mckibben")])
+    return content, [Column(**column) for column in content["columns"]]
 
 
 class Event(NamedTuple):
@@ -143,3 +256,173 @@ def segments(folder: Path) -> list[Path]:
 
 def _rows(folder: str | os.PathLike[str]) -> Iterator[Rows]:
     return (one for one in passages(folder) if isinstance(one, Rows))
+
+
+POINT, PLACE = "point", "place"
+"""The kinds of event: a point of the data was taken; one that only found a boundary was."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """A plateau that was recorded whole.
+
+    Attributes
+    ----------
+    number
+        Of all plateaus of the test, from 0.
+    first, rows
+        Which rows of the record are between its first and its last sample.
+    every
+        Of these each so manyth is a sample of the point: the card may sample faster than the protocol asks.
+    samples
+        Of the point.
+    time
+        Of the first sample, by the record's clock [s].
+    pulses
+        Where the motor stood, from where the muscle was mounted.
+    contraction, force, pressure
+        [-], and means [N], [Pa].
+    set_pressure
+        [Pa].
+    direction, phase, repeat
+        As in a dataset; the repeat is the number of the innermost one around it.
+    keep
+        Whether it is a point of the data.
+    """
+
+    number: int
+    first: int
+    rows: int
+    every: int
+    samples: int
+    time: float
+    pulses: int
+    contraction: float
+    force: float
+    pressure: float
+    set_pressure: float
+    direction: str
+    phase: str
+    repeat: int
+    keep: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """As the data of an event."""
+        return asdict(self)
+
+    @classmethod
+    def of(cls, event: Event) -> Self:
+        """Of an event."""
+        return cls(**event.data)
+
+
+def points(events: Iterable[Event]) -> list[Point]:
+    """The points among events, in the order of their numbers, each once."""
+    found: dict[int, Point] = {}
+    for event in events:
+        if event.kind in (POINT, PLACE):
+            point = Point.of(event)
+            found.setdefault(point.number, point)
+    return [found[number] for number in sorted(found)]
+
+
+def recorded_points(folder: str | os.PathLike[str]) -> list[Point]:
+    """The points of a record, in the order of their numbers, each once.
+
+    Raises
+    ------
+    DatasetError
+        As `passages` does.
+    """
+    return points(one for one in passages(folder) if isinstance(one, Event))
+
+
+def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") -> IsobaricDataset:
+    """The dataset of a record: one row a point, with its samples.
+
+    It takes the memory of the dataset, and of a chunk. The samples are float32, as they were recorded; where points
+    have different numbers of them the dataset has none, and its means are those of all.
+
+    Parameters
+    ----------
+    folder
+        Of the record.
+    bench
+        Whose calibrations turn volts into forces and pressures.
+    source
+        What the dataset says of itself.
+
+    Raises
+    ------
+    DatasetError
+        If the record cannot be read, has no points, or rows that a point needs are not there.
+    """
+    kept = [point for point in recorded_points(folder) if point.keep]
+    if not kept:
+        raise DatasetError(str(folder), [Problem("holds no point yet", remedy="resume it")])
+    counts = {point.samples for point in kept}
+    shape = (len(kept), max(counts))
+    force, pressure = np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32)
+    _fill(folder, kept, {"force": force, "pressure": pressure})
+    for name, samples in (("force", force), ("pressure", pressure)):
+        _to_si(samples, bench, name)
+    there = np.count_nonzero(~np.isnan(force), axis=1)
+    if len(missing := np.flatnonzero(there != [point.samples for point in kept])):
+        point = kept[missing[0]]
+        problem = f"of the {point.samples} samples of point {point.number} {there[missing[0]]} are there"
+        raise DatasetError(str(folder), [Problem(problem)])
+    same = len(counts) == 1
+    mean = np.mean if same else np.nanmean
+    means = [mean(samples, axis=1, dtype=np.float64) for samples in (force, pressure)]
+    return IsobaricDataset.of(
+        pressure=means[1],
+        contraction=[point.contraction for point in kept],
+        force=means[0],
+        direction=_words([point.direction for point in kept]),
+        phase=_words([point.phase for point in kept]),
+        repeat=[point.repeat for point in kept],
+        time=[point.time for point in kept],
+        set_pressure=[point.set_pressure for point in kept],
+        force_samples=force if same else None,
+        pressure_samples=pressure if same else None,
+        specimen=bench.specimen.name,
+        initial_length=float(bench.specimen.initial_length),
+        source=source,
+        slack_force=bench.slack_force,
+    )
+
+
+def _fill(folder: str | os.PathLike[str], kept: Sequence[Point], into: dict[str, np.ndarray]) -> None:
+    """Copy the samples of each point from the rows of the record."""
+    order = sorted(range(len(kept)), key=lambda index: kept[index].first)
+    waiting = 0
+    for one in passages(folder):
+        if not isinstance(one, Rows):
+            continue
+        end = one.first + len(one.columns["time"])
+        for index in order[waiting:]:
+            point = kept[index]
+            if point.first >= end:
+                break
+            wanted = range(point.first, point.first + point.rows, point.every)
+            # those of the point's samples that are in this chunk
+            begin = max(0, -(-(one.first - point.first) // point.every))
+            stop = min(point.samples, -(-(end - point.first) // point.every))
+            if stop > begin:
+                rows = slice(wanted[begin] - one.first, wanted[stop - 1] - one.first + 1, point.every)
+                for name, samples in into.items():
+                    samples[index, begin:stop] = one.columns[name][rows]
+        while waiting < len(order) and kept[order[waiting]].first + kept[order[waiting]].rows <= end:
+            waiting += 1
+
+
+def _to_si(samples: np.ndarray, bench: Bench, name: str) -> None:
+    """Volts to newtons or pascals in place, some rows at a time."""
+    calibration = bench.calibrations[name]
+    for start in range(0, len(samples), 256):
+        part = samples[start : start + 256]
+        part[:] = calibration.si(part)
+
+
+def _words(words: list[str]) -> list[str] | None:
+    return words if any(words) else None

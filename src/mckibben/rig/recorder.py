@@ -15,9 +15,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mckibben.errors import FileError, Problem, RangeError, RigError
-from mckibben.files import folder as made
-from mckibben.rig.chunks import EVENT, HEADER, SAMPLES, VERSION, Column, pack, pack_json, pack_rows, read_header
-from mckibben.rig.record import rows_in, segments
+from mckibben.rig.record import (
+    EVENT,
+    HEADER,
+    SAMPLES,
+    VERSION,
+    Column,
+    pack,
+    pack_json,
+    pack_rows,
+    read_header,
+    rows_in,
+    segments,
+)
+from mckibben.storage.files import folder as made
 
 PERIOD = 0.25
 """How often [s] what was appended is written and brought to the disk."""

@@ -10,10 +10,9 @@ from mckibben.errors import StoppedError
 from mckibben.muscle import Muscle, forces
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench
-from mckibben.rig.chunks import Column
-from mckibben.rig.handling import Handling, Report
-from mckibben.rig.plateaus import PLACE, POINT, Point
+from mckibben.rig.record import PLACE, POINT, Column, Point
 from mckibben.rig.recorder import Recorder
+from mckibben.rig.session import Handling, Report
 from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Step, Vent, Walk
 from mckibben.units import bar, mm, percent
 

@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.errors import RangeError, StoppedError
-from mckibben.rig.backend import Block, Channel
+from mckibben.rig.backend import Block, Channel, Drive
 from mckibben.rig.calibration import Calibration
-from mckibben.rig.drive import Drive
 from mckibben.units import bar, mm, ms, s
 
 

@@ -2,14 +2,21 @@
 
 from mckibben.simulation.batch import Batch, simulate_many
 from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
-from mckibben.simulation.loop import compiled_episode, episode, sampled, without_last_change
-from mckibben.simulation.metrics import SETTLING_PART, Metrics, compiled_measure, measure, rms, settling_band
-from mckibben.simulation.outcome import Outcome
-from mckibben.simulation.reach import Reach, check_reference
-from mckibben.simulation.result import Result
-from mckibben.simulation.run import AtRest
-from mckibben.simulation.single import CheckedRun, checked_run, run_episode, simulate
-from mckibben.simulation.trajectory import Trajectory, compiled_trajectory, trajectory
+from mckibben.simulation.feasibility import Reach, check_reference
+from mckibben.simulation.loop import AtRest, compiled_episode, episode, sampled, without_last_change
+from mckibben.simulation.metrics import (
+    SETTLING_PART,
+    Metrics,
+    Trajectory,
+    compiled_measure,
+    compiled_trajectory,
+    measure,
+    rms,
+    settling_band,
+    trajectory,
+)
+from mckibben.simulation.result import Outcome, Result
+from mckibben.simulation.simulate import CheckedRun, checked_run, run_episode, simulate
 
 __all__ = [
     "SETTLING_PART",

@@ -16,18 +16,14 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, SimulationError
+from mckibben.numerics.batching import cast, cores, many_runs, padded, worked_off
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled_batch
-from mckibben.numerics.lanes import cast, cores, padded, worked_off
-from mckibben.numerics.many import many_runs
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.loop import check_substeps, sampling_times, wishes_at
-from mckibben.simulation.measured import measured_episode
-from mckibben.simulation.metrics import Metrics, last_change
-from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
-from mckibben.simulation.result import attributes
-from mckibben.simulation.run import AtRest, Run, check_names, described
-from mckibben.simulation.trajectory import Trajectory
+from mckibben.simulation.loop import AtRest, Run, check_names, check_substeps, described, sampling_times, wishes_at
+from mckibben.simulation.metrics import Metrics, Trajectory, last_change
+from mckibben.simulation.result import OUTCOMES, Outcome, attributes, outcomes
+from mckibben.simulation.streaming import measured_episode
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference
 from mckibben.errors import ParameterError
+from mckibben.numerics.batching import by_name, leaves_named, many_runs, padded, replaced, worked_off
 from mckibben.numerics.compiled import compiled_as_given, compiled_batch
-from mckibben.numerics.lanes import by_name, leaves_named, padded, replaced, worked_off
-from mckibben.numerics.many import many_runs
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.loop import check_substeps, sampling_times, wishes_at
-from mckibben.simulation.measured import measured_episode
+from mckibben.simulation.loop import AtRest, Run, check_names, check_substeps, described, sampling_times, wishes_at
 from mckibben.simulation.metrics import Metrics, last_change
-from mckibben.simulation.run import AtRest, Run, check_names, described
+from mckibben.simulation.streaming import measured_episode
 
 _FEW = 10  # numbers: up to here forward differentiation is the faster one
 _LANES = 8  # runs whose derivatives are computed together: one vector of 64-bit numbers, all in registers

@@ -20,9 +20,9 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import ParameterError
-from mckibben.identification.bands import Band, band, check_level, force_band, variance_of
 from mckibben.identification.fit import Fit
-from mckibben.identification.groups import Grouping
+from mckibben.identification.intervals import Band, band, check_level, force_band, variance_of
+from mckibben.identification.uncertainty import Grouping
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ForceLaw
 from mckibben.numerics.compiled import compiled

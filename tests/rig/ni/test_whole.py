@@ -15,10 +15,8 @@ from mckibben.errors import FileError, SignalledError, StoppedError
 from mckibben.muscle import Muscle, forces
 from mckibben.rig.record import read_record, segments
 from mckibben.rig.twin import Silent, TwinRig
-from mckibben.study.rig.checking import check
 from mckibben.study.rig.document import read_test
-from mckibben.study.rig.presence import readings
-from mckibben.study.rig.running import run_test
+from mckibben.study.rig.running import check, readings, run_test
 from mckibben.units import bar
 
 pytest.importorskip("nidaqmx", reason="needs the extra daq")

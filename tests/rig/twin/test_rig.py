@@ -9,8 +9,7 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
-from mckibben.rig.backend import MovingBackend
-from mckibben.rig.drive import Drive
+from mckibben.rig.backend import Drive, MovingBackend
 from mckibben.rig.twin import (
     FORCE_SENSOR,
     PRESSURE_SENSOR,

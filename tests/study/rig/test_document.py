@@ -10,9 +10,9 @@ from mckibben.errors import ScenarioError
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig import steps as typed
 from mckibben.study.rig.building import build_steps, read_calibrations
-from mckibben.study.rig.checking import check
 from mckibben.study.rig.document import RigTest, read_test
-from mckibben.study.rig.step import StepSpec
+from mckibben.study.rig.running import check
+from mckibben.study.rig.steps import StepSpec
 from mckibben.units import bar, mm, percent
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -214,8 +214,8 @@ def test_the_example_is_the_papers_test():
 
 
 def test_a_card_and_its_calibrations(tmp_path):
-    from mckibben.rig.twin.sensor import FORCE, PRESSURE, VALVE
-    from mckibben.study.numbers import to_json
+    from mckibben.rig.twin.sensing import FORCE, PRESSURE, VALVE
+    from mckibben.study.reporting import to_json
 
     path = tmp_path / "calibration.json"
     path.write_text(to_json({one.name: one.to_json() for one in (FORCE, PRESSURE, VALVE)}))

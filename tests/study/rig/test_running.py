@@ -13,10 +13,9 @@ from mckibben.dataset import read_dataset
 from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError, SignalledError, StoppedError
 from mckibben.rig.record import header_of, read_record, segments
 from mckibben.rig.recorder import Recorder
-from mckibben.study.rig import checking, running
-from mckibben.study.rig.checking import check
+from mckibben.study.rig import running
 from mckibben.study.rig.document import RigSpec, RigTest
-from mckibben.study.rig.running import gather, run_test
+from mckibben.study.rig.running import check, gather, run_test
 
 TEXT = """name: a short test
 muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
@@ -125,7 +124,7 @@ def test_too_small_a_disk_is_refused_before_anything_moves(tmp_path, monkeypatch
     class Usage:
         free = 100_000
 
-    monkeypatch.setattr(checking.shutil, "disk_usage", lambda _: Usage)
+    monkeypatch.setattr(running.shutil, "disk_usage", lambda _: Usage)
     with pytest.raises(ScenarioError, match="has 0 MB left, and the test takes up to 1 MB; make room"):
         run_test(checked(), tmp_path)
     assert not segments(tmp_path)
@@ -147,7 +146,7 @@ def test_a_dataset_for_which_there_is_no_room_is_told_with_what_to_do(tmp_path, 
 def test_a_dataset_of_another_calibration_than_was_recorded_is_told(tmp_path, monkeypatch):
     made = run_test(checked(), tmp_path)
     tared = dataclasses.replace(checked().setup.bench.calibrations["force"], tare=3.0)
-    build = checking.build_setup
+    build = running.build_setup
 
     def mended(test, session=0):
         setup = build(test, session)

@@ -1,8 +1,7 @@
 """Rigs on cards of National Instruments; needs the extra `daq`, and the driver NI-DAQmx."""
 
-from mckibben.rig.ni.backend import NiBackend
-from mckibben.rig.ni.moving import NiRig
-from mckibben.rig.ni.present import Presence, present
-from mckibben.rig.ni.wiring import Wiring
+from mckibben.rig.ni.backend import NiBackend, NiRig
+from mckibben.rig.ni.channel_status import Presence, present
+from mckibben.rig.ni.driver import Wiring
 
 __all__ = ["NiBackend", "NiRig", "Presence", "Wiring", "present"]

@@ -1,6 +1,6 @@
 """A virtual rig behind the interface of a real one, with the faults of a real one."""
 
-from mckibben.rig.twin.chamber import Regulator
+from mckibben.rig.twin.air import Regulator
 from mckibben.rig.twin.faults import (
     Burst,
     Delaying,
@@ -15,9 +15,8 @@ from mckibben.rig.twin.faults import (
     ValveStuck,
 )
 from mckibben.rig.twin.machine import Truth
-from mckibben.rig.twin.paced import Paced
-from mckibben.rig.twin.rig import TwinRig
-from mckibben.rig.twin.sensor import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Converter, Sensor
+from mckibben.rig.twin.rig import Paced, TwinRig
+from mckibben.rig.twin.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Converter, Sensor
 from mckibben.rig.twin.stretcher import Stretcher
 
 __all__ = [

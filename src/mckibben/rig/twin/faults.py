@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from mckibben.errors import RangeError
 from mckibben.numerics.checks import check_positive
-from mckibben.rig.twin.gas import L_PER_S_BAR
+from mckibben.rig.twin.air import L_PER_S_BAR
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,222 @@
-"""What a rig is made of, as it goes along with the time: air, muscle, screw and motor, and what can break."""
+"""State of the simulated rig: muscle, air, motor and screw over time."""
 
 from __future__ import annotations
 
+import functools
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from mckibben.muscle import Muscle
-from mckibben.rig.twin.chamber import Chamber, Regulator
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+
+from mckibben.errors import RangeError
+from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
+from mckibben.rig.twin.air import Chamber, Regulator
 from mckibben.rig.twin.faults import Burst, Fault, Slipped, Stalled, SupplyLost, ValveStuck
-from mckibben.rig.twin.grip import Grip
 from mckibben.rig.twin.stretcher import Carriage, Motor, Stretcher
-from mckibben.units import ms
+from mckibben.units import bar, ms, percent
+
+_BEYOND = 3 * percent  # of contraction, on both sides of what the specimen may be put through
+_HIGHEST = 11 * bar
+_CELLS = (320, 88)  # of contraction and of pressure
+_WIDEST = (-0.2, 0.6)
+_ROUGH = 0.5  # N
+
+# Powers of a cell's coordinate from value and slope at its two ends: the cubic through them.
+_HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], float)
+
+
+@dataclass(frozen=True)
+class ForceTable:
+    """The force of a law over contraction and pressure, a bicubic spline; below 0 it is 0 (slack).
+
+    Attributes
+    ----------
+    contraction, pressure
+        Where it begins and ends [-], [Pa]; outside it has the force of its edge.
+    error
+        The largest distance [N] from the law, in the middle of the cells where the muscle is taut.
+    """
+
+    contraction: tuple[float, float]
+    pressure: tuple[float, float]
+    error: float
+    _cells: NDArray[np.float64]  # shape (contractions, pressures, 16)
+
+    def force(self, contraction: float, pressure: float) -> float:
+        """The force [N] at a contraction [-] and a gauge pressure [Pa]."""
+        (first, last), (low, high) = self.contraction, self.pressure
+        rows, columns = _CELLS
+        x = (contraction - first) / (last - first) * rows
+        y = (pressure - low) / (high - low) * columns
+        x, y = min(max(x, 0.0), rows - 1e-9), min(max(y, 0.0), columns - 1e-9)
+        i, j = int(x), int(y)
+        x, y = x - i, y - j
+        a0, a1, a2, a3, b0, b1, b2, b3, c0, c1, c2, c3, d0, d1, d2, d3 = self._cells[i, j].tolist()
+        force = (
+            ((d3 * y + d2) * y + d1) * y
+            + d0
+        ) * x + ((c3 * y + c2) * y + c1) * y + c0  # fmt: skip
+        force = force * x + ((b3 * y + b2) * y + b1) * y + b0
+        force = force * x + ((a3 * y + a2) * y + a1) * y + a0
+        return force if force > 0 else 0.0
+
+
+def force_table(muscle: Muscle) -> ForceTable:
+    """The table of a muscle's law; made once for each.
+
+    Raises
+    ------
+    RangeError
+        If the law is too rough for a table, or not finite over the specimen's range.
+    """
+    bare = Muscle(muscle.specimen, muscle.law)
+    try:
+        return _kept(bare)
+    except TypeError:  # numbers of it are arrays, which cannot be looked up
+        return _made(bare)
+
+
+def _made(muscle: Muscle) -> ForceTable:
+    domain = muscle.specimen.domain
+    first = max(float(domain.contraction_min) - _BEYOND, _WIDEST[0])
+    last = min(float(domain.contraction_max) + _BEYOND, _WIDEST[1])
+    x, y = (np.linspace(*ends, cells + 1) for ends, cells in zip(((first, last), (0.0, _HIGHEST)), _CELLS, strict=True))
+    middle_x, middle_y = ((axis[1:] + axis[:-1]) / 2 for axis in (x, y))
+    at = forces(muscle.law, x[:, None], y)
+    between = forces(muscle.law, middle_x[:, None], middle_y)
+    if not np.isfinite(at).all():
+        raise RangeError(
+            f"the law of {muscle.specimen.name} has no finite force somewhere within {first / percent:.0f}.."
+            f"{last / percent:.0f} % and 0..{_HIGHEST / bar:g} bar",
+            remedy="give the specimen a narrower range",
+        )
+    spline = RectBivariateSpline(x, y, at)
+    error = float(np.abs(spline(middle_x, middle_y) - between)[between > 0].max(initial=0.0))
+    if error > _ROUGH:
+        raise RangeError(
+            f"the law of {muscle.specimen.name} is too rough: a table of it is {error:.2g} N out", value=error, unit="N"
+        )
+    return ForceTable((first, last), (0.0, _HIGHEST), error, _coefficients(spline, x, y))
+
+
+_kept = functools.lru_cache(maxsize=8)(_made)
+
+
+def _coefficients(spline: RectBivariateSpline, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of each cell, by powers of its coordinates 0..1; shape (len(x) - 1, len(y) - 1, 16)."""
+    wide, high = x[1] - x[0], y[1] - y[0]
+    corners = np.empty((len(x) - 1, len(y) - 1, 4, 4))
+    for dx in (0, 1):
+        for dy in (0, 1):
+            values = spline(x, y, dx=dx, dy=dy) * wide**dx * high**dy
+            for row in (0, 1):
+                for column in (0, 1):
+                    there = values[row : len(x) - 1 + row, column : len(y) - 1 + column]
+                    corners[:, :, 2 * dx + row, 2 * dy + column] = there
+    cells = np.einsum("ri,abij,cj->abrc", _HERMITE, corners, _HERMITE)
+    return np.ascontiguousarray(cells.reshape(len(x) - 1, len(y) - 1, 16))
+
+
+_LEAST = 1e-9  # N: a band is never narrower, so that nothing is divided by 0
+
+
+class Grip:
+    """What a muscle pulls with, and what it remembers.
+
+    The same numbers as `MaxwellSlip.along` and `MaxwellCreep.along` have, but as a state that goes along with the
+    time, in plain floats.
+
+    Parameters
+    ----------
+    muscle
+        Friction and creep are its own; it has none unless given.
+    contraction
+        Where it is clamped [-]; it is relaxed there.
+
+    Raises
+    ------
+    RangeError
+        If it has a kind of friction or creep that is not known here, or a law that is too rough for a table.
+    """
+
+    def __init__(self, muscle: Muscle, contraction: float) -> None:
+        specimen, friction, creep = muscle.specimen, muscle.friction, muscle.creep
+        for part, kinds in ((friction, (NoFriction, MaxwellSlip)), (creep, (NoCreep, MaxwellCreep))):
+            if not isinstance(part, kinds):
+                raise RangeError(
+                    f"a virtual rig has no {type(part).__name__}", remedy=f"give the muscle a {kinds[1].__name__}"
+                )
+        self.table: ForceTable = force_table(muscle)
+        self.held = True
+        self.start = contraction
+        self.length = float(specimen.initial_length)
+        self._shortest = float(specimen.domain.contraction_max)
+        diameter, angle = float(specimen.initial_diameter), float(specimen.braid_angle)
+        self._cylinder = math.pi * diameter**2 / 4 * self.length / math.sin(angle) ** 2
+        self._cos2 = math.cos(angle) ** 2
+        self._slipping = isinstance(friction, MaxwellSlip)
+        self._stiffness: list[float] = []
+        if isinstance(friction, MaxwellSlip):
+            self._stiffness, shares = friction.stiffnesses.tolist(), friction.shares.tolist()
+            self._reach = [share / k for share, k in zip(shares, self._stiffness, strict=True)]
+            self._width = float(friction.half_width), float(friction.growth), float(friction.reference_pressure)
+            self._viscous = float(friction.viscous)
+        self._deflections = [0.0] * len(self._stiffness)
+        self._times: list[float] = []
+        if isinstance(creep, MaxwellCreep):
+            self._times = [float(time) for time in creep.time_constants]
+            self._share = float(creep.stiffness) / creep.arms
+        self._relaxing = [0.0] * len(self._times)
+        self._stretch = 0.0
+
+    @property
+    def shortest_time(self) -> float:
+        """The time constant [s] of its quickest creep; infinite without."""
+        return self._times[0] if self._times else math.inf
+
+    def contraction(self, stretch: float) -> float:
+        """The contraction [-] where it is stretched so far [m] from where it was clamped."""
+        return self.start - stretch / self.length if self.held else self._shortest
+
+    def volume(self, stretch: float) -> float:
+        """Inside the braid [m^3]; as `Specimen.volume`, in a plain float."""
+        ratio = 1 - self.contraction(stretch)
+        return self._cylinder * ratio * (1 - self._cos2 * ratio * ratio)
+
+    def force(self, stretch: float, pressure: float, span: float) -> float:
+        """The pull [N] after a move within a time span [s] to a stretch [m], at a gauge pressure [Pa] now."""
+        if not self.held:
+            return 0.0
+        travel, self._stretch = stretch - self._stretch, stretch
+        tension = self.table.force(self.start - stretch / self.length, pressure)
+        total = tension
+        if self._slipping:
+            base, growth, reference = self._width
+            width = max(base + growth * (pressure - reference), _LEAST)
+            limit = width * math.tanh(tension / (2 * width))
+            deflections = self._deflections
+            for k, (stiffness, reach) in enumerate(zip(self._stiffness, self._reach, strict=True)):
+                most = reach * limit
+                now = deflections[k] + travel
+                now = most if now > most else -most if now < -most else now
+                deflections[k] = now
+                total += stiffness * now
+            if travel and self._viscous and tension > 2 * _LEAST and span > 0:
+                half = tension / 2
+                total += half * math.tanh(self._viscous * travel / span / half)
+        for k, time in enumerate(self._times):
+            arms = len(self._times)
+            most, ratio = tension / (2 * arms), span / time
+            part = -math.expm1(-ratio) / ratio if ratio > 0 else 1.0
+            now = self._relaxing[k] * math.exp(-ratio) + self._share * travel * part
+            now = most if now > most else -most if now < -most else now
+            self._relaxing[k] = now
+            total += now
+        return total
+
 
 _LONGEST = 100 * ms  # between two knots, from which the samples are interpolated
 _FINE = 5  # knots in the time constant of the quickest creep

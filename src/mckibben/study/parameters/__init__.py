@@ -1,12 +1,10 @@
 """What a study varies: numbers of a scenario by name, what they range over, tables of values, and runs in lanes."""
 
-from mckibben.study.parameters.address import Address, addresses, find, find_all
-from mckibben.study.parameters.design import Kind, Table, design
-from mckibben.study.parameters.grammar import read_over, read_overs
-from mckibben.study.parameters.lanes import allowed, lanes, with_values
-from mckibben.study.parameters.over import Over, over
+from mckibben.study.parameters.addresses import Address, addresses, find, find_all
+from mckibben.study.parameters.distributions import LogUniform, Normal, Spread, Uniform, Values, Wholes
 from mckibben.study.parameters.rewriting import rewritten
-from mckibben.study.parameters.spread import LogUniform, Normal, Spread, Uniform, Values, Wholes
+from mckibben.study.parameters.sampling import Kind, Over, Table, design, over, read_over, read_overs
+from mckibben.study.parameters.values import allowed, lanes, with_values
 
 __all__ = [
     "Address",

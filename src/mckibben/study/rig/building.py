@@ -8,22 +8,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from mckibben import catalog
+from mckibben.config.fields import given_fields
 from mckibben.errors import Problem, ScenarioError
 from mckibben.muscle import ChouLaw, ForceLaw, Muscle, Specimen
-from mckibben.rig.backend import MovingBackend
+from mckibben.rig.backend import Drive, MovingBackend
 from mckibben.rig.bench import Bench
-from mckibben.rig.calibration import Calibration
-from mckibben.rig.drive import Drive
+from mckibben.rig.calibration import Calibration, calibrations_in, content_of
 from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, Procedure, steps_of
 from mckibben.rig.protocol import IsobaricProtocol
 from mckibben.rig.safety import Limits
 from mckibben.rig.steps import Step
-from mckibben.study.calibrations import calibrations_in, content_of
 from mckibben.study.rig.document import CardSpec, RigTest, VirtualSpec
-from mckibben.study.rig.protocol import ProtocolSpec
-from mckibben.study.rig.step import steps
+from mckibben.study.rig.steps import ProtocolSpec, steps
 from mckibben.study.scenario.building import build_creep, build_friction
-from mckibben.study.scenario.part import given_fields
 
 if TYPE_CHECKING:
     from mckibben.rig.ni import Wiring

@@ -8,24 +8,25 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben.files import whole
-from mckibben.study.rig.fields import (
-    Address,
-    Contraction,
-    Factor,
-    JsonPath,
-    SampleRate,
-    Tension,
-    Way,
+from mckibben.config.document import Document, to_text
+from mckibben.config.fields import Part, refuse
+from mckibben.config.reading import parsed, text_of
+from mckibben.storage.files import whole
+from mckibben.study.rig.steps import Address, Contraction, Factor, JsonPath, ProtocolSpec, SampleRate, Tension, Way
+from mckibben.study.scenario.fields import (
+    Choice,
+    Duration,
+    Entry,
+    Flag,
+    Force,
+    Law,
+    PositiveTime,
+    Pressure,
+    PressureRate,
+    Title,
+    Whole,
 )
-from mckibben.study.rig.protocol import ProtocolSpec
-from mckibben.study.scenario.document import Document
-from mckibben.study.scenario.fields import Duration, Flag, Force, Law, PositiveTime, Pressure, PressureRate, Title
-from mckibben.study.scenario.joint import CreepSpec, FrictionSpec
-from mckibben.study.scenario.part import Part, refuse
-from mckibben.study.scenario.reading import parsed, text_of
-from mckibben.study.scenario.words import Choice, Entry, Whole
-from mckibben.study.scenario.writing import to_text
+from mckibben.study.scenario.plant import CreepSpec, FrictionSpec
 
 
 class MuscleSpec(Part):

@@ -11,8 +11,17 @@ from mckibben.study.scenario.controller import (
     PredictiveSpec,
     SlidingSpec,
 )
-from mckibben.study.scenario.joint import CreepSpec, FrictionSpec, GeometrySpec, JointSpec, MuscleSpec, SpringSpec
-from mckibben.study.scenario.plant import LoadSpec, StartSpec, ValveSpec
+from mckibben.study.scenario.plant import (
+    CreepSpec,
+    FrictionSpec,
+    GeometrySpec,
+    JointSpec,
+    LoadSpec,
+    MuscleSpec,
+    SpringSpec,
+    StartSpec,
+    ValveSpec,
+)
 from mckibben.study.scenario.reference import (
     MultisineSpec,
     ReferenceSpec,

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mckibben import catalog
+from mckibben.config.fields import given_fields
 from mckibben.control import (
     PID,
     BackpropPID,
@@ -32,14 +33,13 @@ from mckibben.control import (
     Step,
     VelocityObserver,
 )
-from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon, SeriesSpring
+from mckibben.joint import AntagonisticJoint, KneeGeometry, Load, RigidTendon, SeriesSpring
 from mckibben.muscle import ChouLaw, Creep, Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, stronger
 from mckibben.plant import (
     Disturbance,
     FirstOrderValve,
     IdealValve,
     JointPlant,
-    Load,
     NoDisturbance,
     PerfectSensors,
     PlantState,
@@ -58,11 +58,20 @@ from mckibben.study.scenario.controller import (
     LoopSpec,
     PIDSpec,
 )
-from mckibben.study.scenario.joint import CreepSpec, FrictionSpec, GeometrySpec, JointSpec, MuscleSpec, SpringSpec
-from mckibben.study.scenario.part import given_fields
-from mckibben.study.scenario.plant import DisturbanceSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
-from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
-from mckibben.study.scenario.samples import read_samples
+from mckibben.study.scenario.plant import (
+    CreepSpec,
+    DisturbanceSpec,
+    FrictionSpec,
+    GeometrySpec,
+    JointSpec,
+    LoadSpec,
+    MuscleSpec,
+    SensorsSpec,
+    SpringSpec,
+    StartSpec,
+    ValveSpec,
+)
+from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec, read_samples
 
 _PARTS = ("poles", "sliding", "velocity_observer", "disturbance_observer", "pressure_observer", "load", "adaptation")
 _UNITS = {"angle": "rad", "stiffness": "N*m/rad"}

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Generic, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from mckibben.config.fields import Part, refuse
 from mckibben.study.scenario.fields import (
     AngleDerivativeGain,
     AngleGain,
@@ -13,6 +14,7 @@ from mckibben.study.scenario.fields import (
     AngleScale,
     AngularAcceleration,
     Bandwidth,
+    Choice,
     Flag,
     Force,
     Mass,
@@ -33,11 +35,9 @@ from mckibben.study.scenario.fields import (
     StiffnessScale,
     StrengthSpread,
     Tension,
+    Whole,
 )
-from mckibben.study.scenario.joint import JointSpec
-from mckibben.study.scenario.part import Part, refuse
-from mckibben.study.scenario.plant import LoadSpec
-from mckibben.study.scenario.words import Choice, Whole
+from mckibben.study.scenario.plant import JointSpec, LoadSpec
 
 P = TypeVar("P")
 I = TypeVar("I")  # noqa: E741

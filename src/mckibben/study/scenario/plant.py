@@ -1,4 +1,4 @@
-"""What a scenario's joint moves, through which valves, and from where it starts."""
+"""Joint, load, valves, sensors and initial state in a scenario file."""
 
 from __future__ import annotations
 
@@ -6,26 +6,191 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
+from mckibben.config.fields import Part, refuse
 from mckibben.study.scenario.fields import (
     Angle,
     AngleStep,
+    CreepTime,
     Damping,
     Delay,
     Distance,
     Duration,
+    Entry,
     Flag,
+    Force,
+    FrictionForce,
+    FrictionGrowth,
     Gravity,
     Inertia,
+    Law,
+    Length,
     Mass,
     PositiveTime,
+    Presliding,
+    Pressure,
     PressureNoise,
     ShortTime,
+    SpringRate,
     Stiffness,
+    Strength,
     Torque,
+    Viscosity,
+    Whole,
 )
-from mckibben.study.scenario.joint import shortened
-from mckibben.study.scenario.part import Part, refuse
-from mckibben.study.scenario.words import Entry, Whole
+
+
+class GeometrySpec(Part):
+    """Where the muscles run: an entry of the catalog by name, or the three lengths [m] of `KneeGeometry`.
+
+    In text the name alone will do: ``geometry: knee-table-2``.
+    """
+
+    base: Annotated[str, Entry("geometries")] | None = Field(None, alias="from")
+    joint_length: Length | None = None
+    joint_radius: Length | None = None
+    connector_length: Distance | None = Field(None, validate_default=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_alone(cls, value: Any) -> Any:
+        return {"from": value} if isinstance(value, str) and value else value
+
+    @field_validator("connector_length", mode="after")
+    @classmethod
+    def _complete(cls, value: float | None, info: ValidationInfo) -> float | None:
+        given = {**info.data, "connector_length": value}
+        missing = [key for key in ("joint_length", "joint_radius", "connector_length") if given.get(key, 0) is None]
+        if given.get("base", "") is None and missing:
+            refuse(
+                f"lacks {', '.join(missing)}", "give all three lengths, or begin with `from: knee-table-2`", parent=True
+            )
+        length, radius = given.get("joint_length"), given.get("joint_radius")
+        if length is not None and radius is not None and radius >= length:
+            refuse(
+                f"joint_radius {radius:g} m is not below joint_length {length:g} m",
+                "choose a smaller radius",
+                parent=True,
+            )
+        if length is not None and value is not None and value >= length:
+            refuse(f"connector_length {value:g} m leaves no room for a muscle in {length:g} m", "shorten it")
+        return value
+
+    @model_serializer(mode="wrap", when_used="json")
+    def _write(self, handler: Any) -> Any:
+        return shortened(handler(self))
+
+
+class FrictionSpec(Part):
+    """Hysteresis and viscous friction of a muscle, see `MaxwellSlip`; SI: N, m, N/Pa, Pa, N*s/m."""
+
+    half_width: FrictionForce
+    presliding_length: Presliding
+    growth: FrictionGrowth = 0.0
+    reference_pressure: Pressure = 0.0
+    viscous: Viscosity = 0.0
+
+    @model_serializer(mode="wrap", when_used="json")
+    def _write(self, handler: Any) -> Any:
+        given = {"half_width", "presliding_length"} | {name for name, value in self if value}
+        return {name: text for name, text in handler(self).items() if name in given}
+
+
+class CreepSpec(Part):
+    """Creep of a muscle, see `MaxwellCreep`; SI: N/m, s."""
+
+    stiffness: SpringRate
+    time_constant: CreepTime
+
+
+class MuscleSpec(Part):
+    """A make of muscle from the catalog, and its law: of the catalog, ``chou``, or the path of a fit's file.
+
+    Without `friction` it has none, and without `creep` none of that. With a `strength` all its forces are so many times
+    those of the law.
+    """
+
+    specimen: Annotated[str, Entry("specimens")]
+    law: Law
+    strength: Strength | None = None
+    friction: FrictionSpec | None = None
+    creep: CreepSpec | None = None
+
+
+class SpringSpec(Part):
+    """A preloaded spring in series with each muscle, see `SeriesSpring`; SI: N/m, N, m."""
+
+    stiffness: SpringRate
+    preload: Force
+    travel: Distance
+
+
+class JointSpec(Part):
+    """A joint between two muscles, alike (`muscle`) or not (`muscle1`, the antagonist, and `muscle2`).
+
+    `connector_length` [m] takes the place of the geometry's own.
+    """
+
+    geometry: GeometrySpec
+    connector_length: Distance | None = None
+    muscle1: MuscleSpec | None = None
+    muscle2: MuscleSpec | None = None
+    muscle: MuscleSpec | None = Field(None, validate_default=True)
+    spring: SpringSpec | None = None
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether one of its muscles has."""
+        return any(muscle and muscle.friction for muscle in (self.muscle, self.muscle1, self.muscle2))
+
+    @field_validator("spring", mode="after")
+    @classmethod
+    def _rate_known(cls, value: SpringSpec | None, info: ValidationInfo) -> SpringSpec | None:
+        muscles = [info.data.get(key) for key in ("muscle", "muscle1", "muscle2")]
+        if value is not None and any(muscle and muscle.friction and muscle.friction.viscous for muscle in muscles):
+            refuse(
+                "stands in series with a muscle of viscous friction, the rate of whose length is then not known",
+                "leave out `viscous` or the spring",
+            )
+        if value is not None and any(muscle and muscle.creep for muscle in muscles):
+            refuse(
+                "stands in series with a muscle that creeps, the rate of whose length is then not known",
+                "leave out `creep` or the spring",
+            )
+        return value
+
+    @field_validator("connector_length", mode="after")
+    @classmethod
+    def _said_once(cls, value: float | None, info: ValidationInfo) -> float | None:
+        geometry = info.data.get("geometry")
+        if value is None or geometry is None:
+            return value
+        if geometry.connector_length is not None:
+            refuse("is given in the geometry as well", "keep one of them")
+        if geometry.joint_length is not None and value >= geometry.joint_length:
+            refuse(
+                f"{value:g} m leaves no room for a muscle in the joint_length of {geometry.joint_length:g} m",
+                "shorten it",
+            )
+        return value
+
+    @field_validator("muscle", mode="after")
+    @classmethod
+    def _two_muscles(cls, value: MuscleSpec | None, info: ValidationInfo) -> MuscleSpec | None:
+        given = [key for key in ("muscle1", "muscle2") if info.data.get(key, "wrong") is not None]
+        if value is not None and given:
+            refuse(f"is given beside {' and '.join(given)}", "give `muscle` for both, or `muscle1` and `muscle2`")
+        if value is None and len(given) < 2:
+            lacking = [key for key in ("muscle1", "muscle2") if key not in given]
+            what = f"lacks {lacking[0]}" if given else "lacks its muscles"
+            refuse(what, "give `muscle` for both, or `muscle1` and `muscle2`", parent=True)
+        return value
+
+
+def shortened(written: dict[str, Any]) -> Any:
+    """A mapping that holds no more than the name of a catalog entry, as that name."""
+    given = {key: value for key, value in written.items() if value is not None}
+    return given["from"] if list(given) == ["from"] else written
+
 
 _NEEDED = ("mass1", "mass2", "distance1", "distance2", "inertia", "damping")
 

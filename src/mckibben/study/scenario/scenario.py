@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
-from mckibben.files import whole
+from mckibben.config.document import to_text
+from mckibben.config.fields import Part, refuse
+from mckibben.config.reading import parsed, text_of
 from mckibben.numerics.checks import whole_periods
+from mckibben.storage.files import whole
 from mckibben.study.scenario.controller import ControllerSpec
-from mckibben.study.scenario.fields import Duration, PositiveTime, Title
-from mckibben.study.scenario.joint import JointSpec
-from mckibben.study.scenario.part import Part, refuse
-from mckibben.study.scenario.plant import DisturbanceSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
-from mckibben.study.scenario.reading import parsed, text_of
+from mckibben.study.scenario.fields import Duration, PositiveTime, Title, Whole
+from mckibben.study.scenario.plant import DisturbanceSpec, JointSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec
-from mckibben.study.scenario.words import Whole
-from mckibben.study.scenario.writing import to_text
 
 if TYPE_CHECKING:
     from mckibben.control import (

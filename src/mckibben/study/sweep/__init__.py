@@ -1,9 +1,8 @@
 """Sweeps: many runs of a scenario over ranges of its numbers, kept block by block: nothing that is finished is lost."""
 
-from mckibben.study.sweep.answer import Sweep
 from mckibben.study.sweep.plan import MANIFEST, Plan
+from mckibben.study.sweep.result import MAIN, Sweep, summary
 from mckibben.study.sweep.store import BLOCKS, TABLE
-from mckibben.study.sweep.summary import MAIN, summary
 from mckibben.study.sweep.sweeping import InterruptedSweep, sweep
 
 __all__ = ["BLOCKS", "MAIN", "MANIFEST", "TABLE", "InterruptedSweep", "Plan", "Sweep", "summary", "sweep"]

@@ -16,12 +16,10 @@ from typing import Any
 import numpy as np
 
 from mckibben.errors import FileError, Problem
-from mckibben.files import folder, whole
-from mckibben.study.keeping import alone, check_free
-from mckibben.study.numbers import write_json
-from mckibben.study.sweep.block import Columns
-from mckibben.study.sweep.differences import differences
-from mckibben.study.sweep.plan import FORMAT, MANIFEST, Asked, Plan
+from mckibben.storage.files import alone, check_free, folder, whole
+from mckibben.study.reporting import write_json
+from mckibben.study.sweep.blocks import Columns
+from mckibben.study.sweep.plan import FORMAT, MANIFEST, Asked, Plan, differences
 
 BLOCKS = "blocks"
 TABLE = "sweep.nc"

@@ -11,10 +11,9 @@ from typing import Any
 
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
 from mckibben.study.scenario import Scenario
-from mckibben.study.sweep.answer import Sweep
-from mckibben.study.sweep.cluster import check_address, on_cluster
-from mckibben.study.sweep.engines import on_threads
+from mckibben.study.sweep.engines import check_address, on_cluster, on_threads
 from mckibben.study.sweep.plan import MANIFEST, Asked, Plan, Said
+from mckibben.study.sweep.result import Sweep
 from mckibben.study.sweep.store import TABLE, Store
 
 
@@ -53,7 +52,7 @@ def sweep(
     out
         A folder for manifest, blocks and table; without one nothing is kept.
     design, samples, seed
-        As for `mckibben.study.parameters.design`: "sobol", 1024 and 0 unless given.
+        As for `mckibben.study.parameters.sampling`: "sobol", 1024 and 0 unless given.
     metrics
         Which to compute; all unless given.
     precision

@@ -1,0 +1,5 @@
+"""`python -m mckibben`: the command line."""
+
+from mckibben.cli import run
+
+run()

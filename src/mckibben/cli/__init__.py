@@ -1,0 +1,234 @@
+"""The command line: parse, call a study, print. No physics here, and heavy imports only inside the commands."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import mckibben
+from mckibben.cli.compare import compare
+from mckibben.cli.envelope import envelope
+from mckibben.cli.identify import identify, validate
+from mckibben.cli.options import Json, Out, metric, progress, said, table
+from mckibben.cli.plan import plan
+from mckibben.cli.points import points
+from mckibben.cli.rig import rig
+from mckibben.cli.sweep import sweep
+from mckibben.cli.tune import tune
+from mckibben.errors import McKibbenError, McKibbenWarning
+from mckibben.storage.files import folder
+
+if TYPE_CHECKING:
+    from mckibben.simulation import Result
+    from mckibben.study.scenario import Scenario
+
+app = typer.Typer(
+    name="mckibben",
+    help="Pneumatic artificial muscles, from the test rig to a controlled joint.",
+    epilog="Exit codes: 0 done, 1 failed, 2 bad input.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.command()
+def reproduce(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the report goes.")] = Path("mckibben-report"),
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer repeats, seeds and tuning steps.")] = False,
+    json: Json = False,
+) -> None:
+    """Run the paper end to end: test, identification, knee, control; to a report with figures."""
+    folder(out)  # before the work, so that nothing is lost
+    from mckibben.study.reporting import to_json
+
+    with progress() as report:
+        from mckibben.paper import reproduce as run
+
+        done = run(quick=quick, progress=lambda what, part: report(what, 0.8 * part))
+        report("keeping the numbers", 0.8)
+        done.save(out)  # before anything is drawn
+        from mckibben.report import write_report
+
+        report("figures and report", 0.85)
+        page = write_report(done, out)
+        report("done", 1.0)
+    if json:
+        typer.echo(to_json(done.results()))
+        return
+    table(
+        "The paper's claims",
+        ("verdict", "claim", "source"),
+        [
+            ("holds" if claim.holds else "does not hold", claim.claim, claim.source if claim.of_paper else "(ours)")
+            for claim in done.claims
+        ],
+    )
+    typer.echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
+
+
+app.command()(points)
+app.command()(identify)
+app.command()(validate)
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="What to run; see examples/.")],
+    json: Json = False,
+    out: Out = None,
+) -> None:
+    """Run a controller on a joint, from a scenario file."""
+    if out:
+        folder(out)
+    from mckibben.study.scenario import Scenario
+
+    read = Scenario.read(scenario)
+    from mckibben.study.reporting import METRICS, shown, to_json, write_json
+    from mckibben.study.scenario.running import run_scenario
+
+    result, reach = run_scenario(read, source=str(scenario))
+    out_of_reach = "" if reach.reachable else reach.describe()
+    numbers = {
+        "scenario": read.name,
+        "outcome": result.outcome.name.lower(),
+        "described": result.describe(),
+        "out_of_reach": out_of_reach,
+        "metrics": shown(result.metrics()),
+    }
+    if json:
+        typer.echo(to_json(numbers))
+    else:
+        if out_of_reach:
+            typer.echo(f"warning: {out_of_reach}", err=True)
+        rows = [
+            (METRICS[name][0].replace("_", " "), metric(name, value), METRICS[name][1])
+            for name, value in numbers["metrics"].items()
+        ]
+        table(read.name, ("metric", "value", "unit"), rows)
+        typer.echo(result.describe())
+    if out:
+        _keep_run(out, read, result)
+        write_json(out / "results.json", numbers)
+        said(f"kept result.nc, results.json, scenario.yaml and tracking.png and .svg in {out}", json)
+    if result.outcome.lost:
+        raise typer.Exit(1)
+
+
+app.command()(envelope)
+app.command()(plan)
+app.command()(sweep)
+app.command()(tune)
+app.command()(compare)
+app.add_typer(rig)
+
+
+@app.command()
+def laws(json: Json = False) -> None:
+    """The force laws that can be fitted, and the published parameter sets."""
+    from mckibben import catalog
+    from mckibben.muscle import LAWS
+    from mckibben.study.reporting import to_json
+
+    published = {name: catalog.law(name) for name in catalog.names("laws")}
+    if json:
+        numbers = {name: {"equation": law.equation, "source": law.source} for name, law in LAWS.items()}
+        sets = {name: {"law": type(law).__name__, "domain": str(law.domain)} for name, law in published.items()}
+        typer.echo(to_json({"laws": numbers, "published": sets}))
+        return
+    rows = [(name, law.equation, law.source) for name, law in LAWS.items()]
+    table("Laws", ("law", "equation", "source"), rows)
+    sets = [(name, type(law).__name__, str(law.domain)) for name, law in published.items()]
+    table("Published parameter sets", ("name", "law", "domain"), sets)
+
+
+@app.command()
+def specimens(json: Json = False) -> None:
+    """The makes of muscle that the catalog knows, and its measured datasets."""
+    from mckibben import catalog
+    from mckibben.study.reporting import to_json
+    from mckibben.units import mm
+
+    known = {name: catalog.specimen(name) for name in catalog.names("specimens")}
+    data = {name: catalog.cite(name).splitlines()[0] for name in catalog.names("datasets")}
+    if json:
+        numbers = {
+            name: {
+                "initial_length_mm": s.initial_length / mm,
+                "initial_diameter_mm": s.initial_diameter / mm,
+                "rated_force_N": s.rated_force,
+                "domain": str(s.domain),
+                "source": catalog.cite(name),
+            }
+            for name, s in known.items()
+        }
+        typer.echo(to_json({"specimens": numbers, "datasets": data}))
+        return
+    rows = [
+        (name, f"{s.initial_length / mm:g} x {s.initial_diameter / mm:g} mm", f"{s.rated_force:g} N", str(s.domain))
+        for name, s in known.items()
+    ]
+    table("Specimens", ("name", "length x diameter", "rated", "domain"), rows)
+    table("Datasets", ("name", "source"), list(data.items()))
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        typer.echo(f"mckibben {mckibben.__version__}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Run the command line; errors of ours become one message and exit code 2, others exit code 1."""
+    from mckibben.numerics.runtime import keep_programs
+
+    keep_programs()
+    warnings.showwarning = _show_warning
+    try:
+        app()
+    except (McKibbenError, OSError) as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(2)
+    except Exception as error:
+        if os.environ.get("MCKIBBEN_DEBUG"):
+            raise
+        typer.echo(
+            f"failed: {type(error).__name__}: {error}\n"
+            "This is a fault of mckibben. Please report it, with what the same command prints under MCKIBBEN_DEBUG=1.",
+            err=True,
+        )
+        sys.exit(1)
+
+
+def run() -> None:
+    """The installed command: `main` in a process of its own.
+
+    Imports and the tracing of programs make many objects that stay. To look through them for garbage again and again is
+    a fifth of a command's time, and once more at the exit another fifth.
+    """
+    gc.set_threshold(100_000, 10, 10)
+    try:
+        main()
+    finally:
+        gc.freeze()
+
+
+def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:
+    from mckibben import report
+
+    scenario.to_yaml(out / "scenario.yaml")
+    result.to_netcdf(out / "result.nc")
+    report.save(report.tracking({scenario.name: result}), out, "tracking")
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    if issubclass(category, McKibbenWarning):
+        typer.echo(f"warning: {message}", err=True)

@@ -1,0 +1,178 @@
+"""`mckibben compare`: controllers tuned alike, and ranked on runs that none of them has seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mckibben.cli.options import INTERRUPTED, Json, late_progress, metric, table
+from mckibben.errors import FileError, ParameterError, Problem
+from mckibben.storage.files import folder, whole
+
+if TYPE_CHECKING:
+    from mckibben.study.benchmark import Contest, Suite
+
+_KEPT = ("results.json", "runs.nc", "suite.yaml", "comparison.html")
+
+
+def compare(
+    suite: Annotated[Path, typer.Argument(metavar="SUITE.yaml", help="What is compared, and on what; see examples/.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Keep the searches, all runs, tuned scenarios and a report here.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the searches in DIR.")] = False,
+    runs: Annotated[int | None, typer.Option(metavar="N", help="Unseen runs, in place of the suite's.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A look: a tenth of the tuning, at most 128 runs.")] = False,
+    repeat: Annotated[
+        str | None,
+        typer.Option(
+            metavar="'CONTROLLER RUN'",
+            help="Print one run of what is kept in DIR as a scenario for `mckibben simulate`, such as 'PID 17'.",
+        ),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Tune controllers with the same budget, and rank them on runs that none of them has seen."""
+    if out is None:
+        raise ParameterError("there is no folder for the comparison", remedy="say where to keep it: --out DIR")
+    from mckibben.study.benchmark import Suite
+
+    read = _smaller(Suite.read(suite), runs, quick)
+    if repeat is not None:
+        typer.echo(_alone(out, repeat), nl=False)
+        return
+    from mckibben.storage.files import check_free
+    from mckibben.study.benchmark import compare as run
+
+    searches = out / "tuning"
+    if not resume:
+        if searches.is_dir() and any(searches.glob("*.jsonl")):
+            remedy = "go on with them (--resume), or choose another folder"
+            raise FileError(str(searches), [Problem("there are histories of searches already", remedy=remedy)])
+        check_free(out, _KEPT)
+    folder(out)
+    try:
+        with late_progress(quiet=json) as bar:
+            contest = run(read, folder=searches, resume=resume, progress=bar)
+    except KeyboardInterrupt:
+        typer.echo(f"interrupted: what was tried is kept in {searches}; go on with --resume", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    _show(contest, out, json)
+
+
+def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
+    """The suite with fewer runs or less tuning."""
+    tuning, unseen = suite.tuning, suite.unseen
+    if quick:
+        tuning = tuning.model_copy(update={"generations": max(tuning.generations // 10, 1), "starts": 1})
+        unseen = unseen.model_copy(update={"runs": min(unseen.runs, 128)})
+    if runs is not None:
+        if not 2 <= runs <= 1_000_000:
+            raise ParameterError(f"--runs {runs}", value=runs, lower=2, upper=1_000_000, remedy="give 2 to 1000000")
+        unseen = unseen.model_copy(update={"runs": runs})
+    return suite.model_copy(update={"tuning": tuning, "unseen": unseen})
+
+
+def _alone(out: Path, repeat: str) -> str:
+    """A run of the suite that is kept, as the text of a scenario."""
+    import json
+
+    from mckibben.study.benchmark import Suite, draw
+
+    kept = out / "results.json"
+    if not kept.is_file():
+        raise ParameterError(f"{out} holds no comparison", remedy="run it first, without --repeat")
+    numbers = json.loads(kept.read_text(encoding="utf-8"))
+    suite = Suite.read(out / "suite.yaml")
+    name, _, run = repeat.rpartition(" ")
+    tuned = {each: found["tuned"] for each, found in numbers["controllers"].items()}
+    if name not in tuned:
+        raise ParameterError(f"there is no controller {name!r}", value=name, remedy=f"known are {', '.join(tuned)}")
+    if not run.isdecimal() or int(run) >= numbers["runs"]:
+        raise ParameterError(f"there is no run {run!r}", value=run, remedy=f"give 0 to {numbers['runs'] - 1}")
+    scenario = draw(suite, numbers["runs"], suite.unseen.seed).scenario(name, int(run), tuned[name])
+    return scenario.dumps()
+
+
+def _show(contest: Contest, out: Path, json: bool) -> None:
+    from mckibben import report
+    from mckibben.study.benchmark.benchmark import keep_table, standing
+    from mckibben.study.reporting import to_json, write_json
+
+    numbers = standing(contest)
+    write_json(out / "results.json", numbers)  # before anything is drawn
+    keep_table(contest, out / "runs.nc")
+    with whole(out / "suite.yaml") as part:
+        part.write_text(contest.suite.dumps(folder=out), encoding="utf-8")
+    kept = _tuned_scenarios(contest, out)
+    page = report.write_contest(contest, numbers, out)
+    if json:
+        typer.echo(to_json(numbers))
+    else:
+        _tables(numbers)
+    typer.echo(
+        f"kept results.json, runs.nc, suite.yaml, tuning/, {kept} tuned scenarios and figures; the report is {page}",
+        err=json,
+    )
+
+
+def _tables(numbers: dict[str, Any]) -> None:
+    found = numbers["controllers"]
+
+    def cell(name: str, key: str, what: str = "median") -> str:
+        spread = found[name]["metrics"][key]
+        return "-" if spread is None else metric(key, spread[what])
+
+    table(
+        f"{numbers['suite']}: {numbers['runs'] - numbers['not_begun']} unseen runs",
+        ("controller", "angle rmse, deg", "95 %", "stiffness rmse", "95 %", "coupling, deg", "air, L", "lost"),
+        [
+            (
+                name,
+                cell(name, "angle_rmse_deg"),
+                cell(name, "angle_rmse_deg", "percentile_95"),
+                cell(name, "stiffness_rmse"),
+                cell(name, "stiffness_rmse", "percentile_95"),
+                cell(name, "coupling_deg"),
+                cell(name, "air_L"),
+                str(found[name]["lost"]),
+            )
+            for name in numbers["order"]
+        ],
+    )
+    first = next(iter(found))
+    table(
+        f"medians against {first}",
+        ("controller", "angle rmse", "95 % interval", "stiffness rmse", "95 % interval"),
+        [(name, *_ratios(found[name]["against_first"])) for name in numbers["order"] if name != first],
+    )
+    if numbers["not_begun"]:
+        typer.echo(f"{numbers['not_begun']} runs could not begin: no pressures hold their plant where they start")
+    for name, each in found.items():
+        if each["at_bound"]:
+            typer.echo(
+                f"{name}: at an end of its range: {', '.join(each['at_bound'])}; a wider one may hold better ones"
+            )
+
+
+def _ratios(against: dict[str, dict[str, float]]) -> list[str]:
+    return [
+        cell
+        for each in (against["angle_rmse_deg"], against["stiffness_rmse"])
+        for cell in (f"{each['ratio']:.3g} x", f"{each['low']:.3g}..{each['high']:.3g}")
+    ]
+
+
+def _tuned_scenarios(contest: Contest, out: Path) -> int:
+    """Write each controller with its tuned numbers as a scenario of the plant as it believes it."""
+    from mckibben.study.benchmark.benchmark import filename
+    from mckibben.study.parameters import with_values
+
+    kept = folder(out / "controllers")
+    wish = next(iter(contest.suite.wishes))
+    for name, values in contest.tuned.items():
+        scenario = contest.suite.scenario(name, wish)
+        (with_values(scenario, values) if values else scenario).to_yaml(kept / f"{filename(name)}.yaml")
+    return len(contest.tuned)

@@ -1,0 +1,1 @@
+"""Configuration files: YAML with line numbers, models, field types and diagnostics."""

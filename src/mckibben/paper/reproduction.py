@@ -1,0 +1,210 @@
+"""The paper, end to end."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from mckibben.identification import Validation
+from mckibben.paper.claims import Claim, judge
+from mckibben.paper.identification import Identification, JointMap, run_identification, run_joint
+from mckibben.paper.settings import SETTINGS, Wish
+from mckibben.paper.tracking import Run, Tracking, run_tracking
+from mckibben.study.reporting import METRICS, fit_numbers, plain, write_json
+from mckibben.units import bar, deg, factor
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Everything that the report shows, as numbers.
+
+    Attributes
+    ----------
+    identification, joint, tracking
+        The three parts.
+    claims
+        The paper's claims with verdicts.
+    quick
+        Whether it was the quick form: fewer repeats, seeds and generations.
+    seconds
+        How long it took.
+    """
+
+    identification: Identification
+    joint: dict[str, JointMap]
+    tracking: Tracking
+    claims: tuple[Claim, ...]
+    quick: bool
+    seconds: float
+
+    def results(self) -> dict[str, Any]:
+        """Every number of the report, ready for JSON; a number that does not exist is None."""
+        return plain(
+            {
+                "mckibben": version("mckibben"),
+                "versions": {name: version(name) for name in ("jax", "numpy", "equinox")},
+                "python": platform.python_version(),
+                "quick": self.quick,
+                "seconds": self.seconds,
+                "seeds": self.tracking.seeds,
+                "settings": {setting.key: asdict(setting) for setting in SETTINGS},
+                "rig": _rig(self.identification),
+                "identification": {name: fit_numbers(fit) for name, fit in self.identification.fits.items()},
+                "validation": _validation(self.identification),
+                "joint": {setting.key: _joint(self.joint[setting.key]) for setting in SETTINGS},
+                "tracking": _tracking(self.tracking),
+                "tuning": {key: _tuned(tuned) for key, tuned in self.tracking.tuned.items()},
+                "coupling": {
+                    key: {
+                        "angle_by_step_deg": found.angle_by_step / deg,
+                        "stiffness_by_motion": found.stiffness_by_motion,
+                        "stiffness_at_rest": found.stiffness_at_rest,
+                    }
+                    for key, found in self.tracking.coupling.items()
+                },
+                "claims": [asdict(claim) for claim in self.claims],
+            }
+        )
+
+    def save(self, folder: Path) -> None:
+        """Keep the numbers: results.json, fits, datasets, scenarios and trajectories."""
+        for name in ("fits", "data", "scenarios", "trajectories"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        for name, fit in self.identification.fits.items():
+            fit.to_yaml(folder / "fits" / f"{name}.yaml")
+        self.identification.rig.test.to_netcdf(folder / "data" / "virtual-rig-test.nc")
+        self.identification.rig.retest.to_netcdf(folder / "data" / "virtual-rig-retest.nc")
+        for (key, wish, controller), run in self.tracking.runs.items():
+            name = file_stem(key, wish, controller)
+            run.scenario.to_yaml(folder / "scenarios" / f"{name}.yaml")
+            run.result.to_netcdf(folder / "trajectories" / f"{name}.nc")
+        write_json(folder / "results.json", self.results())
+
+
+def file_stem(key: str, wish: Wish, controller: str) -> str:
+    """What the files of a run are called.
+
+    >>> file_stem("as_printed", Wish.STEP, "BP on tuned gains, free")
+    'as-printed-step-bp-on-tuned-gains-free'
+    """
+    return "-".join((key, wish.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
+
+
+def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Reproduction:
+    """Run the paper: test, identify, validate, the joint, and the control of position and stiffness.
+
+    Parameters
+    ----------
+    quick
+        Two repeats of the test instead of five, 5 seeds of BP instead of 20, and a shorter tuning.
+    progress
+        Called with what is being done and the part that is done, 0 to 1.
+    """
+    start = time.perf_counter()
+
+    def report(what: str, part: float) -> None:
+        if progress:
+            progress(what, part)
+
+    # The muscle's half does not wait for the knee's: much of both is compilation, which leaves the other cores idle.
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        muscle = beside.submit(run_identification, repeats=2 if quick else 5)
+        knee = beside.submit(run_joint)
+        what = "isobaric test and identification; control of position and stiffness"
+        report(what, 0.0)
+
+        def tracked(part: float) -> None:
+            report(what, 0.95 * part)
+            for other in (muscle, knee):
+                if other.done():
+                    other.result()  # an error there ends the run here and now
+
+        tracking = run_tracking(
+            seeds=5 if quick else 20,
+            generations=4 if quick else 30,
+            population=16 if quick else 32,
+            progress=tracked,
+        )
+        identification, joint = muscle.result(), knee.result()
+    report("claims", 0.95)
+    claims = judge(identification, joint, tracking)
+    return Reproduction(identification, joint, tracking, claims, quick, time.perf_counter() - start)
+
+
+def _rig(found: Identification) -> dict[str, Any]:
+    test = found.rig
+    return {
+        "plateaus": len(test.test),
+        "samples": test.samples,
+        "points_away_from_turns": len(test.settled),
+        "repeats": test.protocol.repeats,
+        "hysteresis_N": test.rig.hysteresis,
+        "published": {
+            p.name: getattr(test.muscle.law, p.name) / factor(p.shown, p.unit) for p in test.muscle.law.parameters()
+        },
+    }
+
+
+def _validation(found: Identification) -> dict[str, Any]:
+    on_rig = {
+        "retest": found.retested,
+        "held_out_pressures": found.held_out_pressures,
+        "held_out_repeat": found.held_out_repeat,
+    }
+    return {f"{name}_rmse_N": _errors(validation) for name, validation in on_rig.items()} | {
+        "measured_rmse_N": {name: _errors(validation) for name, validation in found.measured.items()}
+    }
+
+
+def _errors(validation: Validation) -> dict[str, dict[str, float]]:
+    """RMSE of each law: over all points, by direction, by pressure, and by both."""
+    table: dict[str, dict[str, float]] = {}
+    for errors in validation.errors:
+        place = [] if errors.pressure is None else [f"{errors.pressure / bar:g} bar"]
+        place += [errors.direction] if errors.direction else []
+        table.setdefault(errors.law, {})[", ".join(place) or "all"] = errors.rmse
+    return table
+
+
+def _joint(found: JointMap) -> dict[str, Any]:
+    low, high = found.at(0.0)
+    first, last = found.holdable
+    return {
+        "attainable_stiffness_at_0_deg": [low, high],
+        "holdable_angles_deg": [first / deg, last / deg],
+    }
+
+
+def _tracking(found: Tracking) -> dict[str, Any]:
+    table: dict[str, Any] = {}
+    for (key, wish, controller), run in found.runs.items():
+        table.setdefault(key, {}).setdefault(wish.value, {})[controller] = _run(run)
+    return table
+
+
+def _run(run: Run) -> dict[str, Any]:
+    found: dict[str, Any] = {name: run.median(metric) / unit for name, (metric, _, unit) in METRICS.items()}
+    if run.seeds is not None:
+        found["worst"] = {name: run.worst(metric) / unit for name, (metric, _, unit) in METRICS.items()}
+        found["lost"] = run.lost
+    return found | {"outcome": run.result.describe()}
+
+
+def _tuned(tuned: Any) -> dict[str, Any]:
+    control = tuned.scenarios[0].control()
+    return {
+        "position": {name: getattr(control.position, name) for name in ("kp", "ki", "kd")},
+        "stiffness": {name: getattr(control.stiffness, name) for name in ("kp", "ki", "kd")},
+        "cost": tuned.cost,
+        "cost_before": tuned.cost_before,
+        "evaluated": tuned.evaluated,
+        "at_bound": list(tuned.at_bound),
+    }

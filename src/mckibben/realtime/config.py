@@ -1,0 +1,291 @@
+"""Configuration file of a joint rig: terminals, calibrations, limits."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from mckibben.config.fields import Part, Quantity, refuse
+from mckibben.config.reading import parsed, text_of
+from mckibben.errors import Problem, RigError, StoppedError
+from mckibben.rig.backend import Backend, Channel
+from mckibben.rig.calibration import Calibration
+from mckibben.study.rig.steps import JsonPath, Wait
+from mckibben.study.scenario.fields import Angle, Duration, PositiveTime, Pressure, PressureRate, Title, Whole
+from mckibben.units import bar, deg
+
+
+class Reading(NamedTuple):
+    """What the sensors of a joint say at one time: angle [rad], gauge pressures [Pa]."""
+
+    angle: float
+    pressure1: float
+    pressure2: float
+
+
+class _Line(NamedTuple):
+    """One sensor: its column, its straight line, and the volts between which it works."""
+
+    name: str
+    column: int
+    gain: float
+    offset: float
+    tare: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wiring:
+    """The calibrations of a joint's three sensors and two valves, each under the name of its channel.
+
+    The ones given here are those of common devices: a potentiometer of 340 deg on 10 V, pressure sensors with 1 to 5 V
+    for 0 to 10 bar, and regulators (ITV0050 class) that give 9 bar at 10 V.
+    """
+
+    angle: Calibration = Calibration(
+        name="angle", unit="rad", gain=36 * deg, offset=5.0, low=-170 * deg, high=170 * deg
+    )
+    pressure1: Calibration = Calibration(
+        name="pressure1", unit="Pa", gain=2.5 * bar, offset=1.0, low=-0.3 * bar, high=10 * bar
+    )
+    pressure2: Calibration = Calibration(
+        name="pressure2", unit="Pa", gain=2.5 * bar, offset=1.0, low=-0.3 * bar, high=10 * bar
+    )
+    valve1: Calibration = Calibration(name="valve1", unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar)
+    valve2: Calibration = Calibration(name="valve2", unit="Pa", gain=0.9 * bar, low=0.0, high=9 * bar)
+
+    @property
+    def sensors(self) -> tuple[Calibration, Calibration, Calibration]:
+        """Of angle and pressures, in this order."""
+        return self.angle, self.pressure1, self.pressure2
+
+    @property
+    def valves(self) -> tuple[Calibration, Calibration]:
+        """Of both valves."""
+        return self.valve1, self.valve2
+
+    def to_json(self) -> dict[str, Any]:
+        """As a JSON object, by channel."""
+        return {field.name: getattr(self, field.name).to_json() for field in fields(self)}
+
+    def connected(self, backend: Backend) -> Connected:
+        """The sensors and valves of a backend.
+
+        Raises
+        ------
+        RigError
+            If one of them is not there; it names all.
+        """
+        inputs, outputs = [one.name for one in backend.inputs], [one.name for one in backend.outputs]
+        missing = [c.name for c in self.sensors if c.name not in inputs]
+        missing += [c.name for c in self.valves if c.name not in outputs]
+        if missing:
+            raise RigError(
+                f"the rig has no {', '.join(missing)}: its inputs are {', '.join(inputs)}, its outputs "
+                f"{', '.join(outputs)}",
+                remedy="connect them, and name the channels so",
+            )
+        return Connected(self, backend.inputs, backend.outputs)
+
+
+class Connected:
+    """A wiring on the channels of a backend: plain numbers, for a loop that has a millisecond."""
+
+    def __init__(self, wiring: Wiring, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> None:
+        self.wiring = wiring
+        names = [one.name for one in inputs]
+        self._lines = [_line(c, names.index(c.name), inputs) for c in wiring.sensors]
+        names = [one.name for one in outputs]
+        at = [names.index(c.name) for c in wiring.valves]
+        self._order = [at.index(i) for i in range(len(names))] if sorted(at) == list(range(len(names))) else None
+        if self._order is None:
+            raise RigError(
+                f"a joint rig has two valves, and this one {len(names)} outputs ({', '.join(names)})",
+                remedy="leave the others out",
+            )
+        self._outputs = outputs
+
+    def picked(self, volts: Sequence[float]) -> list[float]:
+        """Of the volts of all inputs those of angle and pressures, in this order."""
+        return [volts[line.column] for line in self._lines]
+
+    def read(self, volts: Sequence[float]) -> Reading:
+        """The reading of one sample, the volts of all inputs.
+
+        Raises
+        ------
+        StoppedError
+            If a sensor is lost.
+        """
+        values = []
+        for name, column, gain, offset, tare, low, high in self._lines:
+            signal = volts[column]
+            if not low < signal < high:  # NaN too
+                raise StoppedError(
+                    f"the sensor of {name} is lost: it gives {signal:.4g} V, a working one {low:.4g} to {high:.4g} V",
+                    value=signal,
+                    lower=low,
+                    upper=high,
+                    unit="V",
+                    remedy="check its plug and its supply",
+                )
+            values.append((signal - offset) * gain - tare)
+        return Reading(*values)
+
+    def seen(self, volts: Sequence[float]) -> Reading:
+        """The reading of one sample; NaN where a sensor is lost."""
+        return Reading(
+            *(
+                (volts[line.column] - line.offset) * line.gain - line.tare
+                if line.low < volts[line.column] < line.high
+                else math.nan
+                for line in self._lines
+            )
+        )
+
+    def volts(self, commands: Sequence[float]) -> list[float]:
+        """The signals for commands [Pa] of muscles 1 and 2, in the order of the outputs."""
+        signals = [
+            (command + valve.tare) / valve.gain + valve.offset
+            for command, valve in zip(commands, self.wiring.valves, strict=True)
+        ]
+        assert self._order is not None
+        return [signals[i] for i in self._order]
+
+    def check(self, low: float, high: float) -> list[Problem]:
+        """What stands against commands [Pa] from low to high."""
+        assert self._order is not None
+        channels = {channel.name: channel for channel in self._outputs}
+        return [problem for c in self.wiring.valves for problem in c.check(low, high, channels[c.name])]
+
+
+def _line(calibration: Calibration, column: int, inputs: Sequence[Channel]) -> _Line:
+    low, high = calibration.limits
+    low, high = max(low, inputs[column].low), min(high, inputs[column].high)
+    return _Line(calibration.name, column, calibration.gain, calibration.offset, calibration.tare, low, high)
+
+
+_Step = Annotated[float, Quantity("rad", "deg", 0, 10)]
+_Noise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3)]
+_Turning = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e5, open_lower=True)]
+
+
+class BenchSpec(Part):
+    """The virtual joint: how well it is measured, see `Sensing`. It is the scenario's own plant."""
+
+    angle_step: _Step | None = None
+    pressure_noise: _Noise | None = None
+    seed: Annotated[int, Whole(0, 2**31 - 1)] = 0
+
+
+class JointCardSpec(Part):
+    """A card of National Instruments: its terminals, and the file of the five calibrations."""
+
+    device: str
+    angle: str = "ai0"
+    pressure1: str = "ai1"
+    pressure2: str = "ai2"
+    valve1: str = "ao0"
+    valve2: str = "ao1"
+    heartbeat: str = "port0/line0"
+    hold: str = "port0/line1"
+    server: str = ""
+    calibration: JsonPath
+
+
+class JointLimitsSpec(Part):
+    """What may not be exceeded, see `JointLimits`.
+
+    Unless given, the angle may go 10 deg beyond the wishes, the start, and where the joint hangs without air; the
+    pressure 5 % beyond what the specimens are rated for.
+    """
+
+    lowest_angle: Angle | None = None
+    highest_angle: Angle | None = None
+    pressure: Pressure | None = None
+    angle_rate: _Turning | None = None
+    pressure_rate: PressureRate | None = None
+    window: PositiveTime | None = None
+    pressure_error: Pressure | None = None
+    following: PositiveTime | None = None
+    silence: PositiveTime | None = None
+    late: PositiveTime | None = None
+
+
+class ApproachSpec(Part):
+    """How the joint is brought to its start.
+
+    In `raising` the pressures go to those of the start along a straight line; in `settling` the controller holds the
+    first wish.
+    """
+
+    raising: Wait = 2.0
+    settling: Wait = 2.0
+
+
+class JointRig(Part):
+    """What a scenario is run on; in SI, `read` knows the units.
+
+    Attributes
+    ----------
+    name
+        What it is, in a few words.
+    virtual, nidaqmx
+        One of them.
+    limits
+        What may not be exceeded.
+    approach
+        How the joint is brought to its start.
+    patience
+        How long the rig waits for the host before it vents by itself [s].
+
+    Examples
+    --------
+    >>> rig = JointRig.read("examples/rig/joint-rig.yaml")
+    >>> rig.approach.raising, rig.patience
+    (2.0, 0.1)
+    """
+
+    name: Title = Field("virtual joint", examples=["knee on the bench"])
+    virtual: BenchSpec | None = None
+    nidaqmx: JointCardSpec | None = Field(None, validate_default=True)
+    limits: JointLimitsSpec = JointLimitsSpec()
+    approach: ApproachSpec = ApproachSpec()
+    patience: Duration = 0.1
+
+    @field_validator("virtual", mode="before")
+    @classmethod
+    def _word_alone(cls, value: Any) -> Any:
+        return {} if value == "" else value
+
+    @field_validator("nidaqmx", mode="after")
+    @classmethod
+    def _one(cls, value: Any, info: ValidationInfo) -> Any:
+        virtual = info.data.get("virtual", "wrong")
+        if (virtual is None) == (value is None):
+            what = "is virtual and nidaqmx at once" if value is not None else "has no rig"
+            refuse(what, "give one of virtual, nidaqmx", parent=True)
+        return value
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> JointRig:
+        """Read a file.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file: line, field, value, allowed range and remedy.
+        """
+        text = text_of(path, "a joint rig", "examples/rig/joint-rig.yaml")
+        return parsed(cls, text, source=os.fspath(path), folder=Path(path).parent)[0]
+
+    def to_json(self) -> dict[str, Any]:
+        """What was given, with units, for the record."""
+        return self.model_dump(mode="json", by_alias=True, exclude_none=True, context={"folder": Path()})

@@ -1,0 +1,312 @@
+"""Figures and the page of a contest of controllers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from mckibben.report.figures import ReportFigure
+from mckibben.report.page import EmbeddedFigure, address_of, style_sheet, template_of
+from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, save, styled
+from mckibben.report.tables import Table, number
+from mckibben.storage.files import whole
+from mckibben.study.benchmark import Contest
+from mckibben.units import deg
+
+_ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
+_PAGE = "comparison.html"
+_NARROW = 3.0  # a range of less has too few ticks in the logarithm
+
+
+@styled
+def contest_errors(contest: Contest) -> Figure:
+    """In how many of the unseen runs the errors of angle and stiffness stay below a value, a line a controller.
+
+    Parameters
+    ----------
+    contest
+        What `mckibben.study.benchmark.compare` gave.
+    """
+    figure = blank(DOUBLE, 3.0)
+    axes = figure.subplots(1, 2, sharey=True)
+    looks = looks_of(contest.batches)
+    for panel, mark, (metric, label, unit) in zip(axes, "ab", _ERRORS, strict=True):
+        for name, look in looks.items():
+            _distribution(panel, contest.metric(name, metric) / unit, label=name, **look)
+        panel.set_xscale("log")
+        plain_numbers(panel.xaxis)
+        panel.set(xlabel=label, ylim=(0, 1.02))
+        panel.axhline(0.5, color="0.6", linewidth=0.6, zorder=0)
+        panel.axhline(0.95, color="0.6", linewidth=0.6, zorder=0)
+        letter(panel, mark, label.split(" [")[0])
+    axes[0].set(
+        ylabel="share of runs below",
+        yticks=[0, 0.25, 0.5, 0.75, 0.95],
+        yticklabels=["0", "0.25", "0.5", "0.75", "0.95"],
+    )
+    legend_above(figure, axes[0], columns=min(len(looks), 4))
+    return figure
+
+
+@styled
+def contest_wishes(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
+    """Median errors by the kind of wish, a mark a controller.
+
+    Parameters
+    ----------
+    contest
+        What `mckibben.study.benchmark.compare` gave.
+    numbers
+        Its `standing`.
+    """
+    wishes = list(contest.suite.wishes)
+    figure = blank(DOUBLE, 0.9 + 0.42 * len(wishes))
+    axes = figure.subplots(1, 2, sharey=True)
+    looks = looks_of(contest.batches)
+    keys = ("angle_rmse_deg", "stiffness_rmse")
+    for panel, mark, key, (_, label, _) in zip(axes, "ab", keys, _ERRORS, strict=True):
+        for i, (name, look) in enumerate(looks.items()):
+            found = numbers["controllers"][name]["by_wish"]
+            shift = (i - (len(looks) - 1) / 2) * 0.7 / len(looks)
+            medians = [(found.get(wish, {}).get(key), row + shift) for row, wish in enumerate(wishes)]
+            places = [(median, row) for median, row in medians if median]
+            if places:
+                x, y = zip(*places, strict=True)
+                panel.plot(x, y, linestyle="", marker="o", markersize=3.5, color=look["color"], label=name)
+        shown = [x for line in panel.lines for x in np.asarray(line.get_xdata())]
+        if shown and max(shown) > _NARROW * min(shown):
+            panel.set_xscale("log")
+            plain_numbers(panel.xaxis)
+        panel.set(xlabel=f"median {label}")
+        letter(panel, mark, label.split(" [")[0])
+    axes[0].set_yticks(range(len(wishes)), wishes)
+    axes[0].invert_yaxis()
+    legend_above(figure, axes[0], columns=min(len(looks), 4))
+    return figure
+
+
+@styled
+def contest_air(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
+    """What the angle's error costs in air: medians, and the middle 90 % of the runs.
+
+    Parameters
+    ----------
+    contest
+        What `mckibben.study.benchmark.compare` gave.
+    numbers
+        Its `standing`.
+    """
+    figure = blank(DOUBLE, 3.0)
+    axes = figure.subplots()
+    for name, look in looks_of(contest.batches).items():
+        air, angle = contest.metric(name, "air") * 1e3, contest.metric(name, "angle_rmse") / deg
+        if not np.isfinite(angle).any():
+            continue  # it lost all runs
+        (x0, x, x1), (y0, y, y1) = (np.nanpercentile(each, [5, 50, 95]) for each in (air, angle))
+        axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
+        axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
+        axes.plot(x, y, marker="o", markersize=4.5, linestyle="", color=look["color"], label=name)
+    axes.set(xscale="log", yscale="log", xlabel="air taken in [L]", ylabel="angle rmse [deg]")
+    plain_numbers(axes.xaxis)
+    plain_numbers(axes.yaxis)
+    legend_above(figure, axes, columns=4)
+    return figure
+
+
+def write_contest(contest: Contest, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
+    """Write `comparison.html`, and its figures as PNG and SVG in `figures/` beside it.
+
+    Parameters
+    ----------
+    contest
+        What `mckibben.study.benchmark.compare` gave.
+    numbers
+        Its `standing`.
+    folder
+        Where to; made if need be.
+
+    Returns
+    -------
+    pathlib.Path
+        Of the page; it appears complete or not at all, and needs no other file.
+    """
+    folder = Path(folder)
+    embedded = [
+        EmbeddedFigure(drawn, address_of(*save(drawn.figure, folder / "figures", drawn.name)))
+        for drawn in _figures(contest, numbers)
+    ]
+    page = folder / _PAGE
+    text = template_of("contest.html.jinja").render(
+        style=style_sheet(),
+        suite=contest.suite,
+        numbers=numbers,
+        first=next(iter(contest.batches)),
+        figures=embedded,
+        tables=[
+            _standings(numbers),
+            _against(numbers),
+            _conduct(numbers),
+            _by(numbers, "by_joint", "joint"),
+            _dependence(numbers),
+        ],
+        tuned=_tuned(contest),
+        text=contest.suite.dumps(folder=folder),
+    )
+    with whole(page) as part:
+        part.write_text(text, encoding="utf-8")
+    return page
+
+
+def _figures(contest: Contest, numbers: Mapping[str, Any]) -> list[ReportFigure]:
+    runs = numbers["runs"] - numbers["not_begun"]
+    said = (
+        (
+            "errors",
+            "Errors over all unseen runs",
+            f"The share of the {runs} unseen runs in which the root mean square error stays below a value. Grey: the "
+            "median and the 95th percentile. A lost run stays above all values.",
+            contest_errors(contest),
+        ),
+        (
+            "wishes",
+            "By the kind of wish",
+            "Median errors over the runs with each kind of wish.",
+            contest_wishes(contest, numbers),
+        ),
+        (
+            "air",
+            "What it costs",
+            "Air taken in and error of the angle: medians, and the middle 90 % of the runs.",
+            contest_air(contest, numbers),
+        ),
+    )
+    return [
+        ReportFigure(name=name, section="", title=title, caption=caption, alternative=title, figure=figure)
+        for name, title, caption, figure in said
+    ]
+
+
+_Column = tuple[str, str, str]
+_HOW_WELL: tuple[_Column, ...] = (
+    ("angle rmse [deg]", "angle_rmse_deg", "median"),
+    ("95 %", "angle_rmse_deg", "percentile_95"),
+    ("stiffness rmse [N*m/rad]", "stiffness_rmse", "median"),
+    ("95 %", "stiffness_rmse", "percentile_95"),
+    ("coupling [deg]", "coupling_deg", "median"),
+)
+_AND_HOW: tuple[_Column, ...] = (
+    ("ripple [N*m/rad]", "stiffness_ripple", "median"),
+    ("estimate rmse [N*m/rad]", "estimate_rmse", "median"),
+    ("air [L]", "air_L", "median"),
+    ("saturated [s]", "time_saturated_s", "median"),
+    ("slack, 95 % [s]", "time_slack_s", "percentile_95"),
+)
+
+
+def _standings(numbers: Mapping[str, Any]) -> Table:
+    rows = []
+    for name in numbers["order"]:
+        found = numbers["controllers"][name]
+        settled = f"{found['settled']['runs']} of {found['settled']['of']}"
+        rows.append((name, str(found["lost"]), *_cells(found, _HOW_WELL), settled))
+    return Table(
+        "By the median cost of an unseen run. Medians and 95th percentiles over the runs that were not lost. Stiffness "
+        "is the plant's true one; coupling is of its steps, and settled says in how many of these it settled.",
+        ("controller", "lost", *(title for title, _, _ in _HOW_WELL), "settled"),
+        rows,
+    )
+
+
+def _conduct(numbers: Mapping[str, Any]) -> Table:
+    rows = [(name, *_cells(numbers["controllers"][name], _AND_HOW)) for name in numbers["order"]]
+    return Table(
+        "At what cost: medians, and of the time slack the 95th percentile. Ripple is what of the stiffness error "
+        "moves; estimate rmse is the error of the controller's own belief.",
+        ("controller", *(title for title, _, _ in _AND_HOW)),
+        rows,
+    )
+
+
+def _cells(found: Mapping[str, Any], columns: tuple[_Column, ...]) -> list[str]:
+    return [number((found["metrics"][key] or {}).get(what)) for _, key, what in columns]
+
+
+def _against(numbers: Mapping[str, Any]) -> Table:
+    first = next(iter(numbers["controllers"]))
+    rows = []
+    for name in numbers["order"]:
+        ratios = numbers["controllers"][name]["against_first"]
+        cells = [
+            f"{number(each['ratio'])} ({number(each['low'])} to {number(each['high'])})" for each in ratios.values()
+        ]
+        rows.append((name, *cells))
+    return Table(
+        f"Ratio of the median error to that of {first}, and the interval that holds 95 % of resamplings of the runs.",
+        ("controller", "angle rmse", "stiffness rmse"),
+        rows,
+    )
+
+
+def _by(numbers: Mapping[str, Any], key: str, what: str) -> Table:
+    groups = list(dict.fromkeys(group for found in numbers["controllers"].values() for group in found[key]))
+    rows = [
+        (
+            name,
+            *(
+                f"{number(found[key][group]['angle_rmse_deg'])} deg, {number(found[key][group]['stiffness_rmse'])}"
+                for group in groups
+            ),
+        )
+        for name, found in numbers["controllers"].items()
+    ]
+    return Table(f"Median errors by the plant's {what}: angle, and stiffness [N*m/rad].", ("controller", *groups), rows)
+
+
+def _dependence(numbers: Mapping[str, Any]) -> Table:
+    controllers = numbers["controllers"]
+    conditions = list(next(iter(controllers.values()))["depends_on"])
+    rows = [
+        (
+            condition,
+            *(
+                f"{number(found['depends_on'][condition]['angle_rmse_deg'], 2)}, "
+                f"{number(found['depends_on'][condition]['stiffness_rmse'], 2)}"
+                for found in controllers.values()
+            ),
+        )
+        for condition in conditions
+    ]
+    return Table(
+        "What the errors depend on: Spearman's rank correlation of each condition with the error of the angle, and of "
+        "the stiffness. Chance alone gives less than "
+        f"{number(1.96 / max(numbers['runs'] - numbers['not_begun'] - 1, 1) ** 0.5, 2)} 95 % of the time.",
+        ("condition", *controllers),
+        rows,
+    )
+
+
+def _tuned(contest: Contest) -> Table:
+    rows = []
+    for name, values in contest.tuned.items():
+        costs = contest.training_cost.get(name)
+        said = "as in the suite" if costs is None else f"cost {number(costs[1])} before, {number(costs[0])} tuned"
+        written = [
+            f"{each.name.removeprefix('controller.')} {each.address.show(values[each.name]).replace('*', '·')}"
+            for each in contest.suite.tuned_over(name)
+        ]
+        rows.append((name, said, "; ".join(written)))
+    return Table("What tuning found on the training runs.", ("controller", "training", "numbers"), rows)
+
+
+def _distribution(axes: Axes, values: NDArray[np.float64], **look: Any) -> None:
+    """The share of runs below each value; runs without a number are above all."""
+    ordered = np.sort(values[np.isfinite(values)])
+    below = np.arange(ordered.size + 1) / max(values.size, 1)
+    axes.plot([*ordered[:1], *ordered], below[: ordered.size + bool(ordered.size)], drawstyle="steps-post", **look)

@@ -1,0 +1,234 @@
+"""Figures of a ranking of laws and of the uncertainty of a fit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from numpy.typing import NDArray
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.identification import Fit, Grouping, Profile, Ranked, Ranking
+from mckibben.report.style import (
+    BAND,
+    BLUE,
+    DOUBLE,
+    GREEN,
+    LOADING,
+    ORANGE,
+    SINGLE,
+    UNLOADING,
+    VERMILLION,
+    beside,
+    blank,
+    letter,
+    pressure_colours,
+    styled,
+)
+from mckibben.units import bar, factor, percent
+
+_SHOWN = 6  # laws whose residuals are drawn
+_LOOKS: dict[str, dict[str, Any]] = {
+    "seen": {"color": "#888888", "marker": "|", "label": "points fitted to"},
+    "pressure": {"color": BLUE, "marker": "o", "label": "unseen pressures"},
+    "direction": {"color": VERMILLION, "marker": "D", "label": "unseen direction"},
+    "repeat": {"color": GREEN, "marker": "s", "label": "unseen repeats"},
+}
+
+
+@styled
+def ranking(found: Ranking) -> Figure:
+    """Errors of all laws above, residuals of the best ones below, coloured by pressure."""
+    fitted = [entry for entry in found.entries if entry.fit]
+    shown = fitted[:_SHOWN]
+    rows = -(-len(shown) // 3)
+    above = 0.26 * max(len(fitted), 3) + 0.9
+    figure = blank(DOUBLE, above + 1.75 * rows)
+    upper, lower = (
+        figure.add_subfigure(part) for part in figure.add_gridspec(2, 1, height_ratios=[above, 1.75 * rows])
+    )
+    _errors(upper.subplots(), fitted, found)
+    colours = pressure_colours()
+    levels = found.points.pressures / bar
+    scale = Normalize(float(levels.min()), float(levels.max()) if len(levels) > 1 else float(levels.min()) + 1)
+    panels = lower.subplots(rows, 3, squeeze=False, sharex=True).ravel()
+    for i, (axes, entry) in enumerate(zip(panels, shown, strict=False)):
+        _residuals(axes, entry, found, scale)
+        letter(axes, "bcdefg"[i], _short(entry.law))
+        if i % 3 == 0:
+            axes.set_ylabel("measured − law [N]")
+        axes.set_xlabel("contraction [%]")
+        axes.xaxis.set_tick_params(labelbottom=True)
+    for axes in panels[len(shown) :]:
+        axes.remove()
+    bar_axes = lower.colorbar(ScalarMappable(scale, colours), ax=list(panels[: len(shown)]), fraction=0.03, pad=0.01)
+    bar_axes.set_label("pressure [bar]")
+    return figure
+
+
+def _errors(axes: Axes, fitted: list[Ranked], found: Ranking) -> None:
+    places = np.arange(len(fitted))
+    kinds = {"seen": [entry.fit.rmse if entry.fit else np.nan for entry in fitted]}
+    for name in found.blocks:
+        kinds[name] = [entry.unseen[name].rmse if name in entry.unseen else np.nan for entry in fitted]
+    for name, errors in kinds.items():
+        size = 60 if name == "seen" else 26
+        axes.scatter(errors, places, s=size, zorder=3 + (name != "seen"), **_LOOKS[name])
+    for place, entry in zip(places, fitted, strict=True):
+        if entry.flags:
+            axes.axhspan(place - 0.5, place + 0.5, color=ORANGE, alpha=0.14, linewidth=0, zorder=0)
+    axes.set_yticks(places, [f"{_short(entry.law)} ({entry.parameters})" for entry in fitted])
+    axes.invert_yaxis()
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_xlabel("RMSE [N]")
+    axes.grid(axis="x", which="both", alpha=0.3)
+    letter(axes, "a", "laws (number of parameters), the best at unseen points first")
+    axes.legend(loc="lower left", framealpha=0.95)
+    if any(entry.flags for entry in fitted):
+        beside(axes, "shaded: flagged, see the table")
+
+
+def _residuals(axes: Axes, entry: Ranked, found: Ranking, scale: Normalize) -> None:
+    assert entry.fit is not None
+    residuals = entry.fit.residuals
+    assert residuals is not None
+    points = found.points
+    axes.axhline(0, color="#888888", linewidth=0.6, zorder=1)
+    axes.scatter(
+        points.contraction / percent,
+        residuals,
+        c=points.levels / bar,
+        cmap=pressure_colours(),
+        norm=scale,
+        s=8,
+        linewidth=0,
+        zorder=2,
+    )
+    largest = float(np.abs(residuals).max())
+    axes.set_ylim(-1.15 * largest, 1.6 * largest)
+    pattern = entry.structure.pattern if entry.structure else ""
+    beside(axes, f"pattern: {pattern}" if pattern else "no pattern", fontsize=6.5)
+
+
+def _short(law: str) -> str:
+    return law.removesuffix("Law")
+
+
+_MOST_PANELS = 6
+_CURVE = {"color": "#222222", "linewidth": 0.9, "zorder": 3}
+_MEAN = {"color": BLUE, "alpha": 0.45, "linewidth": 0, "zorder": 2}
+_DIRECTIONS = {"loading": LOADING, "unloading": UNLOADING}
+
+
+@styled
+def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: Grouping | None = None) -> Figure:
+    """A fitted law with its force bands, a column a pressure: the curve above, measured minus fitted below.
+
+    The inner band holds the law, the outer one a further plateau mean, each with the given probability at a point.
+
+    Parameters
+    ----------
+    dataset
+        Measured points; of more than six pressures, six are shown that cover the range.
+    fit
+        As `identify` returned it from them.
+    level, by
+        As for `Fit.force_band`.
+    """
+    taut = dataset.plateau_means().taut
+    levels = taut.pressures
+    if len(levels) > _MOST_PANELS:
+        levels = levels[np.linspace(0, len(levels) - 1, _MOST_PANELS).round().astype(int)]
+    figure = blank(DOUBLE if len(levels) > 2 else 5.4, 4.2)
+    grid = figure.subplots(
+        2, len(levels), squeeze=False, sharex=True, sharey="row", gridspec_kw={"height_ratios": [1.5, 1]}
+    )
+    first, last = float(taut.contraction.min()), float(taut.contraction.max())
+    for i, pressure in enumerate(levels):
+        points = taut.at(float(pressure))
+        along = np.linspace(first, min(last, float(points.contraction.max()) + 0.02), 200)
+        band = fit.force_band(along, float(pressure), level=level, by=by)
+        for axes, offset in ((grid[0, i], 0.0), (grid[1, i], band.mean.value)):
+            outer, inner = band.measurement, band.mean
+            axes.fill_between(along / percent, outer.lower - offset, outer.upper - offset, color=BAND, zorder=1)
+            axes.fill_between(along / percent, inner.lower - offset, inner.upper - offset, **_MEAN)
+            axes.plot(along / percent, band.mean.value - offset, **_CURVE)
+        there = fit.force_band(points.contraction, points.pressure, level=level, by=by)
+        _points(grid[0, i], points, points.force)
+        _points(grid[1, i], points, points.force - there.mean.value)
+        outside = np.mean((points.force < there.measurement.lower) | (points.force > there.measurement.upper))
+        beside(grid[1, i], f"{100 * outside:.0f} % outside")
+        letter(grid[0, i], "abcdef"[i], f"{pressure / bar:.3g} bar")
+        grid[1, i].set(xlabel="contraction [%]")
+    grid[0, 0].set(ylabel="force [N]", ylim=(min(0.0, float(taut.force.min())), 1.06 * float(taut.force.max())))
+    grid[1, 0].set(ylabel="measured − fitted [N]")
+    share = f"{100 * level:g} %"
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], label="fitted law", **{k: v for k, v in _CURVE.items() if k != "zorder"}),
+        Patch(label=f"{share} band of the law", **{k: v for k, v in _MEAN.items() if k != "zorder"}),
+        Patch(label=f"{share} of further plateaus", color=BAND),
+    ]
+    handles += [
+        Line2D([], [], linestyle="", markersize=3.5, label=str(d), **_DIRECTIONS[str(d)]) for d in taut.directions
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    return figure
+
+
+@styled
+def profile_likelihood(profile: Profile, fit: Fit) -> Figure:
+    """The signed root of the profile over a shape parameter, its interval, and the straight line of standard errors.
+
+    Parameters
+    ----------
+    profile
+        Of a parameter of the fit.
+    fit
+        The fit itself, for the unit in which the parameter is published.
+    """
+    parameter = next(p for p in type(fit.law).shape_parameters if p.name == profile.name)
+    scale = factor(parameter.shown)
+    values = profile.values / scale
+    figure = blank(SINGLE + 0.4, 2.8)
+    axes = figure.subplots()
+    axes.axhspan(-profile.threshold, profile.threshold, color=BAND, zorder=0)
+    axes.plot(values, profile.root, color=BLUE, label="profile", zorder=4)
+    estimate = profile.estimate / scale
+    if np.all(np.isfinite(profile.wald)):
+        error = (profile.wald.upper - profile.wald.lower) / 2 / profile.threshold / scale
+        line = (values - estimate) / error
+        axes.plot(
+            values, line, color=VERMILLION, linestyle=(0, (4, 2)), linewidth=0.9, label="standard error", zorder=3
+        )
+    axes.plot([estimate], [0.0], "o", color="#222222", markersize=3.5, zorder=5)
+    for end in profile.interval:
+        if np.isfinite(end):
+            axes.axvline(end / scale, color="#666666", linewidth=0.7, zorder=2)
+    low, high = (f"{end / scale:.4g}" if np.isfinite(end) else "not bounded" for end in profile.interval)
+    axes.set_title(f"{100 * profile.level:g} % interval {low} .. {high} {parameter.shown}")
+    reach = 1.3 * max(float(np.abs(profile.root).max()), profile.threshold)
+    axes.set(
+        xlabel=f"{parameter.meaning}, {parameter.name} [{parameter.shown}]",
+        ylabel="signed root of the profile [-]",
+        ylim=(-min(reach, 3 * profile.threshold), min(reach, 3 * profile.threshold)),
+    )
+    axes.legend(loc="upper left")
+    return figure
+
+
+def _points(axes: Axes, points: IsobaricDataset, value: NDArray[np.float64]) -> None:
+    directions = points.table["direction"].to_numpy() if "direction" in points.table else np.full(len(points), "")
+    for direction in np.unique(directions):
+        mask = directions == direction
+        look = _DIRECTIONS.get(str(direction), {"color": "#444444", "marker": "o"})
+        axes.plot(points.contraction[mask] / percent, value[mask], linestyle="", markersize=2.6, zorder=4, **look)

@@ -1,0 +1,273 @@
+"""Figures of a sweep and of a tuning."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.colors import Colormap, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patheffects import Normal, Stroke
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
+
+from mckibben.report.style import (
+    BAND,
+    BLACK,
+    BLUE,
+    DOUBLE,
+    VERMILLION,
+    beside,
+    blank,
+    letter,
+    minus,
+    robust_limits,
+    styled,
+)
+from mckibben.study.reporting import METRICS
+from mckibben.study.sweep import Sweep
+from mckibben.study.sweep.result import main_metrics, spearman
+from mckibben.study.tune import Tuned
+from mckibben.study.tune.problem import LOST
+from mckibben.units import factor
+
+_FEW = 12  # numbers that still have room for their names
+
+
+@styled
+def tuning(tuned: Tuned) -> Figure:
+    """Draw a search.
+
+    Parameters
+    ----------
+    tuned
+        Its outcome.
+    """
+    figure = blank(DOUBLE, 2.9)
+    costs_axes, places_axes = figure.subplots(1, 2, width_ratios=(1.35, 1))
+    costs = np.array([trial.cost for trial in tuned.trials])
+    finite = costs < LOST
+    tried = np.arange(1, costs.size + 1)
+
+    letter(costs_axes, "a", "cost of what was tried")
+    costs_axes.plot(tried[finite], costs[finite], ".", color=BLUE, markersize=2.5, alpha=0.5, label="a point")
+    best = np.minimum.accumulate(np.where(finite, costs, np.inf))
+    costs_axes.plot(tried, np.where(np.isfinite(best), best, np.nan), color=VERMILLION, label="the best so far")
+    if np.isfinite(tuned.cost_before):
+        costs_axes.axhline(tuned.cost_before, color="#555555", linewidth=0.8, linestyle=(0, (4, 2)), label="before")
+    lost = int(np.sum(~finite))
+    besides = f"; {lost} not drawn: not allowed, or lost" if lost else ""
+    costs_axes.set(xlabel=f"points tried{besides}", ylabel="cost", yscale="log", xlim=(0, costs.size + 1))
+    low, high = costs_axes.get_ylim()
+    costs_axes.set_ylim(low, high * (high / low) ** 0.3)  # room for the legend
+    costs_axes.legend(loc="upper right")
+
+    letter(places_axes, "b", "where in its range each ended")
+    names = list(tuned.values)
+    points = np.array([trial.point for trial in tuned.trials])
+    good = finite & (costs <= 1.1 * costs.min())
+    rows = np.arange(len(names))[::-1]
+    places_axes.hlines(rows, 0, 1, color=BAND, linewidth=5, zorder=0)
+    for row, column in zip(rows, points[good].T, strict=True):
+        places_axes.plot(column, np.full(column.size, row), "|", color=BLUE, markersize=7, alpha=0.25)
+    places_axes.plot(points[np.argmin(costs)], rows, "D", color=VERMILLION, markersize=4)
+    shown = [name.removeprefix("controller.") for name in names] if len(names) <= _FEW else [""] * len(names)
+    places_axes.set(xlim=(-0.03, 1.03), ylim=(-0.7, len(names) - 0.3), yticks=rows, yticklabels=shown)
+    places_axes.set_xticks([0, 0.5, 1], ["lower end", "middle", "upper end"])
+    places_axes.set_xlabel("blue: within 10 % of the least cost", fontsize=7)
+    places_axes.grid(False)
+    return figure
+
+
+_COLUMNS = 4
+_SINGLE_POINTS = 4000  # more runs than that are counted in hexagons
+_BINS = 16
+_FEWEST = 8  # runs in a bin whose median is worth a line
+_FEW_TICKS = 4
+_FEW_VALUES = 12  # an input with so many values at most is taken value by value
+_SPREAD_OF_LOG = 30.0
+
+
+class _Input(NamedTuple):
+    """What was varied, in the unit in which it is written."""
+
+    name: str
+    unit: str
+    values: NDArray[np.float64]
+    log: bool
+
+    @property
+    def bins(self) -> list[tuple[float, NDArray[np.bool_]]]:
+        """Where to look at which runs together."""
+        distinct = np.unique(self.values)
+        if distinct.size <= _FEW_VALUES:
+            return [(float(value), self.values == value) for value in distinct]
+        even = np.log(np.abs(self.values)) if self.log else self.values
+        edges = np.linspace(even.min(), even.max(), _BINS + 1)
+        place = np.clip(np.searchsorted(edges, even, side="right") - 1, 0, _BINS - 1)
+        middles = (edges[1:] + edges[:-1]) / 2
+        middles = np.sign(distinct[0]) * np.exp(middles) if self.log else middles
+        return [(float(middle), place == i) for i, middle in enumerate(middles)]
+
+
+@styled
+def sweep(swept: Sweep) -> Figure:
+    """What the main metrics depend on: a row a metric, a column for each of the four inputs that matter most.
+
+    Single runs are points, many runs hexagons, darker where there are more; the line is the median of the runs around,
+    the band holds 90 % of them. Below is the share of lost runs, if there are any.
+
+    Parameters
+    ----------
+    swept
+        The answers.
+    """
+    metrics, lost = main_metrics(swept), swept.lost
+    inputs = _strongest(swept, metrics)
+    rows = [*metrics, *([None] if lost.any() or not metrics else [])]
+    heights = [1.0 if metric else 0.5 for metric in rows]
+    width = DOUBLE * max(len(inputs), 2) / 4 if len(inputs) < 3 else DOUBLE
+    figure = blank(width, 1.75 * sum(heights) + 0.75)
+    grid = figure.subplots(len(rows), len(inputs), sharex="col", sharey="row", squeeze=False, height_ratios=heights)
+    for i, metric in enumerate(rows):
+        for j, one in enumerate(inputs):
+            axes: Axes = grid[i, j]
+            if metric is None:
+                _lost(axes, one, lost)
+            else:
+                _metric(axes, one, swept, metric)
+            if 1 < np.unique(one.values).size <= _FEW_TICKS:
+                axes.set_xticks(np.unique(one.values))
+            elif one.log and one.values.min() > 0:
+                axes.set_xscale("log")
+                _plain_numbers(axes.xaxis)
+        grid[i, 0].set_ylabel("lost runs [%]" if metric is None else _label(metric))
+        if metric is None:
+            grid[i, 0].set_ylim(0, 1.1 * max(line.get_ydata().max() for axes in grid[i] for line in axes.lines))
+    for j, one in enumerate(inputs):
+        grid[-1, j].set_xlabel(f"{_broken(one.name)}\n[{one.unit.replace('*', '·')}]")
+    figure.align_ylabels(list(grid[:, 0]))
+    share = f", {int(lost.sum())} of them lost" if lost.any() else ""
+    left_out = len(swept.inputs) - len(inputs)
+    others = f"; {left_out} input{'s' if left_out > 1 else ''} of less weight not shown" if left_out else ""
+    figure.suptitle(f"{swept.count} runs{share}{others}", x=0.01, ha="left", fontsize=8, fontweight="normal")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    if handles:
+        place = "outside upper right" if len(inputs) > 2 else "outside lower center"
+        figure.legend(handles, labels, loc=place, ncols=len(labels), markerscale=2.5)
+    return figure
+
+
+def _strongest(swept: Sweep, metrics: tuple[str, ...]) -> list[_Input]:
+    """The inputs with the largest rank correlations, in the order in which they were asked for."""
+    lost = swept.lost
+    strengths = {}
+    for name in swept.inputs:
+        column = swept.table[name].to_numpy()
+        found = [abs(spearman(column, lost))]
+        for metric in metrics:
+            values = swept.table[metric].to_numpy()
+            there = ~lost & np.isfinite(values)
+            found.append(abs(spearman(column[there], values[there])))
+        strengths[name] = max(np.nan_to_num(found))
+    chosen = sorted(strengths, key=lambda name: -strengths[name])[:_COLUMNS]
+    return [_input(swept, name) for name in swept.inputs if name in chosen]
+
+
+def _input(swept: Sweep, name: str) -> _Input:
+    variable = swept.table[name]
+    unit = variable.attrs.get("shown_units", "1")
+    values = variable.to_numpy().astype(float) / factor(unit)
+    log = bool(re.search(r"\slog\b", variable.attrs.get("over", ""))) and bool(np.all(values > 0) or np.all(values < 0))
+    return _Input(name, unit, values, log)
+
+
+def _metric(axes: Axes, one: _Input, swept: Sweep, metric: str) -> None:
+    values = swept.table[metric].to_numpy().astype(float) / _shown(metric)[1]
+    there = ~swept.lost & np.isfinite(values)
+    x, y = one.values[there], values[there]
+    low, high = np.percentile(y, [5, 95])
+    log = bool(low > 0 and high > _SPREAD_OF_LOG * low)
+    if log:
+        axes.set_yscale("log")
+        limits = tuple(10**end for end in robust_limits([np.log10(y[y > 0])], margin=0.06))
+    else:
+        limits = robust_limits([y], margin=0.06, floor=1e-9 + 0.02 * abs(float(np.median(y))))
+    axes.set_ylim(*limits)
+    inside = (y >= limits[0]) & (y <= limits[1])
+    if x.size <= _SINGLE_POINTS:
+        size = float(np.clip(900 / max(x.size, 1), 1.5, 9.0))
+        axes.scatter(x[inside], y[inside], s=size, color=BLUE, alpha=0.35, linewidths=0, rasterized=True, label="a run")
+    else:
+        axes.hexbin(
+            x[inside],
+            y[inside],
+            gridsize=(32, 18),
+            xscale="log" if one.log and x.min() > 0 else "linear",
+            yscale="log" if log else "linear",
+            bins="log",
+            cmap=_blues(),
+            linewidths=0,
+            rasterized=True,
+        )
+    if log:
+        _plain_numbers(axes.yaxis)
+    _median(axes, _Input(one.name, one.unit, x, one.log), y)
+    correlation = spearman(x, y)
+    if np.isfinite(correlation):
+        beside(axes, f"ρ = {minus(correlation, '+.2f')}")
+
+
+def _median(axes: Axes, one: _Input, y: NDArray[np.float64]) -> None:
+    middles, curves = [], []
+    few = np.unique(one.values).size <= _FEW_VALUES
+    for middle, members in one.bins:
+        if members.sum() >= (1 if few else min(_FEWEST, y.size // _BINS + 1)):
+            middles.append(middle)
+            curves.append(np.percentile(y[members], [5, 50, 95]))
+    low, median, high = np.array(curves).T
+    label = "90 % of the runs around"
+    axes.fill_between(middles, low, high, facecolor="#1111111A", edgecolor="#111111", linewidth=0.5, label=label)
+    halo = [Stroke(linewidth=2.8, foreground="white"), Normal()]
+    marker = "o" if few else ""
+    axes.plot(middles, median, color=BLACK, marker=marker, zorder=4, label="their median", path_effects=halo)
+
+
+def _lost(axes: Axes, one: _Input, lost: NDArray[np.bool_]) -> None:
+    places = [(middle, 100 * float(lost[members].mean())) for middle, members in one.bins if members.any()]
+    middles, shares = (np.array(each) for each in zip(*places, strict=True))
+    axes.fill_between(middles, 0, shares, color=VERMILLION, alpha=0.25, linewidth=0)
+    axes.plot(middles, shares, color=VERMILLION, marker="o", markersize=2.2, linewidth=1.0)
+
+
+def _plain_numbers(axis: Axis) -> None:
+    """0.3, 1, 3, 10 on a logarithmic axis, in place of powers."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _shown(metric: str) -> tuple[str, float]:
+    return next((unit, size) for name, unit, size in METRICS.values() if name == metric)
+
+
+def _label(metric: str) -> str:
+    words = metric.replace("rmse", "RMSE").replace("_", " ")
+    return f"{words} [{_shown(metric)[0].replace('*', '·')}]"
+
+
+def _broken(name: str) -> str:
+    """A long name in two lines."""
+    if len(name) <= 26:
+        return name
+    head, _, tail = name.rpartition(".")
+    return f"{head}.\n{tail}"
+
+
+def _blues() -> Colormap:
+    """From a pale blue that is still seen on white to a dark one."""
+    return ListedColormap(mpl.colormaps["Blues"].resampled(256)(range(50, 200)), name="runs")

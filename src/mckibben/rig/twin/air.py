@@ -1,0 +1,247 @@
+"""Pneumatics of the simulated rig: regulator, tube, chamber, leaks and gas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mckibben.errors import RangeError
+from mckibben.numerics.checks import check_positive, check_within
+from mckibben.units import bar, kPa, ms
+
+ATMOSPHERE = 1.01325e5
+"""Of the room [Pa, absolute]."""
+
+TEMPERATURE = 293.15
+"""Of the room and the air [K]; the chambers are small and slow enough to keep it."""
+
+GAS_CONSTANT = 288.0
+"""Of air at 65 % relative humidity [J/(kg*K)], as ISO 6358 has it."""
+
+DENSITY = 1.185
+"""Of air in the reference state of ISO 8778 [kg/m^3]: 20 degrees C, 1 bar, 65 % relative humidity (ANR)."""
+
+ENERGY = GAS_CONSTANT * TEMPERATURE
+"""R T [J/kg]: pressure times volume of a kilogram."""
+
+L_PER_S_BAR = 1e-3 / bar
+"""A sonic conductance of 1 dm^3/(s*bar), the unit of data sheets, in m^3/(s*Pa)."""
+
+_LAMINAR = 0.999  # beyond this ratio of pressures the flow is proportional to their difference, as the standard says
+
+
+def mass_flow(conductance: float, critical: float, upstream: float, downstream: float) -> float:
+    r"""The flow [kg/s] from one pressure to another [Pa, absolute]; negative where it goes backwards.
+
+    .. math::
+
+        G = C \rho_0 p_1 \psi, \qquad \psi = \begin{cases} 1 & p_2/p_1 \le b \\
+        \sqrt{1 - \left(\frac{p_2/p_1 - b}{1 - b}\right)^2} & \text{above} \end{cases}
+
+    Parameters
+    ----------
+    conductance
+        C, sonic conductance [m^3/(s*Pa)].
+    critical
+        b, the ratio of pressures at which the flow chokes [-].
+    upstream, downstream
+        p1 and p2.
+
+    References
+    ----------
+    ISO 6358-1:2013, "Determination of flow-rate characteristics of components using compressible fluids".
+
+    Examples
+    --------
+    A choked valve of 0.01 dm^3/(s*bar) at 10 bar passes 0.1 dm^3/s of air in its reference state:
+
+    >>> round(mass_flow(0.01 * L_PER_S_BAR, 0.3, 10e5, 2e5) / DENSITY * 1e3, 6)
+    0.1
+    """
+    if downstream > upstream:
+        return -mass_flow(conductance, critical, downstream, upstream)
+    if upstream <= 0:
+        return 0.0
+    ratio = downstream / upstream
+    if ratio <= critical:
+        share = 1.0
+    elif ratio < _LAMINAR:
+        share = math.sqrt(1 - ((ratio - critical) / (1 - critical)) ** 2)
+    else:
+        edge = math.sqrt(1 - ((_LAMINAR - critical) / (1 - critical)) ** 2)
+        share = edge * (1 - ratio) / (1 - _LAMINAR)
+    return conductance * DENSITY * upstream * share
+
+
+@dataclass(frozen=True, kw_only=True)
+class Regulator:
+    """A proportional pressure regulator as SMC's ITV0050-3ML, and what it stands between.
+
+    Its command follows the signal with a play (hysteresis), an offset and a lag. Its opening is proportional to what
+    the pressure lacks, within a band; it fills from the supply or lets out into the room. After it comes a 3/2 valve
+    that is held by a magnet: without current a spring shuts the regulator off and opens the muscle to the room.
+
+    Numbers "of the maker" are those of the ITV0000 series' data sheet as we remember it, unchecked.
+
+    Parameters
+    ----------
+    supply
+        Gauge pressure [Pa] of the compressed air: 8 bar (ours; the maker allows 10).
+    conductance, critical
+        C [m^3/(s*Pa)] and b [-] of the regulator wide open, either way: 0.0091 dm^3/(s*bar), with which it passes the
+        maker's 6 dm^3/min (ANR) at 10 bar, and 0.3 (ours).
+    band
+        What the pressure has to lack for it to be wide open [Pa]: 0.1 bar (ours).
+    lag
+        Time constant of the command [s]: 30 ms (ours), a third of the maker's response of 0.1 s without a load.
+    hysteresis
+        Width [Pa] of the command's play: 4.5 kPa, the maker's 0.5 % of 9 bar.
+    repeatability
+        The largest offset [Pa]; drawn at each new command: 4.5 kPa, the maker's 0.5 % of 9 bar.
+    highest
+        The highest command [Pa] that it follows: 9 bar (the maker).
+    dead_volume
+        Of tube and fittings [m^3]: 5 cm^3 (ours; a metre of tube with 2.5 mm inside).
+    exhaust, exhaust_delay
+        C [m^3/(s*Pa)] of the spring's way out, through the tube, 0.1 dm^3/(s*bar), and when it is open after the
+        current is cut [s], 20 ms; both ours.
+    leak
+        C [m^3/(s*Pa)] of all that is not tight: 1e-5 dm^3/(s*bar) (ours).
+    """
+
+    supply: float = 8 * bar
+    conductance: float = 0.0091 * L_PER_S_BAR
+    critical: float = 0.3
+    band: float = 0.1 * bar
+    lag: float = 30 * ms
+    hysteresis: float = 4.5 * kPa
+    repeatability: float = 4.5 * kPa
+    highest: float = 9 * bar
+    dead_volume: float = 5e-6
+    exhaust: float = 0.1 * L_PER_S_BAR
+    exhaust_delay: float = 20 * ms
+    leak: float = 1e-5 * L_PER_S_BAR
+
+    def __post_init__(self) -> None:
+        check_positive("regulator", "m^3/(s*Pa)", conductance=self.conductance, exhaust=self.exhaust)
+        check_positive("regulator", "m^3/(s*Pa)", zero=True, leak=self.leak)
+        check_positive("regulator", "Pa", supply=self.supply, band=self.band, highest=self.highest)
+        check_positive("regulator", "Pa", zero=True, hysteresis=self.hysteresis, repeatability=self.repeatability)
+        check_positive("regulator", "s", lag=self.lag)
+        check_positive("regulator", "s", zero=True, exhaust_delay=self.exhaust_delay)
+        check_positive("regulator", "m^3", dead_volume=self.dead_volume)
+        check_within("regulator", 0.0, 0.99, critical=self.critical)
+        if self.supply <= self.band:
+            raise RangeError("regulator: a supply below its band gives no pressure", remedy="raise the supply")
+
+
+_STEP = 2 * kPa  # the most by which the pressure changes in a step: within 0.2 kPa of much shorter ones
+_SHORTEST = 1e-5  # s
+_REST = 0.05  # Pa: a command that is nearer to where it goes is there
+_STILL = 0.5  # Pa/s: a pressure that changes less is at rest
+_NUDGE = 1.0  # Pa
+
+
+class Chamber:
+    """The muscle's air, step by step. Its mass is its state; the pressure follows from the volume.
+
+    Parameters
+    ----------
+    regulator
+        What feeds it.
+    volume
+        Of the muscle [m^3], at the contraction where it stands at first.
+    """
+
+    def __init__(self, regulator: Regulator, volume: float) -> None:
+        self.regulator = regulator
+        self.supply = regulator.supply
+        self.hole = 0.0
+        self.exhausting = True
+        self.stuck: float | None = None
+        self.offset = 0.0
+        self.pressure = 0.0  # gauge [Pa]
+        self.flow = 0.0  # into the muscle [kg/s]
+        self.mass = ATMOSPHERE * (volume + regulator.dead_volume) / ENERGY
+        self.resting = False
+        self._signal = 0.0
+        self._played = 0.0
+        self._command = 0.0
+        self._last = _SHORTEST  # the step that the flow let us take
+
+    @property
+    def signal(self) -> float:
+        """The pressure that it was told [Pa]."""
+        return self._signal
+
+    def tell(self, pressure: float, offset: float) -> None:
+        """A new signal, as a pressure [Pa], and what the regulator is off [Pa] at it."""
+        half = self.regulator.hysteresis / 2
+        self._signal = min(max(pressure, 0.0), self.regulator.highest)
+        self._played = min(max(self._played, self._signal - half), self._signal + half)
+        self.offset = offset if self._signal > 0 else 0.0
+        self.resting = False
+
+    @property
+    def target(self) -> float:
+        """Where the command goes [Pa]. At a signal of 0 it lets all air out."""
+        return self._played + self.offset if self._signal > 0 else 0.0
+
+    def step(self, span: float, volume: Callable[[float], float]) -> float:
+        """Go on for a part of a time span [s] at most, and tell how far.
+
+        Parameters
+        ----------
+        span
+            What is left [s].
+        volume
+            Of the muscle [m^3], so many seconds from now.
+        """
+        dead = self.regulator.dead_volume
+        decay = self.regulator.lag
+        target, command = self.target, self._command
+        h = min(span, 2 * self._last)
+        while True:
+            half = target + (command - target) * math.exp(-h / (2 * decay))
+            room = volume(h / 2) + dead
+            per_mass = ENERGY / room
+            now = self.mass * per_mass - ATMOSPHERE
+            flow = self._into(now, half)
+            slope = (self._into(now + _NUDGE, half) - flow) / _NUDGE * per_mass * h
+            grown = flow * h * (math.expm1(slope) / slope if slope < -1e-9 else 1.0)
+            if abs(grown * per_mass) <= _STEP or h <= _SHORTEST:
+                break
+            h = max(h * max(0.8 * _STEP / abs(grown * per_mass), 0.1), _SHORTEST)
+        self._last = h if h < span or h > self._last else self._last  # a short span is not the flow's doing
+        before = self.pressure
+        self.mass += grown
+        self.pressure = self.mass * ENERGY / (volume(h) + dead) - ATMOSPHERE
+        self.flow = grown / h
+        self._command = target + (command - target) * math.exp(-h / decay)
+        self.resting = abs(self.pressure - before) < _STILL * h and abs(self._command - target) < _REST
+        return h
+
+    def widen(self, volume: float) -> None:
+        """The muscle's volume is another [m^3], at once; its air stays."""
+        self.pressure = self.mass * ENERGY / (volume + self.regulator.dead_volume) - ATMOSPHERE
+        self.resting = False
+
+    def _into(self, gauge: float, command: float) -> float:
+        """What flows in [kg/s] at a pressure and a command [Pa, gauge]."""
+        part, pressure = self.regulator, gauge + ATMOSPHERE
+        out = part.leak + self.hole  # all ways into the room are one
+        if self.exhausting:
+            return mass_flow(out + part.exhaust, part.critical, ATMOSPHERE, pressure)
+        opening = min(max((command - gauge) / part.band, -1.0), 1.0) if self.stuck is None else self.stuck
+        if opening <= 0:
+            return mass_flow(out - part.conductance * opening, part.critical, ATMOSPHERE, pressure)
+        flow = mass_flow(part.conductance * opening, part.critical, self.supply + ATMOSPHERE, pressure)
+        return flow + mass_flow(out, part.critical, ATMOSPHERE, pressure) if out else flow
+
+    @property
+    def opening(self) -> float:
+        """How far the regulator is open, -1 (out) to 1 (in)."""
+        if self.stuck is not None:
+            return self.stuck
+        return min(max((self._command - self.pressure) / self.regulator.band, -1.0), 1.0)

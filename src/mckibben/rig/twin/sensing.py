@@ -1,0 +1,313 @@
+"""Sensors, converters and sampling of the simulated rig."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import RigError
+from mckibben.numerics.checks import check_positive, check_within
+from mckibben.rig.backend import Block
+from mckibben.rig.calibration import Calibration
+from mckibben.rig.twin.faults import Delaying, Dropping, Fault, Silent, Unplugged
+from mckibben.rig.twin.machine import Knots
+from mckibben.rig.twin.stretcher import Motor
+from mckibben.units import N, bar, kPa
+
+_HOUR = 3600.0
+_WANDER = 10.0  # s: between two drawn points of a wandering zero
+_MAINS = 50.0  # Hz
+
+FORCE = Calibration(
+    name="force",
+    unit="N",
+    gain=200 * N,
+    low=-2000 * N,
+    high=2000 * N,
+    method="TSH-200, 200 kg, behind an amplifier to 10 V; the amplifier is ours",
+)
+PRESSURE = Calibration(
+    name="pressure",
+    unit="Pa",
+    gain=1 * bar,
+    low=0.0,
+    high=10 * bar,
+    method="SDE1-D10, 0 to 10 bar at 0 to 10 V; the output is read off its designation, unchecked",
+)
+VALVE = Calibration(
+    name="valve",
+    unit="Pa",
+    gain=0.9 * bar,
+    low=0.0,
+    high=9 * bar,
+    method="ITV0050-3, 0 to 9 bar at 0 to 10 V; read off its designation, unchecked",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensor:
+    """A sensor with its amplifier.
+
+    Parameters
+    ----------
+    calibration
+        What it really gives, which the host may know otherwise.
+    noise
+        Standard deviation of a sample, white, in the calibration's unit.
+    drift
+        What its zero moves in an hour, in the unit.
+    wander
+        Standard deviation of its zero's random walk after an hour, in the unit.
+    saturation
+        Where its amplifier ends, either way [V].
+    """
+
+    calibration: Calibration
+    noise: float = 0.0
+    drift: float = 0.0
+    wander: float = 0.0
+    saturation: float = 10.5
+
+    def __post_init__(self) -> None:
+        name, unit = self.calibration.name, self.calibration.unit
+        check_positive(name, unit, zero=True, noise=self.noise, wander=self.wander)
+        check_within(name, -1e9, 1e9, unit, drift=self.drift)
+        check_positive(name, "V", saturation=self.saturation)
+
+
+FORCE_SENSOR = Sensor(calibration=FORCE, noise=0.5 * N)
+"""The noise is ours, 0.03 % of the sensor, as that of `VirtualRig`."""
+
+PRESSURE_SENSOR = Sensor(calibration=PRESSURE, noise=0.5 * kPa)
+"""The noise is ours, 0.05 % of the sensor, as that of `VirtualRig`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Converter:
+    """A data acquisition card as the PCI-6281.
+
+    Parameters
+    ----------
+    bits
+        Of a reading: 18 (the maker).
+    low, high
+        Range of its inputs [V]: -10 to 10 (the maker; its widest).
+    buffer
+        How many seconds of samples it keeps for a host that is late [s]: 10 (ours).
+    """
+
+    bits: int = 18
+    low: float = -10.0
+    high: float = 10.0
+    buffer: float = 10.0
+
+    def __post_init__(self) -> None:
+        check_within("converter", 1, 64, bits=self.bits)
+        check_positive("converter", "V", range=self.high - self.low)
+        check_positive("converter", "s", buffer=self.buffer)
+
+    @property
+    def step(self) -> float:
+        """Between two readings [V]."""
+        return (self.high - self.low) / 2**self.bits
+
+    def told(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What it tells of volts: whole steps, within its range. The array is written to."""
+        volts *= 1 / self.step
+        np.rint(volts, out=volts)
+        volts *= self.step
+        return np.clip(volts, self.low, self.high, out=volts)
+
+
+class Reading:
+    """A sensor over time: its zero, and whether it is plugged in.
+
+    Parameters
+    ----------
+    sensor
+        Which.
+    generator
+        Of its wander, and of nothing else.
+    """
+
+    def __init__(self, sensor: Sensor, generator: np.random.Generator) -> None:
+        self._sensor = sensor
+        self._generator = generator
+        self._walk = [0.0]
+        calibration = sensor.calibration
+        self._per_volt = 1 / calibration.gain
+        self._zero = calibration.tare / calibration.gain + calibration.offset
+        self.noise = sensor.noise / abs(calibration.gain)
+        self._unplugged: float | None = None
+        self._floating = False
+
+    def unplug(self, volts: float | None) -> None:
+        """From now on it reads so many volts [V]; none, and it floats."""
+        self._unplugged, self._floating = volts or 0.0, volts is None
+
+    def volts(
+        self, time: NDArray[np.float64], truth: NDArray[np.float64], noise: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """What it gives [V] at times [s], of a true value; its noise [V] is taken as given."""
+        if self._floating:
+            return 1.0 + 2.0 * np.sin(2 * math.pi * _MAINS * time) + noise
+        if self._unplugged is not None:
+            return np.full(len(time), self._unplugged)
+        sensor = self._sensor
+        volts = truth * self._per_volt
+        volts += noise
+        if self._zero:
+            volts += self._zero
+        if sensor.drift or sensor.wander:
+            volts += self._moved(time) * self._per_volt
+        return np.clip(volts, -sensor.saturation, sensor.saturation, out=volts)
+
+    def _moved(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of its zero, in the unit."""
+        moved = time * (self._sensor.drift / _HOUR)
+        if self._sensor.wander:
+            last = int(time[-1] / _WANDER) + 2
+            if last > len(self._walk):
+                steps = self._generator.standard_normal(last - len(self._walk))
+                steps *= self._sensor.wander * math.sqrt(_WANDER / _HOUR)
+                self._walk.extend((self._walk[-1] + np.cumsum(steps)).tolist())
+            first = int(time[0] / _WANDER)
+            near = self._walk[first:last]
+            moved = moved + np.interp(time, (first + np.arange(len(near))) * _WANDER, near)
+        return moved
+
+
+_ROUNDING = 1e-6  # samples
+
+
+class Sampling:
+    """Sensors, converter, and the samples that wait to be read.
+
+    Parameters
+    ----------
+    sensors
+        By the names of the channels, in their order.
+    converter
+        The card.
+    rate
+        Samples a second of each [Hz].
+    noise
+        Generator of the samples' noise.
+    wanders
+        Generators of the sensors' wander, one each.
+    """
+
+    def __init__(
+        self,
+        sensors: Mapping[str, Sensor],
+        converter: Converter,
+        rate: float,
+        noise: np.random.Generator,
+        wanders: list[np.random.Generator],
+    ) -> None:
+        self.rate = rate
+        self.next = 0  # the number that the next read begins with
+        self.delay = 0.0  # s
+        self._converter = converter
+        self._noise = noise
+        self._readings = {
+            name: Reading(sensor, wander) for (name, sensor), wander in zip(sensors.items(), wanders, strict=True)
+        }
+        self._sigma = np.array([reading.noise for reading in self._readings.values()])
+        self._began = 0.0
+        self._zero = 0  # pulses then
+        self._taken = 0
+        self._wanted = 0
+        self._overrun = False
+        self._silent = False
+        self._waiting: list[Block] = []
+
+    def begin(self, now: float, pulses: int) -> None:
+        """Count samples, time and pulses from now on."""
+        self._began, self._zero = now, pulses
+        self._taken = self.next = 0
+        self._overrun = False
+        self._waiting = []
+
+    def due(self, count: int) -> float:
+        """When the next so many are taken [s], since it began."""
+        return (self.next + count) / self.rate
+
+    def silent(self, count: int) -> bool:
+        """Whether the next so many will never come."""
+        return self._silent and self._taken < self.next + count
+
+    def want(self, count: int) -> None:
+        """So many will be read in one: the buffer is at least as long."""
+        self._wanted = count
+
+    def sample(self, knots: Knots, motor: Motor) -> None:
+        """Take the samples that fall between the first and the last of some knots."""
+        last = math.ceil((knots.time[-1] - self._began) * self.rate - _ROUNDING)
+        if self._silent or last <= self._taken:
+            return
+        first, self._taken = max(self._taken, self.next), last
+        if last <= first:
+            return
+        if last - self.next > max(self._converter.buffer * self.rate, self._wanted):
+            self._overrun, self._waiting = True, []
+            return
+        since = np.arange(first, last) / self.rate
+        time = since + self._began
+        noise = self._noise.standard_normal((last - first, len(self._sigma)))
+        noise *= self._sigma
+        volts = np.empty_like(noise)
+        truths = knots.force, knots.pressure
+        for column, (reading, truth) in enumerate(zip(self._readings.values(), truths, strict=True)):
+            still = len(truth) == 2 and truth[0] == truth[1]
+            there = np.full(len(time), truth[0]) if still else np.interp(time, knots.time, truth)
+            volts[:, column] = reading.volts(time, there, noise[:, column])
+        self._waiting.append(Block(first, since, self._converter.told(volts), motor.counted(time) - self._zero))
+
+    def take(self, count: int) -> Block:
+        """The next so many of those that wait.
+
+        Raises
+        ------
+        RigError
+            If the buffer ran over.
+        """
+        if self._overrun:
+            raise RigError(
+                f"samples were overwritten: the host was away for more than {self._converter.buffer:g} s",
+                remedy="open the rig anew",
+            )
+        waiting, first = self._waiting, self.next
+        self.next += count
+        if len(waiting) == 1 and len(waiting[0].time) == count:
+            self._waiting = []
+            return waiting[0]
+        time = np.concatenate([block.time for block in waiting])
+        volts = np.concatenate([block.volts for block in waiting])
+        pulses = np.concatenate([block.pulses for block in waiting])
+        rest = Block(self.next, time[count:], volts[count:], pulses[count:])
+        self._waiting = [rest] if len(rest.time) else []
+        return Block(first, time[:count], volts[:count], pulses[:count])
+
+    def forget(self) -> None:
+        """Those that wait are not wanted."""
+        self._waiting = []
+
+    def damage(self, fault: Fault) -> None:
+        """What a fault does to sensors and card; another does nothing."""
+        match fault:
+            case Unplugged(sensor=sensor, volts=volts):
+                self._readings[sensor].unplug(volts)
+            case Silent():
+                self._silent = True
+            case Delaying(delay=delay):
+                self.delay += delay
+            case Dropping(samples=samples):
+                self.next = max(self.next, self._taken + samples)
+                self._waiting = []
+            case _:
+                pass

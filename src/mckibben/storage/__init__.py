@@ -1,0 +1,1 @@
+"""Files that survive interruption, and the interruption of long jobs."""

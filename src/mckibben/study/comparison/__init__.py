@@ -1,7 +1,0 @@
-"""Comparison: controllers tuned alike, and ranked on runs that none of them has seen."""
-
-from mckibben.study.comparison.comparing import Contest, compare, judged
-from mckibben.study.comparison.runs import Runs, draw
-from mckibben.study.comparison.suite import AS_BELIEVED, Suite
-
-__all__ = ["AS_BELIEVED", "Contest", "Runs", "Suite", "compare", "draw", "judged"]

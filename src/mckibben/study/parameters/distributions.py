@@ -1,0 +1,276 @@
+"""Distributions of parameters."""
+
+from __future__ import annotations
+
+import abc
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mckibben.errors import ParameterError
+
+MOST = 10_000_000
+"""Values on one axis, and rows of a table."""
+
+_FINEST = 2.0**-54  # a quantile of 0 or 1 stands for this far inside: a normal distribution has no ends
+
+
+class Spread(abc.ABC):
+    """What a number may be, and how often.
+
+    >>> Uniform(0.2, 1.0).at([0.0, 0.5])
+    array([0.2, 0.6])
+    """
+
+    @property
+    @abc.abstractmethod
+    def ends(self) -> tuple[float, float]:
+        """The lowest and the highest value, in SI; of a normal distribution where it is cut off."""
+
+    @abc.abstractmethod
+    def at(self, quantile: ArrayLike) -> NDArray:
+        """The value at each quantile, 0 to 1: float64, or int64 for whole numbers."""
+
+    @abc.abstractmethod
+    def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
+        """Where each value lies, 0 to 1: `at` leads back to it if it is one of the values, else to the nearest."""
+
+    @abc.abstractmethod
+    def grid(self) -> NDArray:
+        """The values on a grid.
+
+        Raises
+        ------
+        ParameterError
+            If it does not say which.
+        """
+
+
+@dataclass(frozen=True)
+class Uniform(Spread):
+    """Evenly between two values.
+
+    Parameters
+    ----------
+    low, high
+        Both ends, in SI.
+    points
+        How many values a grid has, ends included; other designs do not look at it.
+    """
+
+    low: float
+    high: float
+    points: int | None = None
+
+    def __post_init__(self) -> None:
+        _check_range(self.low, self.high, self.points)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        return self.low, self.high
+
+    def at(self, quantile: ArrayLike) -> NDArray[np.float64]:
+        share = np.clip(np.asarray(quantile, float), 0.0, 1.0)
+        return np.clip(self.low + share * (self.high - self.low), self.low, self.high)
+
+    def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
+        return np.clip((np.asarray(value, float) - self.low) / (self.high - self.low), 0.0, 1.0)
+
+    def grid(self) -> NDArray[np.float64]:
+        return self.at(_steps(self.points))
+
+
+@dataclass(frozen=True)
+class LogUniform(Spread):
+    """Evenly in the logarithm between two values of one sign.
+
+    >>> LogUniform(1.0, 100.0, points=3).grid()
+    array([  1.,  10., 100.])
+
+    Parameters
+    ----------
+    low, high
+        Both ends, in SI.
+    points
+        How many values a grid has, ends included; other designs do not look at it.
+    """
+
+    low: float
+    high: float
+    points: int | None = None
+
+    def __post_init__(self) -> None:
+        _check_range(self.low, self.high, self.points)
+        if self.low <= 0 <= self.high:
+            raise ParameterError(
+                f"a range from {self.low:g} to {self.high:g} has no even logarithm",
+                remedy="give two ends of one sign, neither of them zero, or leave `log` out",
+            )
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        return self.low, self.high
+
+    def at(self, quantile: ArrayLike) -> NDArray[np.float64]:
+        share = np.clip(np.asarray(quantile, float), 0.0, 1.0)
+        size = np.exp((1 - share) * math.log(abs(self.low)) + share * math.log(abs(self.high)))
+        inside = np.clip(math.copysign(1, self.low) * size, self.low, self.high)
+        return np.where(share == 0, self.low, np.where(share == 1, self.high, inside))
+
+    def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
+        inside = np.clip(np.asarray(value, float), self.low, self.high)
+        low, high = math.log(abs(self.low)), math.log(abs(self.high))
+        return np.clip((np.log(np.abs(inside)) - low) / (high - low), 0.0, 1.0)
+
+    def grid(self) -> NDArray[np.float64]:
+        return self.at(_steps(self.points))
+
+
+@dataclass(frozen=True)
+class Normal(Spread):
+    """A normal distribution, cut off at two values.
+
+    What is cut off is shared out among the rest in proportion (it is as if drawn again until it lies inside), so the
+    standard deviation of what is left is a little smaller.
+
+    Parameters
+    ----------
+    mean, deviation
+        Of the whole distribution, in SI.
+    lower, upper
+        Where it is cut off; at the ends of the field's own range unless given.
+    """
+
+    mean: float
+    deviation: float
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.mean) and math.isfinite(self.deviation) and self.deviation > 0):
+            raise ParameterError(
+                f"mean {self.mean:g} and standard deviation {self.deviation:g} make no normal distribution",
+                remedy="give finite numbers, the deviation above zero",
+            )
+        if not (self.lower <= self.mean <= self.upper and self.lower < self.upper):
+            raise ParameterError(
+                f"the mean {self.mean:g} is outside {self.lower:g} to {self.upper:g}, where it is cut off",
+                remedy="choose a mean inside",
+            )
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        return self.lower, self.upper
+
+    def at(self, quantile: ArrayLike) -> NDArray[np.float64]:
+        from scipy.special import ndtri
+
+        low, high = self._cut
+        share = low + np.clip(np.asarray(quantile, float), 0.0, 1.0) * (high - low)
+        value = self.mean + self.deviation * ndtri(np.clip(share, _FINEST, 1 - 2 * _FINEST))
+        return np.clip(value, self.lower, self.upper)
+
+    def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
+        from scipy.special import ndtr
+
+        low, high = self._cut
+        return np.clip((ndtr((np.asarray(value, float) - self.mean) / self.deviation) - low) / (high - low), 0.0, 1.0)
+
+    def grid(self) -> NDArray[np.float64]:
+        raise ParameterError("a normal distribution has no grid", remedy="list values, or give a range `in 9`")
+
+    @property
+    def _cut(self) -> tuple[float, float]:
+        """The shares of the whole distribution below both ends."""
+        from scipy.special import ndtr
+
+        return tuple(float(ndtr((end - self.mean) / self.deviation)) for end in self.ends)  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class Values(Spread):
+    """One of a few values, each as often; on a grid all of them, in the order given.
+
+    >>> Values((1.0, 2.0, 4.0)).at([0.0, 0.5, 0.9])
+    array([1., 2., 4.])
+    """
+
+    values: tuple[float, ...] | tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        if not self.values or not all(math.isfinite(value) for value in self.values):
+            raise ParameterError(f"{self.values} are no values", remedy="give finite numbers, at least one")
+        if len(set(self.values)) < len(self.values):
+            twice = next(value for i, value in enumerate(self.values) if value in self.values[:i])
+            raise ParameterError(f"{twice:g} is listed twice", remedy="keep one of them")
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        return min(self.values), max(self.values)
+
+    def at(self, quantile: ArrayLike) -> NDArray:
+        return self.grid()[_picked(quantile, len(self.values))]
+
+    def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
+        nearest = np.argmin(np.abs(np.asarray(value, float)[..., None] - np.asarray(self.values, float)), axis=-1)
+        return (nearest + 0.5) / len(self.values)
+
+    def grid(self) -> NDArray:
+        return np.asarray(self.values, np.int64 if all(isinstance(value, int) for value in self.values) else float)
+
+
+@dataclass(frozen=True)
+class Wholes(Spread):
+    """All whole numbers from one to another, each as often.
+
+    >>> Wholes(0, 19).at([0.0, 0.5, 0.99])
+    array([ 0, 10, 19])
+    """
+
+    low: int
+    high: int
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high:
+            raise ParameterError(
+                f"the range is empty: {self.low} is not below {self.high}", remedy="write the lower end first"
+            )
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        return self.low, self.high
+
+    def at(self, quantile: ArrayLike) -> NDArray[np.int64]:
+        return self.low + _picked(quantile, self.high - self.low + 1)
+
+    def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
+        inside = np.clip(np.asarray(value), self.low, self.high)
+        return (inside - self.low + 0.5) / (self.high - self.low + 1)
+
+    def grid(self) -> NDArray[np.int64]:
+        if self.high - self.low >= MOST:
+            raise ParameterError(f"{self.low} to {self.high} are more than {MOST} values", remedy="choose fewer")
+        return np.arange(self.low, self.high + 1, dtype=np.int64)
+
+
+def _check_range(low: float, high: float, points: int | None) -> None:
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise ParameterError(f"{low:g} to {high:g} is no range", remedy="give two finite numbers")
+    if not low < high:
+        raise ParameterError(f"the range is empty: {low:g} is not below {high:g}", remedy="write the lower end first")
+    if points is not None and not 2 <= points <= MOST:
+        raise ParameterError(f"a grid of {points} points is none", remedy=f"choose 2 to {MOST} points")
+
+
+def _steps(points: int | None) -> NDArray[np.float64]:
+    if points is None:
+        raise ParameterError("the range does not say how many points its grid has", remedy="write it like `... in 9`")
+    return np.linspace(0.0, 1.0, points)
+
+
+def _picked(quantile: ArrayLike, count: int) -> NDArray[np.int64]:
+    """Which of several values, each as often."""
+    share = np.clip(np.asarray(quantile, float), 0.0, 1.0)
+    return np.minimum((share * count).astype(np.int64), count - 1)

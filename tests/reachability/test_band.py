@@ -1,0 +1,212 @@
+"""Bands along a motion: against the paper's equations in plain NumPy, all pressures tried, and against a run."""
+
+import numpy as np
+import pytest
+
+from mckibben.control import Constant, Reference, Samples, Sine, Step
+from mckibben.errors import RangeError, ReachabilityWarning, SimulationError
+from mckibben.joint import AntagonisticJoint, SeriesSpring
+from mckibben.numerics.compiled import compiled
+from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, PlantState
+from mckibben.reachability import follow, holdable, motion_of
+from mckibben.reachability.bands import bands_along
+from mckibben.reachability.trackability import MOST_ROUNDING
+from mckibben.simulation import check_reference, simulate
+from mckibben.units import bar, deg
+
+PERIOD = 0.01
+TIMES = np.arange(200) * PERIOD
+
+
+def on(plant: JointPlant, reference: Reference, **options):
+    """All with as many moments: they share what is compiled."""
+    return follow(plant, reference, duration=2.0, control_period=PERIOD, **options)
+
+
+@compiled
+def attainable(joint, angle, torque):
+    return joint.attainable_stiffness(angle, torque)
+
+
+class Tried:
+    """The states of a motion by plain NumPy: pressures for torque and stiffness are those of a 2x2 system."""
+
+    def __init__(self, paper, amplitude, frequency, lag):
+        self.paper, self.a, self.w, self.lag = paper, amplitude, 2 * np.pi * frequency, lag
+
+    def pressures(self, time, stiffness):
+        angle = self.a * np.sin(self.w * time)
+        acceleration = -(self.w**2) * angle
+        velocity = self.a * self.w * np.cos(self.w * time)
+        paper = self.paper
+        torque = paper.inertia * acceleration + paper.damping * velocity - paper.G * np.sin(np.pi / 6 - angle)
+        eps, arms = paper.contractions(angle), paper.eq5(angle)
+
+        def at(p):
+            pulls = [paper.eq3(e, q) * d for e, q, d in zip(eps, p, arms, strict=True)]
+            return pulls[1] - pulls[0], paper.stiffness(angle, p)
+
+        zero, one, two = at((0.0, 0.0)), at((1.0, 0.0)), at((0.0, 1.0))
+        matrix = np.array([[one[k] - zero[k], two[k] - zero[k]] for k in (0, 1)])
+        wanted = np.array([torque - zero[0], stiffness - zero[1]])
+        pressures = np.linalg.solve(matrix, wanted)
+        forces = [paper.eq3(e, p) for e, p in zip(eps, pressures, strict=True)]
+        inside = all(-0.03 <= e <= 0.25 for e in eps)
+        return pressures, inside and min(forces) >= 0 and max(forces) <= 630 and min(pressures) >= 0 and max(
+            pressures
+        ) <= 6e5
+
+    def allowed(self, time, stiffness):
+        """Whether it is attainable moving, and at the speed of the valve; the stiffness is kept."""
+        pressures, held = self.pressures(time, stiffness)
+        h = 1e-5
+        rate = (self.pressures(time + h, stiffness)[0] - self.pressures(time - h, stiffness)[0]) / (2 * h)
+        commands = pressures + self.lag * rate
+        return held, held and min(commands) >= 0 and max(commands) <= 8e5
+
+
+@pytest.mark.parametrize(("amplitude", "frequency", "lag"), [(10, 1.5, 1.0), (15, 4.0, 0.02), (15, 0.5, 1.0)])
+def test_the_bands_are_those_of_trying_all_stiffnesses(knee, load, paper_precontracted, amplitude, frequency, lag):
+    plant = JointPlant(knee, load, FirstOrderValve(lag))
+    reference = Reference(Sine(amplitude * deg, frequency), 15.0)
+    bands = bands_along(plant, motion_of(reference, TIMES, rounding=0.1))
+    tried = Tried(paper_precontracted, amplitude * deg, frequency, lag)
+    cut = 0
+    for k in range(0, 200, 23):
+        grid = np.arange(5.0, 30.0, 0.05)
+        moving, driven = np.array([tried.allowed(TIMES[k], value) for value in grid]).T
+        for band, allowed in ((bands.inertial, moving), (bands.driven, driven)):
+            if allowed.any():
+                assert band.lowest[k] == pytest.approx(grid[allowed].min(), abs=0.051)
+                assert band.highest[k] == pytest.approx(grid[allowed].max(), abs=0.051)
+            else:
+                assert not band.highest[k] - band.lowest[k] > 0.05
+        cut += driven.sum() < moving.sum()
+    assert cut > 0 or lag < 0.1, "the valve has something to say here"
+
+
+def test_standing_it_is_the_static_check(plant):
+    reference = Reference(Constant(12 * deg), 15.0)
+    found, reach = on(plant, reference), check_reference(plant, reference, duration=2.0, control_period=PERIOD)
+    for band in (found.bands.static, found.bands.inertial, found.bands.driven):
+        np.testing.assert_allclose(band.lowest, reach.lowest, rtol=1e-6)
+        np.testing.assert_allclose(band.highest, reach.highest, rtol=1e-6)
+    assert found.reachable and reach.reachable
+
+
+def test_the_commands_of_the_criterion_make_the_plant_follow(knee, load, paper_precontracted, playback):
+    lag, a, f = 0.05, 10 * deg, 2.0
+    tried = Tried(paper_precontracted, a, f, lag)
+    plant = JointPlant(knee, load, FirstOrderValve(lag))
+    assert on(plant, Reference(Sine(a, f), 15.0)).reachable
+    times = np.arange(501) * 1e-3
+
+    def command(time):
+        h = 1e-5
+        at = [tried.pressures(time + s, 15.0)[0] for s in (-h, 0.0, h)]
+        return at[1] + lag * (at[2] - at[0]) / (2 * h)
+
+    commands = np.array([command(time + 5e-4) for time in times])  # held over a period: its middle counts
+    wish = Reference(Samples(times, commands[:, 0]), Samples(times, commands[:, 1]))
+    start = PlantState(0.0, a * 2 * np.pi * f, *tried.pressures(0.0, 15.0)[0])
+    with pytest.warns(ReachabilityWarning):  # the wish is pressures, not an angle and a stiffness
+        run = simulate(plant, playback, wish, duration=0.5, initial=start).table
+    moved = run["angle"].to_numpy()
+    np.testing.assert_allclose(moved, a * np.sin(2 * np.pi * f * run["time"].to_numpy()), atol=0.05 * deg)
+    np.testing.assert_allclose(run["stiffness"].to_numpy(), 15.0, atol=0.02)
+
+
+def test_a_stiffness_that_changes_costs_the_valve_its_rate(knee, load):
+    plant = JointPlant(knee, load, FirstOrderValve(0.1))
+    slow = Reference(0.0, Sine(3.0, 0.5, 15.0))
+    fast = Reference(0.0, Sine(3.0, 8.0, 15.0))
+    assert on(plant, slow).reachable
+    found = on(plant, fast)
+    assert not found.reachable
+    assert found.describe().startswith("at the speed of the valve the stiffness is out of reach for ")
+    assert on(JointPlant(knee, load, FirstOrderValve(1e-3)), fast).reachable
+
+
+def test_an_infeasible_wish_is_named_with_its_numbers(as_printed, load):
+    found = on(JointPlant(as_printed, load, FirstOrderValve(0.02)), Reference(Sine(20 * deg, 0.5), 72.5))
+    assert not found.reachable
+    said = found.describe()
+    assert said.startswith("even standing still, no pressures within limits will do for 6")
+    assert "wanted 72.5, attainable 1" in said and "N*m/rad at -10." in said
+
+
+def test_the_torque_of_the_motion_is_named(plant):
+    found = on(plant, Reference(Sine(20 * deg, 6.0), 15.0))
+    assert not found.reachable
+    assert "with the torque of the motion, up to " in found.describe()
+    peak = float(plant.load.total_inertia) * 20 * deg * (12 * np.pi) ** 2
+    assert np.abs(found.bands.torque).max() == pytest.approx(peak, rel=0.15)
+
+
+def test_a_motion_may_bring_within_reach_what_cannot_be_held(plant):
+    found = on(plant, Reference(Sine(20 * deg, 2.0), 15.0))
+    assert found.reachable
+    assert "only the torque of the motion brings it there" in found.describe()
+
+
+def test_jumps_are_rounded_off_as_little_as_will_do(plant):
+    found = on(plant, Reference(Step(0.0, 10 * deg, 1.0), 15.0))
+    assert found.reachable and 0.05 < found.motion.rounding < 0.2
+    assert f"a jump or corner at 1 s rounded off over {found.motion.rounding * 1e3:.3g} ms" in found.describe()
+    assert not on(plant, Reference(Step(0.0, 10 * deg, 1.0), 15.0), rounding=found.motion.rounding / 2).reachable
+    far = on(plant, Reference(Step(-30 * deg, 30 * deg, 1.0), 22.0))
+    assert not far.reachable and not far.rounded_enough
+    assert far.motion.rounding == MOST_ROUNDING
+    assert "a jump or corner at 1 s out of reach even if rounded off over 250 ms" in far.describe()
+
+
+def test_samples_may_be_many(plant):
+    dense = Samples(TIMES, np.asarray(Sine(10 * deg, 0.5)(TIMES)))
+    found = on(plant, Reference(dense, 15.0))
+    assert found.reachable and "; its samples rounded off over 40 ms" in found.describe()
+
+
+def test_what_can_be_held_over_the_angle(plant, paper_precontracted):
+    found = holdable(plant)
+    assert (found.first / deg, found.last / deg) == pytest.approx((-36.49, 38.57), abs=0.01)
+    zero = int(np.argmin(np.abs(found.angles)))
+    edges = [edge[zero] for edge in (*found.torques, *found.stiffness)]
+    assert edges == pytest.approx([-7.28, 7.28, 9.96, 19.53], abs=0.01)
+    rows = found.rows()
+    assert len(rows) <= 11 and zero in rows
+    for k in rows:
+        for stiffness, pressures in (
+            (found.stiffness.lowest[k], found.pressures_lowest[:, k]),
+            (found.stiffness.highest[k], found.pressures_highest[:, k]),
+        ):
+            assert paper_precontracted.torque(found.angles[k], pressures) == pytest.approx(found.torque[k], abs=1e-5)
+            assert paper_precontracted.stiffness(found.angles[k], pressures) == pytest.approx(stiffness, abs=1e-4)
+            assert pressures.min() > -1e-3 and pressures.max() < 6 * bar + 1e-3
+    room = found.highest_at - found.lowest_at
+    assert room.shape == found.map_torques.shape
+    assert np.nanmin(room) > -1e-9
+
+
+def test_a_joint_with_springs_is_scanned(as_printed, load):
+    spring = SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
+    joint = AntagonisticJoint(as_printed.geometry, as_printed.muscle1, as_printed.muscle2, spring)
+    plant = JointPlant(joint, load, IdealValve())
+    found = follow(plant, Reference(Sine(10 * deg, 0.5), 17.0), duration=2.0, control_period=0.05)
+    assert found.reachable
+    np.testing.assert_allclose(found.bands.driven.lowest, found.bands.inertial.lowest, atol=1e-9)
+    for k in (3, 10, 27):
+        angle, torque = float(found.motion.angle[k]), float(found.bands.torque[k])
+        band = [float(x) for x in attainable(joint, angle, torque)]
+        seen = found.bands.inertial.lowest[k], found.bands.inertial.highest[k]
+        assert band[0] - 1e-6 <= seen[0] < band[0] + 0.05 and band[1] - 0.6 < seen[1] <= band[1] + 1e-6
+
+
+@pytest.mark.parametrize("rounding", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_rounding_is_a_time(plant, rounding):
+    with pytest.raises(RangeError, match="the rounding is"):
+        on(plant, Reference(0.0, 15.0), rounding=rounding)
+
+
+def test_times_have_to_go_together(plant):
+    with pytest.raises(SimulationError):
+        follow(plant, Reference(0.0, 15.0), duration=1.0, control_period=0.3)

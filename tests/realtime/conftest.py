@@ -1,0 +1,125 @@
+"""A joint rig that is compiled once: the knee of the examples, 100 ms of its sine."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from mckibben.plant import JointPlant, PlantState
+from mckibben.realtime import PERFECT, ControlProgram, Course, JointLimits, VirtualJoint, control
+from mckibben.realtime.compiled_step import Answer, PlantProgram
+from mckibben.study.scenario import Scenario
+from mckibben.units import bar, deg, ms
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
+PERIOD = 1 * ms
+
+
+class Kept:
+    """A recorder that keeps its rows in memory."""
+
+    def __init__(self):
+        self.tables, self.events = [], []
+
+    def append(self, table):
+        self.tables.append({name: np.array(values) for name, values in table.items()})
+
+    def event(self, kind, text="", **data):
+        self.events.append((kind, text))
+
+    @property
+    def columns(self):
+        return {name: np.concatenate([table[name] for table in self.tables]) for name in self.tables[0]}
+
+
+class StiffJoint:
+    """In place of a `PlantProgram`: the joint stands still, its valves lag by 20 ms. Nothing is compiled."""
+
+    def state(self, state):
+        return np.array([0.0, 0.0, float(state.pressure1), float(state.pressure2)])
+
+    def over(self, state, command1, command2, time):
+        angle, velocity, pressure1, pressure2 = state.tolist()
+        share = 1 - math.exp(-time / 0.02)
+        pressure1, pressure2 = pressure1 + share * (command1 - pressure1), pressure2 + share * (command2 - pressure2)
+        return np.array([angle, velocity, pressure1, pressure2])
+
+
+class SteadyControl:
+    """In place of a `ControlProgram`: always the same pressures [Pa]."""
+
+    telemetry = ("saturated", "stiffness_estimate")
+
+    def __init__(self, commands=(3 * bar, 3 * bar)):
+        self.commands = commands
+
+    def init(self, angle, pressure1, pressure2):
+        return None
+
+    def step(self, state, told):
+        return Answer(None, np.array([*self.commands, 0.0, 13.0]))
+
+
+class Knee(NamedTuple):
+    scenario: Scenario
+    plant: JointPlant
+    start: PlantState
+    control: ControlProgram
+    moved: PlantProgram
+
+    def joint(self, *, vented=False, sensing=PERFECT, **changes):
+        start = None if vented else self.start
+        return VirtualJoint(self.plant, period=PERIOD, start=start, sensing=sensing, program=self.moved, **changes)
+
+    def course(self, periods=100, raising=0, settling=0, wish=None):
+        times = np.arange(periods) * PERIOD
+        angle = 10 * deg * np.sin(np.pi * times) if wish is None else np.full(periods, wish)
+        wishes = np.stack([angle, np.full(periods, 13.0)], axis=1)
+        pressures = float(self.start.pressure1), float(self.start.pressure2)
+        return Course(wishes, PERIOD, raising, settling, pressures, ((0.0, 8 * bar), (0.0, 8 * bar)))
+
+    def run(self, joint=None, *, course=None, limits=None, recorder=None, **options):
+        kept = Kept() if recorder is None else recorder
+        joint = joint or self.joint()
+        ending = control(joint, self.control, course or self.course(), limits or LIMITS, kept, **options)
+        return ending, kept
+
+
+LIMITS = JointLimits(lowest_angle=-30 * deg, highest_angle=45 * deg, pressure=8.4 * bar)
+
+
+@pytest.fixture(scope="session")
+def stiff():
+    """A knee that stands still: cheap enough for hundreds of runs."""
+    scenario = Scenario.read(EXAMPLE)
+    plant = scenario.plant()
+    start = PlantState(*map(np.asarray, (0.0, 0.0, 3 * bar, 3 * bar)))
+    return Knee(scenario, plant, start, SteadyControl(), StiffJoint())
+
+
+_MUSCLE = "  muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"
+_MUSCLES = """  muscle1: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n,
+    friction: {half_width: 7.5 N, presliding_length: 0.5 mm}}
+  muscle2: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n, creep: {stiffness: 500 N/m, time_constant: 0.2 s}}
+"""
+_SLIDING = """controller:
+  decoupling:
+    sliding: {slope: 40 1/s, reach: 80 rad/s^2, layer: 1 rad/s}
+    disturbance_observer: {bandwidth: 200 rad/s}
+    pressure_observer: {bandwidth: 200 rad/s}
+
+"""
+
+
+@pytest.fixture(scope="session")
+def knee():
+    """All that has a memory: friction, creep, sliding mode, observers. The tests of `rig control` run two PIDs."""
+    text = EXAMPLE.read_text(encoding="utf-8").replace(_MUSCLE, _MUSCLES.rstrip())
+    before, after = text.index("controller:"), text.index("reference:")
+    scenario = Scenario.parse(text[:before] + _SLIDING + text[after:])
+    plant = scenario.plant()
+    return Knee(scenario, plant, scenario.initial(plant), ControlProgram(scenario.control()), PlantProgram(plant, 4))

@@ -1,0 +1,50 @@
+"""Signals are told of, one that comes again later interrupts, and afterwards all is as it was."""
+
+import os
+import signal
+import threading
+
+import pytest
+
+from mckibben.storage.interruption import SIGNALS, heeded
+
+
+@pytest.fixture(params=SIGNALS)
+def number(request):
+    before = signal.signal(request.param, signal.SIG_DFL)  # a second one would end this process
+    yield request.param
+    signal.signal(request.param, before)
+
+
+def test_a_signal_is_told_and_a_later_one_interrupts(number, monkeypatch):
+    told = []
+    with heeded(told.append):
+        os.kill(os.getpid(), number)
+        os.kill(os.getpid(), number)  # as a terminal that closes
+        assert told == 2 * [number]
+        monkeypatch.setattr(signals, "_SAME", -1.0)
+        for again in (3, 4):
+            with pytest.raises(KeyboardInterrupt):
+                os.kill(os.getpid(), number)
+            assert told == again * [number]
+    assert signal.getsignal(number) == signal.SIG_DFL
+
+
+def test_one_that_is_ignored_still_is(number):
+    signal.signal(number, signal.SIG_IGN)
+    told = []
+    with heeded(told.append):
+        os.kill(os.getpid(), number)
+    assert not told and signal.getsignal(number) == signal.SIG_IGN
+
+
+def test_another_thread_is_told_nothing(number):
+    def work():
+        with heeded(print):
+            seen.append(signal.getsignal(number))
+
+    seen = []
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [signal.SIG_DFL]

@@ -1,0 +1,240 @@
+"""Controllers are tuned alike and judged on the same runs: each of which is, alone, what `simulate` gives."""
+
+import json
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from mckibben.errors import FileError, ParameterError
+from mckibben.simulation import Metrics
+from mckibben.study.benchmark import Contest, Suite, benchmark, compare, draw, judged
+from mckibben.study.benchmark.benchmark import _controller
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.running import run_scenario
+from mckibben.study.tune.problem import LOST
+from mckibben.units import deg
+
+TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
+KP = "controller.position.kp"
+
+
+def changed(*pairs):
+    text = TEXT
+    for old, new in pairs:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return Suite.parse(text)
+
+
+@pytest.fixture(scope="module")
+def suite():
+    return changed()
+
+
+@pytest.fixture(scope="module")
+def simulated(suite):
+    """The unseen runs of one controller, in earnest."""
+    runs, values = draw(suite, 16, 1), {KP: 2e5}
+    return Contest(suite, runs, {"PID 3": values}, {}, {"PID 3": ()}, {"PID 3": judged(runs, "PID 3", values)})
+
+
+class TestRuns:
+    def test_a_run_of_the_batch_is_that_run_alone(self, simulated):
+        """With both joints, with its noise and delay: as `mckibben simulate` runs its scenario.
+
+        Every wish has a program of its own to compile; that all are wished for as drawn is seen without running them.
+        """
+        batch, runs = simulated.batches["PID 3"], simulated.runs
+        kinds = {(runs.wish[i], runs.joint[i]): i for i in range(runs.count) if runs.wish[i] != "angle step"}
+        assert len(kinds) == 4
+        delays = runs.conditions["sensors.delay"][list(kinds.values())]
+        assert set(delays.tolist()) == {0.0, 1.0}
+        for run in kinds.values():
+            scenario = Scenario.parse(simulated.scenario("PID 3", run).dumps())
+            alone = run_scenario(scenario).result.metrics()
+            for name in Metrics._fields:
+                value = batch.metrics[name][run]
+                assert value == pytest.approx(alone[name], rel=1e-7, abs=1e-12, nan_ok=True), (run, name)
+            assert scenario.control().position.kp == simulated.tuned["PID 3"][KP]
+
+    def test_the_noise_is_that_of_the_run(self, simulated):
+        run = simulated.runs.wish.index("sine and step")
+        scenario = simulated.scenario("PID 3", run)
+        other = scenario.model_copy(update={"sensors": scenario.sensors.model_copy(update={"seed": 1})})
+        assert scenario.sensors.seed == simulated.runs.conditions["sensors.seed"][run]
+        own, others = (run_scenario(each).result.metrics()["angle_rmse"] for each in (scenario, other))
+        assert abs(own - others) > 1e-6 * own
+
+    def test_its_cost_is_that_of_the_suite(self, simulated):
+        unseen = simulated.batches["PID 3"].metrics
+        assert not simulated.lost("PID 3").any()
+        assert simulated.cost("PID 3") == pytest.approx(
+            unseen["angle_rmse"] / (0.1 * deg) + unseen["stiffness_rmse"] / 0.5
+        )
+
+
+def mean_cost(runs, kp):
+    """Of `invented`, by hand, run by run: those that cannot begin do not count, a lost one costs 1e6."""
+    lags, heights = runs.conditions["valve.time_constant"], runs.conditions["disturbance.pulses.height"]
+    costs = []
+    for mass, lag, height in zip(runs.conditions["load.mass2"], lags, heights, strict=True):
+        if lag <= 0.048:
+            lost = height > 0 and kp > 8e5
+            costs.append(LOST if lost else (1 + abs(np.log10(kp / 3e5))) * mass / 0.5 / 0.1 + lag / 0.02 / 0.5)
+    return np.mean(costs)
+
+
+def trials(folder, name="pid-3"):
+    return [json.loads(line) for line in (folder / f"{name}.jsonl").read_text(encoding="utf-8").splitlines()[1:]]
+
+
+OTHERS = TEXT[TEXT.index("  decoupling:\n") : TEXT.index("tuning:")]
+ALONE = (OTHERS, ""), ("untuned: [as it is]", "over: {PID 3: [controller.position.kp=0.1..20 bar/rad log]}")
+"""One controller, and one number to tune."""
+
+
+@pytest.fixture(scope="class")
+def kept(simulating_nothing, tmp_path_factory):
+    return tmp_path_factory.mktemp("kept")
+
+
+@pytest.fixture(scope="class")
+def told():
+    return []
+
+
+@pytest.fixture(scope="class")
+def contest(suite, kept, told):
+    """All three controllers, compared without a simulation."""
+    return compare(suite, folder=kept, progress=lambda what, part: told.append((what, part)))
+
+
+@pytest.mark.usefixtures("simulating_nothing")
+class TestTuning:
+    def test_costs_are_means_over_the_runs_that_begin(self, tmp_path):
+        one = changed(*ALONE, ("generations: 2", "generations: 6"))
+        contest = compare(one, folder=tmp_path)
+        training = draw(one, 8, 99)
+        assert (training.conditions["valve.time_constant"] > 0.048).any(), "one cannot begin"
+        assert (training.conditions["disturbance.pulses.height"] > 0).any(), "and some can be lost"
+        tried = trials(tmp_path)
+        kps = 1e4 * 200 ** np.array([trial["point"][0] for trial in tried])
+        assert [trial["cost"] for trial in tried] == pytest.approx([mean_cost(training, kp) for kp in kps], rel=1e-9)
+        assert (kps > 8e5).any()
+        assert contest.training_cost["PID 3"][1] == pytest.approx(mean_cost(training, 1.2e5))
+        kp = contest.tuned["PID 3"][KP]
+        assert contest.training_cost["PID 3"][0] == pytest.approx(mean_cost(training, kp), rel=1e-9)
+        assert abs(np.log10(kp / 3e5)) < 0.1, "the search finds what is best"
+        assert kp == float(f"{kp:.5e}"), "six digits, as it is written down"
+        assert contest.at_bound["PID 3"] == ()
+
+    def test_a_number_at_an_end_of_its_range_is_named(self):
+        narrow = ALONE[1][0], ALONE[1][1].replace("0.1..20", "1..1.3")
+        contest = compare(changed(ALONE[0], narrow, ("generations: 2", "generations: 6")))
+        assert contest.at_bound["PID 3"] == (KP,)
+        assert contest.tuned["PID 3"][KP] == pytest.approx(1.3e5, rel=0.01)
+
+    def test_all_have_the_same_budget_and_untuned_ones_none(self, contest, kept):
+        counts = {path.stem: len(trials(kept, path.stem)) for path in kept.glob("*.jsonl")}
+        assert set(counts) == {"pid-3", "decoupling"}
+        assert all(16 <= count <= 17 for count in counts.values()), counts  # and one more for the rounded numbers
+        assert contest.tuned["as it is"] == {}
+        assert "as it is" not in contest.training_cost
+        batch = contest.batches["as it is"]
+        assert batch.metrics["air"][~batch.lost] == pytest.approx(2 / 3 * 1e-4), "2 bar/rad, as in the file"
+
+    def test_progress_goes_from_controller_to_controller(self, suite, contest, told):
+        parts = [part for _, part in told]
+        assert parts == sorted(parts)
+        assert told[-1] == ("done", 1.0)
+        assert {what.split(":")[0] for what, _ in told} == {*suite.controllers, "done"}
+
+    def test_runs_that_cannot_begin_are_no_fault_of_anyone(self, contest):
+        lags = contest.runs.conditions["valve.time_constant"]
+        assert np.array_equal(contest.started, lags <= 0.048)
+        assert not contest.started.all()
+        heavy = contest.runs.conditions["load.mass2"][contest.started]
+        assert contest.metric("as it is", "angle_rmse") / deg == pytest.approx((1 + np.log10(1.5)) * heavy / 0.5)
+        assert not contest.lost("as it is").any()
+
+    def test_a_search_repeats_itself_and_is_taken_up(self, suite, contest, kept, tmp_path):
+        whole = {path.name: path.read_text(encoding="utf-8") for path in kept.glob("*.jsonl")}
+        lines = whole["pid-3.jsonl"].splitlines(keepends=True)
+        (tmp_path / "pid-3.jsonl").write_text("".join(lines[:6]) + lines[6][:10], encoding="utf-8")
+        for _ in range(2):
+            again = compare(suite, folder=tmp_path, resume=True)
+            assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.glob("*.jsonl")} == whole
+            assert again.tuned == contest.tuned
+            assert again.training_cost == contest.training_cost
+
+    def test_nothing_is_overwritten_or_taken_for_another(self, tmp_path):
+        compare(changed(*ALONE), folder=tmp_path)
+        with pytest.raises(FileError, match="history of a search already"):
+            compare(changed(*ALONE), folder=tmp_path)
+        for other in (
+            changed(*ALONE, ("load.mass2=+-50 %", "load.mass2=+-40 %")),
+            changed(*ALONE, ("kd: 0.2 bar*s/rad", "kd: 0.3 bar*s/rad")),
+            changed(*ALONE, ("duration: 120 ms", "duration: 140 ms")),
+        ):
+            with pytest.raises(FileError):
+                compare(other, folder=tmp_path, resume=True)
+        more = changed(*ALONE, ("unseen: {runs: 16", "unseen: {runs: 20"))
+        assert compare(more, folder=tmp_path, resume=True).runs.count == 20
+
+    def test_lost_runs_cost_a_million(self):
+        alone = TEXT[: TEXT.index("  PID 3:")] + TEXT[TEXT.index("  as it is:") :]
+        wild = compare(Suite.parse(alone.replace("{kp: 2 bar/rad", "{kp: 9 bar/rad")))
+        lost = wild.runs.conditions["disturbance.pulses.height"][wild.started] > 0
+        assert np.array_equal(wild.lost("as it is"), lost)
+        assert lost.any()
+        assert np.array_equal(np.isnan(wild.metric("as it is", "angle_rmse")), lost)
+        assert set(wild.cost("as it is")[lost]) == {LOST}
+        assert (wild.cost("as it is")[~lost] < 100).all()
+
+    def test_when_no_run_can_begin_it_is_said(self):
+        slow = ("valve.time_constant=10..50 ms", "valve.time_constant=49..50 ms")
+        with pytest.raises(ParameterError, match="none of the training runs can begin"):
+            compare(changed(slow, *ALONE))
+        with pytest.raises(ParameterError, match="none of the unseen runs can begin"):
+            compare(changed(slow, ALONE[0], ("untuned: [as it is]", "untuned: [PID 3]")))
+
+
+@pytest.mark.parametrize("controller", ["PID 3", "decoupling"])
+def test_a_controller_does_not_differ_from_run_to_run(suite, controller):
+    """Whatever the conditions: it has no leaf that is an array over runs but of its own tuned numbers, all equal."""
+    heavier = changed(("load.mass2=+-50 %", "load.mass2=1..2 kg"))
+    several = [draw(suite, 16, 1), draw(suite, 16, 7), draw(heavier, 16, 1)]
+    plants = [jax.tree.leaves(runs.plant) for runs in several]
+    assert any(not np.array_equal(a, b) for a, b in zip(plants[0], plants[1], strict=True))
+    for table in ({}, {each.name: [float(each.address.nominal)] for each in suite.tuned_over(controller)[:1]}):
+        first, *others = (jax.tree.leaves(_controller(runs, controller, table)) for runs in several)
+        varying = [leaf for leaf in first if np.ndim(leaf)]
+        assert len(varying) == len(table)
+        assert all(np.ptp(leaf) == 0 for leaf in varying)
+        for leaves in others:
+            assert all(np.array_equal(a, b) for a, b in zip(first, leaves, strict=True))
+
+
+def test_sets_of_numbers_lie_one_after_the_other(suite):
+    runs = draw(suite, 4, 1)
+    control = _controller(runs, "PID 3", {KP: np.array([1e5, 2e5, 3e5])})
+    assert np.array_equal(control.position.kp, np.repeat([1e5, 2e5, 3e5], 4))
+
+
+def test_every_set_meets_every_run(suite, monkeypatch):
+    """What `simulate_many` is given: all runs for the first set, then all for the second."""
+    given = {}
+    monkeypatch.setattr(comparing, "simulate_many", lambda *parts, **options: given.update(parts=parts, **options))
+    runs = draw(suite, 4, 1)
+    control = _controller(runs, "PID 3", {KP: np.array([1e5, 2e5, 3e5])})
+    benchmark._simulated(runs, control, 3, ("air",))
+    plant, controller, reference = given["parts"]
+    mass = runs.conditions["load.mass2"]
+    assert np.array_equal(plant.load.mass2, [*mass, *mass, *mass])
+    assert np.array_equal(controller.position.kp, np.repeat([1e5, 2e5, 3e5], 4))
+    before = runs.reference.angle.parts[0].before
+    assert np.array_equal(reference.angle.parts[0].before, [*before, *before, *before])
+    assert (given["duration"], given["control_period"], given["substeps"]) == (0.12, 0.002, 1)
+    assert given["metrics"] == ("air",)

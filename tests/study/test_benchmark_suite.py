@@ -1,0 +1,256 @@
+"""Suite files: what they say comes back to the last bit, and every mistake is told with its line and field."""
+
+import re
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from mckibben.errors import ScenarioError
+from mckibben.study.benchmark import AS_BELIEVED, Suite
+from mckibben.study.scenario import Scenario
+from mckibben.units import deg
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "tests" / "small-suite.yaml").read_text(encoding="utf-8")
+WISHES = ("sine and step", "angle step", "both move")
+WITHOUT_LAG = (("  - valve.time_constant=10..50 ms\n", ""),)
+
+
+@pytest.fixture(scope="module")
+def suite():
+    return Suite.parse(TEXT)
+
+
+def changed(*pairs):
+    text = TEXT
+    for old, new in pairs:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return text
+
+
+def problems(*pairs):
+    with pytest.raises(ScenarioError) as caught:
+        Suite.parse(changed(*pairs))
+    return caught.value.problems
+
+
+def line_of(part):
+    (found,) = [i for i, line in enumerate(TEXT.splitlines(), 1) if part in line]
+    return found
+
+
+def test_what_a_suite_says_comes_back(suite, tmp_path):
+    assert Suite.parse(suite.dumps()) == suite
+    example = Suite.read(ROOT / "examples" / "comparison" / "knee.yaml")
+    again = Suite.parse(example.dumps(folder=tmp_path), folder=tmp_path)
+    assert again == example
+    assert len(example.wishes) == 5
+    assert example.unseen.runs >= 500
+    assert Suite.parse(changed(("valve: {time_constant: 20 ms}", "valve: ideal"), *WITHOUT_LAG)).valve is None
+
+
+def test_a_run_starts_at_rest_where_its_wish_begins(suite):
+    starts = {wish: suite.scenario("PID 3", wish).start for wish in WISHES}
+    assert [start.angle for start in starts.values()] == pytest.approx([5 * deg, 0.0, 1 * deg], abs=1e-15)
+    assert {start.stiffness for start in starts.values()} == {None}
+
+
+@pytest.mark.parametrize("controller", ["PID 3", "decoupling"])
+def test_controllers_believe_in_the_suites_own_plant(suite, controller):
+    """In whatever plant a run has; and two plants whose numbers all differ have the same controller."""
+    own = suite.scenario(controller, "angle step")
+    other = suite.scenario(controller, "both move", "longer")
+    assert other.joint.connector_length == pytest.approx(0.21)
+    assert np.asarray(other.plant().joint.geometry.connector_length) == pytest.approx(0.21)
+    heavy = other.model_copy(
+        update={"load": other.load.model_copy(update={"mass2": 2.0}), "valve": None, "sensors": None}
+    )
+    first, *others = ([np.asarray(x) for x in jax.tree.leaves(each.control())] for each in (own, other, heavy))
+    assert own.control().model.geometry.connector_length == pytest.approx(0.208)
+    for leaves in others:
+        assert all(np.array_equal(a, b) for a, b in zip(first, leaves, strict=True))
+    if controller == "decoupling":
+        control = heavy.control()
+        assert float(control.load.mass2) == float(own.plant().load.mass2) == 0.5
+        assert float(control.valve_time_constant) == 0.02
+
+
+def test_what_a_controller_says_it_believes_is_kept():
+    text = changed(("{poles: {bandwidth: 40 rad/s}}", "{poles: {bandwidth: 40 rad/s}, valve_time_constant: 33 ms}"))
+    control = Suite.parse(text).scenario("decoupling", "angle step").control()
+    assert float(control.valve_time_constant) == 0.033
+    assert float(control.load.mass2) == 0.5
+    ideal = Suite.parse(changed(("valve: {time_constant: 20 ms}", "valve: ideal"), *WITHOUT_LAG))
+    assert float(ideal.scenario("decoupling", "angle step").control().valve_time_constant) == 0.0
+
+
+def test_what_is_tuned(suite):
+    gains = suite.tuned_over("PID 3")
+    shown = {each.name: tuple(round(end, 6) for end in each.spread.ends) for each in gains}
+    assert shown["controller.position.kp"] == (0.12e5, 12e5)  # a decade down and up
+    assert "controller.stiffness.kd" not in shown, "a gain of zero stays zero"
+    assert len(shown) == 5
+    assert suite.tuned_over("as it is") == ()
+    assert all(each.name.startswith("controller.") for each in suite.tuned_over("decoupling"))
+    text = changed(("untuned:", "over: {PID 3: [controller.position.kp=1..2 bar/rad]}, untuned:"))
+    (one,) = Suite.parse(text).tuned_over("PID 3")
+    assert one.spread.ends == pytest.approx((1e5, 2e5))
+
+
+KP = "{kp: 1.2 bar/rad, ki: 40 bar/(rad*s), kd: 0.2 bar*s/rad}"
+SAMPLES = "angle: {samples: {times: [0 s], values: [1 deg]}}"
+MISTAKES = {
+    "condition": (
+        ("load.mass2=+-50 %", "controller.position.kp=1..2 bar/rad"),
+        ("conditions[0]", "load.mass2", "nothing of the plant"),
+    ),
+    "condition unknown": (("load.mass2=+-50 %", "load.mas2=+-50 %"), ("conditions[0]", "load.mass2", "load.mas2")),
+    "condition of the wish": (
+        ("load.mass2=+-50 %", "reference.angle.before=1..2 deg"),
+        ("conditions[0]", "load.mass2", ""),
+    ),
+    "condition twice": (
+        ("sensors.delay=0, 1", "load.m2=1..2 kg"),
+        ("conditions", "conditions:", "about the same number"),
+    ),
+    "wish over": (
+        ("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]"),
+        ("wishes.both move.over[0]", "2..6 Hz", "nothing of the wish"),
+    ),
+    "wish over twice": (
+        (
+            "[reference.stiffness.frequency=2..6 Hz log]",
+            "[reference.stiffness.frequency=2..6 Hz log, reference.stiffness.frequency=2..3 Hz]",
+        ),
+        ("wishes.both move.over", "2..6 Hz", "about the same number"),
+    ),
+    "samples": (
+        ("angle: {multisine: {amplitudes: [3 deg, 1.5 deg], frequencies: [2 Hz, 5 Hz], offset: 1 deg}}", SAMPLES),
+        ("wishes.both move.reference.angle", "multisine", "samples cannot be compared on"),
+    ),
+    "tuning over nobody": (
+        ("untuned:", "over: {PID 4: [controller.position.kp]}, untuned:"),
+        ("tuning.over.PID 4", "untuned:", "did you mean 'PID 3'"),
+    ),
+    "tuning over the plant": (
+        ("untuned:", "over: {PID 3: [load.mass2=1..2 kg]}, untuned:"),
+        ("tuning.over.PID 3", "untuned:", "nothing of the controller"),
+    ),
+    "untuned nobody": (
+        ("untuned: [as it is]", "untuned: [as it iss]"),
+        ("tuning.untuned[0]", "untuned:", "did you mean 'as it is'"),
+    ),
+    "seed": (("seed: 1}", "seed: 99}"), ("unseen", "unseen:", "seed of the tuning")),
+    "cost": (
+        ("tuning: {runs: 8", "tuning: {cost: angel_rmse, runs: 8"),
+        ("tuning.cost", "untuned:", "did you mean 'angle_rmse'"),
+    ),
+    "cost of steps": (
+        ("tuning: {runs: 8", "tuning: {cost: coupling, runs: 8"),
+        ("tuning.cost", "untuned:", "coupling is of steps"),
+    ),
+    "misspelt gain": (
+        (KP, KP.replace("kp:", "kpp:")),
+        ("controllers.PID 3.position.pid.kpp", KP, "did you mean 'kp'"),
+    ),
+    "misspelt part": (
+        ("    decoupling: {poles:", "    decoupling: {pols:"),
+        ("controllers.decoupling.decoupling.pols", "poles:", "did you mean 'poles'"),
+    ),
+    "missing gain": (
+        (KP, "{kp: 1.2 bar/rad, kd: 0.2 bar*s/rad}"),
+        ("controllers.PID 3.position.pid.ki", KP, "is missing"),
+    ),
+    "share": (("    share: 2\n", "    share: 0\n"), ("wishes.sine and step.share", "    share: 2", "")),
+    "names belong": (
+        ("joint_share: 3", "joint_share: 3\nx: 1"),
+        ("x", "other_joints:", "is no key"),
+    ),
+    "period": (("control_period: 2 ms", "control_period: 7 ms"), ("control_period", "control_period:", "whole number")),
+    "friction": (
+        ("    decoupling: {poles:", "    friction_compensation: true\n    decoupling: {poles:"),
+        ("controllers.decoupling", "  decoupling:\n".strip("\n") + "@", "no muscle of its model has friction"),
+    ),
+    "same file": (("  as it is:", "  pid-3:"), ("controllers.pid-3", "  as it is:", "the same file as 'PID 3'")),
+    "reserved": (
+        ("  longer:", f"  {AS_BELIEVED}:"),
+        ("other_joints.as believed", "  longer:", "the suite's own joint"),
+    ),
+    "other kind of law": (
+        ("law: lei-mas-10-180n, strength: 1.05", "law: chou, strength: 1.05"),
+        ("other_joints.longer", "  longer:", "differs from the suite's own joint"),
+    ),
+    "condition of one joint alone": (
+        ("law: lei-mas-10-180n, strength: 1.05", "law: lei-mas-10-180n"),
+        ("other_joints.longer", "  longer:", ""),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_told_with_its_line_and_field(name):
+    pair, (field, marked, said) = MISTAKES[name]
+    pairs = [pair]
+    if name == "same file":  # nobody of that name is left to be untuned
+        pairs.append(("untuned: [as it is]", "untuned: [pid-3]"))
+    found = problems(*pairs)
+    assert [problem.field for problem in found] == [field], [str(problem) for problem in found]
+    expected = TEXT.splitlines().index("  decoupling:") + 1 if marked.endswith("@") else line_of(marked)
+    assert found[0].line == expected
+    assert said in str(found[0])
+
+
+def test_many_mistakes_are_told_at_once():
+    found = problems(
+        ("load.mass2=+-50 %", "load.mas2=+-50 %"),
+        ("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]"),
+        ("untuned: [as it is]", "untuned: [as it was]"),
+    )
+    assert [problem.field for problem in found] == ["conditions[0]", "wishes.both move.over[0]", "tuning.untuned[0]"]
+
+
+def test_gains_that_are_all_zero_need_a_word():
+    zeros = "{kp: 0 bar/rad, ki: 0 bar/(rad*s), kd: 0 bar*s/rad}"
+    both = re.sub(
+        r"as it is:\n.*\n.*",
+        f"as it is:\n    position: {{pid: {zeros}}}\n    stiffness: {{pid: "
+        "{kp: 0 bar/(N*m/rad), ki: 0 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}}",
+        TEXT,
+    )
+    assert Suite.parse(both).tuned_over("as it is") == ()
+    with pytest.raises(ScenarioError, match="has no gain that is not zero") as caught:
+        Suite.parse(both.replace("untuned: [as it is]", "untuned: []"))
+    assert [problem.field for problem in caught.value.problems] == ["controllers.as it is"]
+
+
+def test_runs_have_to_differ():
+    text = re.sub(r"conditions:\n(  - .*\n)+", "", TEXT)
+    text = re.sub(r"other_joints:\n(  .*\n)+", "", text)
+    text = re.sub(r"  (sine and step|angle step):\n(    .*\n)+", "", text)
+    text = re.sub(r"    over: .*\n|sensors: .*\n", "", text)
+    with pytest.raises(ScenarioError, match="nothing differs from run to run"):
+        Suite.parse(text)
+    assert Suite.parse(text + "sensors: {pressure_noise: 4 kPa}\n").conditions == ()
+
+
+def test_parts_stand_where_parts_belong():
+    for key in ("wishes", "controllers"):
+        rest = re.sub(rf"^{key}:\n(  .*\n)+", f"{key}: some\n", TEXT, flags=re.M)
+        with pytest.raises(ScenarioError, match="'some' stands where names and parts belong"):
+            Suite.parse(rest)
+        with pytest.raises(ScenarioError, match="is empty; give at least one"):
+            Suite.parse(rest.replace("some", "{}"))
+    with pytest.raises(ScenarioError, match="give a mapping of share, reference, over"):
+        Suite.parse(changed(("  both move:\n", "  third: 5\n  both move:\n")))
+
+
+def test_a_suite_is_no_scenario_nor_the_other_way_round():
+    with pytest.raises(ScenarioError):
+        Scenario.parse(TEXT)
+    with pytest.raises(ScenarioError):
+        Suite.read(ROOT / "examples" / "pre-contracted-step-pid.yaml")
+    with pytest.raises(ScenarioError, match="give the path of a suite"):
+        Suite.read("nowhere.yaml")

@@ -1,0 +1,99 @@
+"""What is summed: the grammar of costs, and their arithmetic."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mckibben.errors import McKibbenError, ParameterError
+from mckibben.simulation import Metrics
+from mckibben.simulation.result import attributes
+from mckibben.study.tune import Cost, Term, read_cost
+from mckibben.units import deg
+
+SIZES = st.floats(1e-30, 1e30)
+COSTS = st.lists(st.sampled_from(Metrics._fields), min_size=1, unique=True).flatmap(
+    lambda names: st.tuples(*(st.builds(Term, st.just(name), SIZES, SIZES) for name in names))
+)
+
+
+@given(COSTS)
+def test_what_is_written_reads_back_to_the_last_bit(terms):
+    assert read_cost(Cost(terms).text).terms == terms
+
+
+@given(st.text(max_size=40) | st.text("angle_rmse/+*0.1e degN- \n", max_size=40))
+def test_any_text_is_a_cost_or_an_error_of_ours(text):
+    try:
+        assert read_cost(read_cost(text).text).terms == read_cost(text).terms
+    except McKibbenError as error:
+        assert str(error)
+
+
+@pytest.mark.parametrize("plus", [" + ", "+", " +", "+ ", "\n  + "])
+def test_terms_with_units_weights_and_any_plus(plus):
+    cost = read_cost(f"angle_rmse/0.1 deg{plus}2*stiffness_rmse/50 N*cm/rad{plus}1e+1 * coupling / 1e+3 deg")
+    assert [term.metric for term in cost.terms] == ["angle_rmse", "stiffness_rmse", "coupling"]
+    assert [term.weight for term in cost.terms] == [1.0, 2.0, 10.0]
+    np.testing.assert_allclose([term.scale for term in cost.terms], [0.1 * deg, 0.5, 1000 * deg], rtol=1e-15)
+    assert cost.metrics == ("angle_rmse", "stiffness_rmse", "coupling")
+
+
+def test_a_metric_alone_needs_no_scale():
+    assert read_cost(" angle_rmse ") == Cost((Term("angle_rmse", 1.0),))
+    assert read_cost("3*force_max").terms == (Term("force_max", 1.0, 3.0),)
+
+
+def test_how_runs_are_put_together_is_passed_on():
+    cost = read_cost("angle_rmse", gain_margin=2.0, worst=True)
+    assert (cost.gain_margin, cost.worst) == (2.0, True)
+    assert cost == Cost.of({"angle_rmse": 1.0}, gain_margin=2.0, worst=True)
+
+
+def test_the_sum_is_elementwise():
+    cost = read_cost("angle_rmse/0.5 rad + 3*force_max/10 N")
+    values = {"angle_rmse": np.array([1.0, 2.0]), "force_max": np.array([10.0, 0.0]), "coupling": None}
+    np.testing.assert_allclose(cost(values), [5.0, 4.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("", "no term"),
+        ("angle_rms/1 deg", "did you mean 'angle_rmse'"),
+        ("angle_rmse/1 N", "not a unit of the kind 'rad'"),
+        ("force_max/1 deg", "not a unit of the kind 'N'"),
+        ("angle_rmse/1", "not a number and a unit"),
+        ("angle_rmse/1 deg + angle_rmse/2 deg", "angle_rmse is there twice"),
+        ("angle_rmse + stiffness_rmse/1 N*m/rad", "angle_rmse has no scale.*write it like angle_rmse/0.1 deg"),
+        ("angle_rmse/1 deg + stiffness_rmse", "write it like stiffness_rmse/0.1 N.m/rad"),
+        ("angle_rmse/1 deg +", "'' is no term"),
+        ("angle_rmse/-1 deg", "give one above 0"),
+        ("angle_rmse/0 deg", "give one above 0"),
+        ("0*angle_rmse", "the weight of angle_rmse is 0"),
+        ("1e999*angle_rmse", "the weight of angle_rmse is inf"),
+        ("2-*angle_rmse", "'2-' is no number"),
+        ("angle_rmse - coupling", "no term"),
+    ],
+)
+def test_what_is_wrong_is_named(text, named):
+    with pytest.raises(ParameterError, match=named):
+        read_cost(text)
+
+
+@pytest.mark.parametrize("margin", [0.99, 0.0, -2.0, float("nan"), float("inf")])
+def test_a_gain_margin_below_one_is_none(margin):
+    with pytest.raises(ParameterError, match="gain margin"):
+        Cost.of({"angle_rmse": 1.0}, gain_margin=margin)
+
+
+def test_every_metric_has_a_unit_for_its_scale():
+    assert all(attributes(name).get("units") for name in Metrics._fields)
+
+
+@pytest.mark.parametrize("name", Metrics._fields)
+def test_the_remedy_for_a_missing_scale_is_one(name):
+    other = "force_max" if name != "force_max" else "coupling"
+    with pytest.raises(ParameterError) as wrong:
+        read_cost(f"{name} + {other}/1 {attributes(other)['units']}")
+    assert read_cost(wrong.value.remedy.removeprefix("write it like ")).metrics == (name,)

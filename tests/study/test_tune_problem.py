@@ -1,0 +1,178 @@
+"""What numbers cost: as by hand from single runs, and with the derivatives of that."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mckibben.errors import ParameterError
+from mckibben.study.parameters import LogUniform, Uniform, find, over, with_values
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.running import run_scenario
+from mckibben.study.tune import Cost, Term
+from mckibben.study.tune.cost import SMOOTH
+from mckibben.study.tune.problem import LOST, problem
+from mckibben.units import bar, deg, mm
+
+EXAMPLE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
+TEXT = EXAMPLE
+for old, new in (
+    ("duration: 10 s", "duration: 100 ms"),
+    ("control_period: 1 ms", "control_period: 2 ms"),
+    ("at: 5 s", "at: 50 ms"),
+    ("0.5 Hz", "3 Hz"),
+):
+    assert old in TEXT
+    TEXT = TEXT.replace(old, new)
+LIGHT = Scenario.parse(TEXT)
+HEAVY = with_values(LIGHT, {"load.mass2": 0.8, "controller.position.kp": 7 * bar})
+RANGES = {
+    "controller.position.kp": LogUniform(0.1 * bar, 40 * bar),
+    "controller.stiffness.ki": LogUniform(0.05 * bar, 500 * bar),
+    "load.damping": Uniform(0.0, 0.5),
+    "joint.connector_length": Uniform(200 * mm, 212 * mm),  # in the plant, and in the controller's model
+    "start.stiffness": Uniform(11.5, 14.0),
+}
+GAINS = np.array([True, True, False, False, False])
+ROWS = np.array(
+    [
+        [2 * bar, 5 * bar, 0.015, 0.208, 12.0],
+        [20 * bar, 200 * bar, 0.4, 0.207, 12.5],  # the gains that the margin makes worse
+        [0.3 * bar, 1 * bar, 0.1, 0.21, 13.5],
+    ]
+)
+TERMS = (
+    Term("angle_rmse", 0.1 * deg),
+    Term("stiffness_rmse", 0.2, 3.0),
+    Term("angle_max", 1 * deg),
+    Term("stiffness_max", 1.0),
+    Term("force_max", 50.0),
+)
+SCALES = {"angle_rmse": 0.1 * deg, "stiffness_rmse": 0.2 / 3, "angle_max": deg, "stiffness_max": 1.0, "force_max": 50.0}
+"""Another way to say it."""
+
+
+def asked(cost, scenarios=(LIGHT, HEAVY)):
+    return problem(scenarios, over(LIGHT, RANGES), cost)
+
+
+@pytest.fixture(scope="module")
+def by_hand():
+    """Sums of metrics of single runs, of shape (plain or raised, scenario, row), for a margin of 1.5."""
+
+    def one(scenario, row):
+        metrics = run_scenario(with_values(scenario, dict(zip(RANGES, row, strict=True)))).result.metrics()
+        return sum(metrics[name] / scale for name, scale in SCALES.items())
+
+    raised = np.where(GAINS, 1.5 * ROWS, ROWS)
+    return np.array([[[one(s, row) for row in rows] for s in (LIGHT, HEAVY)] for rows in (ROWS, raised)])
+
+
+def test_the_cost_is_that_of_single_runs(by_hand):
+    for margin in (1.0, 1.5):
+        sums = by_hand if margin == 1.5 else by_hand[:1]
+        for worst, together in ((False, np.mean), (True, np.max)):
+            expected = np.max(together(sums, axis=1), axis=0)
+            cost = Cost(TERMS, gain_margin=margin, worst=worst)
+            rows = ROWS if margin > 1 else np.tile(ROWS, (2, 1))  # as many runs: one program less
+            np.testing.assert_allclose(asked(cost).costs(rows)[:3], expected, rtol=1e-9)
+            costs, slopes = asked(cost).costs_and_gradients(ROWS)
+            np.testing.assert_allclose(costs, expected, rtol=1e-9)
+            assert slopes.shape == ROWS.shape
+    plain, raised = by_hand.mean(axis=1)
+    assert (raised > plain).any()  # else the margin would not have been seen
+    assert (raised < plain).any()
+
+
+@pytest.mark.parametrize("worst", [False, True])
+@pytest.mark.parametrize("margin", [1.0, 1.5])
+def test_gradients_are_central_differences(worst, margin):
+    check_differences(asked(Cost(TERMS, gain_margin=margin, worst=worst)), ROWS)
+
+
+def check_differences(task, rows, rtol=1e-5):
+    """Gradients over the unit cube against differences of the costs there."""
+    _, slopes = task.costs_and_gradients(rows)
+    found = task.to_unit(rows, slopes)
+    points, h = np.array([task.point(row) for row in rows]), 1e-5
+    moved = [point + sign * h * axis for point in points for axis in np.eye(rows.shape[1]) for sign in (1, -1)]
+    twice = moved if task.cost.gain_margin > 1 else moved * 2  # as many runs as with the margin: one program less
+    costs = task.costs(task.values(np.array(twice)))[: len(moved)].reshape(*rows.shape, 2)
+    expected = (costs[..., 0] - costs[..., 1]) / (2 * h)
+    assert (np.abs(expected) > 1e-4).all()
+    np.testing.assert_allclose(found, expected, rtol=rtol, atol=rtol * np.abs(expected).max())
+
+
+def test_points_are_places_in_the_ranges():
+    task = asked(Cost(TERMS))
+    np.testing.assert_allclose(task.values(np.zeros((1, 5)))[0], [s.low for s in RANGES.values()], rtol=0)
+    np.testing.assert_allclose(task.values(np.ones((1, 5)))[0], [s.high for s in RANGES.values()], rtol=0)
+    np.testing.assert_allclose(task.values(task.point(ROWS[1])[None])[0], ROWS[1], rtol=1e-12)
+    np.testing.assert_allclose(task.point(task.nominal), [0.5, 0.5, 0.03, 2 / 3, 0.2], rtol=1e-9)
+    assert task.point(np.array([1e9, 1e9, -1.0, 1.0, 0.0])).tolist() == [1.0, 1.0, 0.0, 1.0, 0.0]
+
+
+def test_what_is_not_allowed_or_cannot_start_costs_most_and_leaves_its_neighbours_alone():
+    task = problem((LIGHT,), over(LIGHT, RANGES | {"joint.connector_length": Uniform(0.2, 0.39)}), Cost(TERMS))
+    rows = ROWS.copy()
+    rows[1, 3] = 0.38  # no allowed one
+    rows[2, 4] = 60.0  # no pressures hold it
+    expected = asked(Cost(TERMS), (LIGHT,)).costs(np.tile(ROWS, (2, 1)))
+    assert task.costs(np.tile(rows, (2, 1)))[:3].tolist() == [expected[0], LOST, LOST]
+    costs, slopes = task.costs_and_gradients(rows)
+    assert costs[1:].tolist() == [LOST, LOST]
+    assert np.isfinite(slopes).all()
+    assert not slopes[1:].any()
+    assert slopes[0].all()
+
+
+@pytest.mark.parametrize("worst", [False, True])
+def test_one_lost_scenario_is_enough_also_for_the_mean(worst):
+    lifted = with_values(LIGHT, {"start.angle": 20 * deg})  # where not every one of the stiffnesses can be held
+    costs = asked(Cost(TERMS, worst=worst), (LIGHT, lifted)).costs(np.tile(ROWS, (2, 1)))[:3]
+    assert costs[:2].tolist() == [LOST, LOST]
+    assert costs[2] < LOST
+
+
+def test_the_margin_does_not_lead_beyond_what_a_file_may_say():
+    name = "controller.position.kp"
+    most = find(LIGHT, name).upper
+    task = problem((LIGHT,), over(LIGHT, RANGES | {name: LogUniform(most / 100, most)}), Cost(TERMS, gain_margin=1.5))
+    rows = ROWS.copy()
+    rows[0, 0] = most
+    assert np.isfinite(task.costs(rows)).all()
+
+
+def test_nothing_to_tune_and_numbers_without_a_range():
+    with pytest.raises(ParameterError, match="nothing to tune"):
+        problem((), (), Cost(TERMS))
+    with pytest.raises(ParameterError, match="nothing to tune"):
+        problem((LIGHT,), (), Cost(TERMS))
+    from mckibben.study.parameters import read_over
+
+    for text in ("load.damping=normal 10 %", "load.damping=0.1 N*m*s/rad, 0.2 N*m*s/rad"):
+        with pytest.raises(ParameterError, match=r"load\.damping has no range to search"):
+            problem((LIGHT,), [read_over(text, LIGHT)], Cost(TERMS))
+
+
+def test_a_number_that_one_scenario_lacks_is_said_with_the_scenario():
+    ideal = Scenario.parse(TEXT.replace("valve: {time_constant: 20 ms}", "valve: ideal").replace("name: ", "name: my "))
+    ranges = over(LIGHT, {"valve.time_constant": Uniform(0.01, 0.05)})
+    with pytest.raises(ParameterError, match=r"my pre-contracted.*the valve is ideal"):
+        problem((LIGHT, ideal), ranges, Cost(TERMS))
+
+
+def test_coupling_needs_a_step():
+    text = TEXT.replace("{step: {before: 13 N*m/rad, after: 17 N*m/rad, at: 50 ms}}", "13 N*m/rad")
+    assert text != TEXT
+    cost = Cost.of({"coupling": deg})
+    with pytest.raises(ParameterError, match=r"coupling is not defined.*never steps"):
+        asked(cost, (LIGHT, Scenario.parse(text)))
+    asked(cost, (LIGHT,))
+
+
+@pytest.mark.parametrize("metric", ["stiffness_settling", "time_saturated", "time_slack"])
+def test_what_counts_periods_has_no_gradient(metric):
+    with pytest.raises(ParameterError, match=f"{metric} counts control periods.*use cma or evolution"):
+        asked(Cost.of({"angle_rmse": 1.0, metric: 1.0})).check_smooth()
+    asked(Cost.of(dict.fromkeys(SMOOTH, 1.0))).check_smooth()
