@@ -15,7 +15,6 @@ from mckibben.control.base import Controller, Measurement, Reference, Setpoint
 from mckibben.errors import SimulationError
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled, compiled_as_given
-from mckibben.numerics.integrate import rk4
 from mckibben.plant import JointPlant, PlantState
 from mckibben.plant.sensors import Reading
 
@@ -59,13 +58,7 @@ def control_period(
     memory, wanted = controller.step(memory, setpoint, _measured(told), period)
     commands = plant.limited(wanted)
     limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
-    switched = plant.switched(state, commands)
-    step = period / substeps
-
-    def integrate(_: Array, state: PlantState) -> PlantState:
-        return plant.settled(rk4(lambda s: plant.rate(s, commands), state, step))
-
-    following = lax.fori_loop(0, substeps, integrate, switched)
+    following = plant.advance(state, commands, period, substeps)
     return (following, memory), Record(state, *commands, limited, controller.telemetry(memory))
 
 
