@@ -230,6 +230,7 @@ class AntagonisticJoint(eqx.Module):
     ) -> Pair:
         """The lowest and highest stiffness [N*m/rad] that can be held at an angle while the muscles give a torque.
 
+        Both muscles are taut: with one that is slack at every pressure nothing is attainable.
         With a rigid tendon and laws affine in pressure the set is a segment and its ends are exact. With a series
         spring it is scanned at a few hundred tensions.
 
@@ -246,7 +247,8 @@ class AntagonisticJoint(eqx.Module):
         -------
         lowest, highest
             NaN where the torque cannot be held at that angle: for the pressures, because a muscle would leave the
-            contractions of its domain, or because its tension would exceed its specimen's rating.
+            contractions of its domain or is slack at every pressure within the limits, or because its tension would
+            exceed its specimen's rating.
         """
         return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension)
 
