@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numbers import Real
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool
@@ -23,7 +25,7 @@ class Domain(eqx.Module):
             ("contraction", self.contraction_min, self.contraction_max),
             ("pressure", self.pressure_min, self.pressure_max),
         ):
-            if isinstance(low, int | float) and isinstance(high, int | float) and low > high:
+            if isinstance(low, Real) and isinstance(high, Real) and low > high:
                 raise RangeError(f"Domain: {what} from {low:g} to {high:g}", lower=low, upper=high, remedy="swap them")
 
     def contains(self, contraction: ArrayLike, pressure: ArrayLike) -> Bool[Array, "..."]:

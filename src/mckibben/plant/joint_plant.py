@@ -11,6 +11,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from mckibben.joint import AntagonisticJoint, creep, friction
+from mckibben.joint.antagonistic import pressure_pair
 from mckibben.joint.attainable import Hold, hold
 from mckibben.joint.creep import Relaxings
 from mckibben.joint.friction import Memories
@@ -211,7 +212,7 @@ class JointPlant(eqx.Module):
     def still(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> PlantState:
         """The state that has long stood at an angle [rad] and gauge pressures [Pa], come to without friction."""
         angle = floating(angle)
-        pressure1, pressure2 = map(floating, pressures)
+        pressure1, pressure2 = map(floating, pressure_pair(pressures))
         return self.remembering(PlantState(angle, jnp.zeros_like(angle), pressure1, pressure2))
 
     def remembering(self, state: PlantState) -> PlantState:
