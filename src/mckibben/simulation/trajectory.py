@@ -76,8 +76,8 @@ def trajectory(
         (force1, force2), torque, (contraction1, contraction2) = pulled
     else:
         contraction1, contraction2 = apart(joint.contractions, state.angle, state.pressures, witness=period)
-        force1 = joint.muscle1.force(contraction1, state.pressure1)
-        force2 = joint.muscle2.force(contraction2, state.pressure2)
+        force1 = joint.muscle1.tension(contraction1, state.pressure1)
+        force2 = joint.muscle2.tension(contraction2, state.pressure2)
     muscles = ((joint.muscle1, contraction1, state.pressure1), (joint.muscle2, contraction2, state.pressure2))
     air1, air2 = (m.specimen.volume(contraction) * (pressure + atm) / atm for m, contraction, pressure in muscles)
     inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in muscles]
