@@ -28,7 +28,10 @@ class Domain(eqx.Module):
             ("pressure", self.pressure_min, self.pressure_max),
         ):
             if isinstance(low, Real) and isinstance(high, Real) and low > high:
-                raise RangeError(f"Domain: {what} from {low:g} to {high:g}", lower=low, upper=high, remedy="swap them")
+                lower, upper = float(low), float(high)
+                raise RangeError(
+                    f"Domain: {what} from {low:g} to {high:g}", lower=lower, upper=upper, remedy="swap them"
+                )
 
     def contains(self, contraction: ArrayLike, pressure: ArrayLike) -> Bool[Array, "..."]:
         """Whether each point lies inside, the edges included (to rounding)."""

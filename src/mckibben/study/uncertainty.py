@@ -105,7 +105,8 @@ def joint_bands(
     values = tuple(np.array(list(fit.estimates.values())) for fit in pair)
     both = first, last
     with_laws = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, (first.law, last.law))
-    where = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (angle, *pressure_pair(pressures))))
+    pressures = pressure_pair(pressures)  # type: ignore[arg-type]  # what NumPy takes for an array, JAX does as well
+    where = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (angle, *pressures)))
     shape = where[0].shape
     answers = _derivatives(with_laws, values, *where, one=one)
     found, gradients, contractions = jax.tree.map(np.asarray, answers)
