@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from mckibben.simulation import Batch, Metrics, simulate_many
-from mckibben.study.parameters import Table, lanes
+from mckibben.study.parameters import Known, Table, lanes
 from mckibben.study.scenario import Scenario
 from mckibben.study.starting import rest
 
@@ -17,6 +17,7 @@ def run_many(
     scenario: Scenario,
     table: Table,
     *,
+    known: Known = (),
     metrics: Sequence[str] = Metrics._fields,
     precision: Any = jnp.float64,
     chunk: int | None = None,
@@ -31,6 +32,8 @@ def run_many(
         What all runs share.
     table
         Arrays of one length by the names of the scenario's fields, SI; see `mckibben.study.parameters.design`.
+    known
+        Numbers of the plant that the controller's model follows; see `mckibben.study.parameters.lanes`.
     metrics, precision, chunk, workers, progress
         As for `simulate_many`.
 
@@ -45,7 +48,7 @@ def run_many(
     >>> run_many(scenario, {"load.mass2": [0.4, 0.5]}, metrics=["angle_rmse"]).count
     2
     """
-    many = lanes(scenario, table)
+    many = lanes(scenario, table, known=known)
     return simulate_many(
         many.plant(),
         many.control(),
