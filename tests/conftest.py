@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 from pathlib import Path
 
 import equinox as eqx
@@ -23,6 +24,9 @@ from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
 
 gc.set_threshold(100_000, 10, 10)  # as the command does: looking for garbage took a fifth of the time of tracing
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # run in the background: what the tests start would ignore Ctrl-C
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Workers, subprocesses and later runs share compiled programs; `make clean` removes them.
 for option, value in (
