@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import gc
+import os
+import signal
+from pathlib import Path
 
 import equinox as eqx
 import hypothesis
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -20,6 +24,18 @@ from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.result import OUTCOMES
 
 gc.set_threshold(100_000, 10, 10)  # as the command does: looking for garbage took a fifth of the time of tracing
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # run in the background: what the tests start would ignore Ctrl-C
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Workers, subprocesses and later runs share compiled programs; `make clean` removes them.
+for option, value in (
+    ("jax_compilation_cache_dir", str(Path(__file__).parents[1] / "build" / "jax-cache")),
+    ("jax_persistent_cache_min_compile_time_secs", 0.1),
+):
+    if option.upper() not in os.environ:
+        os.environ[option.upper()] = str(value)
+        jax.config.update(option, value)
 
 hypothesis.settings.register_profile("quick", max_examples=40, deadline=None)
 hypothesis.settings.load_profile("quick")

@@ -14,6 +14,10 @@ class ReachabilityWarning(McKibbenWarning):
     """A reference asks for what the joint cannot hold; the text says when and by how much."""
 
 
+class DomainWarning(McKibbenWarning):
+    """A muscle was asked for its force outside its domain; the text says where, and what the domain is."""
+
+
 class McKibbenError(Exception):
     """The root of the family.
 

@@ -205,6 +205,20 @@ class TestEveryLaw:
         assert (folder / "ranking.png").stat().st_size > 20_000
 
 
+def test_a_ranking_without_held_out_blocks_says_so(cli, tmp_path):
+    bars = (1.003, 2.001, 3.004, 1.006, 2.005, 3.002, 1.001, 2.008, 3.007, 1.009, 2.004, 3.005)
+    law = catalog.law("lei-mas-10-180n")
+    rows = [
+        f"{p},{100 * eps:g},{law.force(eps, p * bar):.3f}" for p, eps in zip(bars, np.linspace(0, 0.1, 12), strict=True)
+    ]
+    text = "\n".join(["pressure [bar],contraction [%],force [N]", *rows])
+    (tmp_path / "scattered.csv").write_text(text, encoding="utf-8")
+    found = cli("identify", "scattered.csv", "--law", "all", "--out", "kept")
+    assert found.code == 0
+    assert "no block of points could be held out: ranked by AICc" in found.out
+    assert json.loads((tmp_path / "kept/results.json").read_text(encoding="utf-8"))["ranked_by"] == "AICc"
+
+
 def test_a_law_is_named_with_or_without_hyphens(cli):
     found = cli("identify", FESTO, "--law", "triple-exponential", "--json")
     assert json.loads(found.out)["leave_one_pressure_out_rmse_N"] < 2.4

@@ -138,6 +138,10 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
         (["s.yaml", "--out", "x", "--over", "load.m2=1..2 N"], "give it in a unit like kg"),
         (["s.yaml", "--out", "x", "--over", "load.m2=1..2"], "has no unit; write it like '2 kg'"),
         (["s.yaml", "--out", "x", *MASS, "--samples", "0"], "samples is 0; choose a whole number"),
+        (
+            ["s.yaml", "--out", "x", *MASS, "--known", "load.m2"],
+            "does not take load.mass2 from the plant; leave it out",
+        ),
         (["s.yaml", "--out", "x", *MASS, "--design", "girdle"], "choose sobol, random or grid"),
         (["s.yaml", "--out", "x", *MASS, "--design", "grid", "--samples", "3"], "leave the number of samples out"),
         (["s.yaml", "--out", "x", *MASS, "--metrics", "angel_rmse"], "did you mean 'angle_rmse'?"),

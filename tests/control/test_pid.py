@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from mckibben.control import PID
+from mckibben.control import PID, BackpropPID
 
 PERIOD = 0.01
 
@@ -115,6 +115,29 @@ def test_the_integral_does_not_run_away_at_the_limit():
         state_after.append(float(state.integral))
     assert state_after[1] == pytest.approx(25.0, rel=1e-6)
     assert state_after[0] < 0.0  # close to limit minus kp e
+
+
+@pytest.mark.parametrize("tracking", [0.0, 0.05])
+@pytest.mark.parametrize("learning", [False, True])
+def test_without_integral_action_saturation_leaves_no_bias(tracking, learning):
+    desired, measured = np.where(np.arange(60) < 30, 5.0, 0.0), np.zeros(60)
+    pid = PID(2.0, 0.0, 0.0, tracking_time=tracking)
+    scales = {"signal_scale": 1.0, "error_scale": 1.0, "output_scale": 1.0, "learning_rate": 0.0}
+    output, realised = run(BackpropPID(pid, **scales) if learning else pid, desired, measured, 0.3, -1.0, 1.0)
+    assert np.all(np.asarray(realised[:30]) == 1.0)
+    # The initial output stays; the velocity form of BP starts from no error, so its first step is one of the error.
+    np.testing.assert_allclose(output, 0.3 + 2.0 * desired, rtol=1e-12)
+
+
+def test_in_a_batch_only_loops_with_integral_action_track():
+    def after_saturation(ki):
+        pid = PID(1.0, ki, 0.0)
+        state, output = pid.step(pid.init(0.0, 0.0, 0.3), 10.0, 0.0, 1.0, PERIOD)
+        return pid.realised(state, output, 1.0, PERIOD).integral
+
+    without, with_integral = jax.vmap(after_saturation)(jnp.array([0.0, 2.0]))
+    assert float(without) == pytest.approx(0.3, rel=1e-12)
+    assert float(with_integral) < 0.0
 
 
 def test_the_sensitivity_is_no_business_of_a_pid():

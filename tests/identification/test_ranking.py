@@ -226,6 +226,29 @@ def test_the_best_is_no_bad_law_for_want_of_a_flag(rankings):
     assert best(entry("A", 1.0), entry("B", 0.9)) == "A"
 
 
+def test_without_held_out_blocks_a_flagged_law_yields_only_to_one_of_nearly_its_aicc(rankings):
+    def entry(law, aicc, *flags):
+        return dataclasses.replace(rankings[MAP].of("ExponentialLaw"), law=law, unseen={}, aicc=aicc, flags=flags)
+
+    def best(*entries):
+        return dataclasses.replace(rankings[MAP], entries=entries).best.law
+
+    assert best(entry("A", 10.0, "at a bound"), entry("B", 12.1)) == "A"
+    assert best(entry("A", 10.0, "at a bound"), entry("B", 11.9)) == "B"
+    assert best(entry("A", 10.0, "at a bound"), entry("B", np.nan)) == "A"
+
+
+def test_data_without_levels_are_ranked_by_aicc_and_keep_a_flagged_law_that_fits_far_better():
+    made = made_by(catalog.law("sarosi-dmsp-10"), noise=0.5)
+    measured = made.pressure + 500 * np.random.default_rng(1).standard_normal(len(made))
+    scattered = IsobaricDataset.of(pressure=measured, contraction=made.contraction, force=made.force)
+    found = rank(scattered, [ReynoldsLaw, SarosiLaw, ChouLaw])
+    assert (found.blocks, found.criterion) == ((), "AICc")
+    assert [entry.law for entry in found.entries] == ["SarosiLaw", "ReynoldsLaw", "ChouLaw"]
+    flagged = dataclasses.replace(found.entries[0], flags=("at a bound",))
+    assert dataclasses.replace(found, entries=(flagged, *found.entries[1:])).best is flagged
+
+
 def test_friction_of_the_data_does_not_reorder_the_laws():
     truth = identify(OURS, catalog.dataset(CHART)).law
     made = made_by(truth, noise=1.0, repeats=2)

@@ -1,5 +1,8 @@
 """Arguments that are easily swapped, and lengths in millimetres."""
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import mckibben as mk
@@ -27,6 +30,44 @@ def test_numbers_in_other_units_are_refused():
         mk.FirstOrderValve(20)
     with pytest.raises(RangeError, match="braid_angle is 25"):
         mk.ChouLaw(25, 0.01)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int64])
+def test_numpy_scalars_are_checked_as_any_number(kind):
+    with pytest.raises(RangeError, match="joint_radius is -3"):
+        mk.KneeGeometry(0.37, kind(-3), 0.2)
+    with pytest.raises(RangeError, match=r"connector_length is 3, outside 0\.\.0\.34 m"):
+        mk.KneeGeometry(np.float64(0.37), np.float64(0.03), kind(3))
+    with pytest.raises(RangeError, match="mass1 is -3 kg"):
+        mk.Load(kind(-3), 0.0, 0.1, 0.1, 0.01, 0.1)
+    with pytest.raises(RangeError, match="contraction from 2 to 1"):
+        mk.Domain(kind(2), kind(1))
+    with pytest.raises(RangeError, match="valve is "):
+        mk.JointPlant(mk.catalog.joint("knee-table-2"), mk.catalog.load("knee-table-2"), kind(1))
+
+
+PRESSURES = np.full((4, 2), 3e5)
+METHODS = {
+    "contractions": lambda knee, p: knee.contractions(0.0, p),
+    "tensions": lambda knee, p: knee.tensions(0.0, p),
+    "torque": lambda knee, p: knee.torque(0.0, p),
+    "stiffness": lambda knee, p: knee.stiffness(0.0, p),
+    "torque_and_stiffness": lambda knee, p: knee.torque_and_stiffness(0.0, p),
+    "closed_valve_stiffness": lambda knee, p: knee.closed_valve_stiffness(0.0, p),
+    "affine_map": lambda knee, p: knee.affine_map(0.0).torque(p),
+    "still": lambda knee, p: mk.JointPlant(knee, mk.catalog.load("knee-table-2"), mk.IdealValve()).still(0.0, p),
+}
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+def test_pressures_that_are_no_pair_are_refused(method):
+    knee = mk.catalog.joint("knee-table-2")
+    for wrong in (PRESSURES, PRESSURES[:3], PRESSURES[:2], PRESSURES.T, 3e5, PRESSURES[:, 0], (3e5,), (3e5, 3e5, 3e5)):
+        with pytest.raises(RangeError, match=r"not a pair; give \(p1, p2\)"):
+            method(knee, wrong)
+    expected = jax.tree.leaves(method(knee, (3e5, 4e5)))
+    for right in ([3e5, 4e5], np.array([3e5, 4e5]), jnp.array([3e5, 4e5]), (np.float64(3e5), np.int64(400_000))):
+        np.testing.assert_allclose(jax.tree.leaves(method(knee, right)), expected, rtol=1e-12)
 
 
 def test_a_fit_can_be_validated_as_it_is():

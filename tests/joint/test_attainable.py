@@ -107,6 +107,18 @@ def test_pressure_limits_and_a_minimum_tension_narrow_the_band_as_the_linear_pro
     assert wide[0] < got[0] < got[1] < wide[1]
 
 
+@pytest.mark.parametrize(("degrees", "torque"), [(20, -0.3), (25, -0.2), (-25, 0.2), (0, 0.0)])
+def test_with_a_muscle_that_is_slack_at_every_pressure_nothing_is_attainable(
+    knee, paper_precontracted, degrees, torque
+):
+    angle, limits = math.radians(degrees), (0.0, 2e5)
+    assert min(float(t) for t in knee.tensions(angle, (2e5, 2e5))) == 0.0
+    assert np.isnan(program(paper_precontracted, angle, torque, limits)).all()
+    limited = jax.jit(lambda a, t: knee.attainable_stiffness(a, t, pressure_limits=limits))
+    assert np.isnan(limited(angle, torque)).all()
+    assert np.isnan(knee.attainable_torque(angle, pressure_limits=limits)).all()
+
+
 def test_the_band_is_what_a_sweep_over_pressures_finds(knee, paper_precontracted):
     angle, torque = math.radians(15), 0.2
     (d1, d2), (eps1, eps2) = paper_precontracted.eq5(angle), paper_precontracted.contractions(angle)

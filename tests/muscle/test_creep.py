@@ -142,11 +142,11 @@ def test_the_muscle_never_pushes(specimen, law):
     anchors = (jnp.asarray(0.3),) * slip.elements
     for relaxing in ((jnp.asarray(-500.0),), (jnp.asarray(-20.0),), (jnp.asarray(500.0),)):
         gripped = muscle.gripped(anchors, relaxing)
-        force = gripped.force(contraction, 3 * bar)
+        force = gripped.tension(contraction, 3 * bar)
         whole = force + gripped.viscous_force(contraction, 3 * bar, -10.0)
         assert np.all(np.asarray(whole) >= -1e-9)
         assert np.all(np.diff(np.asarray(force)) <= 1e-9)  # and it falls with the contraction
-        assert np.all(np.asarray(whole)[np.asarray(muscle.force(contraction, 3 * bar)) == 0] == 0)
+        assert np.all(np.asarray(whole)[np.asarray(muscle.tension(contraction, 3 * bar)) == 0] == 0)
 
 
 def test_a_gripped_muscle_is_law_friction_and_creep(specimen, law):

@@ -178,12 +178,12 @@ def test_a_gripped_muscle_is_its_law_and_its_friction(specimen, law):
     muscle = Muscle(specimen, law, FRICTION)
     memory = FRICTION.unstressed(specimen.length_at(0.10))
     for contraction in (0.095, 0.10, 0.1004, 0.23, 0.26):
-        tension, length = float(muscle.force(contraction, 4 * bar)), float(specimen.length_at(contraction))
+        tension, length = float(muscle.tension(contraction, 4 * bar)), float(specimen.length_at(contraction))
         way = FRICTION.along([float(specimen.length_at(0.10)), length], [tension, tension], 4 * bar)
-        force = float(muscle.gripped(memory).force(contraction, 4 * bar))
+        force = float(muscle.gripped(memory).tension(contraction, 4 * bar))
         assert force == pytest.approx(tension + way[-1], abs=1e-9)
         assert force >= tension / 2
-    assert muscle.gripped(memory).force(0.3, 4 * bar) == 0  # slack
+    assert muscle.gripped(memory).tension(0.3, 4 * bar) == 0  # slack
 
 
 def test_none_is_none(specimen, law):

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.errors import RangeError
+from mckibben.errors import DomainWarning, RangeError
 from mckibben.muscle import Domain, Muscle, Specimen
 
 
@@ -18,7 +18,7 @@ def test_a_muscle_pulls_as_its_law_says(muscle, law):
 
 def test_a_muscle_never_pushes(muscle, law):
     contraction, pressure = np.linspace(-0.08, 0.4, 40)[:, None], np.linspace(-1e5, 8e5, 10)
-    force, fitted = muscle.force(contraction, pressure), law.force(contraction, pressure)
+    force, fitted = muscle.tension(contraction, pressure), law.force(contraction, pressure)
     assert float(fitted.min()) < -100
     assert float(force.min()) == 0.0
     np.testing.assert_array_equal(force, np.maximum(fitted, 0))
@@ -28,6 +28,31 @@ def test_a_slack_muscle_has_no_slope_and_a_taut_one_that_of_its_law(muscle, law)
     assert float(muscle.slope(0.05, 0.0)) == 0.0
     assert float(muscle.slope(0.05, 5e5)) == pytest.approx(float(law.slope(0.05, 5e5)), rel=1e-14)
     assert np.isfinite(float(jax.grad(lambda c: muscle.force(c, 0.0))(0.05)))
+
+
+@pytest.mark.parametrize("method", ["force", "slope"])
+def test_outside_its_domain_a_muscle_says_so(muscle, method):
+    asked = getattr(muscle, method)
+    with pytest.warns(
+        DomainWarning, match=r"^MAS-10\S+: contraction -8 % and pressure 6 bar are outside contr"
+    ) as said:
+        asked(-0.08, 6e5)
+    assert "from -3 % to 25 %, pressure from 0 bar to 6 bar" in str(said[0].message)
+    assert len(said) == 1 and said[0].filename == __file__
+    with pytest.warns(DomainWarning, match=r"contraction 1000 % and pressure 6 bar"):
+        asked(10, 6e5)
+    several = np.array([[0.1], [0.3]]), np.array([3e5, 7e5, 8e5])
+    with pytest.warns(DomainWarning, match=r"5 of 6 points, the first at contraction 10 % and pressure 7 bar") as said:
+        asked(*several)
+    assert len(said) == 1
+
+
+def test_inside_its_domain_and_where_numbers_are_traced_a_muscle_does_not_warn(muscle):
+    muscle.force(np.array([-0.03, 0.25]), np.array([[0.0], [6e5]]))  # the edges; a warning is an error in these tests
+    outside = jax.jit(muscle.force)(-0.08, 6e5)
+    assert float(jax.jit(lambda m: m.force(-0.08, 6e5))(muscle)) == pytest.approx(float(outside), rel=1e-12)
+    np.testing.assert_allclose(jax.vmap(lambda p: muscle.force(-0.08, p))(jnp.array([6e5])), [outside], rtol=1e-12)
+    assert float(muscle.tension(-0.08, 6e5)) == pytest.approx(float(outside), rel=1e-12)
 
 
 def test_the_force_of_a_contraction_that_is_no_number_is_no_number(muscle):

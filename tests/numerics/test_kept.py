@@ -33,6 +33,7 @@ square.__module__ = "mckibben.pretended"  # what comes from elsewhere is not kep
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)  # beside which nothing is kept
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "programs"))
     monkeypatch.setattr(lasting, "_files", lambda: program_cache._AT_IMPORT)  # whoever edits ours while the tests run
     return tmp_path / "programs"

@@ -56,6 +56,7 @@ def on(tmp_path, monkeypatch):
     """Ask, on a processor of which Linux says this, for its short name; None stands for a system that says nothing."""
     caches = (runtime.processor, runtime._about_processor)
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
     def ask(text):

@@ -154,7 +154,7 @@ def _net(plant, angle):
 def test_at_rest_there_is_no_stress_and_nothing_moves(rubbing):
     state = rubbing.at_rest(math.radians(10))
     assert len(state.memory1) == len(state.memory2) == SLIP.elements
-    rates = jax.tree.leaves(rubbing.rate(state, state.pressures))
+    rates = jax.tree.leaves(rubbing.rate(state))
     np.testing.assert_allclose(np.array(rates, float), 0.0, atol=1e-9)
     settled = rubbing.settled(state)
     np.testing.assert_allclose(np.array(settled.memories), np.array(state.memories), atol=1e-12)

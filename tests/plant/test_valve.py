@@ -1,30 +1,39 @@
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from mckibben.plant import FirstOrderValve, IdealValve
 
 
 def test_an_ideal_valve_is_at_its_command_at_once_and_stays():
-    assert float(IdealValve().switched(1e5, 3e5)) == 3e5
-    assert float(IdealValve().rate(3e5, 3e5)) == 0.0
-    assert float(IdealValve().rate(1e5, 3e5)) == 0.0
+    valve = IdealValve()
+    assert float(valve.switched(1e5, 3e5)) == float(valve.pressure_after(1e5, 3e5, 0.01)) == 3e5
+    assert float(valve.command_for(1e5, 7e6)) == 1e5
 
 
 def test_a_first_order_valve_does_not_jump():
     assert float(FirstOrderValve(0.02).switched(1e5, 3e5)) == 1e5
 
 
-def test_a_first_order_valve_has_done_63_percent_after_its_time_constant():
+@pytest.mark.parametrize("step", [1e-3, 0.02, 1.0])
+def test_a_first_order_valve_has_done_63_percent_after_its_time_constant_in_steps_of_any_length(step):
     valve = FirstOrderValve(0.02)
-    assert float(valve.rate(1e5, 3e5)) == pytest.approx(2e5 / 0.02)
-    path = solve_ivp(lambda t, p: [float(valve.rate(p[0], 3e5))], (0, 0.02), [1e5], rtol=1e-8)
-    assert (path.y[0, -1] - 1e5) / 2e5 == pytest.approx(1 - math.exp(-1), rel=1e-6)
+    assert float(valve.pressure_after(1e5, 3e5, 0.02)) == pytest.approx(3e5 - 2e5 * math.exp(-1), rel=1e-12)
+    middle = valve.pressure_after(1e5, 3e5, step)
+    twice = float(valve.pressure_after(middle, 3e5, step))
+    assert twice == pytest.approx(float(valve.pressure_after(1e5, 3e5, 2 * step)), rel=1e-12)
+
+
+def test_a_first_order_valve_moves_at_the_rate_that_its_command_is_for():
+    valve, rate, moment = FirstOrderValve(0.02), -3e6, 1e-7
+    moved = valve.pressure_after(2e5, valve.command_for(2e5, rate), moment)
+    assert (float(moved) - 2e5) / moment == pytest.approx(rate, rel=1e-5)
 
 
 def test_valves_take_arrays():
     command, pressure = np.array([1e5, 2e5]), np.array([3e5, 3e5])
-    np.testing.assert_allclose(FirstOrderValve(0.1).rate(pressure, command), [-2e6, -1e6])
+    after = FirstOrderValve(0.1).pressure_after(pressure, command, jnp.array([0.0, 1e9]))
+    np.testing.assert_allclose(after, [3e5, 2e5])
     np.testing.assert_array_equal(IdealValve().switched(pressure, command), command)

@@ -59,12 +59,12 @@ def test_boundaries_keep_the_rated_force_and_end_three_plateaus_into_slack():
     limits = boundaries(MUSCLE, IsobaricProtocol())
     step = 1 * mm / SPECIMEN.initial_length
     limit = 0.95 * 630
-    assert np.all(MUSCLE.force(limits.contraction_min, limits.pressure) <= limit)
+    assert np.all(MUSCLE.tension(limits.contraction_min, limits.pressure) <= limit)
     cut = limits.contraction_min > -3 * percent + 1e-9
     assert cut[-1] and not cut[0]
-    assert np.all(MUSCLE.force(limits.contraction_min - step, limits.pressure)[cut] > limit)
-    assert np.all(MUSCLE.force(limits.contraction_max - 2 * step, limits.pressure) == 0)
-    taut = MUSCLE.force(limits.contraction_max - 3 * step, limits.pressure) > 0
+    assert np.all(MUSCLE.tension(limits.contraction_min - step, limits.pressure)[cut] > limit)
+    assert np.all(MUSCLE.tension(limits.contraction_max - 2 * step, limits.pressure) == 0)
+    taut = MUSCLE.tension(limits.contraction_max - 3 * step, limits.pressure) > 0
     assert np.all(taut | (limits.contraction_max + step > 25 * percent))
     # By hand: at 6 bar zero force is at 23.4 %, between the plateaus of 47 and 48 mm (23.1 and 23.7 %).
     assert limits.contraction_max[-1] == pytest.approx(-3 * percent + 50 * step)

@@ -38,7 +38,7 @@ def test_switching_one_noise_off_leaves_the_other_draws():
 def test_with_nothing_in_the_way_it_is_the_law():
     rig = VirtualRig(MUSCLE, hysteresis=0, force_noise=0, pressure_noise=0, regulator_offset=0)
     data = rig.run(IsobaricProtocol(), seed=0)
-    law = np.asarray(MUSCLE.force(data.contraction, data.levels))
+    law = np.asarray(MUSCLE.tension(data.contraction, data.levels))
     np.testing.assert_allclose(data.pressure, data.levels, rtol=1e-12)
     np.testing.assert_allclose(data.force, law, rtol=1e-9)
     means = data.plateau_means()
@@ -49,7 +49,7 @@ def test_with_nothing_in_the_way_it_is_the_law():
 def test_an_offset_is_seen_by_muscle_and_sensor_alike():
     rig = VirtualRig(MUSCLE, hysteresis=0, force_noise=0, pressure_noise=0)
     data = rig.run(IsobaricProtocol(), seed=1)
-    np.testing.assert_allclose(data.force, MUSCLE.force(data.contraction, data.pressure), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(data.force, MUSCLE.tension(data.contraction, data.pressure), rtol=1e-9, atol=1e-9)
     offset = data.pressure - data.levels
     assert np.abs(offset).max() <= 4.5 * kPa and offset.max() > 3 * kPa and offset.min() < -3 * kPa
     assert data.pressure.min() >= 0
@@ -89,7 +89,7 @@ def test_the_sensors_noise_is_as_given(measured):
 
 def test_the_loop_is_twice_the_band_away_from_its_ends(measured):
     table = measured.table
-    law = np.asarray(MUSCLE.force(measured.contraction, measured.pressure))
+    law = np.asarray(MUSCLE.tension(measured.contraction, measured.pressure))
     sides = {}
     for direction in measured.directions:
         inner = np.zeros(len(measured), bool)
@@ -109,7 +109,7 @@ def test_a_loop_closes_at_the_turns():
     rig = VirtualRig(MUSCLE, force_noise=0, pressure_noise=0, regulator_offset=0)
     data = rig.run(IsobaricProtocol(pressures=[4 * bar], repeats=2), seed=0)
     directions, repeats = data.table["direction"].to_numpy(), data.table["repeat"].to_numpy()
-    share = data.force - np.asarray(MUSCLE.force(data.contraction, data.pressure))
+    share = data.force - np.asarray(MUSCLE.tension(data.contraction, data.pressure))
     first, second = (share[(directions == "unloading") & (repeats == repeat)] for repeat in (0, 1))
     np.testing.assert_allclose(first, second, atol=1e-9)
     # after 1 and 2 mm, to what a polygon of six elements is off an exponential, over the whole width
@@ -130,7 +130,7 @@ def test_the_rated_force_is_never_exceeded(measured):
 
 
 def test_slack_is_known(measured):
-    slack = np.asarray(MUSCLE.force(measured.contraction, measured.levels)) == 0
+    slack = np.asarray(MUSCLE.tension(measured.contraction, measured.levels)) == 0
     clear = np.abs(np.asarray(MUSCLE.law.force(measured.contraction, measured.levels))) > 3  # beyond the offsets
     assert slack[clear].sum() > 200
     np.testing.assert_array_equal(measured.slack[clear], slack[clear])
@@ -142,7 +142,7 @@ def test_slack_is_known(measured):
 def test_a_muscle_never_pushes_and_stays_in_its_band(hysteresis, reach, seed):
     rig = VirtualRig(MUSCLE, hysteresis=hysteresis, presliding_length=reach * mm, force_noise=0, pressure_noise=0)
     data = rig.run(SMALL, seed=seed)
-    tension = np.asarray(MUSCLE.force(data.contraction, data.pressure))
+    tension = np.asarray(MUSCLE.tension(data.contraction, data.pressure))
     assert np.all(data.force >= tension / 2 * (1 - 1e-9))
     assert np.all(np.abs(data.force - tension) <= np.minimum(hysteresis, tension / 2) + 1e-9)
     assert np.all(data.force[tension == 0] == 0)

@@ -93,6 +93,21 @@ def test_what_is_outside_at_the_end_has_never_settled():
     assert np.isnan(answer(desired, np.full_like(stiffness, 13.0)))
 
 
+def test_a_limit_cycle_never_settles_wherever_the_run_ends():
+    times, desired, _ = lag(0.1)
+    cycle = np.where(times < 2.0005, 13.0, 17.0 + np.sin(2 * np.pi * 1.7 * times))  # the band is 0.4
+    for size in range(5500, 6000, 25):
+        assert np.isnan(answer(desired[:size], cycle[:size])), size
+
+
+@pytest.mark.parametrize(("inside", "settles"), [(399, False), (400, True)])
+def test_settled_is_what_stays_in_the_band_for_the_last_tenth_of_the_time_since_the_change(inside, settles):
+    _, desired, _ = lag(0.1)  # 4000 periods after the change
+    stiffness = np.where(np.arange(6000) < 6000 - inside, 13.0, 17.0)
+    expected = (4000 - inside) * PERIOD if settles else np.nan
+    assert answer(desired, stiffness) == pytest.approx(expected, nan_ok=True)
+
+
 def test_errors_before_the_change_do_not_count():
     times, desired, stiffness = lag(0.1)
     assert answer(desired, np.where(times < 1.9995, 99.0, stiffness)) == answer(desired, stiffness)

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mckibben.errors import ParameterError, RangeError, ScenarioError
-from mckibben.study.parameters import addresses, allowed, design, find, lanes, read_overs, with_values
+from mckibben.study.benchmark import Suite
+from mckibben.study.parameters import addresses, allowed, design, find, known_names, lanes, read_overs, with_values
 from mckibben.study.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -39,7 +40,7 @@ def test_each_number_alone_comes_where_the_file_would_put_it(scenario):
             value = np.sign(find(scenario, "controller.stiffness.ki").nominal) * 1e-4
         one = with_values(scenario, {address.name: value})
         assert find(one, address.name).nominal == value
-        many = lanes(scenario, {address.name: np.array([value, value])})
+        many = lanes(scenario, {address.name: np.array([value, value])}, known="all")
         if address.name.startswith("start."):
             assert getattr(many.start, address.place[-1]).tolist() == [value, value]
             continue
@@ -58,6 +59,80 @@ def test_each_number_alone_comes_where_the_file_would_put_it(scenario):
         # the joint is that of the plant and the one that the controller believes in, and its muscles are alike
         times = 4 if address.name.startswith("joint.muscle.") else 2 if address.name.startswith("joint.") else 1
         assert varied == times, address.name
+
+
+KNEE = Suite.read(EXAMPLES / "comparison" / "knee.yaml")
+LEARNING = KNEE.controllers["PID and learned inverse"]
+CONTROLLERS = KNEE.controllers | {
+    "inverse learned without a model": LEARNING.model_copy(
+        update={"inverse_model": LEARNING.inverse_model.model_copy(update={"alone": True})}
+    ),
+    "PID, friction fed forward": KNEE.controllers["PID"].model_copy(update={"friction_compensation": True}),
+}
+OF_THE_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
+
+
+def with_controller(name):
+    """The knee of the comparison with a controller as the file has it: its model is left to the plant."""
+    return KNEE.example().model_copy(update={"controller": CONTROLLERS[name]})
+
+
+def model_of(address):
+    """The names of what a controller's model has of a number of the plant."""
+    part, *_, last = address.place
+    if part == "valve":
+        return {f"controller.{each}.valve_time_constant" for each in ("decoupling", "predictive", "inverse_model")}
+    if part == "load":
+        return {f"controller.{each}.load.{last}" for each in ("decoupling", "predictive", "inverse_model")}
+    return {f"controller.model.{'.'.join(address.place[1:])}"}
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_numbers_of_the_plant_reach_no_controller_unless_known(name):
+    scenario = with_controller(name)
+    own = jax.tree.leaves(scenario.control())
+    taken = {each.name for each in addresses(scenario.with_fixed_model())}
+    plant = [each for each in addresses(scenario) if each.place[0] in OF_THE_PLANT]
+    assert {each.place[0] for each in plant} == set(OF_THE_PLANT)
+    table = {each.name: np.array([another(each)] * 2) for each in plant}
+    many = lanes(scenario, table)
+    for leaf, mine in zip(jax.tree.leaves(many.control()), own, strict=True):
+        np.testing.assert_array_equal(leaf, mine)
+    assert sum(np.ndim(leaf) == 1 for leaf in jax.tree.leaves(many.plant())) >= len(table)
+    one = with_values(scenario, {key: column[0].item() for key, column in table.items()}, known=())
+    assert jax.tree.leaves(one.control()) == own
+    for each in plant:
+        known = known_names(scenario, "all", [each.name])
+        assert bool(known) == bool(model_of(each) & taken), each.name
+        for asked in ("all", known):
+            control = lanes(scenario, {each.name: table[each.name]}, known=asked).control()
+            assert any(np.ndim(leaf) == 1 for leaf in jax.tree.leaves(control)) == bool(known), each.name
+
+
+def test_what_is_known_varies_in_the_model_and_the_rest_does_not():
+    scenario = with_controller("decoupling")
+    table = {
+        "load.mass2": [0.4, 0.6],
+        "valve.time_constant": [0.01, 0.03],
+        "controller.decoupling.poles.bandwidth": [30.0, 40.0],
+    }
+    control = lanes(scenario, table, known=["load.m2"]).control()
+    assert control.load.mass2.tolist() == table["load.mass2"]
+    assert control.valve_time_constant == 0.02
+    assert control.feedback.bandwidth.tolist() == [30.0, 40.0]  # a number of the controller's own
+    with pytest.raises(ParameterError, match=r"joint\.connector_length is known but not varied"):
+        known_names(scenario, ["joint.connector_length"], table)
+    given = with_values(scenario.with_fixed_model(), {"controller.decoupling.load.mass2": 0.4})
+    with pytest.raises(ParameterError, match=r"does not take load\.mass2 from the plant"):
+        known_names(given, ["load.mass2"], table)
+    assert known_names(given, "all", table) == ()
+
+
+def test_values_that_are_known_or_none_of_the_plants_are_written_as_in_a_file():
+    scenario = with_controller("decoupling")
+    assert with_values(scenario, {"load.mass2": 0.4}).controller == scenario.controller
+    assert with_values(scenario, {"reference.angle.amplitude": 0.1}, known=()).controller == scenario.controller
+    assert with_values(scenario, {"load.mass2": 0.4}, known=()).controller.decoupling.load == scenario.load
 
 
 def test_lanes_leave_the_scenario_as_it_is_and_copy_the_table():

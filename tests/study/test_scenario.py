@@ -67,7 +67,7 @@ def test_examples_build_and_start_at_rest(path):
     scenario = Scenario.read(path)
     plant = scenario.plant()
     initial = scenario.initial(plant)
-    rate = plant.rate(initial, initial.pressures)
+    rate = plant.rate(initial)
     assert abs(float(rate.velocity)) < 1e-6
     setpoint = scenario.reference()(0.0)
     assert float(plant.joint.stiffness(initial.angle, initial.pressures)) == pytest.approx(scenario.start.stiffness)

@@ -119,7 +119,7 @@ def test_what_is_left_out_is_that_of_the_classes():
 
 def test_they_can_be_varied(real):
     table = {name: [value, value * 2 if isinstance(value, int) else value * 1.5] for name, value in NUMBERS.items()}
-    many = lanes(real, table)
+    many = lanes(real, table, known="all")
     plant, control = many.plant(), many.control()
     np.testing.assert_array_equal(plant.sensors.seed, [7, 14])
     np.testing.assert_array_equal(plant.disturbance.height, [0.5, 0.75])

@@ -98,6 +98,22 @@ def test_the_table_says_what_made_it(kept, scenario):
         assert plain.sizes == {"run": 72}
 
 
+def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp_path):
+    varied, few = ["joint.connector_length=0.207 m, 0.208 m"], {"design": "grid", "metrics": ["angle_rmse"]}
+    fixed = sweep(scenario, varied, **few)
+    known = sweep(scenario, varied, out=tmp_path, known="all", **few)
+    for swept, believed in ((fixed, 0.208), (known, 0.207)):
+        run = swept.scenario(0)
+        assert run.plant().joint.geometry.connector_length == pytest.approx(0.207)
+        assert run.control().model.geometry.connector_length == pytest.approx(believed)
+        measured = run_scenario(run).result.metrics()["angle_rmse"]
+        assert float(swept.table["angle_rmse"][0]) == pytest.approx(measured, rel=1e-9)
+    assert float(fixed.table["angle_rmse"][0]) != float(known.table["angle_rmse"][0])
+    assert sweep(scenario, out=tmp_path, resume=True).computed == 0  # what is known is taken from the manifest
+    with pytest.raises(FileError, match=r"known: the sweep was begun with joint\.connector_length"):
+        sweep(scenario, out=tmp_path, resume=True, known=())
+
+
 def test_the_values_are_those_of_the_design(kept, scenario):
     swept, _ = kept
     for name, column in design(read_overs(OVER, scenario), "sobol", 72, 1).items():

@@ -53,7 +53,7 @@ SCALES = {"angle_rmse": 0.1 * deg, "stiffness_rmse": 0.2 / 3, "angle_max": deg, 
 
 
 def asked(cost, scenarios=(LIGHT, HEAVY)):
-    return problem(scenarios, over(LIGHT, RANGES), cost)
+    return problem(scenarios, over(LIGHT, RANGES), cost, known="all")
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +103,17 @@ def check_differences(task, rows, rtol=1e-5):
     np.testing.assert_allclose(found, expected, rtol=rtol, atol=rtol * np.abs(expected).max())
 
 
+def test_the_controllers_model_follows_the_plant_where_it_is_known_alone():
+    connectors = over(LIGHT, {"joint.connector_length": RANGES["joint.connector_length"]})
+    rows, cost = np.array([[0.207], [0.208]]), Cost(TERMS)
+    fixed = problem((LIGHT,), connectors, cost).costs(rows)
+    known = problem((LIGHT,), connectors, cost, ["joint.connector_length"]).costs(rows)
+    assert fixed[1] == pytest.approx(known[1], rel=1e-9)  # the model's own length
+    assert abs(fixed[0] - known[0]) > 1e-3
+    with pytest.raises(ParameterError, match=r"does not take load\.damping from the plant"):
+        problem((LIGHT,), over(LIGHT, RANGES), cost, ["load.damping"])
+
+
 def test_points_are_places_in_the_ranges():
     task = asked(Cost(TERMS))
     np.testing.assert_allclose(task.values(np.zeros((1, 5)))[0], [s.low for s in RANGES.values()], rtol=0)
@@ -113,7 +124,7 @@ def test_points_are_places_in_the_ranges():
 
 
 def test_what_is_not_allowed_or_cannot_start_costs_most_and_leaves_its_neighbours_alone():
-    task = problem((LIGHT,), over(LIGHT, RANGES | {"joint.connector_length": Uniform(0.2, 0.39)}), Cost(TERMS))
+    task = problem((LIGHT,), over(LIGHT, RANGES | {"joint.connector_length": Uniform(0.2, 0.39)}), Cost(TERMS), "all")
     rows = ROWS.copy()
     rows[1, 3] = 0.38  # no allowed one
     rows[2, 4] = 60.0  # no pressures hold it

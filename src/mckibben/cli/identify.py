@@ -143,6 +143,7 @@ def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
     best = ranking.best
     numbers = {
         "best": best.law,
+        "ranked_by": ranking.criterion,
         "points": len(ranking.points),
         "slack": ranking.slack,
         "not_left_out": ranking.missing,
@@ -193,6 +194,8 @@ def _show(ranking: Ranking) -> None:
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack left out", headers, rows)
     for name, reason in ranking.missing.items():
         typer.echo(f"no error at unseen {name}s: {reason}")
+    if not ranking.blocks:
+        typer.echo("no block of points could be held out: ranked by AICc, which says nothing of unseen points")
     for entry in ranking.entries:
         _remark(entry)
     best, first = ranking.best, ranking.entries[0]

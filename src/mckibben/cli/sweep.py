@@ -25,6 +25,14 @@ def sweep(
             metavar="'NAME=RANGE'", help="Vary this, such as 'load.mass2=0.2 kg..1.0 kg'; may be given several times."
         ),
     ] = None,
+    known: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="A varied number of the plant that the controller's model follows, or all of them; may be "
+            "given several times. Unless given, the model stays that of the file.",
+        ),
+    ] = None,
     list_: Annotated[bool, typer.Option("--list", help="Show what can be varied, and do nothing else.")] = False,
     design: Annotated[
         str | None, typer.Option(metavar="KIND", help="sobol (unless given), random, or grid: every combination.")
@@ -78,6 +86,7 @@ def sweep(
                 seed=seed,
                 metrics=names,
                 precision=precision,
+                known="all" if known == ["all"] else known or None,
                 resume=resume,
                 dask=dask,
                 source=str(scenario),

@@ -32,6 +32,14 @@ def tune(
             "all gains unless given. `mckibben sweep SCENARIO.yaml --list` shows the names.",
         ),
     ] = None,
+    known: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="A tuned number of the plant that the controller's model follows, or all of them; may be "
+            "given several times. Unless given, the model stays that of the file.",
+        ),
+    ] = None,
     cost: Annotated[
         str, typer.Option(metavar="TERMS", help="Metrics over what of each costs 1, added up.")
     ] = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
@@ -81,6 +89,7 @@ def tune(
                 seed=seed,
                 history=history,
                 resume=resume,
+                known="all" if known == ["all"] else known or (),
                 progress=shown and shown.part,
                 least=shown and shown.least,
             )

@@ -193,8 +193,8 @@ class LawAdaptation(eqx.Module):
         """Angle [rad] and torques [N*m]: gravity, both muscles, a kilogram more, friction where the model has it."""
         contraction1, contraction2 = model.contractions(angle, pressures)
         arm1, arm2 = model.geometry.paths_and_arms(angle)[1]
-        torque1 = model.muscle1.force(contraction1, pressures[0]) * arm1
-        torque2 = model.muscle2.force(contraction2, pressures[1]) * arm2
+        torque1 = model.muscle1.tension(contraction1, pressures[0]) * arm1
+        torque2 = model.muscle2.tension(contraction2, pressures[1]) * arm2
         (sine, cosine), (hanging_sine, hanging_cosine) = sincos(angle), sincos(load.hanging_angle)
         sign = 1.0 if load.hanging else -1.0
         hung = sign * load.distance2 * load.gravity * (hanging_sine * cosine - hanging_cosine * sine)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import math
+from numbers import Real
 from typing import NamedTuple
 
 import equinox as eqx
@@ -170,7 +171,7 @@ class PressureObserver(eqx.Module):
     bandwidth: float = 200.0
 
     def __check_init__(self) -> None:
-        if not (isinstance(self.bandwidth, float) and math.isinf(self.bandwidth)):
+        if not (isinstance(self.bandwidth, Real) and math.isinf(self.bandwidth)):
             check_positive("PressureObserver", "rad/s", bandwidth=self.bandwidth)
 
     def step(self, pressures: Pair, commands: Pair, measured: Pair, share: ArrayLike, period: ArrayLike) -> Pair:

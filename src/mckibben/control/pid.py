@@ -38,6 +38,7 @@ class PID(Loop):
         Time constant of the derivative's filter [s].
     tracking_time
         With which the integral follows what could be realised [s]; at or below the control period it does so at once.
+        Without integral action (ki = 0) the integral keeps its initial value and tracks nothing.
     derivative_on_error
         Whether the derivative sees the wish as well.
 
@@ -79,6 +80,7 @@ class PID(Loop):
 
     def realised(self, state: PIDState, output: ArrayLike, realised: ArrayLike, period: ArrayLike) -> PIDState:
         share = jnp.minimum(period / jnp.maximum(self.tracking_time, 1e-12), 1.0)
+        share = jnp.where(jnp.asarray(self.ki) == 0, 0.0, share)  # else its bias would stay for good
         return state._replace(integral=state.integral + share * (realised - jnp.asarray(output)))
 
     def telemetry(self, state: PIDState) -> dict[str, Scalar]:

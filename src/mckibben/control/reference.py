@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from numbers import Real
 from typing import NamedTuple
 
 import equinox as eqx
@@ -130,7 +131,7 @@ class Sum(Signal):
 
 def as_signal(wish: Signal | ArrayLike) -> Signal:
     """A signal as it is, a number (or one a run) as a constant."""
-    return Constant(wish) if isinstance(wish, int | float | np.ndarray | Array) else wish  # type: ignore[arg-type]
+    return Constant(wish) if isinstance(wish, Real | np.ndarray | Array) else wish  # type: ignore[arg-type]
 
 
 Scalar = Float[Array, ""]

@@ -23,6 +23,7 @@ BLOCKS = ("pressure", "direction", "phase", "repeat")
 _STRONG = 0.999  # correlation of two parameters
 _COUNTED_SCATTER = 1  # the scatter is a number of the model too
 _AS_GOOD = 1.5  # times the least error
+_SUPPORTED = 2.0  # difference of AICc up to which a model has substantial support (Burnham and Anderson 2002, sec. 2.6)
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ class Ranking:
     def best(self) -> Ranked:
         """The first without a flag, if it is nearly as good as the very first; else the very first.
 
-        Nearly is 1.5 times its error.
+        Nearly is 1.5 times its error, or, where no block could be left out, an AICc at most 2 above its own.
 
         Raises
         ------
@@ -128,7 +129,7 @@ class Ranking:
             reasons = "\n  ".join(f"{entry.law}: {entry.refused}" for entry in self.entries)
             raise IdentificationError(f"no law could be fitted\n  {reasons}", remedy="measure at more points")
         first = fitted[0]
-        return next((e for e in fitted if not e.flags and e.error <= _AS_GOOD * first.error), first)
+        return next((e for e in fitted if not e.flags and _nearly_as_good(e, first)), first)
 
     def of(self, law: str) -> Ranked:
         """The entry of a law by the name of its kind.
@@ -152,6 +153,11 @@ class Ranking:
     def blocks(self) -> tuple[str, ...]:
         """The kinds of blocks that were left out."""
         return tuple(name for name in BLOCKS if any(name in entry.unseen for entry in self.entries))
+
+    @property
+    def criterion(self) -> str:
+        """Ranking criterion: "unseen RMSE", or "AICc" where no block could be left out."""
+        return "unseen RMSE" if self.blocks else "AICc"
 
 
 def rank(
@@ -202,7 +208,7 @@ def rank(
         entries.append(_ranked(kind, means, blocks))
     if progress:
         progress("ranked", 1.0)
-    entries.sort(key=lambda entry: (entry.fit is None, len(blocks) - len(entry.unseen), entry.error, entry.aicc))
+    entries.sort(key=lambda entry: (entry.fit is None, -len(entry.unseen), entry.error, _last_if_nan(entry.aicc)))
     return Ranking(tuple(entries), points, len(means) - len(points), missing)
 
 
@@ -262,6 +268,16 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
         flags=tuple(flags),
         remarks=tuple(remarks),
     )
+
+
+def _nearly_as_good(entry: Ranked, first: Ranked) -> bool:
+    if first.unseen:
+        return entry.error <= _AS_GOOD * first.error
+    return entry.aicc <= first.aicc + _SUPPORTED
+
+
+def _last_if_nan(value: float) -> float:
+    return math.inf if math.isnan(value) else value
 
 
 def _aicc(residuals: np.ndarray, parameters: int) -> float:

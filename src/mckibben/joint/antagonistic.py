@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError, UnreachableError
@@ -19,6 +20,25 @@ from mckibben.numerics.elementary import floating
 from mckibben.units import deg
 
 
+def pressure_pair(pressures: tuple[ArrayLike, ArrayLike]) -> tuple[ArrayLike, ArrayLike]:
+    """The pressures of muscles 1 and 2, given as a pair; each is a number or an array.
+
+    An array with more than one axis is refused, whatever its shape: which axis stands for the muscles is a guess.
+
+    Raises
+    ------
+    RangeError
+        If it is no pair.
+    """
+    shape = (len(pressures),) if isinstance(pressures, tuple | list) else jnp.shape(pressures)
+    if shape != (2,):
+        raise RangeError(
+            f"the pressures are an array of shape {shape}, not a pair",
+            remedy="give (p1, p2), the gauge pressures of muscles 1 and 2; each may be an array",
+        )
+    return pressures[0], pressures[1]
+
+
 class AffineMap(NamedTuple):
     """Something affine in the two pressures: value = offset + slope1 p1 + slope2 p2."""
 
@@ -28,7 +48,8 @@ class AffineMap(NamedTuple):
 
     def __call__(self, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
         """The value at a pair of gauge pressures [Pa]."""
-        return self.offset + self.slope1 * pressures[0] + self.slope2 * pressures[1]
+        pressure1, pressure2 = pressure_pair(pressures)
+        return self.offset + self.slope1 * pressure1 + self.slope2 * pressure2
 
 
 class TorqueStiffnessMap(NamedTuple):
@@ -56,7 +77,8 @@ class AntagonisticJoint(eqx.Module):
     """Two muscles that pull a joint both ways.
 
     Everywhere `pressures` is a pair of gauge pressures [Pa], (p1, p2), `angle` is in rad, and scalars and arrays
-    broadcast. Torque and stiffness are those of the muscles alone; gravity belongs to the load (`mckibben.plant`).
+    broadcast; what is no pair is refused with a `RangeError`. Torque and stiffness are those of the muscles alone;
+    gravity belongs to the load (`mckibben.plant`).
 
     Parameters
     ----------
@@ -104,25 +126,28 @@ class AntagonisticJoint(eqx.Module):
 
     def contractions(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
         """The contraction [-] of each muscle."""
+        pressure1, pressure2 = pressure_pair(pressures)
         path1, path2 = self.geometry.path_lengths(angle)
         return (
-            self.tendon.contraction(self.muscle1, path1, pressures[0]),
-            self.tendon.contraction(self.muscle2, path2, pressures[1]),
+            self.tendon.contraction(self.muscle1, path1, pressure1),
+            self.tendon.contraction(self.muscle2, path2, pressure2),
         )
 
     def tensions(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
         """The pull [N] of each muscle, F1 and F2."""
+        pressure1, pressure2 = pressure_pair(pressures)
         path1, path2 = self.geometry.path_lengths(angle)
         return (
-            self.tendon.tension(self.muscle1, path1, pressures[0]),
-            self.tendon.tension(self.muscle2, path2, pressures[1]),
+            self.tendon.tension(self.muscle1, path1, pressure1),
+            self.tendon.tension(self.muscle2, path2, pressure2),
         )
 
     def torque(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
         """The muscles' torque [N*m], F2 d2 - F1 d1 (Eq. 7 without its gravity)."""
+        pressure1, pressure2 = pressure_pair(pressures)
         (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
-        tension1 = self.tendon.tension(self.muscle1, path1, pressures[0])
-        tension2 = self.tendon.tension(self.muscle2, path2, pressures[1])
+        tension1 = self.tendon.tension(self.muscle1, path1, pressure1)
+        tension2 = self.tendon.tension(self.muscle2, path2, pressure2)
         return tension2 * arm2 - tension1 * arm1
 
     def stiffness(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
@@ -134,17 +159,16 @@ class AntagonisticJoint(eqx.Module):
 
     def torque_and_stiffness(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
         """Both, from one pass."""
+        pressure1, pressure2 = pressure_pair(pressures)
         # The chain rule by hand between geometry and tension: a third of the operations of differentiating all at once.
         (paths, arms), (path_slopes, arm_slopes) = value_and_derivative(self.geometry.paths_and_arms, angle)
 
-        def pulled(i: int, muscle: Muscle) -> Pair:
+        def pulled(i: int, muscle: Muscle, pressure: ArrayLike) -> Pair:
             """One muscle's torque, without its sign, and the derivative with respect to the angle."""
-            tension, by_path = value_and_derivative(
-                lambda path: self.tendon.tension(muscle, path, pressures[i]), paths[i]
-            )
+            tension, by_path = value_and_derivative(lambda path: self.tendon.tension(muscle, path, pressure), paths[i])
             return tension * arms[i], by_path * path_slopes[i] * arms[i] + tension * arm_slopes[i]
 
-        (torque1, slope1), (torque2, slope2) = pulled(0, self.muscle1), pulled(1, self.muscle2)
+        (torque1, slope1), (torque2, slope2) = pulled(0, self.muscle1, pressure1), pulled(1, self.muscle2, pressure2)
         return torque2 - torque1, slope1 - slope2
 
     def closed_valve_stiffness(
@@ -166,6 +190,7 @@ class AntagonisticJoint(eqx.Module):
         atmosphere
             The ambient pressure [Pa]; the gas law is about absolute pressure.
         """
+        pressure1, pressure2 = pressure_pair(pressures)
         path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
         path1, path2 = self.geometry.path_lengths(angle)
 
@@ -183,8 +208,8 @@ class AntagonisticJoint(eqx.Module):
 
         (arm1, arm2), (arm_slope1, arm_slope2) = value_and_derivative(self.geometry.moment_arms, angle)
         tension1, tension2 = self.tensions(angle, pressures)
-        slope1 = tension_slope(self.muscle1, path1, path_slope1, pressures[0])
-        slope2 = tension_slope(self.muscle2, path2, path_slope2, pressures[1])
+        slope1 = tension_slope(self.muscle1, path1, path_slope1, pressure1)
+        slope2 = tension_slope(self.muscle2, path2, path_slope2, pressure2)
         return slope1 * arm1 + tension1 * arm_slope1 - slope2 * arm2 - tension2 * arm_slope2
 
     def affine_map(self, angle: ArrayLike) -> TorqueStiffnessMap:
@@ -230,6 +255,7 @@ class AntagonisticJoint(eqx.Module):
     ) -> Pair:
         """The lowest and highest stiffness [N*m/rad] that can be held at an angle while the muscles give a torque.
 
+        Both muscles are taut: with one that is slack at every pressure nothing is attainable.
         With a rigid tendon and laws affine in pressure the set is a segment and its ends are exact. With a series
         spring it is scanned at a few hundred tensions.
 
@@ -246,7 +272,8 @@ class AntagonisticJoint(eqx.Module):
         -------
         lowest, highest
             NaN where the torque cannot be held at that angle: for the pressures, because a muscle would leave the
-            contractions of its domain, or because its tension would exceed its specimen's rating.
+            contractions of its domain or is slack at every pressure within the limits, or because its tension would
+            exceed its specimen's rating.
         """
         return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension)
 

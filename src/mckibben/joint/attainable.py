@@ -247,7 +247,8 @@ def _tension_ranges(
 ) -> tuple[Pair, Pair]:
     """The lowest and the highest tension of each muscle.
 
-    Pressures are within limits, contractions within the domain, tensions below the specimen's rating.
+    Pressures are within limits, contractions within the domain, tensions below the specimen's rating. A muscle that is
+    slack at the highest pressure, and so at all, cannot be taut: its highest tension is -inf, and nothing is holdable.
     """
     if pressure_limits is None:
         lowest, highest = pressure_limits_of(joint)
@@ -258,7 +259,7 @@ def _tension_ranges(
         least, most = joint.tendon.permitted(muscle, path)
         tensions = joint.tendon.tension(muscle, path, _over(jnp.stack([floating(low), floating(high)]), path))
         slackest = jnp.maximum(tensions[0], minimum_tension)
-        tightest = jnp.minimum(tensions[1], muscle.specimen.rated_force)
+        tightest = jnp.where(tensions[1] > 0, jnp.minimum(tensions[1], muscle.specimen.rated_force), -jnp.inf)
         return jnp.maximum(slackest, least), jnp.minimum(tightest, most)
 
     low1, high1 = tension_range(joint.muscle1, paths[0], lowest[0], highest[0])

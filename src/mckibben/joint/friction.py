@@ -97,7 +97,7 @@ def pull(
 
     def one(muscle: GrippedMuscle, path: Array, rate: Array, pressure: ArrayLike) -> tuple[Array, Array]:
         contraction = joint.tendon.contraction(muscle, path, pressure)
-        tension = muscle.force(contraction, pressure)
+        tension = muscle.tension(contraction, pressure)
         return tension + muscle.viscous_force(contraction, pressure, rate), contraction
 
     tension1, contraction1 = one(gripped1, path1, arm1 * velocity, pressures[0])  # 1 lengthens as the angle grows

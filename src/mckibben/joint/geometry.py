@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from numbers import Real
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -55,7 +56,7 @@ class KneeGeometry(eqx.Module):
     def __check_init__(self) -> None:
         check_positive("KneeGeometry", "m", joint_length=self.joint_length, joint_radius=self.joint_radius)
         check_within("KneeGeometry", 0.0, _LONGEST, "m", joint_length=self.joint_length)
-        plain = all(isinstance(x, int | float) for x in (self.joint_length, self.joint_radius))
+        plain = all(isinstance(x, Real) for x in (self.joint_length, self.joint_radius))
         longest = self.joint_length - self.joint_radius if plain else math.inf
         check_within("KneeGeometry", 0.0, longest, "m", connector_length=self.connector_length)
         if not plain:

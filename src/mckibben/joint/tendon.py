@@ -33,7 +33,7 @@ class Tendon(eqx.Module):
 
     def tension(self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         """The tension [N] in a path [m] at a gauge pressure [Pa]."""
-        return muscle.force(self.contraction(muscle, path, pressure), pressure)
+        return muscle.tension(self.contraction(muscle, path, pressure), pressure)
 
     def pressure_for(self, muscle: Muscle, path: ArrayLike, tension: ArrayLike) -> Float[Array, "..."]:
         """The gauge pressure [Pa] that makes a tension [N] in a path [m]; it may lie outside the domain."""
@@ -103,7 +103,7 @@ class SeriesSpring(Tendon):
 
         def excess(extension: Array) -> Array:
             """Muscle force minus spring force, held at the stops."""
-            force = muscle.force(muscle.specimen.contraction_at(path - extension), pressure)
+            force = muscle.tension(muscle.specimen.contraction_at(path - extension), pressure)
             return force - self.preload - self.stiffness * extension
 
         closed = jnp.zeros_like(path)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
+from mckibben.errors import DomainWarning
 from mckibben.muscle.base import ForceLaw
 from mckibben.muscle.creep import Creep, NoCreep, Relaxing
 from mckibben.muscle.friction import Friction, Memory, NoFriction
@@ -56,7 +60,19 @@ class Muscle(eqx.Module):
         return self.specimen.domain.intersection(self.law.domain).intersection(self.law.holds)
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The force [N], never below 0; arguments as for the law."""
+        """The force [N], never below 0; arguments as for the law.
+
+        Warns
+        -----
+        DomainWarning
+            Outside the domain, where the answer is an extrapolation; not inside `jax.jit`, where nothing can be looked
+            at.
+        """
+        _warn_outside(self, contraction, pressure)
+        return self.tension(contraction, pressure)
+
+    def tension(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        """`force` without a look at the domain: for code that deals with it itself."""
         force = self.law.force(contraction, pressure)
         return jnp.where(force < 0, 0.0, force)  # this way round a lost state (NaN) is not taken for slack
 
@@ -70,11 +86,12 @@ class Muscle(eqx.Module):
     def settled(self, memory: Memory, contraction: ArrayLike, pressure: ArrayLike) -> Memory:
         """What its friction remembers after a move to a contraction [-] and a gauge pressure [Pa]."""
         length = self.specimen.length_at(contraction)
-        return self.friction.settled(memory, length, self.force(contraction, pressure), pressure)
+        return self.friction.settled(memory, length, self.tension(contraction, pressure), pressure)
 
     def slope(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The derivative of `force` with respect to the contraction [N]; 0 where slack."""
-        return derivative(lambda c: self.force(c, pressure), contraction)
+        """The derivative of `force` with respect to the contraction [N]; 0 where slack. Warns as `force` does."""
+        _warn_outside(self, contraction, pressure)
+        return derivative(lambda c: self.tension(c, pressure), contraction)
 
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         """The gauge pressure [Pa] that gives a force [N] at a contraction [-]; it may lie outside the domain."""
@@ -90,19 +107,28 @@ class GrippedMuscle(Muscle):
     memory: Memory = ()
     relaxing: Relaxing = ()
 
-    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+    def tension(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         """The force [N] with friction and creep; each takes at most half of that without."""
-        tension = Muscle.force(self, contraction, pressure)
+        tension = Muscle.tension(self, contraction, pressure)
         length = self.specimen.length_at(contraction)
         gripped = tension + self.friction.force(self.memory, length, tension, pressure)
         return gripped if isinstance(self.creep, NoCreep) else gripped + self.creep.force(self.relaxing, tension)
 
     def viscous_force(self, contraction: ArrayLike, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
         """The force [N] that depends on the rate of the length [m/s]: so much that the muscle does not push."""
-        tension = Muscle.force(self, contraction, pressure)
+        tension = Muscle.tension(self, contraction, pressure)
         if not isinstance(self.creep, NoCreep):  # half of the tension is the friction's, what is left of the other this
             tension = tension + 2 * jnp.minimum(self.creep.force(self.relaxing, tension), 0.0)
         return self.friction.viscous_force(tension, rate)
+
+
+def _warn_outside(muscle: Muscle, contraction: ArrayLike, pressure: ArrayLike) -> None:
+    """Warn of numbers outside the domain; at traced ones not even the domain is worked out."""
+    if isinstance(contraction, Tracer) or isinstance(pressure, Tracer):
+        return
+    if outside := muscle.domain.describe_outside(contraction, pressure):
+        text = f"{muscle.specimen.name}: {outside}; the law is extrapolated there"
+        warnings.warn(text, DomainWarning, stacklevel=4)  # past the method, and how equinox calls it
 
 
 def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:

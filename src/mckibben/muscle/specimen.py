@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from numbers import Real
+
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from mckibben.errors import RangeError
@@ -24,8 +28,11 @@ class Domain(eqx.Module):
             ("contraction", self.contraction_min, self.contraction_max),
             ("pressure", self.pressure_min, self.pressure_max),
         ):
-            if isinstance(low, int | float) and isinstance(high, int | float) and low > high:
-                raise RangeError(f"Domain: {what} from {low:g} to {high:g}", lower=low, upper=high, remedy="swap them")
+            if isinstance(low, Real) and isinstance(high, Real) and low > high:
+                lower, upper = float(low), float(high)
+                raise RangeError(
+                    f"Domain: {what} from {low:g} to {high:g}", lower=lower, upper=upper, remedy="swap them"
+                )
 
     def contains(self, contraction: ArrayLike, pressure: ArrayLike) -> Bool[Array, "..."]:
         """Whether each point lies inside, the edges included (to rounding)."""
@@ -37,6 +44,27 @@ class Domain(eqx.Module):
         """Whether each contraction lies inside, the edges included (to rounding)."""
         contraction = jnp.asarray(contraction)
         return (contraction >= self.contraction_min - 1e-9) & (contraction <= self.contraction_max + 1e-9)
+
+    def describe_outside(self, contraction: ArrayLike, pressure: ArrayLike) -> str:
+        """The first point outside and their number, as text; empty if there is none or they are traced.
+
+        NaN is no point.
+
+        >>> Domain(contraction_min=0.0).describe_outside(-0.08, np.array([1e5, 6e5]))
+        '2 of 2 points, the first at contraction -8 % and pressure 1 bar, are outside contraction from 0 %'
+        """
+        inside = self.contains(contraction, pressure)
+        if isinstance(inside, Tracer):
+            return ""
+        contractions, pressures, inside = np.broadcast_arrays(contraction, pressure, inside)
+        outside = ~inside & ~np.isnan(contractions) & ~np.isnan(pressures)
+        if not outside.any():
+            return ""
+        contraction, pressure = contractions[outside][0] / percent, pressures[outside][0] / bar
+        point = f"contraction {contraction:.4g} % and pressure {pressure:.4g} bar"
+        if outside.size > 1:
+            point = f"{outside.sum()} of {outside.size} points, the first at {point},"
+        return f"{point} are outside {self.bounds()}"
 
     def intersection(self, other: Domain) -> Domain:
         """The part that both share."""

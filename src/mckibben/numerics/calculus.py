@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -81,8 +81,10 @@ def increasing_root(function: Callable[[Array], Array], low: ArrayLike, high: Ar
 State = TypeVar("State")
 
 
-def rk4(rate: Callable[[State], State], state: State, step: ArrayLike) -> State:
-    """One step of the classical fourth-order Runge-Kutta method for an autonomous system.
+def rk4(
+    rate: Callable[..., State], state: State, step: ArrayLike, inputs: tuple[tuple[Any, ...], ...] = ((), (), ())
+) -> State:
+    """One step of the classical fourth-order Runge-Kutta method.
 
     In a program for many runs side by side (`mckibben.numerics.batching`) its stages are a loop; results differ by
     rounding.
@@ -95,6 +97,8 @@ def rk4(rate: Callable[[State], State], state: State, step: ArrayLike) -> State:
         Any pytree. Leave it a tuple of scalars: stacking it into a vector is slower on every device.
     step
         The length of the step [s].
+    inputs
+        What `rate` takes beside the state, at the beginning, the middle and the end of the step.
 
     Examples
     --------
@@ -112,17 +116,19 @@ def rk4(rate: Callable[[State], State], state: State, step: ArrayLike) -> State:
 
         def next_stage(i: Array, carry: tuple[State, State]) -> tuple[State, State]:
             slope, total = carry
-            slope = rate(moved(slope, places[i] * step))
+            here = jax.tree.map(lambda b, m, e: jnp.where(i == 0, b, jnp.where(i == 3, e, m)), *inputs)
+            slope = rate(moved(slope, places[i] * step), *here)
             return slope, jax.tree.map(lambda t, dx: t + weights[i] * step * dx, total, slope)
 
         return lax.fori_loop(0, 4, next_stage, (jax.tree.map(jnp.zeros_like, state), state))[1]
 
     # The barrier keeps XLA from computing parts of one stage's derivative again inside the next stage's fusion.
-    def stage(at: State) -> State:
-        return lax.optimization_barrier(rate(at))
+    def stage(at: State, given: tuple[Any, ...]) -> State:
+        return lax.optimization_barrier(rate(at, *given))
 
-    k1 = stage(state)
-    k2 = stage(moved(k1, step / 2))
-    k3 = stage(moved(k2, step / 2))
-    k4 = stage(moved(k3, step))
+    beginning, middle, end = inputs
+    k1 = stage(state, beginning)
+    k2 = stage(moved(k1, step / 2), middle)
+    k3 = stage(moved(k2, step / 2), middle)
+    k4 = stage(moved(k3, step), end)
     return jax.tree.map(lambda x, a, b, c, d: x + step / 6 * (a + 2 * (b + c) + d), state, k1, k2, k3, k4)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numbers import Real
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -68,7 +70,7 @@ def check_kind(owner: str, **fields: tuple[object, type]) -> None:
         It names the owner, the field, and what was given.
     """
     for name, (value, kind) in fields.items():
-        if isinstance(value, int | float | str):
+        if isinstance(value, Real | str):
             given = repr(value)
         elif type(value).__module__.startswith("mckibben"):
             given = f"a {type(value).__name__}"
@@ -80,7 +82,7 @@ def check_kind(owner: str, **fields: tuple[object, type]) -> None:
 
 def _known(value: object) -> NDArray[np.float64]:
     """The numbers of a value, flat; none where it is traced, or a placeholder of a transformation."""
-    if isinstance(value, int | float | np.ndarray):
+    if isinstance(value, Real | np.ndarray):
         return np.asarray(value, float).ravel()
     import jax  # those who check plain numbers only need not wait for it
     import jax.core

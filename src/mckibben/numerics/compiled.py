@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from numbers import Integral, Real
 from typing import Any, ParamSpec, TypeVar
 
 import jax
@@ -17,16 +18,16 @@ R = TypeVar("R")
 
 
 def numeric(tree: Any) -> Any:
-    """Python numbers among a tree's leaves as arrays; everything else as it is.
+    """Python and NumPy numbers among a tree's leaves as arrays; everything else as it is.
 
     They are NumPy's: JAX's own would each be put on the device on the way, which a command has to wait for.
     """
 
     def convert(leaf: Any) -> Any:
-        if isinstance(leaf, float):
-            return np.asarray(leaf, float)
-        if isinstance(leaf, int) and not isinstance(leaf, bool):
+        if isinstance(leaf, Integral) and not isinstance(leaf, bool):
             return np.asarray(leaf)
+        if isinstance(leaf, Real) and not isinstance(leaf, bool):
+            return np.asarray(leaf, float)
         return leaf
 
     return jax.tree.map(convert, tree)

@@ -6,16 +6,18 @@ import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from mckibben.joint import AntagonisticJoint, creep, friction
+from mckibben.joint.antagonistic import pressure_pair
 from mckibben.joint.attainable import Hold, hold
 from mckibben.joint.creep import Relaxings
 from mckibben.joint.friction import Memories
 from mckibben.joint.load import Load
 from mckibben.muscle import Memory, Relaxing
+from mckibben.numerics.calculus import rk4
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
@@ -75,6 +77,15 @@ class PlantState(NamedTuple):
     def relaxing(self) -> Relaxings:
         """What is relaxing in both."""
         return self.relaxing1, self.relaxing2
+
+
+class Motion(NamedTuple):
+    """What is integrated of a `PlantState`: angle [rad], angular velocity [rad/s], and what relaxes [N]."""
+
+    angle: Scalar
+    velocity: Scalar
+    relaxing1: Relaxing = ()
+    relaxing2: Relaxing = ()
 
 
 class JointPlant(eqx.Module):
@@ -150,11 +161,35 @@ class JointPlant(eqx.Module):
             pressure2=self.valve.switched(state.pressure2, commands[1]),
         )
 
-    def rate(self, state: PlantState, commands: tuple[ArrayLike, ArrayLike]) -> PlantState:
-        """The derivative of the state with respect to time, Eq. 6, while the commands are held.
+    def advance(
+        self, state: PlantState, commands: tuple[ArrayLike, ArrayLike], duration: ArrayLike, substeps: int
+    ) -> PlantState:
+        """The state a duration [s] after new commands [Pa], which are held, by Runge-Kutta steps of equal length.
 
-        What the muscles remember stands still; `settled` moves it after each step of the integration.
+        The valves give the pressures in closed form; motion and creep are integrated under them.
         """
+        step = duration / substeps
+
+        def pressures_after(state: PlantState, elapsed: ArrayLike) -> tuple[Scalar, Scalar]:
+            after = self.valve.pressure_after
+            return (
+                after(state.pressure1, commands[0], elapsed),
+                after(state.pressure2, commands[1], elapsed),
+            )
+
+        def integrate(_: Array, state: PlantState) -> PlantState:
+            def rate(motion: Motion, pressure1: Scalar, pressure2: Scalar) -> Motion:
+                return self.rate(state._replace(pressure1=pressure1, pressure2=pressure2, **motion._asdict()))
+
+            end = pressures_after(state, step)
+            inputs = state.pressures, pressures_after(state, step / 2), end
+            motion = rk4(rate, Motion(state.angle, state.velocity, *state.relaxing), step, inputs)
+            return self.settled(state._replace(pressure1=end[0], pressure2=end[1], **motion._asdict()))
+
+        return lax.fori_loop(0, substeps, integrate, self.switched(state, commands))
+
+    def rate(self, state: PlantState) -> Motion:
+        """The derivative of the motion with respect to time, Eq. 6, at the pressures of the state."""
         relaxing1, relaxing2 = state.relaxing
         if creep.has_creep(self.joint):
             relaxing1, relaxing2 = creep.rates(self.joint, state.relaxing, state.angle, state.velocity)
@@ -162,17 +197,7 @@ class JointPlant(eqx.Module):
         torque = self._torque(state) + resisting
         if isinstance(state.around, Surroundings):
             torque = torque + state.around.push
-        return PlantState(
-            angle=state.velocity,
-            velocity=torque * (1 / self.load.total_inertia),
-            pressure1=self.valve.rate(state.pressure1, commands[0]),
-            pressure2=self.valve.rate(state.pressure2, commands[1]),
-            memory1=jax.tree.map(jnp.zeros_like, state.memory1),
-            memory2=jax.tree.map(jnp.zeros_like, state.memory2),
-            relaxing1=relaxing1,
-            relaxing2=relaxing2,
-            around=jax.tree.map(jnp.zeros_like, state.around),
-        )
+        return Motion(state.velocity, torque * (1 / self.load.total_inertia), relaxing1, relaxing2)
 
     def settled(self, state: PlantState) -> PlantState:
         """The state after a step of the integration: the muscles remember the way; no force changes by it."""
@@ -187,7 +212,7 @@ class JointPlant(eqx.Module):
     def still(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> PlantState:
         """The state that has long stood at an angle [rad] and gauge pressures [Pa], come to without friction."""
         angle = floating(angle)
-        pressure1, pressure2 = map(floating, pressures)
+        pressure1, pressure2 = map(floating, pressure_pair(pressures))
         return self.remembering(PlantState(angle, jnp.zeros_like(angle), pressure1, pressure2))
 
     def remembering(self, state: PlantState) -> PlantState:

@@ -12,15 +12,22 @@ from mckibben.numerics.checks import check_positive, check_within
 
 
 class Valve(eqx.Module):
-    """The pressure's answer to a command that is held over a control period."""
+    """The response of the pressure to a command that is held over a control period, in closed form.
+
+    The plant takes the pressures at the stages of its integration from it, so no valve is too fast for the step.
+    """
 
     @abc.abstractmethod
     def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         """The pressure [Pa] right after a new command [Pa]."""
 
     @abc.abstractmethod
-    def rate(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
-        """The rate of the pressure [Pa/s] while the command is held."""
+    def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
+        """The pressure [Pa] after a time [s] from a pressure [Pa], under a command [Pa] that is held."""
+
+    @abc.abstractmethod
+    def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
+        """The command [Pa] under which a pressure [Pa] changes at a rate [Pa/s]."""
 
 
 class IdealValve(Valve):
@@ -29,15 +36,18 @@ class IdealValve(Valve):
     def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(command)
 
-    def rate(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
-        return jnp.zeros_like(jnp.asarray(pressure))
+    def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
+        return jnp.asarray(command)
+
+    def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
+        return jnp.asarray(pressure)
 
 
 _SLOWEST = 10.0  # s: a slower valve is one in milliseconds
 
 
 class FirstOrderValve(Valve):
-    """The pressure follows with a lag.
+    """The pressure follows with a lag: p(t) = u + (p(0) - u) exp(-t / T) under a held command u.
 
     Parameters
     ----------
@@ -54,5 +64,9 @@ class FirstOrderValve(Valve):
     def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(pressure)
 
-    def rate(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
-        return (jnp.asarray(command) - pressure) * (1 / self.time_constant)
+    def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
+        command = jnp.asarray(command)
+        return command + (pressure - command) * jnp.exp(-jnp.asarray(elapsed) / self.time_constant)
+
+    def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
+        return jnp.asarray(pressure) + self.time_constant * jnp.asarray(rate)

@@ -12,7 +12,6 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.joint.attainable import is_affine, segment_of
-from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
@@ -129,19 +128,8 @@ def _states(
     values, rates = jax.vmap(lambda *way: jax.jvp(state, tuple(at), way), out_axes=(None, 0))(*ways)
     by_motion, by_tension = ([rate[k] for rate in rates] for k in (0, 1))
     tension_rate = (stiffness_rate - by_motion[2]) / by_tension[2]
-    commands = (command_for(plant, values[i], by_motion[i] + by_tension[i] * tension_rate) for i in range(2))
+    commands = (plant.valve.command_for(values[i], by_motion[i] + by_tension[i] * tension_rate) for i in range(2))
     return torque, *attainable_band(plant, angle), segment.holdable, values[2], *commands
-
-
-def command_for(plant: JointPlant, pressure: ArrayLike, rate: ArrayLike) -> Array:
-    """The command [Pa] under which a valve's pressure [Pa] changes at a rate [Pa/s].
-
-    For valves whose rate is affine in the command, or that answer at once: then it is the pressure itself.
-    """
-    pressure = floating(pressure)
-    given, by_command = value_and_derivative(lambda command: plant.valve.rate(pressure, command), pressure)
-    moves = by_command != 0
-    return pressure + jnp.where(moves, (rate - given) / jnp.where(moves, by_command, 1.0), 0.0)
 
 
 def _cut(stiffness: Values, commands: list[Values], limits: tuple[tuple[float, float], ...]) -> Range:

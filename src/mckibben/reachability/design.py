@@ -79,9 +79,9 @@ def margins(
     paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
     muscles, (lowest, highest) = (joint.muscle1, joint.muscle2), pressure_limits_of(joint)
     contractions = [muscle.specimen.contraction_at(path) for muscle, path in zip(muscles, paths, strict=True)]
-    low = [jnp.maximum(m.force(e, p), minimum_tension) for m, e, p in zip(muscles, contractions, lowest, strict=True)]
+    low = [jnp.maximum(m.tension(e, p), minimum_tension) for m, e, p in zip(muscles, contractions, lowest, strict=True)]
     high = [
-        jnp.minimum(m.force(e, p), m.specimen.rated_force)
+        jnp.minimum(m.tension(e, p), m.specimen.rated_force)
         for m, e, p in zip(muscles, contractions, highest, strict=True)
     ]
     held = jnp.stack([-torque, torque])[:, None] - plant.load.gravity_torque(angle)

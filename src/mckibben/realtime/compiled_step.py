@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.errors import SimulationError
-from mckibben.numerics.calculus import rk4
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant, PlantState
 
@@ -196,13 +195,7 @@ class PlantProgram:
 
         def over(packed: Array, state: Array, told: Array) -> Array:
             joint: JointPlant = numbers.unpacked(packed)
-            commands, step = (told[0], told[1]), told[2] / substeps
-
-            def integrate(_: Array, state: PlantState) -> PlantState:
-                return joint.settled(rk4(lambda s: joint.rate(s, commands), state, step))
-
-            switched = joint.switched(states.unpacked(state), commands)
-            return states.packed(lax.fori_loop(0, substeps, integrate, switched), jnp)
+            return states.packed(joint.advance(states.unpacked(state), (told[0], told[1]), told[2], substeps), jnp)
 
         self._numbers = jnp.asarray(numbers.packed(plant))
         self._over = _made(over, numbers.size, states.size, 3)

@@ -92,7 +92,8 @@ def _errors(axes: Axes, fitted: list[Ranked], found: Ranking) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("RMSE [N]")
     axes.grid(axis="x", which="both", alpha=0.3)
-    letter(axes, "a", "laws (number of parameters), the best at unseen points first")
+    order = "the best at unseen points first" if found.blocks else "least AICc first (no block could be held out)"
+    letter(axes, "a", f"laws (number of parameters), {order}")
     axes.legend(loc="lower left", framealpha=0.95)
     if any(entry.flags for entry in fitted):
         beside(axes, "shaded: flagged, see the table")

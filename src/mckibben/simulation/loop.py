@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from mckibben.control.base import Controller, Measurement, Reference, Setpoint
 from mckibben.errors import SimulationError
 from mckibben.numerics.batching import check_again, lanes_of, with_leaves
-from mckibben.numerics.calculus import rk4
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled, compiled_as_given, numeric
 from mckibben.numerics.elementary import floating
@@ -129,13 +128,7 @@ def control_period(
     memory, wanted = controller.step(memory, setpoint, _measured(told), period)
     commands = plant.limited(wanted)
     limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
-    switched = plant.switched(state, commands)
-    step = period / substeps
-
-    def integrate(_: Array, state: PlantState) -> PlantState:
-        return plant.settled(rk4(lambda s: plant.rate(s, commands), state, step))
-
-    following = lax.fori_loop(0, substeps, integrate, switched)
+    following = plant.advance(state, commands, period, substeps)
     return (following, memory), Record(state, *commands, limited, controller.telemetry(memory))
 
 

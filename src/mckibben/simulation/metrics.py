@@ -77,8 +77,8 @@ def trajectory(
         (force1, force2), torque, (contraction1, contraction2) = pulled
     else:
         contraction1, contraction2 = apart(joint.contractions, state.angle, state.pressures, witness=period)
-        force1 = joint.muscle1.force(contraction1, state.pressure1)
-        force2 = joint.muscle2.force(contraction2, state.pressure2)
+        force1 = joint.muscle1.tension(contraction1, state.pressure1)
+        force2 = joint.muscle2.tension(contraction2, state.pressure2)
     muscles = ((joint.muscle1, contraction1, state.pressure1), (joint.muscle2, contraction2, state.pressure2))
     air1, air2 = (m.specimen.volume(contraction) * (pressure + atm) / atm for m, contraction, pressure in muscles)
     inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in muscles]
@@ -120,6 +120,7 @@ compiled_trajectory = compiled(trajectory)
 
 SETTLING_PART = 0.1
 """Half the width of the settling band, as a part of the change of stiffness that was asked for."""
+_SETTLED = 10  # of the time since the change this many-th part, the last, has to be spent in the band
 _BAND_FLOOR = 1e-3  # of the wish: a band narrower than this is no band
 
 
@@ -138,8 +139,9 @@ class Metrics(NamedTuple):
         stiffness: the other way of the coupling.
     stiffness_settling
         From the last change of the desired stiffness (or from the start, if it never changes) until the stiffness
-        stays within the band [s]; NaN if it does not by the end of the run, or if the wish never stops changing. The
-        band is a part of the change.
+        enters the band for good [s]; the band is a part of the change. Settled is what stays in the band for at least
+        the last tenth of the time since the change: of a limit cycle, or of a response that enters only just before the
+        end, it is not known whether it stays. NaN if it never settles so, or if the wish never stops changing.
     coupling
         By how much the last change of the desired stiffness moves the angle at most, against the same run without that
         change [rad]; NaN if the desired stiffness never changes, or never stops changing.
@@ -320,7 +322,8 @@ def metrics_of(total: Tally, change: Change, periods: int, period: ArrayLike) ->
     sums, peaks = total.sums, total.peaks
     unsettled = jnp.maximum(total.unsettled, change.at - 1)
     about_mean = sums.stiffness / periods - jnp.square(sums.stiffness_bias / periods)
-    never = (unsettled >= periods - 1) | ((change.at > 0) & ~change.ends)
+    in_band = periods - 1 - unsettled  # how many periods at the end
+    never = (_SETTLED * in_band < periods - change.at) | ((change.at > 0) & ~change.ends)
     return Metrics(
         angle_rmse=_root(sums.angle / periods),
         angle_max=peaks.angle,

@@ -24,6 +24,7 @@ from mckibben.identification.fit import Fit
 from mckibben.identification.intervals import Band, band, check_level, force_band, variance_of
 from mckibben.identification.uncertainty import Grouping
 from mckibben.joint import AntagonisticJoint
+from mckibben.joint.antagonistic import pressure_pair
 from mckibben.muscle import ForceLaw
 from mckibben.numerics.compiled import compiled
 
@@ -104,8 +105,9 @@ def joint_bands(
     values = tuple(np.array(list(fit.estimates.values())) for fit in pair)
     both = first, last
     with_laws = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, (first.law, last.law))
-    shape = np.broadcast_shapes(*(np.shape(x) for x in (angle, *pressures)))
-    where = [np.broadcast_to(np.asarray(x, np.float64), shape) for x in (angle, *pressures)]
+    pressures = pressure_pair(pressures)  # type: ignore[arg-type]  # what NumPy takes for an array, JAX does as well
+    where = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (angle, *pressures)))
+    shape = where[0].shape
     answers = _derivatives(with_laws, values, *where, one=one)
     found, gradients, contractions = jax.tree.map(np.asarray, answers)
     bands: list[Band] = []

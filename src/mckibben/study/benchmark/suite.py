@@ -347,7 +347,7 @@ class Suite(Part):
             valve=self.valve,
             sensors=self.sensors,
             disturbance=self.disturbance,
-            controller=self._believing(self.controllers[controller]),
+            controller=self.controllers[controller].with_model(self.joint, self.load, self.valve),
             reference=reference,
             start=start_of(reference),
             duration=self.duration,
@@ -380,18 +380,3 @@ class Suite(Part):
     def example(self, wish: str | None = None, joint: str = AS_BELIEVED) -> Scenario:
         """A run of the first controller."""
         return self.scenario(next(iter(self.controllers)), wish or next(iter(self.wishes)), joint)
-
-    def _believing(self, controller: ControllerSpec) -> ControllerSpec:
-        """The controller with all its beliefs written out, where it left them to the plant."""
-        believed: dict[str, Any] = {} if controller.model is not None else {"model": self.joint}
-        for name in ("decoupling", "predictive", "inverse_model"):
-            part = getattr(controller, name, None)
-            if part is None:
-                continue
-            lag = 0.0 if self.valve is None else self.valve.time_constant
-            own = {"load": self.load, "valve_time_constant": lag}
-            if getattr(part, "alone", None):  # a network without a model's inverse, for no load
-                del own["load"]
-            missing = {key: value for key, value in own.items() if getattr(part, key) is None}
-            believed[name] = part.model_copy(update=missing)
-        return controller.model_copy(update=believed)

@@ -4,11 +4,12 @@ from mckibben.study.parameters.addresses import Address, addresses, find, find_a
 from mckibben.study.parameters.distributions import LogUniform, Normal, Spread, Uniform, Values, Wholes
 from mckibben.study.parameters.rewriting import rewritten
 from mckibben.study.parameters.sampling import Kind, Over, Table, design, over, read_over, read_overs
-from mckibben.study.parameters.values import allowed, lanes, with_values
+from mckibben.study.parameters.values import Known, allowed, known_names, lanes, with_values
 
 __all__ = [
     "Address",
     "Kind",
+    "Known",
     "LogUniform",
     "Normal",
     "Over",
@@ -22,6 +23,7 @@ __all__ = [
     "design",
     "find",
     "find_all",
+    "known_names",
     "lanes",
     "over",
     "read_over",

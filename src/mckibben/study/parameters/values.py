@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -206,7 +206,13 @@ def _ends(column: NDArray) -> list[Any]:
     return sorted({end.item() for part in signs if part.size for end in (part.min(), part.max())})
 
 
-def with_values(scenario: Scenario, values: Mapping[str, float | int]) -> Scenario:
+Known = Collection[str] | Literal["all"]
+"""Numbers of the plant, by name, that the controller's model follows when they vary."""
+
+_PLANT = ("joint", "load", "valve")
+
+
+def with_values(scenario: Scenario, values: Mapping[str, float | int], *, known: Known = "all") -> Scenario:
     """The scenario with other numbers, checked as if they stood in its file.
 
     Parameters
@@ -215,6 +221,8 @@ def with_values(scenario: Scenario, values: Mapping[str, float | int]) -> Scenar
         Which stays as it is.
     values
         In SI, by name.
+    known
+        As for `lanes`; all unless given, as in a file.
 
     Raises
     ------
@@ -229,14 +237,19 @@ def with_values(scenario: Scenario, values: Mapping[str, float | int]) -> Scenar
     """
     columns = {address: _column(address, [value]) for address, value in zip(*_named(scenario, values), strict=True)}
     _check_rules(scenario, columns)
-    return validated(scenario, {address.place: column[0].item() for address, column in columns.items()})
+    numbers = {address: column[0].item() for address, column in columns.items()}
+    fixed = _with_fixed_model(scenario, numbers, known)
+    return validated(fixed, {address.place: value for address, value in numbers.items()})
 
 
-def lanes(scenario: Scenario, table: Mapping[str, ArrayLike]) -> Scenario:
+def lanes(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known = ()) -> Scenario:
     """Many scenarios in one: arrays stand in place of some of its numbers, one element a lane.
 
     What is built from it (`plant`, `control`, `reference`) has NumPy arrays of shape (n,) among its leaves where a
     number is varied, and what it always has where it is not. Such a scenario can be neither written nor compared.
+
+    Where the controller takes its model of joint, load and valves from the plant, it is that of `scenario` in all
+    lanes, whatever numbers of the plant vary.
 
     Parameters
     ----------
@@ -244,6 +257,9 @@ def lanes(scenario: Scenario, table: Mapping[str, ArrayLike]) -> Scenario:
         Which stays as it is.
     table
         Values in SI by name, columns of one length n.
+    known
+        Names of numbers of the plant whose values the controller knows, "all" for all of them: its model varies with
+        them wherever it takes them from the plant.
 
     Raises
     ------
@@ -266,7 +282,46 @@ def lanes(scenario: Scenario, table: Mapping[str, ArrayLike]) -> Scenario:
     """
     columns = _columns(scenario, table)
     _check_rules(scenario, columns)
-    return replaced(scenario, {address.place: column for address, column in columns.items()})
+    fixed = _with_fixed_model(scenario, columns, known)
+    return replaced(fixed, {address.place: column for address, column in columns.items()})
+
+
+def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tuple[str, ...]:
+    """Canonical names of the numbers that vary in the plant and in the controller's model alike.
+
+    Parameters
+    ----------
+    scenario
+        Whose controller it is.
+    known
+        As for `lanes`.
+    varied
+        Names of all numbers that vary.
+
+    Raises
+    ------
+    ParameterError
+        If a known number does not vary, or the controller does not take it from the plant.
+
+    Examples
+    --------
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> known_names(scenario, "all", ["load.m2", "joint.connector_length"])
+    ('joint.connector_length',)
+    """
+    followed = {address.name: _follows(scenario, address) for address in find_all(scenario, varied)}
+    if known == "all":
+        return tuple(name for name, follows in followed.items() if follows)
+    names = tuple(address.name for address in find_all(scenario, known))
+    for name in names:
+        if name not in followed:
+            raise ParameterError(
+                f"{name} is known but not varied", value=name, remedy="vary it, or leave it out of known"
+            )
+        if not followed[name]:
+            message = f"the controller's model does not take {name} from the plant"
+            raise ParameterError(message, value=name, remedy="leave it out of known")
+    return names
 
 
 def allowed(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
@@ -287,6 +342,24 @@ def allowed(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np.bo
     mask = np.ones(len(next(iter(columns.values()))), dtype=bool)
     mask[list(refusals(scenario, columns))] = False
     return mask
+
+
+def _with_fixed_model(scenario: Scenario, values: Mapping[Address, Any], known: Known) -> Scenario:
+    """The scenario with the controller's model fixed, at these values where they are known and else at its own."""
+    plant = {address: value for address, value in values.items() if address.place[0] in _PLANT}
+    names = [address.name for address in (plant if known == "all" else find_all(scenario, known))]
+    follows = {address.place: value for address, value in plant.items() if address.name in names}
+    if len(follows) == len(plant):
+        return scenario
+    return replaced(scenario, follows).with_fixed_model()
+
+
+def _follows(scenario: Scenario, address: Address) -> bool:
+    """Whether the controller takes a number from the plant."""
+    if address.place[0] not in _PLANT:
+        return False
+    marked = replaced(scenario, {address.place: math.nan})
+    return marked.with_fixed_model().controller != scenario.with_fixed_model().controller
 
 
 def _named(scenario: Scenario, values: Mapping[str, object]) -> tuple[list[Address], list]:

@@ -149,12 +149,14 @@ def build_control(
     spec: ControllerSpec, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None
 ) -> PositionStiffnessControl | FrictionCompensation | InverseModelControl | DecouplingControl | PredictiveControl:
     """The controller of a plant; its model is an object of its own even where it is that of the plant."""
-    model = build_joint(spec.model or joint)
+    spec = spec.with_model(joint, load, valve)
+    assert spec.model is not None
+    model = build_joint(spec.model)
     believing = spec.decoupling or spec.predictive
     if believing is not None:
-        beliefs = model, build_load(believing.load or load)
+        assert believing.load is not None
+        beliefs = model, build_load(believing.load)
         numbers: dict[str, Any] = {
-            "valve_time_constant": 0.0 if valve is None else valve.time_constant,
             "friction_compensation": bool(spec.friction_compensation),
             "adaptation": build_adaptation(believing.adaptation),
             **given_fields(believing, *_PARTS),
@@ -166,17 +168,14 @@ def build_control(
     loops = build_loop(spec.position), build_loop(spec.stiffness)
     control = PositionStiffnessControl(*loops, model=model, minimum_tension=spec.minimum_tension)
     if spec.inverse_model is not None:
-        return build_inverse_model(spec.inverse_model, control, load, valve)
+        return build_inverse_model(spec.inverse_model, control)
     return FrictionCompensation(control, model=model) if spec.friction_compensation else control
 
 
-def build_inverse_model(
-    spec: InverseModelSpec, loops: PositionStiffnessControl, load: LoadSpec, valve: ValveSpec | None
-) -> InverseModelControl:
+def build_inverse_model(spec: InverseModelSpec, loops: PositionStiffnessControl) -> InverseModelControl:
     """Two loops with what learns beside them."""
-    believed = None if spec.alone else build_load(spec.load or load)
-    lag: dict[str, Any] = {"valve_time_constant": 0.0 if valve is None else valve.time_constant}
-    return InverseModelControl(loops, believed, **lag | given_fields(spec, "alone", "load"))
+    load = None if spec.load is None else build_load(spec.load)
+    return InverseModelControl(loops, load, **given_fields(spec, "alone", "load"))
 
 
 def decoupling_parts(spec: DecouplingSpec) -> tuple[Feedback, Observer, PressureObserver]:

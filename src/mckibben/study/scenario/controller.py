@@ -37,7 +37,7 @@ from mckibben.study.scenario.fields import (
     Tension,
     Whole,
 )
-from mckibben.study.scenario.plant import JointSpec, LoadSpec
+from mckibben.study.scenario.plant import JointSpec, LoadSpec, ValveSpec
 
 P = TypeVar("P")
 I = TypeVar("I")  # noqa: E741
@@ -266,3 +266,18 @@ class ControllerSpec(Part):
                 remedy = "give a loop for both, or decoupling, or predictive"
                 refuse(f"lacks {' and '.join(missing)}", remedy, parent=True)
         return value
+
+    def with_model(self, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> ControllerSpec:
+        """The controller with its model of joint, load and valves written out, taken from a plant where not given."""
+        update: dict[str, Any] = {} if self.model is not None else {"model": joint}
+        lag = 0.0 if valve is None else valve.time_constant
+        for name in ("decoupling", "predictive", "inverse_model"):
+            part = getattr(self, name)
+            if part is None:
+                continue
+            plant = {"load": load, "valve_time_constant": lag}
+            if name == "inverse_model" and part.alone:  # its network learns without a model of the load
+                del plant["load"]
+            missing = {key: value for key, value in plant.items() if getattr(part, key) is None}
+            update[name] = part.model_copy(update=missing)
+        return self.model_copy(update=update)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
-from mckibben.study.parameters import Table, lanes
+from mckibben.study.parameters import Known, Table, lanes
 from mckibben.study.scenario import Scenario
 
 
@@ -76,6 +76,7 @@ def run_many(
     scenario: Scenario,
     table: Table,
     *,
+    known: Known = (),
     metrics: Sequence[str] = Metrics._fields,
     precision: Any = jnp.float64,
     chunk: int | None = None,
@@ -90,6 +91,8 @@ def run_many(
         What all runs share.
     table
         Arrays of one length by the names of the scenario's fields, SI; see `mckibben.study.parameters.sampling`.
+    known
+        Numbers of the plant that the controller's model follows; see `mckibben.study.parameters.values`.
     metrics, precision, chunk, workers, progress
         As for `simulate_many`.
 
@@ -104,7 +107,7 @@ def run_many(
     >>> run_many(scenario, {"load.mass2": [0.4, 0.5]}, metrics=["angle_rmse"]).count
     2
     """
-    many = lanes(scenario, table)
+    many = lanes(scenario, table, known=known)
     return simulate_many(
         many.plant(),
         many.control(),

@@ -182,6 +182,10 @@ class Scenario(Part):
 
         return build_control(self.controller, self.joint, self.load, self.valve)
 
+    def with_fixed_model(self) -> Scenario:
+        """The scenario with the controller's model of the plant written out, which no longer follows the plant."""
+        return self.model_copy(update={"controller": self.controller.with_model(self.joint, self.load, self.valve)})
+
     def reference(self) -> Reference:
         """What is wanted over time."""
         from mckibben.study.scenario.building import build_reference

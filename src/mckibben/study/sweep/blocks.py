@@ -129,6 +129,8 @@ class Job:
         run's numbers do not depend on who computes it.
     software
         What the process has to have; see `software`.
+    known
+        Numbers of the plant that the controller's model follows.
     """
 
     scenario: Scenario
@@ -136,6 +138,7 @@ class Job:
     precision: int
     lanes: int
     software: dict[str, str]
+    known: tuple[str, ...] = ()
 
     def __call__(self, table: Table) -> Columns:
         """The answers to some rows.
@@ -157,6 +160,7 @@ class Job:
         batch = run_many(
             self.scenario,
             full,
+            known=self.known,
             metrics=self.metrics,
             precision=jnp.float32 if self.precision == 32 else jnp.float64,
             chunk=self.lanes,

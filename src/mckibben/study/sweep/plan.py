@@ -15,7 +15,7 @@ import numpy as np
 from mckibben.errors import ParameterError, Problem
 from mckibben.simulation import Metrics
 from mckibben.simulation.batch import CHUNK, ON_ACCELERATOR, VECTOR
-from mckibben.study.parameters import Over, Spread, Table, design, lanes, over, read_overs
+from mckibben.study.parameters import Known, Over, Spread, Table, design, known_names, lanes, over, read_overs
 from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.blocks import Job, software
@@ -91,7 +91,7 @@ def _said(value: object) -> object:
 
 
 MANIFEST = "manifest.json"
-FORMAT = 1
+FORMAT = 2
 _SAMPLES = 1024
 _PIECES = 16  # a small sweep is cut into so many blocks at least, as long as they fill a vector
 _MOST_FILES = 256
@@ -112,6 +112,7 @@ class Asked(NamedTuple):
     metrics: Sequence[str] | None = None
     precision: int | None = None
     block: int | None = None
+    known: Known | None = None
 
     def filled(self, begun: Mapping[str, Any]) -> Asked:
         """With what a manifest says where something is left out."""
@@ -173,6 +174,7 @@ class Plan:
                 remedy="leave the number of samples out, or choose another design",
             )
         varied = _overs(asked.over, scenario)
+        known = known_names(scenario, asked.known or (), [each.name for each in varied])
         samples = _SAMPLES if asked.samples is None else asked.samples
         seed = 0 if asked.seed is None or kind == "grid" else asked.seed
         table = design(varied, kind, samples, seed)  # type: ignore[arg-type]  # it says itself what kinds there are
@@ -180,12 +182,13 @@ class Plan:
         rows = len(next(iter(table.values())))
         metrics, precision = metrics_named(asked.metrics), _precision(asked.precision)
         together, block = _sizes(rows, asked.block)
-        job = Job(scenario, metrics, precision, together, software())
+        job = Job(scenario, metrics, precision, together, software(), known)
         manifest = {
             "format": FORMAT,
             "scenario": scenario.dumps(folder=folder),
             "source": source,
             "over": [each.text for each in varied],
+            "known": list(known),
             "design": kind,
             "samples": rows,
             "seed": seed,
@@ -195,7 +198,7 @@ class Plan:
             "lanes": together,
             "software": job.software,
             "values": _digest_of_table(table),
-            "model": _digest_of_model(scenario, table),
+            "model": _digest_of_model(scenario, table, known),
         }
         return cls(job, varied, table, block, manifest)
 
@@ -296,9 +299,9 @@ def _digest_of_table(table: Table) -> str:
     return digest.hexdigest()
 
 
-def _digest_of_model(scenario: Scenario, table: Table) -> str:
+def _digest_of_model(scenario: Scenario, table: Table, known: Known) -> str:
     """Of all numbers of the first run: files that the scenario names, and the catalog, are in it."""
-    first = lanes(scenario, {name: column[:1] for name, column in table.items()})
+    first = lanes(scenario, {name: column[:1] for name, column in table.items()}, known=known)
     leaves = jax.tree_util.tree_leaves_with_path((first.plant(), first.control(), first.reference()))
     digest = hashlib.sha256()
     for path, leaf in leaves:

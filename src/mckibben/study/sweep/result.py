@@ -104,7 +104,7 @@ class Sweep:
         return np.array([outcome.lost for outcome in OUTCOMES])[self.table["outcome"].to_numpy()]
 
     def scenario(self, run: int, *, folder: str | os.PathLike[str] = ".") -> Scenario:
-        """The scenario of one run, to look at it alone.
+        """The scenario of one run, to look at it alone; its controller's model is written out if the plant varied.
 
         Parameters
         ----------
@@ -121,7 +121,8 @@ class Sweep:
         if not 0 <= run < self.count:
             raise ParameterError(f"there is no run {run}", value=run, remedy=f"choose 0 to {self.count - 1}")
         nominal = Scenario.parse(self.table.attrs["scenario"], folder=folder)
-        return with_values(nominal, {name: self.table[name].to_numpy()[run].item() for name in self.inputs})
+        values = {name: self.table[name].to_numpy()[run].item() for name in self.inputs}
+        return with_values(nominal, values, known=json.loads(self.table.attrs["manifest"])["known"])
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write everything to a NetCDF file, the same bytes for the same sweep; it appears whole or not at all."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
+from mckibben.study.parameters import Known
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.engines import check_address, on_cluster, on_threads
 from mckibben.study.sweep.plan import MANIFEST, Asked, Plan, Said
@@ -35,6 +36,7 @@ def sweep(
     dask: str | None = None,
     workers: int | None = None,
     block: int | None = None,
+    known: Known | None = None,
     source: str = "",
     progress: Callable[[int, int], None] | None = None,
 ) -> Sweep:
@@ -65,6 +67,9 @@ def sweep(
         Threads, or local processes; one a core unless given.
     block
         Runs that are kept in one file; chosen by their number unless given.
+    known
+        Varied numbers of the plant that the controller's model follows, "all" for all of them. None unless given: the
+        controller's model is that of the scenario in all runs.
     source
         Where the scenario came from, for the record.
     progress
@@ -87,7 +92,7 @@ def sweep(
     >>> swept.table["load.mass2"].to_numpy().round(3)
     array([0.482, 0.551, 0.512, 0.431])
     """
-    asked = Asked(over, design, samples, seed, metrics, precision, block)
+    asked = Asked(over, design, samples, seed, metrics, precision, block, known)
     if dask is not None:
         check_address(dask)
     if out is None:

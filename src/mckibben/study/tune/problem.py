@@ -14,7 +14,7 @@ from mckibben.errors import ParameterError
 from mckibben.numerics.batching import by_name, cores
 from mckibben.simulation import differentiate
 from mckibben.simulation.loop import described
-from mckibben.study.parameters import LogUniform, Over, Table, Uniform, allowed, find_all, lanes
+from mckibben.study.parameters import Known, LogUniform, Over, Table, Uniform, allowed, find_all, known_names, lanes
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import rest, run_many
 from mckibben.study.tune.cost import SMOOTH, Cost, Numbers, is_gain, nominal_of, point_of, values_at
@@ -37,11 +37,14 @@ class TuningProblem:
         The numbers, and their ranges; all scenarios have them.
     cost
         Of the runs.
+    known
+        Numbers of the plant that the controllers' models follow; see `mckibben.study.parameters.values`.
     """
 
     scenarios: tuple[Scenario, ...]
     over: tuple[Over, ...]
     cost: Cost
+    known: Known = ()
     _found: dict[tuple[int, str], list[str]] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -52,7 +55,7 @@ class TuningProblem:
                 raise ParameterError(f"{each.name} has no range to search", remedy="give one, like `1..10 bar/rad log`")
         for scenario in self.scenarios:
             try:
-                find_all(scenario, self.names)
+                known_names(scenario, self.known, self.names)
             except ParameterError as error:
                 if len(self.scenarios) == 1:
                     raise
@@ -154,7 +157,8 @@ class TuningProblem:
         good, rows = self._permitted(scenario, rows)
         if not good.any():
             return {name: np.full(len(rows), np.nan) for name in self.cost.metrics}
-        found = run_many(scenario, self._table(rows), metrics=self.cost.metrics, workers=workers).metrics
+        table = self._table(rows)
+        found = run_many(scenario, table, known=self.known, metrics=self.cost.metrics, workers=workers).metrics
         return {name: np.where(good, values, np.nan) for name, values in found.items()}
 
     def _derivatives(self, scenario: Scenario, rows: Numbers) -> tuple[Numbers, Numbers]:
@@ -162,7 +166,7 @@ class TuningProblem:
         good, rows = self._permitted(scenario, rows)
         if not good.any():
             return np.full(len(rows), np.nan), np.zeros_like(rows)
-        many = lanes(scenario, self._table(rows))
+        many = lanes(scenario, self._table(rows), known=self.known)
         leaves = [self._leaves(scenario, each) for each in self.over]
         found = differentiate(
             many.plant(),
@@ -197,7 +201,7 @@ class TuningProblem:
             pair = each.spread.at([low, high])
             if allowed(scenario, {each.name: pair}).all():
                 break
-        many = lanes(scenario, {each.name: pair})
+        many = lanes(scenario, {each.name: pair}, known=self.known)
         varying, _, _ = described(many.plant(), many.control(), many.reference(), rest(many), {})
         leaves = by_name(varying._asdict())
         if not leaves or not all(np.array_equal(leaf, pair) for leaf in leaves.values()):
@@ -214,11 +218,12 @@ def _check_steps(scenario: Scenario) -> None:
         )
 
 
-def problem(scenarios: Sequence[Scenario], over: Sequence[Over], cost: Cost) -> TuningProblem:
+def problem(scenarios: Sequence[Scenario], over: Sequence[Over], cost: Cost, known: Known = ()) -> TuningProblem:
     """A problem with the ranges' addresses taken from the first scenario."""
     names = find_all(scenarios[0], [each.name for each in over]) if scenarios else []
     return TuningProblem(
         tuple(scenarios),
         tuple(dataclasses.replace(each, address=address) for each, address in zip(over, names, strict=True)),
         cost,
+        known,
     )

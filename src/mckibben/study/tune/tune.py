@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.storage.files import alone, folder, whole
-from mckibben.study.parameters import Over, Spread, with_values
+from mckibben.study.parameters import Known, Over, Spread, with_values
 from mckibben.study.parameters import over as overs_of
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune.cost import Cost, as_written, at_bound
@@ -243,6 +243,7 @@ def tune(
     seed: int = 0,
     history: Path | None = None,
     resume: bool = False,
+    known: Known = (),
     progress: Callable[[float], None] | None = None,
     least: Callable[[float], None] | None = None,
 ) -> Tuned:
@@ -270,6 +271,8 @@ def tune(
         A file to keep every trial in; see `History`.
     resume
         Go on with the search in that file.
+    known
+        Tuned numbers of the plant that the controllers' models follow, "all" for all of them; none unless given.
     progress
         Called with the part that is done, 0 to 1; first when all that was asked for has been checked.
     least
@@ -290,7 +293,7 @@ def tune(
         raise ParameterError(f"seed is {seed}", value=seed, remedy=f"give a whole number, 0 to {_MOST_SEED}")
     several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
     ranges = overs_of(several[0], over) if isinstance(over, Mapping) and several else list(over)  # type: ignore[arg-type]
-    task = problem(several, ranges, cost)  # type: ignore[arg-type]
+    task = problem(several, ranges, cost, known)  # type: ignore[arg-type]
     check_method(method, numbers=len(task.over), population=population)
     if method is Method.GRADIENT:
         task.check_smooth()
@@ -300,6 +303,7 @@ def tune(
         "version": version("mckibben"),
         "scenarios or what they name": [(scenario.dumps(folder=folder), _digest(scenario)) for scenario in several],
         "parameters": [each.text for each in task.over],
+        "known": known if known == "all" else sorted(known),
         "cost": cost.text,
         "gain margin": cost.gain_margin,
         "worst": cost.worst,
@@ -365,7 +369,7 @@ def _tuned(task: TuningProblem, past: History, exact: Callable[[NDArray[np.float
     named = dict(zip(task.names, rounded.tolist(), strict=True))
     return Tuned(
         values=named,
-        scenarios=tuple(with_values(scenario, named) for scenario in task.scenarios),
+        scenarios=tuple(with_values(scenario, named, known=task.known) for scenario in task.scenarios),
         cost=cost_after,
         cost_before=before if before < LOST else float("nan"),
         evaluated=len(past.trials),
