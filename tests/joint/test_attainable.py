@@ -213,3 +213,16 @@ def test_one_pass_holds_the_first_of_many_angles_and_gives_the_range_at_all(knee
     if alone.exists:
         np.testing.assert_allclose(found.pressures, alone.pressures, rtol=1e-9)
     np.testing.assert_allclose(band, attainable(numeric(joint), angles, torques), rtol=1e-12)
+
+
+def test_pressures_for_broadcast(knee):
+    angles, torques = np.array([0.0, 0.05, 0.1]), np.array([[-0.5], [0.3]])
+    pressures = knee.pressures_for(angles, torques, 14.0)
+    assert [pressure.shape for pressure in pressures] == [(2, 3), (2, 3)]
+    np.testing.assert_allclose(knee.torque(angles, pressures), np.broadcast_to(torques, (2, 3)), atol=1e-9)
+    np.testing.assert_allclose(knee.stiffness(angles, pressures), 14.0, rtol=1e-9)
+    with pytest.raises(UnreachableError) as caught:
+        knee.pressures_for(angles, 0.0, np.array([14.0, 99.0, 98.0]))
+    assert caught.value.value == 99.0
+    with pytest.raises(RangeError, match="the angle is"):
+        knee.pressures_for(np.array([0.0, np.nan]), 0.0)

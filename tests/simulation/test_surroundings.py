@@ -102,7 +102,7 @@ def test_sensors_without_faults_and_pushes_of_nothing_change_nothing(heard, plan
 def test_a_run_that_goes_on_hears_and_feels_what_comes_next(heard, alone):
     _, _, final = alone
     record, seen, _ = heard(start=final)
-    assert np.asarray(record.state.io.index).tolist() == list(range(PERIODS + 1, 2 * PERIODS + 1))
+    assert np.asarray(record.state.io.sample).tolist() == list(range(PERIODS + 1, 2 * PERIODS + 1))
     np.testing.assert_array_equal(seen[0], np.stack(final.io.sensors))
     off = seen[1:, 1] - np.asarray(record.state.pressures[0])[:-1]
     before = alone[1][1:, 1] - np.asarray(alone[0].state.pressures[0])[:-1]

@@ -89,7 +89,7 @@ def _solve_static(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: 
 
 
 @compiled
-def _solve_many(joint: Joint, angle: Array, torque: Array, stiffness: Array) -> StaticSolution:
+def _solve_many(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
     """Return the solutions for arrays of shape (n,)."""
     return jax.vmap(lambda *numbers: _solve_static(joint, *numbers))(angle, torque, stiffness)
 

@@ -70,12 +70,6 @@ class ExponentialLaw(PressureAffineLaw):
     )
     shape_parameters = (Parameter("decay", "1", "1/percent", "decay of the exponential", 1.0, 300.0),)
 
-    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        # As the paper groups it: in a loop only one product waits for the exponential.
-        eps, pressure = jnp.asarray(contraction), jnp.asarray(pressure)
-        straight = (self.a1 + self.a2 * pressure) + (self.b1 + self.b2 * pressure) * eps
-        return straight + (self.c1 + self.c2 * pressure) * exp(-self.decay * eps)
-
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)
         decayed = exp(-self.decay * eps)

@@ -66,6 +66,7 @@ class Muscle(eqx.Module):
             friction=(self.friction, Friction),
             creep=(self.creep, Creep),
         )
+        self.domain  # noqa: B018  # raises if there is none
 
     def __repr__(self) -> str:
         parts = [self.specimen.name, type(self.law).__name__]

@@ -30,15 +30,15 @@ class IOState(NamedTuple):
 
     Attributes
     ----------
-    index
-        Control periods since the start.
+    sample
+        Index of the control period.
     disturbance
         External torque [N*m].
     sensors
         Sensor state.
     """
 
-    index: Scalar
+    sample: Scalar
     disturbance: Scalar
     sensors: Any
 
@@ -132,9 +132,9 @@ class JointPlant(eqx.Module):
         true, io = Measurement(state.angle, state.pressures), state.io
         if not isinstance(io, IOState):
             return state, true
-        sensors, measured = self.sensors.measure(io.sensors, io.index, true)
-        disturbance = floating(self.disturbance.torque(io.index * period))
-        return state._replace(io=IOState(io.index + 1, disturbance, sensors)), measured
+        sensors, measured = self.sensors.measure(io.sensors, io.sample, true)
+        disturbance = floating(self.disturbance.torque(io.sample * period))
+        return state._replace(io=IOState(io.sample + 1, disturbance, sensors)), measured
 
     def clip_commands(self, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Scalar, Scalar]:
         """Return the commands [Pa] clipped to the rated pressures of the specimens.
@@ -170,8 +170,8 @@ class JointPlant(eqx.Module):
             return after(state.pressures[0], commands[0], elapsed), after(state.pressures[1], commands[1], elapsed)
 
         def integrate(_: Array, state: PlantState) -> PlantState:
-            def rate(motion: Motion, *pressures: Scalar) -> Motion:
-                return self.rate(motion.applied_to(state, pressures))
+            def rate(motion: Motion, pressure1: Scalar, pressure2: Scalar) -> Motion:
+                return self.rate(motion.applied_to(state, (pressure1, pressure2)))
 
             end = pressures_after(state, step)
             inputs = state.pressures, pressures_after(state, step / 2), end
