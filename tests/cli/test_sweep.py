@@ -175,10 +175,9 @@ def test_ctrl_c_in_the_middle_says_how_to_go_on(cli, scenario, monkeypatch):
     assert found.err == "interrupted: 512 of 1024 runs are kept in kept; go on with --resume\n"
 
 
-def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, scenario, tmp_path, monkeypatch):
+def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, scenario, tmp_path):
     asked = (*MASS, "--samples", "512", "--metrics", "angle_rmse")
     blocks = tmp_path / "kept" / "blocks"
-    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "programs"))  # what is compiled once serves all
 
     def stopped(sent: signal.Signals, *arguments: str) -> tuple[int, str, int]:
         """Run until three more blocks are there, then send a signal: exit code, what was said, blocks."""

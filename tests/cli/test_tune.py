@@ -52,18 +52,6 @@ def text() -> str:
     return said
 
 
-@pytest.fixture(scope="module")
-def programs(tmp_path_factory):
-    """Where compiled programs are kept: what one test, or its process, has compiled serves the others."""
-    return tmp_path_factory.mktemp("programs")
-
-
-@pytest.fixture
-def cli(cli, monkeypatch, programs):
-    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(programs))
-    return cli
-
-
 @pytest.fixture
 def scenario(tmp_path, text) -> Path:
     path = tmp_path / "s.yaml"
