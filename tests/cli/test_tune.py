@@ -111,7 +111,7 @@ def test_json_alone_on_standard_output(cli, scenario, tmp_path):
     found = cli("tune", "s.yaml", *SMALL, "--method", "cma", "--json")
     assert found.code == 0
     assert json.loads(found.out) == json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
-    assert re.fullmatch(r"kept s-tuned.yaml, history.jsonl.* in kept\n", found.err)
+    assert re.fullmatch(r"wrote s-tuned.yaml, history.jsonl.* to kept\n", found.err)
 
 
 def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, text, monkeypatch):
@@ -274,7 +274,7 @@ class TestCutOff:
         if method == "cma":
             code, wrong = self.cut_off(folder, signal.SIGINT, *asked, "--resume")
             assert code == 130
-            assert "interrupted: what was tried is kept in kept/history.jsonl; go on with --resume" in wrong
+            assert "interrupted: the evaluated points are in kept/history.jsonl; continue with --resume" in wrong
             assert "Traceback" not in wrong
             left.append((folder / "kept" / "history.jsonl").read_bytes())
 
