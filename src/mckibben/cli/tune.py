@@ -48,7 +48,7 @@ def tune(
         float,
         typer.Option(
             metavar="FACTOR",
-            help="Gain margin: the cost is the larger of those with the gains and with FACTOR times them.",
+            help="Gain margin: the cost also covers gains FACTOR times as large.",
         ),
     ] = 1.5,
     worst: Annotated[bool, typer.Option("--worst", help="Minimise the worst scenario, not the mean.")] = False,
