@@ -41,7 +41,7 @@ def written(tmp_path):
 @pytest.fixture
 def undrawn(monkeypatch):
     """No figures: they take longer than all else."""
-    monkeypatch.setattr("mckibben.report.write_contest", lambda contest, numbers, out: out / "comparison.html")
+    monkeypatch.setattr("mckibben.report.write_benchmark", lambda contest, numbers, out: out / "comparison.html")
 
 
 def results(folder):
@@ -49,8 +49,8 @@ def results(folder):
 
 
 def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch):
-    drawn, draw = [], report.write_contest
-    monkeypatch.setattr(report, "write_contest", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest))
+    drawn, draw = [], report.write_benchmark
+    monkeypatch.setattr(report, "write_benchmark", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest))
     suite = written((DECOUPLING, ""))
     found = cli("compare", "suite.yaml", "--out", "kept")
     assert found.code == 0, found.err

@@ -102,7 +102,7 @@ def _show(contest: Contest, out: Path, json: bool) -> None:
     with whole(out / "suite.yaml") as part:
         part.write_text(contest.suite.dumps(folder=out), encoding="utf-8")
     kept = _tuned_scenarios(contest, out)
-    page = report.write_contest(contest, numbers, out)
+    page = report.write_benchmark(contest, numbers, out)
     if json:
         typer.echo(to_json(numbers))
     else:
