@@ -120,7 +120,7 @@ def test_its_words_and_numbers(text, numbers, contest):
         assert f"{name} {ripple} {estimate}" in words
     ratio = numbers["controllers"]["decoupling"]["against_first"]["angle_rmse_deg"]
     assert f"{number(ratio['ratio'])} ({number(ratio['low'])} to {number(ratio['high'])})" in words
-    assert "as it is as in the suite" in words
+    assert "as it is not tuned" in words
     assert "cost 20.5 before, 1.25 tuned" in words
     assert "position.kp 1.2 bar/rad" in words
     assert "--repeat 'PID 3 15'" in words, "a run that there is"
