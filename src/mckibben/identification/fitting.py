@@ -169,11 +169,11 @@ def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) 
 
 
 def _check_holds(law_type: type[ForceLaw], points: IsobaricDataset) -> None:
-    beyond = ~np.asarray(law_type.holds.contains(points.contraction, points.levels))
+    beyond = ~np.asarray(law_type.formula_domain.contains(points.contraction, points.levels))
     if beyond.any():
         raise IdentificationError(
             f"{law_type.__name__} means nothing at {np.count_nonzero(beyond)} of the {len(points)} taut points: it is "
-            f"made for {law_type.holds.bounds()}",
+            f"made for {law_type.formula_domain.bounds()}",
             remedy="leave these points out, or take another law",
         )
 

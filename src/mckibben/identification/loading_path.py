@@ -14,7 +14,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.problem import design_matrix
 from mckibben.muscle import ForceLaw, MaxwellSlip, forces
-from mckibben.muscle.friction import NARROWEST, drawn, faded, polygon
+from mckibben.muscle.friction import MIN_HALF_WIDTH, play_response, polygon, smooth_limit
 
 _SAME = 1.0  # Pa: levels that are nearer are one
 _FEWEST = 4  # points on a way from which anything about friction can be learned
@@ -300,7 +300,7 @@ class WayModel:
         """The range of each parameter."""
         given = {p.name: (p.lower, p.upper) for p in type(self.template).shape_parameters}
         given |= {
-            "half_width": (NARROWEST, _WIDEST),
+            "half_width": (MIN_HALF_WIDTH, _WIDEST),
             "log_presliding": (self.shortest, float(np.log(10 * np.ptp(self.strokes.length)))),
         }
         lower, upper = zip(*(given.get(name, (-np.inf, np.inf)) for name in names), strict=True)
@@ -350,11 +350,11 @@ class WayModel:
         """For each column of tensions and its values, shape (rows, sets)."""
         half_width, growth, log_presliding = (np.array([values[name] for values in sets]) for name in FRICTION)
         above = self.means.pressure - self.reference_pressure
-        limit = faded(half_width + growth * above[:, None], tension, np)
+        limit = smooth_limit(half_width + growth * above[:, None], tension, np)
         share, stiffness = polygon(self.elements)
         stiffness = stiffness * (half_width / np.exp(log_presliding))[:, None]
         place = self.strokes.place
-        deflections = drawn(
+        deflections = play_response(
             self.strokes.travel[..., None], limit[place], stiffness, share, side=self.strokes.side[:, None]
         )
         return self.strokes.scattered(np.einsum("pwse,se->pws", deflections, stiffness))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.loading_path import Strokes
-from mckibben.muscle.creep import remaining
+from mckibben.muscle.creep import retained_fraction
 
 BLOCKS = 16
 """To so many the samples of a plateau are averaged: an exponential is smooth."""
@@ -89,7 +89,7 @@ class Moves:
     def held(self, time_constant: float) -> NDArray[np.float64]:
         """The stretch [m] that an arm holds at the first sample, shape (rows,)."""
         carried = np.exp(-self.before / time_constant)
-        added = self.strokes.travel * remaining(self.moving, time_constant)
+        added = self.strokes.travel * retained_fraction(self.moving, time_constant)
         held = np.empty_like(added)
         now = np.zeros(added.shape[1])
         for k in range(len(added)):

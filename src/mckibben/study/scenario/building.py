@@ -34,7 +34,7 @@ from mckibben.control import (
     VelocityObserver,
 )
 from mckibben.joint import AntagonisticJoint, KneeGeometry, Load, RigidTendon, SeriesSpring
-from mckibben.muscle import ChouLaw, Creep, Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, stronger
+from mckibben.muscle import ChouLaw, Creep, Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, scaled_law
 from mckibben.plant import (
     Disturbance,
     FirstOrderValve,
@@ -237,7 +237,7 @@ def build_signal(spec: SignalSpec[Any], quantity: str) -> Signal:
 
 def build_start(plant: JointPlant, spec: StartSpec) -> PlantState:
     """The state at rest to start from."""
-    return plant.at_rest(spec.angle, stiffness=spec.stiffness)
+    return plant.equilibrium(spec.angle, stiffness=spec.stiffness)
 
 
 def _geometry(spec: GeometrySpec) -> KneeGeometry:
@@ -253,7 +253,7 @@ def _muscle(spec: MuscleSpec) -> Muscle:
         law = Fit.from_yaml(spec.law).law
     else:
         law = ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law)
-    return Muscle(specimen, law if spec.strength is None else stronger(law, spec.strength), friction, creep)
+    return Muscle(specimen, law if spec.strength is None else scaled_law(law, spec.strength), friction, creep)
 
 
 def _base(spec: BackpropSpec[Any, Any, Any, Any]) -> PID:
