@@ -186,17 +186,17 @@ def test_standard_errors_cover_the_truth():
 @pytest.mark.parametrize("law_type", [ExponentialLaw, ChouLaw])
 def test_leaving_one_pressure_out_equals_a_loop_over_identify(law_type):
     data = grid(EQ_3, pressures=np.arange(1, 7) * bar, noise=2.0)
-    unseen = identify(law_type, data).leave_one_pressure_out
+    cross_validation = identify(law_type, data).leave_one_pressure_out
     residuals = []
     for pressure in data.taut.pressures:
         train, held_out = data.taut.split(pressures=pressure)
         law = identify(law_type, train).law
         error = held_out.force - np.asarray(law.force(held_out.contraction, held_out.pressure))
-        assert unseen.by_pressure[pressure] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
+        assert cross_validation.by_pressure[pressure] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
         residuals.append(error)
     pooled = np.concatenate(residuals)
-    assert unseen.rmse == pytest.approx(np.sqrt(np.mean(pooled**2)), rel=1e-6)
-    assert unseen.max_error == pytest.approx(np.abs(pooled).max(), rel=1e-6)
+    assert cross_validation.rmse == pytest.approx(np.sqrt(np.mean(pooled**2)), rel=1e-6)
+    assert cross_validation.max_error == pytest.approx(np.abs(pooled).max(), rel=1e-6)
 
 
 def test_levels_are_the_set_pressures_where_they_are_known():
@@ -234,11 +234,11 @@ def test_too_few_points():
         ([3 * bar, 4 * bar, 5 * bar, 6 * bar], [0.0, 0.05, 0.1], "a1"),  # three
     ],
 )
-def test_a_singular_design_names_what_it_does_not_determine(pressures, contractions, undetermined):
+def test_a_singular_design_names_what_it_does_not_determine(pressures, contractions, unidentifiable):
     data = grid(EQ_3, pressures=pressures, contractions=contractions, noise=0.5)
     with pytest.raises(IdentificationError, match=r"not determine .*condition number.*; measure at more") as error:
         identify(ExponentialLaw, data)
-    assert undetermined in str(error.value)
+    assert unidentifiable in str(error.value)
 
 
 def test_one_pressure_is_enough_for_chou_and_no_error_at_unseen_ones_is_claimed():

@@ -33,7 +33,7 @@ def test_every_number_comes_back_exactly(fit, tmp_path):
     again = Fit.from_yaml(tmp_path / "fit.yaml")
     same(fit, again)
     assert again.residuals is None
-    assert again.evidence is None
+    assert again.regression is None
     assert again.robust == fit.robust
     assert fit.robust.groups == 16
     assert again.intervals() == fit.intervals()

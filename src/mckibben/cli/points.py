@@ -24,7 +24,7 @@ from mckibben.cli.options import (
 from mckibben.errors import DatasetError, Problem, UnitError
 
 if TYPE_CHECKING:
-    from mckibben.dataset import Points, Recording
+    from mckibben.dataset import ExtractedPoints, Recording
 
 _SHOWN = 40  # points in the table
 _LEADING_NUMBER = re.compile(r"^[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
@@ -117,7 +117,7 @@ def points(
         said(f"kept {len(found.dataset)} points in {out}; fit a law with: mckibben identify {out}", json)
 
 
-def _show(read: Recording, found: Points, path: Path, json: bool) -> None:
+def _show(read: Recording, found: ExtractedPoints, path: Path, json: bool) -> None:
     from mckibben.study.reporting import to_json
 
     say_ignored(read.table.attrs)
@@ -144,7 +144,7 @@ def _show(read: Recording, found: Points, path: Path, json: bool) -> None:
     typer.echo(found.describe())
 
 
-def _rows(found: Points) -> list[tuple[float, float, float, float, float, int, str]]:
+def _rows(found: ExtractedPoints) -> list[tuple[float, float, float, float, float, int, str]]:
     from mckibben.units import bar, percent
 
     data = found.dataset.table

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from mckibben.dataset.matlab import heaps_are_sound
+from mckibben.dataset.matlab import global_heaps_are_valid
 from mckibben.errors import DatasetError, Problem
 from mckibben.storage.files import whole
 
@@ -234,7 +234,7 @@ def load_netcdf(path: Path) -> xr.Dataset:
         with path.open("rb") as file:  # so that what the system objects to is told from what is wrong with the content
             if file.seek(0, 2) > 0:
                 with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                    if not heaps_are_sound(content):
+                    if not global_heaps_are_valid(content):
                         raise ValueError("a heap of texts is damaged")
         return xr.load_dataset(path, engine="h5netcdf", decode_times=False).drop_encoding()
     except ImportError:

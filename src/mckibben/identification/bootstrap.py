@@ -20,10 +20,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import Band, Evidence, Interval, check_level, law_forces, quantile
+from mckibben.identification.intervals import (
+    Interval,
+    IntervalEstimate,
+    Regression,
+    check_level,
+    law_forces,
+    t_quantile,
+)
 from mckibben.identification.problem import FitProblem, Solution
 from mckibben.identification.solvers import project, solve_between_bounds, solve_by_projection
-from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition, finest_recorded, group_labels
+from mckibben.identification.uncertainty import (
+    CONDITION_LIMIT,
+    Grouping,
+    condition_number,
+    finest_grouping,
+    group_labels,
+)
 from mckibben.muscle import ForceLaw
 
 FEWEST_BLOCKS = 8
@@ -60,27 +73,27 @@ class Bootstrap:
     blocks: int
     draws: NDArray[np.float64] = field(repr=False)
     failed: int
-    held: NDArray[np.bool_] = field(repr=False)
+    at_bound: NDArray[np.bool_] = field(repr=False)
 
     @property
     def standard_errors(self) -> dict[str, float]:
         """By parameter, in SI: half the range of the middle 68 % of the draws, times sqrt(G/(G - 1)) for G blocks.
 
-        For normal draws that is their standard deviation; it is not ruled by a few draws far off, which `doubts` names.
+        For normal draws that is their standard deviation; outliers, named by `warnings`, have little effect.
         NaN where the parameter is at a bound.
         """
-        errors = np.where(self.held, np.nan, self._spread(self.draws))
+        errors = np.where(self.at_bound, np.nan, self._spread(self.draws))
         return dict(zip(self._names, errors.tolist(), strict=True))
 
     @property
-    def doubts(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Sentences: of which parameters some draws lie so far off that no standard error describes them."""
         if len(self.draws) < _ENOUGH:
             return ()
         widths, spread = np.std(self.draws, axis=0, ddof=1) * self._correction, self._spread(self.draws)
         far = [
             f"{name} ({width / error:.2g} times)"
-            for name, width, error, out in zip(self._names, widths, spread, self.held, strict=True)
+            for name, width, error, out in zip(self._names, widths, spread, self.at_bound, strict=True)
             if not out and width > _TAILS * error
         ]
         if not far:
@@ -95,30 +108,32 @@ class Bootstrap:
 
         NaN where the parameter is at a bound.
         """
-        lower, upper = (np.where(self.held, np.nan, ends) for ends in self._percentiles(self.draws, level))
+        lower, upper = (np.where(self.at_bound, np.nan, ends) for ends in self._percentiles(self.draws, level))
         return {name: Interval(*ends) for name, *ends in zip(self._names, lower.tolist(), upper.tolist(), strict=True)}
 
-    def force_band(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> Band:
+    def force_intervals(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> IntervalEstimate:
         """The force of the law [N] at contractions [-] and pressures [Pa], with percentiles of the refitted laws."""
         value = law_forces(type(self.law), [list(self._estimates)], contraction, pressure)[0]
         forces = law_forces(type(self.law), self.draws, contraction, pressure)
         lower, upper = self._percentiles(forces, level)
-        return Band(level, value, self._spread(forces), np.full_like(value, self.blocks - 1.0), lower, upper)
+        return IntervalEstimate(
+            level, value, self._spread(forces), np.full_like(value, self.blocks - 1.0), lower, upper
+        )
 
     @property
     def _correction(self) -> float:
         return float(np.sqrt(self.blocks / (self.blocks - 1)))
 
     def _spread(self, draws: NDArray[np.float64]) -> NDArray[np.float64]:
-        lower, upper = np.quantile(draws, _MIDDLE, axis=0)
+        lower, upper = np.t_quantile(draws, _MIDDLE, axis=0)
         return (upper - lower) / 2 * self._correction
 
     def _percentiles(self, draws: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         from scipy.special import ndtr
 
         check_level(level)
-        reach = float(quantile(level, self.blocks - 1)) * self._correction
-        lower, upper = np.quantile(draws, [float(ndtr(-reach)), float(ndtr(reach))], axis=0)
+        reach = float(t_quantile(level, self.blocks - 1)) * self._correction
+        lower, upper = np.t_quantile(draws, [float(ndtr(-reach)), float(ndtr(reach))], axis=0)
         return lower, upper
 
     @property
@@ -154,17 +169,17 @@ def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None
     """
     if refits < 2:
         raise RangeError(f"{refits} refits have no spread", value=refits, lower=2, remedy="take some hundreds")
-    evidence = fit.known_evidence()
-    by, labels = _blocks(evidence, by)
+    regression = fit.require_regression()
+    by, labels = _blocks(regression, by)
     blocks = int(labels.max()) + 1
     generator = np.random.default_rng(seed)
-    starts = _starts(evidence)
+    starts = _starts(regression)
     draws: list[NDArray[np.float64]] = []
     failed = 0
     while len(draws) < refits:
         counts = generator.multinomial(blocks, np.full(blocks, 1 / blocks)).astype(np.float64)
-        found = _refit(evidence.problem.weighing(counts[labels]), starts, evidence.solution.values)
-        if found.converged and condition(found.jacobian[:, ~evidence.held]) < CONDITION_LIMIT:
+        found = _refit(regression.problem.weighing(counts[labels]), starts, regression.solution.values)
+        if found.converged and condition_number(found.jacobian[:, ~regression.at_bound]) < CONDITION_LIMIT:
             draws.append(found.values)
             continue
         failed += 1
@@ -176,14 +191,14 @@ def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None
                 upper=_MOST_FAILED * refits,
                 remedy="measure at more pressures or repeat the test, or rely on Fit.intervals",
             )
-    return Bootstrap(fit.law, by, blocks, np.array(draws), failed, evidence.held)
+    return Bootstrap(fit.law, by, blocks, np.array(draws), failed, regression.at_bound)
 
 
-def _starts(evidence: Evidence) -> list[NDArray[np.float64]]:
+def _starts(regression: Regression) -> list[NDArray[np.float64]]:
     """Positions in the unit cube: that of the fit, then the bottoms of other valleys, best first."""
     from scipy.ndimage import minimum_filter  # 0.1 s, which no import of the package should wait for
 
-    problem, starts = evidence.problem, [evidence.solution.position]
+    problem, starts = regression.problem, [regression.solution.position]
     axes = len(starts[0])
     if not axes:
         return starts
@@ -215,10 +230,10 @@ def _cost(solution: Solution) -> float:
     return float(solution.residuals @ solution.residuals)
 
 
-def _blocks(evidence: Evidence, by: Grouping | None) -> tuple[Grouping, NDArray[np.int64]]:
-    points = evidence.points
+def _blocks(regression: Regression, by: Grouping | None) -> tuple[Grouping, NDArray[np.int64]]:
+    points = regression.points
     if by is None:
-        by = Grouping.REPEAT if len(points.repeats) >= FEWEST_BLOCKS else finest_recorded(points)
+        by = Grouping.REPEAT if len(points.repeats) >= FEWEST_BLOCKS else finest_grouping(points)
     labels = group_labels(points, by)
     blocks = int(labels.max()) + 1
     if blocks < FEWEST_BLOCKS:

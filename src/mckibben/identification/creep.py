@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import DatasetSummary
-from mckibben.identification.relaxation import Arm, Courses, Moves
+from mckibben.identification.relaxation import MaxwellElementFit, RelaxationCurves, TimedLoadingPaths
 from mckibben.muscle import MaxwellCreep, NoCreep
 from mckibben.units import percent, show
 
@@ -185,8 +185,8 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
             raise RangeError(f"{name} is {value:g} {unit}", value=value, unit=unit, remedy="give a positive number")
     force = _samples(dataset)
     means = dataset.plateau_means()
-    moves = Moves.of(means, dwell, speed, interval * force.shape[1])
-    arm = Arm(Courses.of(force, interval), moves)
+    moves = TimedLoadingPaths.of(means, dwell, speed, interval * force.shape[1])
+    arm = MaxwellElementFit(RelaxationCurves.of(force, interval), moves)
     taut = ~means.slack & (means.force > 0)
     rate, error, common = _drift(arm.courses.slopes, moves, taut)
     warnings = _pressure_warning(dataset, interval, moves, taut, rate, means)
@@ -214,8 +214,8 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
     ends = max(0.01, _QUICK * dwell, 3 * interval), max(_SLOW * moves.longest, 10 * span)
     used, tau = taut, arm.time_constant(taut, *ends)
     for _ in range(_ROUNDS):  # without the points at which so much relaxes that the arm may have slipped
-        held = np.abs(arm.numbers(tau, used)[0] * moves.held(tau))
-        within = taut & (held < _PART * means.force)
+        at_bound = np.abs(arm.numbers(tau, used)[0] * moves.at_bound(tau))
+        within = taut & (at_bound < _PART * means.force)
         if within.sum() < taut.sum() / 2:  # then the arm is a guess, as where its time constant is not determined
             break
         _check_sides(moves, within)
@@ -233,7 +233,7 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
         warnings.append(_undetermined(between, stiffness / tau, span, dwell))
         errors, correlation = dict.fromkeys(errors, math.nan), math.nan
     bound = np.maximum(means.force, 0.0) / 2
-    relaxing = np.where(taut, np.clip(stiffness * moves.held(tau), -bound, bound), 0.0)
+    relaxing = np.where(taut, np.clip(stiffness * moves.at_bound(tau), -bound, bound), 0.0)
     return dataclasses.replace(
         found,
         creep=MaxwellCreep(stiffness, tau),
@@ -259,7 +259,7 @@ def _samples(dataset: IsobaricDataset) -> NDArray:
     return dataset.table["force_samples"].to_numpy()
 
 
-def _check_sides(moves: Moves, used: NDArray[np.bool_]) -> None:
+def _check_sides(moves: TimedLoadingPaths, used: NDArray[np.bool_]) -> None:
     for side, word in ((1, "stretching"), (-1, "shortening")):
         count = int(np.count_nonzero(used & (moves.sides == side)))
         if count < _PLATEAUS:
@@ -271,7 +271,9 @@ def _check_sides(moves: Moves, used: NDArray[np.bool_]) -> None:
             )
 
 
-def _drift(slopes: NDArray[np.float64], moves: Moves, used: NDArray[np.bool_]) -> tuple[float, float, float]:
+def _drift(
+    slopes: NDArray[np.float64], moves: TimedLoadingPaths, used: NDArray[np.bool_]
+) -> tuple[float, float, float]:
     """How fast the force goes back after a move, the standard error of that, and what is the same in both [N/s]."""
     _check_sides(moves, used)
     up, down = (slopes[used & (moves.sides == side)] for side in (1, -1))
@@ -280,7 +282,7 @@ def _drift(slopes: NDArray[np.float64], moves: Moves, used: NDArray[np.bool_]) -
     return rate, max(error, 1e-300), float(down.mean() + up.mean()) / 2
 
 
-def _unseen(arm: Arm, used: NDArray[np.bool_], found: CreepFit, span: float, dwell: float) -> list[str]:
+def _unseen(arm: MaxwellElementFit, used: NDArray[np.bool_], found: CreepFit, span: float, dwell: float) -> list[str]:
     """What to say where there is no creep to be seen."""
     bound = arm.numbers(span, used)[0] + _SEEN * arm.stiffness_error(span, used)
     onwards = (
@@ -316,7 +318,7 @@ def _undetermined(between: tuple[float, float], ratio: float, span: float, dwell
 def _pressure_warning(
     dataset: IsobaricDataset,
     interval: float,
-    moves: Moves,
+    moves: TimedLoadingPaths,
     used: NDArray[np.bool_],
     rate: float,
     means: IsobaricDataset,
@@ -324,7 +326,7 @@ def _pressure_warning(
     """What to say where the pressure drifts within plateaus as well, after one direction other than after the other."""
     if "pressure_samples" not in dataset.table:
         return ["without samples of the pressure, a regulator that follows slowly cannot be told from creep"]
-    slopes = Courses.of(dataset.table["pressure_samples"].to_numpy(), interval).slopes
+    slopes = RelaxationCurves.of(dataset.table["pressure_samples"].to_numpy(), interval).slopes
     back, error, _ = _drift(slopes, moves, used)
     pressed = used & (means.pressure > 0)
     equivalent = back * float(np.median(means.force[pressed] / means.pressure[pressed])) if pressed.any() else 0.0

@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification.problem import FitProblem, Solution
 from mckibben.identification.solvers import solve
-from mckibben.identification.uncertainty import CONDITION_LIMIT, condition
+from mckibben.identification.uncertainty import CONDITION_LIMIT, condition_number
 
 MOST_BLOCKS = 200
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut:
+class CrossValidation:
     """Errors of the points of each block, of the fit to all others.
 
     Attributes
@@ -62,7 +62,7 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[NDArray[np.float64] | None
     return levels, ""
 
 
-class UndeterminedError(Exception):
+class NotIdentifiableError(Exception):
     """Without a block, what is left does not determine the law; it holds the block."""
 
     def __init__(self, block: float | str, reason: str) -> None:
@@ -70,7 +70,7 @@ class UndeterminedError(Exception):
         self.block, self.reason = block, reason
 
 
-def leave_out(problem: FitProblem, full: Solution, blocks: ArrayLike) -> LeftOut:
+def cross_validate(problem: FitProblem, full: Solution, blocks: ArrayLike) -> CrossValidation:
     """Fit the whole law, its shape included, to the points of all blocks but one; for each block.
 
     Parameters
@@ -95,18 +95,19 @@ def leave_out(problem: FitProblem, full: Solution, blocks: ArrayLike) -> LeftOut
             continue
         out = blocks == block
         if np.count_nonzero(~out) <= len(problem.names):
-            raise UndeterminedError(block, "too few are left to fit")
+            raise NotIdentifiableError(block, "too few are left to fit")
         rest = problem.keeping(~out)
         solution = solve(rest, full.position)
-        if not (solution.converged and condition(solution.jacobian[:, ~held(rest, solution)]) < CONDITION_LIMIT):
-            raise UndeterminedError(block, "the law is not determined")
+        free = solution.jacobian[:, ~parameters_at_bound(rest, solution)]
+        if not (solution.converged and condition_number(free) < CONDITION_LIMIT):
+            raise NotIdentifiableError(block, "the law is not determined")
         residuals[out], _ = problem.keeping(out).response(solution.values)
         if not np.isfinite(residuals[out]).all():
-            raise UndeterminedError(block, "the law has no force at them")
+            raise NotIdentifiableError(block, "the law has no force at them")
         by_block[block] = float(np.sqrt(np.mean(residuals[out] ** 2)))
-    return LeftOut(residuals, by_block)
+    return CrossValidation(residuals, by_block)
 
 
-def held(problem: FitProblem, solution: Solution) -> NDArray[np.bool_]:
+def parameters_at_bound(problem: FitProblem, solution: Solution) -> NDArray[np.bool_]:
     """Which parameters lie at a bound of their range, shape (parameters,)."""
     return np.concatenate([np.zeros(problem.linear, bool), problem.cube.at_bound(solution.position)])

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import IdentificationError
 from mckibben.identification.intervals import (
-    Evidence,
-    ForceBand,
+    ForceIntervals,
     Interval,
+    Regression,
     RobustErrors,
-    force_band,
+    force_intervals,
     parameter_interval,
 )
 from mckibben.identification.uncertainty import Grouping
@@ -110,7 +110,7 @@ class Fit:
     dataset: DatasetSummary
     residuals: NDArray[np.float64] | None = field(default=None, repr=False)
     robust: RobustErrors | None = field(default=None, repr=False)
-    evidence: Evidence | None = field(default=None, repr=False)
+    regression: Regression | None = field(default=None, repr=False)
 
     @property
     def estimates(self) -> dict[str, float]:
@@ -131,7 +131,7 @@ class Fit:
         level
             That share.
         by
-            Which points may share an error; unless said, as `mckibben.identification.intervals.Evidence.rule` has it:
+            Points that may share an error; `Regression.default_grouping` unless given:
             those of a stroke, or of a pressure where strokes are not known. ``Grouping.POINT`` gives the classical
             intervals.
 
@@ -146,9 +146,9 @@ class Fit:
             for name, value in self.estimates.items()
         }
 
-    def force_band(
+    def force_intervals(
         self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95, by: Grouping | None = None
-    ) -> ForceBand:
+    ) -> ForceIntervals:
         """The force of the law [N] with its uncertainty, and where a further measurement would lie.
 
         Parameters
@@ -160,7 +160,7 @@ class Fit:
 
         Returns
         -------
-        ForceBand
+        ForceIntervals
             Of the law, which may turn negative where the muscle is slack. It holds the force of the muscle if the law
             is of the right kind: how far a wrong one is from the muscle is not in it.
 
@@ -169,9 +169,9 @@ class Fit:
         IdentificationError
             As `intervals`; and if the fit was read from a file, which does not keep the points.
         """
-        return force_band(self.law, self.known_evidence(), contraction, pressure, level=level, by=by)
+        return force_intervals(self.law, self.require_regression(), contraction, pressure, level=level, by=by)
 
-    def known_evidence(self) -> Evidence:
+    def require_regression(self) -> Regression:
         """What the fit rests on.
 
         Raises
@@ -179,12 +179,12 @@ class Fit:
         IdentificationError
             If the fit was read from a file, which does not keep the points.
         """
-        if self.evidence is None:
+        if self.regression is None:
             raise IdentificationError(
                 f"this fit of {type(self.law).__name__} was read from a file, which does not keep its points",
                 remedy="identify it again from the data",
             )
-        return self.evidence
+        return self.regression
 
     def _errors(self, by: Grouping | None) -> tuple[Mapping[str, float], Mapping[str, float]]:
         """Standard errors and degrees of freedom by parameter."""
@@ -193,7 +193,7 @@ class Fit:
         if by in (None, Grouping.POINT):
             free = sum(not np.isnan(error) for error in self.standard_errors.values())
             return self.standard_errors, dict.fromkeys(self.standard_errors, float(self.points_used - free))
-        found = self.known_evidence().robust_errors(by)
+        found = self.require_regression().robust_errors(by)
         return found.standard_errors, found.degrees_of_freedom
 
     def strongest_correlations(self, count: int = 3) -> list[tuple[str, str, float]]:

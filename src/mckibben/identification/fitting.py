@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.cross_validation import UndeterminedError, held, pressure_blocks
+from mckibben.identification.cross_validation import NotIdentifiableError, parameters_at_bound, pressure_blocks
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
-from mckibben.identification.intervals import Evidence
+from mckibben.identification.intervals import Regression
 from mckibben.identification.problem import FitProblem, Solution
 from mckibben.identification.solvers import project, search, solve
-from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition, uncertainty, undetermined
+from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition_number, uncertainty
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.units import bar, percent, show
 
@@ -72,7 +72,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
 
     start = search(problem)
     solution = solve(problem, start)
-    at_bound = held(problem, solution)
+    at_bound = parameters_at_bound(problem, solution)
     _check_determined(problem, solution, at_bound, points)
     if at_bound.all():
         raise IdentificationError(
@@ -80,15 +80,15 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
             remedy="look for wrong units in the data",
         )
     spread = uncertainty(solution.jacobian, solution.residuals, at_bound)
-    evidence = Evidence(points, problem, solution, at_bound)
-    grouping, ungrouped = evidence.rule
+    regression = Regression(points, problem, solution, at_bound)
+    grouping, ungrouped = regression.default_grouping
 
     warnings = _bound_warnings(law_type, solution, at_bound)
     warnings += _correlation_warnings(problem.names, spread.correlations)
     warnings += _friction_warnings(points, solution.residuals, grouping)
-    warnings += evidence.doubts
+    warnings += regression.warnings
     warnings += [f"the standard errors take all points as independent: {ungrouped}"] if ungrouped else []
-    unseen, reason = _leave_one_pressure_out(evidence)
+    cross_validation, reason = _leave_one_pressure_out(regression)
     warnings += [reason] if reason else []
     return Fit(
         law=dataclasses.replace(problem.law(solution.values), domain=domain or _domain_of(points)),
@@ -98,7 +98,7 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
         max_error=float(np.abs(solution.residuals).max()),
         points_used=len(points),
         points_slack=len(means) - len(points),
-        leave_one_pressure_out=unseen,
+        leave_one_pressure_out=cross_validation,
         warnings=tuple(warnings),
         dataset=DatasetSummary(
             str(means.table.attrs["specimen"]),
@@ -106,8 +106,8 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
             tuple(points.pressures.tolist()),
         ),
         residuals=solution.residuals,
-        robust=None if grouping is Grouping.POINT else evidence.robust_errors(grouping),
-        evidence=evidence,
+        robust=None if grouping is Grouping.POINT else regression.robust_errors(grouping),
+        regression=regression,
     )
 
 
@@ -135,17 +135,17 @@ def _friction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64], 
     return sentences
 
 
-def _leave_one_pressure_out(evidence: Evidence) -> tuple[LeaveOnePressureOut | None, str]:
+def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut | None, str]:
     """The errors at unseen pressures, or why there are none."""
-    levels, reason = pressure_blocks(evidence.points)
+    levels, reason = pressure_blocks(regression.points)
     if levels is None:
         return None, f"{_NO_UNSEEN}: {reason}"
     try:
-        left_out = evidence.left_out("pressure", levels)
-    except UndeterminedError as error:
+        cross_validated = regression.cross_validated("pressure", levels)
+    except NotIdentifiableError as error:
         return None, f"without the points at {show(float(error.block), 'bar')} {error.reason}: {_NO_UNSEEN}"
-    by_pressure = {float(level): error for level, error in left_out.by_block.items()}
-    return LeaveOnePressureOut(left_out.rmse, left_out.max_error, by_pressure), ""
+    by_pressure = {float(level): error for level, error in cross_validated.by_block.items()}
+    return LeaveOnePressureOut(cross_validated.rmse, cross_validated.max_error, by_pressure), ""
 
 
 _NO_UNSEEN = "no error at unseen pressures can be given"
@@ -183,13 +183,13 @@ def _check_determined(
 ) -> None:
     free = solution.jacobian[:, ~at_bound]
     names = [name for name, out in zip(problem.names, at_bound, strict=True) if not out]
-    number = condition(free)
+    number = condition_number(free)
     if at_bound.any() and number < CONDITION_LIMIT:
         # A shape that nothing determines may come to rest at a bound: then it is undetermined amid its range as well.
         middle = project(problem, np.full_like(solution.position, 0.5))
         amid = problem.response(middle.values)[1]
-        if np.isfinite(middle.cost) and not condition(amid) < CONDITION_LIMIT:
-            free, names, number = amid, list(problem.names), condition(amid)
+        if np.isfinite(middle.cost) and not condition_number(amid) < CONDITION_LIMIT:
+            free, names, number = amid, list(problem.names), condition_number(amid)
     if not number < CONDITION_LIMIT:
         contractions = len(np.unique(points.contraction.round(6)))
         raise IdentificationError(
@@ -281,7 +281,7 @@ _SAME_CONTRACTION = 0.1 * percent
 
 
 @dataclass(frozen=True)
-class Structure:
+class ResidualCorrelation:
     """How alike the residuals of neighbouring points are.
 
     Attributes
@@ -316,7 +316,7 @@ class Structure:
         return " and ".join(found)
 
 
-def beyond_directions(residuals: NDArray[np.float64], points: IsobaricDataset) -> NDArray[np.float64]:
+def without_direction_means(residuals: NDArray[np.float64], points: IsobaricDataset) -> NDArray[np.float64]:
     """Residuals [N] without the mean of each direction (and phase): that is friction, and no fault of a static law."""
     rest = np.array(residuals, float)
     for name in ("direction", "phase"):
@@ -327,18 +327,18 @@ def beyond_directions(residuals: NDArray[np.float64], points: IsobaricDataset) -
     return rest
 
 
-def structure_of(points: IsobaricDataset, residuals: NDArray[np.float64]) -> Structure:
+def residual_correlation(points: IsobaricDataset, residuals: NDArray[np.float64]) -> ResidualCorrelation:
     """The structure of residuals [N], shape (points,).
 
     Examples
     --------
     >>> pressure, contraction = (values.ravel() for values in np.meshgrid(np.arange(1, 7) * 1e5, np.arange(8) / 40))
     >>> points = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.ones(48))
-    >>> found = structure_of(points, np.cos(20 * contraction))
+    >>> found = residual_correlation(points, np.cos(20 * contraction))
     >>> round(found.along_contraction, 2), round(found.along_pressure, 2), found.pattern
     (0.9, 1.0, 'contraction and pressure')
     """
-    residuals = beyond_directions(residuals, points)
+    residuals = without_direction_means(residuals, points)
     passes = np.zeros(len(points), np.int64)
     for name in ("direction", "phase", "repeat"):
         if name in points.table:
@@ -348,7 +348,7 @@ def structure_of(points: IsobaricDataset, residuals: NDArray[np.float64]) -> Str
     places = np.round(points.contraction / _SAME_CONTRACTION)
     curve, curve_pairs = _neighbours(residuals, (passes, levels), points.contraction)
     place, place_pairs = _neighbours(residuals, (passes, places), points.levels)
-    return Structure(curve, place, curve_pairs, place_pairs)
+    return ResidualCorrelation(curve, place, curve_pairs, place_pairs)
 
 
 def _neighbours(

@@ -12,14 +12,14 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import DatasetSummary, Fit
 from mckibben.identification.fitting import identify
-from mckibben.identification.loading_path import FRICTION, DriftBasis, Strokes, WayModel, half_gap
-from mckibben.identification.uncertainty import CONDITION_LIMIT, condition, uncertainty, undetermined
+from mckibben.identification.loading_path import FRICTION, DriftBasis, LoadingPaths, PathDependentModel, loop_half_width
+from mckibben.identification.uncertainty import CONDITION_LIMIT, condition_number, uncertainty, unidentifiable
 from mckibben.muscle import Domain, ForceLaw, MaxwellSlip, Muscle, Specimen
 from mckibben.units import bar, mm, show
 
 
 @dataclass(frozen=True, eq=False)
-class Drift:
+class SensorDrift:
     """What the force sensor's zero did: straight lines between knots.
 
     Attributes
@@ -74,7 +74,7 @@ class HysteresisFit:
     friction: MaxwellSlip
     standard_errors: dict[str, float]
     correlations: NDArray[np.float64] = field(repr=False)
-    drift: Drift | None
+    drift: SensorDrift | None
     rmse: float
     max_error: float
     tension: NDArray[np.float64] = field(repr=False)
@@ -202,17 +202,17 @@ def identify_hysteresis(
     """
     law = law.law if isinstance(law, Fit) else law
     means = dataset.plateau_means()
-    strokes = Strokes.of(means)
+    strokes = LoadingPaths.of(means)
     taut = ~means.slack
     shapes = DriftBasis.candidates(strokes, means)[: None if drift else 1]
     used = taut | any(shape.zeroed for shape in shapes)
     known = law if isinstance(law, ForceLaw) else None
     law_type = type(law) if isinstance(law, ForceLaw) else law
     levels = np.unique(means.levels[taut])
-    gap = half_gap(means, taut)
+    gap = loop_half_width(means, taut)
     start = {"half_width": gap, "growth": 0.0, "log_presliding": float(np.log(strokes.step))}
     template = known or identify(law_type, means).law
-    model = WayModel(template, strokes, means, shapes[0], used, float(levels.mean()), elements)
+    model = PathDependentModel(template, strokes, means, shapes[0], used, float(levels.mean()), elements)
     free = FRICTION if known else (*model.law_names, *FRICTION)
     _check_count(model, free, shapes[-1])
     for _ in range(0 if known else _ROUNDS):  # nearer to the solution by turns: friction for a law, a law without it
@@ -235,8 +235,8 @@ def identify_hysteresis(
         warnings.append("fewer than three pressures: whether the band grows with pressure cannot be told")
     log_presliding = found.value("log_presliding")
     if log_presliding < model.shortest + _AT_BOUND or not found.error("log_presliding") < _VAGUE:
-        held = min(max(log_presliding, model.shortest), float(np.log(strokes.step)))
-        found = _solve(model, {**found.values, "log_presliding": held}, _without(found.free, "log_presliding"))
+        at_bound = min(max(log_presliding, model.shortest), float(np.log(strokes.step)))
+        found = _solve(model, {**found.values, "log_presliding": at_bound}, _without(found.free, "log_presliding"))
         warnings.append(
             f"the presliding length is not determined (steps of {show(strokes.step, 'mm', 3)}): no point lies where "
             "friction changes sides; measure a turn in smaller steps"
@@ -289,7 +289,7 @@ def _at_bounds(law: ForceLaw) -> set[str]:
     }
 
 
-def _friction_alone(model: WayModel, start: dict[str, float]) -> dict[str, float]:
+def _friction_alone(model: PathDependentModel, start: dict[str, float]) -> dict[str, float]:
     """The friction that suits the law as it stands, without growth: a start for more."""
     names = ("half_width", "log_presliding")
     lower, upper = model.bounds(names)
@@ -310,16 +310,16 @@ def _friction_alone(model: WayModel, start: dict[str, float]) -> dict[str, float
     return values(found.x)
 
 
-def _without_friction(model: WayModel, values: dict[str, float]) -> IsobaricDataset:
+def _without_friction(model: PathDependentModel, values: dict[str, float]) -> IsobaricDataset:
     force = model.means.force - model.parts(values)[1]
     return IsobaricDataset(model.means.table.assign(force=("point", force)))
 
 
 def _with_drift(
-    model: WayModel, shapes: list[DriftBasis], start: dict[str, float], free: tuple[str, ...]
-) -> tuple[WayModel, _Found]:
+    model: PathDependentModel, shapes: list[DriftBasis], start: dict[str, float], free: tuple[str, ...]
+) -> tuple[PathDependentModel, _Found]:
     """The solution with the simplest drift that the points ask for, by the Bayesian information criterion."""
-    answers: list[tuple[float, WayModel, _Found]] = []
+    answers: list[tuple[float, PathDependentModel, _Found]] = []
     for shape in shapes:
         trial = dataclasses.replace(model, drift=shape)
         found = _solve(trial, start, free)
@@ -330,7 +330,7 @@ def _with_drift(
     return min(answers, key=lambda answer: answer[0])[1:]
 
 
-def _check_count(model: WayModel, free: tuple[str, ...], drift: DriftBasis) -> None:
+def _check_count(model: PathDependentModel, free: tuple[str, ...], drift: DriftBasis) -> None:
     needed, count = len(free) + drift.points.shape[1] + 1, int(np.count_nonzero(model.used))
     if count < needed:
         raise IdentificationError(
@@ -341,7 +341,7 @@ def _check_count(model: WayModel, free: tuple[str, ...], drift: DriftBasis) -> N
         )
 
 
-def _solve(model: WayModel, start: dict[str, float], free: tuple[str, ...]) -> _Found:
+def _solve(model: PathDependentModel, start: dict[str, float], free: tuple[str, ...]) -> _Found:
     """Least squares from a start; the drift is linear and comes along."""
     count = len(free)
     lower, upper = model.bounds(free)
@@ -366,11 +366,13 @@ def _solve(model: WayModel, start: dict[str, float], free: tuple[str, ...]) -> _
         gtol=1e-10,
         max_nfev=200,
     )
-    held = np.concatenate([answer.active_mask[:count] != 0, np.zeros(len(offsets), bool)])
+    at_bound = np.concatenate([answer.active_mask[:count] != 0, np.zeros(len(offsets), bool)])
     names = (*free, *(f"offset {k}" for k in range(len(offsets))))
-    number = condition(answer.jac[:, ~held])
+    number = condition_number(answer.jac[:, ~at_bound])
     if not number < CONDITION_LIMIT:
-        loose = undetermined(answer.jac[:, ~held], [name for name, out in zip(names, held, strict=True) if not out])
+        loose = unidentifiable(
+            answer.jac[:, ~at_bound], [name for name, out in zip(names, at_bound, strict=True) if not out]
+        )
         raise IdentificationError(
             f"the points do not determine {', '.join(loose)} (condition number {number:.1e})",
             value=number,
@@ -382,13 +384,15 @@ def _solve(model: WayModel, start: dict[str, float], free: tuple[str, ...]) -> _
             f"the fit of law and friction did not converge (RMSE {np.sqrt(np.mean(answer.fun**2)):.3g} N)",
             remedy="look for outliers, wrong units and rows that are not in the order of the test",
         )
-    known = uncertainty(answer.jac, answer.fun, held)
-    bound = tuple(name for name, out in zip(names, held, strict=True) if out and name != "log_presliding")
+    known = uncertainty(answer.jac, answer.fun, at_bound)
+    bound = tuple(name for name, out in zip(names, at_bound, strict=True) if out and name != "log_presliding")
     cost = float(answer.fun @ answer.fun)
     return _Found(values(answer.x), free, answer.x[count:], cost, known.standard_errors, known.correlations, bound)
 
 
-def _answer(model: WayModel, found: _Found, taut: NDArray[np.bool_], warnings: tuple[str, ...]) -> HysteresisFit:
+def _answer(
+    model: PathDependentModel, found: _Found, taut: NDArray[np.bool_], warnings: tuple[str, ...]
+) -> HysteresisFit:
     means, used, basis = model.means, model.used, model.drift
     tension, force = model.parts(found.values)
     offset = basis.points @ found.offsets
@@ -413,7 +417,7 @@ def _answer(model: WayModel, found: _Found, taut: NDArray[np.bool_], warnings: t
         friction=friction,
         standard_errors=errors,
         correlations=correlations,
-        drift=Drift(basis.time, basis.at_knots @ found.offsets, basis.at_knots @ found.errors[len(found.free) :])
+        drift=SensorDrift(basis.time, basis.at_knots @ found.offsets, basis.at_knots @ found.errors[len(found.free) :])
         if len(basis.time)
         else None,
         rmse=float(np.sqrt(np.mean(residuals[used] ** 2))),

@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification.cross_validation import LeftOut, leave_out
+from mckibben.identification.cross_validation import CrossValidation, cross_validate
 from mckibben.identification.problem import FitProblem, Solution, design_matrix
 from mckibben.identification.uncertainty import (
-    ClusterRobust,
+    ClusterRobustErrors,
     ErrorModel,
     Grouping,
-    Independent,
-    finest_recorded,
+    IndependentErrors,
+    finest_grouping,
     group_labels,
 )
 from mckibben.muscle import ForceLaw, forces
@@ -56,7 +56,7 @@ class RobustErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class Regression:
     """The points behind a fit and its solution there.
 
     Attributes
@@ -72,15 +72,15 @@ class Evidence:
     points: IsobaricDataset = field(repr=False)
     problem: FitProblem = field(repr=False)
     solution: Solution = field(repr=False)
-    held: NDArray[np.bool_] = field(repr=False)
+    at_bound: NDArray[np.bool_] = field(repr=False)
 
     @property
     def free(self) -> NDArray[np.int64]:
         """The parameters that the data chose, by number."""
-        return np.flatnonzero(~self.held)
+        return np.flatnonzero(~self.at_bound)
 
     @cached_property
-    def rule(self) -> tuple[Grouping, str]:
+    def default_grouping(self) -> tuple[Grouping, str]:
         """How the errors are grouped unless said, and where they are not, why.
 
         By stroke where directions, phases or repeats are known, else by pressure; the points count as independent if
@@ -89,9 +89,9 @@ class Evidence:
         The rule looks at where was measured, never at what was measured: a choice made by the residuals would spoil the
         intervals that it leads to.
         """
-        if self.held.all():
+        if self.at_bound.all():
             return Grouping.POINT, "all parameters are at a bound, so that none has an error"
-        by = finest_recorded(self.points)
+        by = finest_grouping(self.points)
         labels = self._labels(by)
         count = int(labels.max()) + 1
         if count < FEWEST_GROUPS:
@@ -105,7 +105,7 @@ class Evidence:
             return Grouping.POINT, f"one {by.value} alone determines a parameter"
         return by, ""
 
-    def left_out(self, kind: str, blocks: ArrayLike) -> LeftOut:
+    def cross_validated(self, kind: str, blocks: ArrayLike) -> CrossValidation:
         """The errors at whole blocks of points left out; worked out once for each kind of block.
 
         Parameters
@@ -113,26 +113,26 @@ class Evidence:
         kind
             Such as "pressure".
         blocks
-            As for `leave_out`; the same for the same kind.
+            As for `cross_validate`; the same for the same kind.
 
         Raises
         ------
         UndeterminedError
-            As `leave_out`.
+            As `cross_validate`.
         """
         if kind not in self._left_out:
-            self._left_out[kind] = leave_out(self.problem, self.solution, blocks)
+            self._left_out[kind] = cross_validate(self.problem, self.solution, blocks)
         return self._left_out[kind]
 
     @cached_property
-    def doubts(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         """Sentences: why the errors by the rule are not to be relied on; none where all is well.
 
         A law of the wrong kind leaves residuals that are of one shape in every group. What is the same in all groups
         does not scatter from group to group, and the errors by group hardly see it. It shows in the uncertainty of the
         force at the points, all together: of single parameters one or another is often that small by chance.
         """
-        by = self.rule[0]
+        by = self.default_grouping[0]
         if by is Grouping.POINT:
             return ()
         every = -(-len(self.solution.jacobian) // _LOOKED_AT)
@@ -156,7 +156,7 @@ class Evidence:
         IdentificationError
             If the groups are not recorded, are fewer than two, or one alone determines a parameter.
         """
-        by = self.rule[0] if by is None else by
+        by = self.default_grouping[0] if by is None else by
         if by is Grouping.POINT:
             return self._independent
         model = self._robust(by)
@@ -190,17 +190,17 @@ class Evidence:
         )
 
     @cached_property
-    def _left_out(self) -> dict[str, LeftOut]:
+    def _left_out(self) -> dict[str, CrossValidation]:
         return {}
 
     @cached_property
-    def _independent(self) -> Independent:
-        return Independent.of(self.solution.jacobian[:, self.free], self.solution.residuals)
+    def _independent(self) -> IndependentErrors:
+        return IndependentErrors.of(self.solution.jacobian[:, self.free], self.solution.residuals)
 
-    def _robust(self, by: Grouping) -> ClusterRobust:
+    def _robust(self, by: Grouping) -> ClusterRobustErrors:
         if by not in self._models:
             jacobian, residuals = self.solution.jacobian[:, self.free], self.solution.residuals
-            self._models[by] = ClusterRobust.of(jacobian, residuals, self._labels(by))
+            self._models[by] = ClusterRobustErrors.of(jacobian, residuals, self._labels(by))
         return self._models[by]
 
     def _labels(self, by: Grouping) -> NDArray[np.int64]:
@@ -213,7 +213,7 @@ class Evidence:
         return {}
 
     @cached_property
-    def _models(self) -> dict[Grouping, ClusterRobust]:
+    def _models(self) -> dict[Grouping, ClusterRobustErrors]:
         return {}
 
 
@@ -264,7 +264,7 @@ class Interval(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class IntervalEstimate:
     """A quantity and how sure it is, pointwise.
 
     Attributes
@@ -290,7 +290,7 @@ class Band:
 
 
 @dataclass(frozen=True, eq=False)
-class ForceBand:
+class ForceIntervals:
     """The force [N] of a fitted law, and that of a further measurement.
 
     Attributes
@@ -298,13 +298,13 @@ class ForceBand:
     mean
         Where the law would lie if it were fitted to ever more such points. That is where the force of the muscle lies
         if the law is of the right kind; by how much a wrong one misses it is not in here, see
-        `mckibben.identification.intervals.Evidence.doubts` and the residuals.
+        `mckibben.identification.intervals.Regression.warnings` and the residuals.
     measurement
         Where one more plateau mean of the same muscle on the same rig would lie: wider by the residuals' spread.
     """
 
-    mean: Band
-    measurement: Band
+    confidence: IntervalEstimate
+    prediction: IntervalEstimate
 
 
 def check_level(level: float) -> float:
@@ -321,10 +321,10 @@ def check_level(level: float) -> float:
     return level
 
 
-def quantile(level: float, freedom: ArrayLike) -> NDArray[np.float64]:
+def t_quantile(level: float, freedom: ArrayLike) -> NDArray[np.float64]:
     """How many standard errors a two-sided t interval reaches to each side.
 
-    >>> quantile(0.95, [4.0, 1e9]).round(3)
+    >>> t_quantile(0.95, [4.0, 1e9]).round(3)
     array([2.776, 1.96 ])
     """
     from scipy.special import stdtrit
@@ -332,11 +332,11 @@ def quantile(level: float, freedom: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(stdtrit(np.minimum(freedom, 1e12), (1 + check_level(level)) / 2))
 
 
-def band(
+def t_interval(
     level: float,
     value: ArrayLike,
     variances: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
-) -> Band:
+) -> IntervalEstimate:
     """A band from independent contributions to its variance, each with its degrees of freedom.
 
     Their sum has the degrees of freedom of Satterthwaite, (sum V)^2 / sum(V^2/nu).
@@ -347,8 +347,8 @@ def band(
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = np.where(parts > 0, total**2 / parts, np.inf)
     error = np.sqrt(total)
-    reach = quantile(level, freedom) * error
-    return Band(level, value, error, freedom, value - reach, value + reach)
+    reach = t_quantile(level, freedom) * error
+    return IntervalEstimate(level, value, error, freedom, value - reach, value + reach)
 
 
 def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> NDArray:
@@ -365,15 +365,15 @@ def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, 
     return design_matrix(law, free, *padded)[:count]
 
 
-def force_band(
+def force_intervals(
     law: ForceLaw,
-    evidence: Evidence,
+    regression: Regression,
     contraction: ArrayLike,
     pressure: ArrayLike,
     *,
     level: float = 0.95,
     by: Grouping | None = None,
-) -> ForceBand:
+) -> ForceIntervals:
     """The force of a fitted law with its uncertainty.
 
     Parameters
@@ -392,21 +392,21 @@ def force_band(
     check_level(level)
     contraction, pressure = np.asarray(contraction, float), np.asarray(pressure, float)
     value = forces(law, contraction, pressure)
-    free = [evidence.problem.names[i] for i in evidence.free]
+    free = [regression.problem.names[i] for i in regression.free]
     gradients = force_gradients(law, free, contraction, pressure)
-    model = evidence.error_model(by)
+    model = regression.error_model(by)
     variance, freedom = model.variance(gradients)
     square, left = model.scatter
     scatter = np.full_like(variance, square), np.full_like(freedom, left)
-    mean = band(level, value, [(variance, freedom)])
-    return ForceBand(mean, band(level, value, [(variance, freedom), scatter]))
+    mean = t_interval(level, value, [(variance, freedom)])
+    return ForceIntervals(mean, t_interval(level, value, [(variance, freedom), scatter]))
 
 
 def parameter_interval(estimate: float, error: float, freedom: float, level: float) -> Interval:
     """The t interval of one parameter."""
     if math.isnan(error):
         return Interval(math.nan, math.nan)
-    reach = float(quantile(level, freedom)) * error
+    reach = float(t_quantile(level, freedom)) * error
     return Interval(estimate - reach, estimate + reach)
 
 

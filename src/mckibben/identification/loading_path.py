@@ -25,7 +25,7 @@ _SLACK = 2  # slack points that tell the sensor's zero of a way
 
 
 @dataclass(frozen=True, eq=False)
-class Strokes:
+class LoadingPaths:
     """The ways of a test, one for each time that a pressure was set.
 
     Attributes
@@ -56,19 +56,19 @@ class Strokes:
         return np.diff(length, axis=0, prepend=length[:1])
 
     @property
-    def ways(self) -> list[NDArray[np.int64]]:
+    def approach_labels(self) -> list[NDArray[np.int64]]:
         """The rows of each way in the order of time."""
         return [self.place[:count, way] for way, count in enumerate(self.counts)]
 
     def scattered(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Values by point and way, shape (points, ways, ...), as rows of the dataset, shape (rows, ...)."""
         rows = np.empty((len(self.length), *values.shape[2:]))
-        for way, place in enumerate(self.ways):
+        for way, place in enumerate(self.approach_labels):
             rows[place] = values[: len(place), way]
         return rows
 
     @classmethod
-    def of(cls, means: IsobaricDataset) -> Strokes:
+    def of(cls, means: IsobaricDataset) -> LoadingPaths:
         """The course of a dataset of plateau means.
 
         Raises
@@ -91,15 +91,15 @@ class Strokes:
         length = table.attrs["initial_length"] * (1 - means.contraction)
         order = np.argsort(table["time"].to_numpy(), kind="stable") if "time" in table else np.arange(len(means))
         ends = np.flatnonzero(np.abs(np.diff(means.levels[order])) > _SAME) + 1
-        ways = np.split(order, ends)
-        if np.median([len(way) for way in ways]) < _FEWEST:
+        approach_labels = np.split(order, ends)
+        if np.median([len(way) for way in approach_labels]) < _FEWEST:
             raise IdentificationError(
                 f"{len(means)} points make {len(ways)} ways at constant pressure: too short to show friction",
                 remedy="give the nominal pressure of each point (set_pressure), and rows in the order of the test",
             )
         loading = table["direction"].to_numpy() == "loading"
-        moves = np.concatenate([np.diff(length[way]) for way in ways])
-        labels = np.concatenate([loading[way[1:]] for way in ways])
+        moves = np.concatenate([np.diff(length[way]) for way in approach_labels])
+        labels = np.concatenate([loading[way[1:]] for way in approach_labels])
         moved = np.abs(moves) > 1e-9
         wrong = int(np.count_nonzero(moved & ((moves > 0) != labels)))
         if wrong > _WRONG * np.count_nonzero(moved) or not moved.any():
@@ -109,7 +109,7 @@ class Strokes:
                 value=wrong,
                 remedy="give the time of each point, or rows in the order in which they were measured",
             )
-        flips = sum(int(np.count_nonzero(np.diff(loading[way]))) for way in ways)
+        flips = sum(int(np.count_nonzero(np.diff(loading[way]))) for way in approach_labels)
         if flips > _FLIPS * np.count_nonzero(moved):
             raise IdentificationError(
                 f"the direction changes {flips} times in {np.count_nonzero(moved)} moves: the rows are not in the "
@@ -117,10 +117,10 @@ class Strokes:
                 value=flips,
                 remedy="give the time of each point, or rows in the order in which they were measured",
             )
-        longest = max(map(len, ways))
-        place = np.stack([np.pad(way, (0, longest - len(way)), mode="edge") for way in ways], axis=1)
-        side = np.array([-1.0 if loading[way[0]] else 1.0 for way in ways])
-        counts = np.array([len(way) for way in ways])
+        longest = max(map(len, approach_labels))
+        place = np.stack([np.pad(way, (0, longest - len(way)), mode="edge") for way in approach_labels], axis=1)
+        side = np.array([-1.0 if loading[way[0]] else 1.0 for way in approach_labels])
+        counts = np.array([len(way) for way in approach_labels])
         return cls(place, counts, side, length, float(np.median(np.abs(moves[moved]))))
 
 
@@ -143,7 +143,7 @@ class DriftBasis:
     at_knots: NDArray[np.float64]
 
     @classmethod
-    def candidates(cls, strokes: Strokes, means: IsobaricDataset) -> list[DriftBasis]:
+    def candidates(cls, strokes: LoadingPaths, means: IsobaricDataset) -> list[DriftBasis]:
         """No drift, a straight line and, from the simplest to the freest, a knot for each way that has slack points.
 
         Slack points tell where the sensor's zero is; without them the line begins at 0. Without times there is none.
@@ -153,7 +153,7 @@ class DriftBasis:
         >>> data = IsobaricDataset.of(
         ...     pressure=[1e5] * 8, contraction=[0, 0.1, 0.2, 0.3, 0.3, 0.2, 0.1, 0], force=[80, 40, 10, 0] * 2,
         ...     direction=["unloading"] * 4 + ["loading"] * 4, time=np.arange(8.0), initial_length=0.2)
-        >>> none, line = DriftBasis.candidates(Strokes.of(data), data)
+        >>> none, line = DriftBasis.candidates(LoadingPaths.of(data), data)
         >>> line.points.ravel()
         array([0., 1., 2., 3., 4., 5., 6., 7.])
         """
@@ -164,7 +164,7 @@ class DriftBasis:
         ends = np.array([time.min(), time.max()])
         if ends[0] == ends[1]:
             return [none]
-        seen = [way for way in strokes.ways if np.count_nonzero(slack[way]) >= _SLACK]
+        seen = [way for way in strokes.approach_labels if np.count_nonzero(slack[way]) >= _SLACK]
         knots = np.unique([float(time[way][slack[way]].mean()) for way in seen])
         if len(knots) < 2:
             return [none, cls((time - ends[0])[:, None], ends, ends[:, None] - ends[0])]
@@ -199,7 +199,7 @@ def _gaps(means: IsobaricDataset, taut: NDArray[np.bool_]) -> NDArray[np.float64
     return first / counts[0][both] - second / counts[1][both]
 
 
-def half_gap(means: IsobaricDataset, taut: NDArray[np.bool_]) -> float:
+def loop_half_width(means: IsobaricDataset, taut: NDArray[np.bool_]) -> float:
     """Half the usual gap between the directions at the same pressure and contraction [N], for a first guess.
 
     Parameters
@@ -243,7 +243,7 @@ _WIDEST = 1e5  # N
 
 
 @dataclass(frozen=True, eq=False)
-class WayModel:
+class PathDependentModel:
     """Force along the way: law, friction as `MaxwellSlip.along` has it, and an offset in amplitudes.
 
     Parameters
@@ -263,7 +263,7 @@ class WayModel:
     """
 
     template: ForceLaw
-    strokes: Strokes
+    strokes: LoadingPaths
     means: IsobaricDataset = field(repr=False)
     drift: DriftBasis = field(repr=False)
     used: NDArray[np.bool_] = field(repr=False)

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import IdentificationError, ParameterError, RangeError
 from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import Band, Evidence, Interval, check_level, law_forces
+from mckibben.identification.intervals import Interval, IntervalEstimate, Regression, check_level, law_forces
 from mckibben.identification.problem import UnitCube
 from mckibben.identification.uncertainty import Grouping, group_labels
 from mckibben.muscle import ForceLaw
@@ -92,15 +92,15 @@ class Posterior:
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """By parameter, in SI: the share of the posterior with as much left out below as above."""
-        lower, upper = np.quantile(self.draws, _tails(level), axis=0)
+        lower, upper = np.t_quantile(self.draws, _tails(level), axis=0)
         return {n: Interval(*ends) for n, *ends in zip(self._names, lower.tolist(), upper.tolist(), strict=True)}
 
-    def force_band(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> Band:
+    def force_intervals(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> IntervalEstimate:
         """The force of the law [N] at contractions [-] and pressures [Pa]: posterior mean and interval."""
         forces = law_forces(type(self.law), self.draws, contraction, pressure)
-        lower, upper = np.quantile(forces, _tails(level), axis=0)
+        lower, upper = np.t_quantile(forces, _tails(level), axis=0)
         value, error = forces.mean(axis=0), np.std(forces, axis=0, ddof=1)
-        return Band(level, value, error, np.full_like(value, np.inf), lower, upper)
+        return IntervalEstimate(level, value, error, np.full_like(value, np.inf), lower, upper)
 
     @property
     def _names(self) -> list[str]:
@@ -148,17 +148,19 @@ def posterior(
     for name, value, lowest in (("draws", draws, 100), ("warmup", warmup, 100), ("chains", chains, 1)):
         if value < lowest:
             raise RangeError(f"{name} = {value} is too few", value=value, lower=lowest, remedy=f"give {lowest} or more")
-    evidence = fit.known_evidence()
-    if evidence.held.any():
-        held = ", ".join(name for name, out in zip(evidence.problem.names, evidence.held, strict=True) if out)
+    regression = fit.require_regression()
+    if regression.at_bound.any():
+        at_bound = ", ".join(
+            name for name, out in zip(regression.problem.names, regression.at_bound, strict=True) if out
+        )
         raise IdentificationError(
-            f"{held} of {type(fit.law).__name__} is at its bound: a posterior would pile up there",
+            f"{at_bound} of {type(fit.law).__name__} is at its bound: a posterior would pile up there",
             remedy="take a law that the data determine, or measure where the parameter matters",
         )
 
     if by is Grouping.POINT:
         by = None
-    data = _data(evidence, by)
+    data = _data(regression, by)
 
     import jax
     from numpyro.diagnostics import (  # pyright: ignore[reportMissingImports]
@@ -168,7 +170,7 @@ def posterior(
     from numpyro.infer import MCMC, NUTS, init_to_value  # pyright: ignore[reportMissingImports]
 
     model = _model(type(fit.law), noise, by is not None)
-    start = {"white": np.zeros(len(evidence.problem.names)), "log_sigma": np.zeros(())}
+    start = {"white": np.zeros(len(regression.problem.names)), "log_sigma": np.zeros(())}
     if by is not None:
         start |= {"tau": np.asarray(0.5)}
     if noise is Noise.STUDENT:
@@ -191,9 +193,9 @@ def posterior(
     effective = min(float(np.min(effective_sample_size(values))) for values in found.values())
     white = found["white"].reshape(-1, found["white"].shape[-1])
     coordinates = data["centre"] + white @ data["whitening"].T
-    linear = evidence.problem.linear
+    linear = regression.problem.linear
     values = coordinates.copy()
-    for column, shape in enumerate(evidence.problem.cube.values(coordinates[:, linear:].T), start=linear):
+    for column, shape in enumerate(regression.problem.cube.values(coordinates[:, linear:].T), start=linear):
         values[:, column] = shape
     return Posterior(
         fit.law, values, scatter, by, r_hat, effective, divergences, _doubts(r_hat, effective, divergences)
@@ -206,25 +208,25 @@ def _tails(level: float) -> list[float]:
 
 
 def _doubts(r_hat: float, effective: float, divergences: int) -> tuple[str, ...]:
-    doubts = []
+    warnings = []
     if not r_hat < _RHAT:
-        doubts.append(f"the chains do not agree (r_hat {r_hat:.3f}): draw more")
+        warnings.append(f"the chains do not agree (r_hat {r_hat:.3f}): draw more")
     if effective < _FEWEST_EFFECTIVE:
-        doubts.append(f"the draws are worth {effective:.0f} independent ones: draw more")
+        warnings.append(f"the draws are worth {effective:.0f} independent ones: draw more")
     if divergences:
-        doubts.append(f"the sampler diverged {divergences} times: part of the posterior may be missing")
-    return tuple(doubts)
+        warnings.append(f"the sampler diverged {divergences} times: part of the posterior may be missing")
+    return tuple(warnings)
 
 
-def _data(evidence: Evidence, by: Grouping | None) -> dict[str, Any]:
+def _data(regression: Regression, by: Grouping | None) -> dict[str, Any]:
     """What the model is about; its coordinates are white at the fit: centre + whitening times standard normals."""
-    problem, solution, points = evidence.problem, evidence.solution, evidence.points
+    problem, solution, points = regression.problem, regression.solution, regression.points
     rates = np.concatenate([np.ones(problem.linear), problem.cube.rates(solution.position)])
     jacobian = solution.jacobian * rates
     spread = float(np.sqrt(solution.residuals @ solution.residuals / (len(points) - len(rates))))
     lengths = np.linalg.norm(jacobian, axis=0)
-    triangle = np.linalg.qr(jacobian / lengths, mode="r")
-    whitening = spread * np.linalg.inv(triangle) / lengths[:, None]
+    tsqr_r = np.linalg.qr(jacobian / lengths, mode="r")
+    whitening = spread * np.linalg.inv(tsqr_r) / lengths[:, None]
     labels = group_labels(points, by) if by is not None else np.zeros(len(points), np.int64)
     order = np.argsort(labels, kind="stable")
     return {

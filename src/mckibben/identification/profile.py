@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from mckibben.errors import IdentificationError, ParameterError
 from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import Evidence, Interval, parameter_interval, quantile
+from mckibben.identification.intervals import Interval, Regression, parameter_interval, t_quantile
 from mckibben.identification.solvers import Refit, solve_holding
-from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition
+from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition_number
 from mckibben.units import show
 
 _CURVE_POINTS = 41
@@ -122,7 +122,7 @@ def profile(fit: Fit, name: str, *, level: float = 0.95, by: Grouping | None = N
             remedy=f"profile one of {known}" if known else "it is linear in all: Fit.intervals is exact",
         )
     curve = _Curve(fit, index, by)
-    threshold = float(quantile(level, curve.freedom))
+    threshold = float(t_quantile(level, curve.freedom))
     lower, reasons_below = curve.end(-1, threshold)
     upper, reasons_above = curve.end(+1, threshold)
     reasons = [*curve.reasons, *reasons_below, *reasons_above]
@@ -155,27 +155,27 @@ class _Curve:
     """The signed root over the coordinate of one parameter in the unit cube."""
 
     def __init__(self, fit: Fit, index: int, by: Grouping | None) -> None:
-        evidence = fit.known_evidence()
-        self.problem, self.solution, self.index = evidence.problem, evidence.solution, index
+        regression = fit.require_regression()
+        self.problem, self.solution, self.index = regression.problem, regression.solution, index
         self.parameter = self.problem.law_type.shape_parameters[index]
         self.start = float(self.solution.position[index])
         self.least = float(self.solution.residuals @ self.solution.residuals)
-        self.by = evidence.rule[0] if by is None else by
+        self.by = regression.default_grouping[0] if by is None else by
         self.reasons: list[str] = []
         best = Refit(self.solution.values, self.solution.position, self.least, True)
         self._known: dict[float, Refit] = {self.start: best}
         column = self.problem.linear + index
-        at_bound = bool(evidence.held[column])
+        at_bound = bool(regression.at_bound[column])
         if at_bound:
             self.reasons.append(f"the estimate of {self.parameter.name} is at the end of its range")
-        evidence = _freed(evidence, column)
-        gradient = (np.flatnonzero(~evidence.held) == column).astype(float)[None]
-        points, count = len(self.solution.residuals), np.count_nonzero(~evidence.held)
+        regression = _freed(regression, column)
+        gradient = (np.flatnonzero(~regression.at_bound) == column).astype(float)[None]
+        points, count = len(self.solution.residuals), np.count_nonzero(~regression.at_bound)
         self.variance = self.least / (points - count)
         self.error, self.freedom, self.ratio = np.nan, float(points - count), 1.0
-        if condition(self.solution.jacobian[:, ~evidence.held]) < CONDITION_LIMIT:
-            variance, freedom = evidence.error_model(self.by).variance(gradient)
-            classical, _ = evidence.error_model(Grouping.POINT).variance(gradient)
+        if condition_number(self.solution.jacobian[:, ~regression.at_bound]) < CONDITION_LIMIT:
+            variance, freedom = regression.error_model(self.by).variance(gradient)
+            classical, _ = regression.error_model(Grouping.POINT).variance(gradient)
             self.error, self.freedom = float(np.sqrt(variance[0])), float(freedom[0])
             self.ratio = float(np.sqrt(variance[0] / classical[0])) if classical[0] > 0 else 1.0
         if at_bound:
@@ -245,8 +245,8 @@ class _Curve:
         return found
 
 
-def _freed(evidence: Evidence, column: int) -> Evidence:
+def _freed(regression: Regression, column: int) -> Regression:
     """The same with one parameter not held."""
-    held = evidence.held.copy()
-    held[column] = False
-    return dataclasses.replace(evidence, held=held)
+    at_bound = regression.at_bound.copy()
+    at_bound[column] = False
+    return dataclasses.replace(regression, at_bound=at_bound)

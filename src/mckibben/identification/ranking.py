@@ -11,9 +11,15 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.cross_validation import MOST_BLOCKS, LeftOut, UndeterminedError, pressure_blocks
+from mckibben.identification.cross_validation import MOST_BLOCKS, CrossValidation, NotIdentifiableError, pressure_blocks
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import Structure, beyond_directions, identify, structure_of, unphysical
+from mckibben.identification.fitting import (
+    ResidualCorrelation,
+    identify,
+    residual_correlation,
+    unphysical,
+    without_direction_means,
+)
 from mckibben.muscle import LAWS, ForceLaw
 from mckibben.units import show
 
@@ -27,7 +33,7 @@ _SUPPORTED = 2.0  # difference of AICc up to which a model has substantial suppo
 
 
 @dataclass(frozen=True)
-class Ranked:
+class RankedLaw:
     """One law in a ranking.
 
     Attributes
@@ -54,16 +60,16 @@ class Ranked:
     law: str
     fit: Fit | None = None
     refused: str = ""
-    unseen: dict[str, LeftOut] = field(default_factory=dict, repr=False)
+    cross_validation: dict[str, CrossValidation] = field(default_factory=dict, repr=False)
     aicc: float = math.nan
-    structure: Structure | None = None
+    residual_correlations: ResidualCorrelation | None = None
     flags: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
     @property
     def error(self) -> float:
         """What it is ranked by: the largest of its RMSEs at blocks left out [N]; infinite without any."""
-        return max((left_out.rmse for left_out in self.unseen.values()), default=math.inf)
+        return max((cross_validated.rmse for cross_validated in self.cross_validation.values()), default=math.inf)
 
     @property
     def parameters(self) -> int:
@@ -72,18 +78,24 @@ class Ranked:
 
     def record(self) -> dict[str, Any]:
         """All numbers, for JSON; forces in N."""
-        unseen = {f"unseen_{name}_rmse_N": left_out.rmse for name, left_out in self.unseen.items()}
-        fit, structure = self.fit, self.structure
+        cross_validation = {
+            f"unseen_{name}_rmse_N": cross_validated.rmse for name, cross_validated in self.cross_validation.items()
+        }
+        fit, residual_correlations = self.fit, self.residual_correlations
         return {
             "law": self.law,
             "parameters": self.parameters,
             "refused": self.refused or None,
             "rmse_N": fit.rmse if fit else None,
             "max_N": fit.max_error if fit else None,
-            **unseen,
+            **cross_validation,
             "aicc": self.aicc,
-            "residual_correlation_along_contraction": structure.along_contraction if structure else None,
-            "residual_correlation_along_pressure": structure.along_pressure if structure else None,
+            "residual_correlation_along_contraction": residual_correlations.along_contraction
+            if residual_correlations
+            else None,
+            "residual_correlation_along_pressure": residual_correlations.along_pressure
+            if residual_correlations
+            else None,
             "flags": list(self.flags),
             "remarks": list(self.remarks),
         }
@@ -108,13 +120,13 @@ class Ranking:
         Why a kind of block could not be left out, by its name.
     """
 
-    entries: tuple[Ranked, ...]
+    entries: tuple[RankedLaw, ...]
     points: IsobaricDataset = field(repr=False)
     slack: int
     missing: dict[str, str]
 
     @property
-    def best(self) -> Ranked:
+    def best(self) -> RankedLaw:
         """The first without a flag, if it is nearly as good as the very first; else the very first.
 
         Nearly is 1.5 times its error, or, where no block could be left out, an AICc at most 2 above its own.
@@ -131,7 +143,7 @@ class Ranking:
         first = fitted[0]
         return next((e for e in fitted if not e.flags and _nearly_as_good(e, first)), first)
 
-    def of(self, law: str) -> Ranked:
+    def of(self, law: str) -> RankedLaw:
         """The entry of a law by the name of its kind.
 
         Raises
@@ -152,7 +164,7 @@ class Ranking:
     @property
     def blocks(self) -> tuple[str, ...]:
         """The kinds of blocks that were left out."""
-        return tuple(name for name in BLOCKS if any(name in entry.unseen for entry in self.entries))
+        return tuple(name for name in BLOCKS if any(name in entry.cross_validation for entry in self.entries))
 
     @property
     def criterion(self) -> str:
@@ -208,7 +220,9 @@ def rank(
         entries.append(_ranked(kind, means, blocks))
     if progress:
         progress("ranked", 1.0)
-    entries.sort(key=lambda entry: (entry.fit is None, -len(entry.unseen), entry.error, _last_if_nan(entry.aicc)))
+    entries.sort(
+        key=lambda entry: (entry.fit is None, -len(entry.cross_validation), entry.error, _last_if_nan(entry.aicc))
+    )
     return Ranking(tuple(entries), points, len(means) - len(points), missing)
 
 
@@ -233,14 +247,14 @@ def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, s
     return blocks, missing
 
 
-def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.ndarray]) -> Ranked:
+def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.ndarray]) -> RankedLaw:
     try:
         fit = identify(kind, means)
     except IdentificationError as error:
-        return Ranked(kind.__name__, refused=str(error))
-    evidence = fit.evidence
-    assert evidence is not None
-    unseen: dict[str, LeftOut] = {}
+        return RankedLaw(kind.__name__, refused=str(error))
+    regression = fit.regression
+    assert regression is not None
+    cross_validation: dict[str, CrossValidation] = {}
     remarks = [
         f"{first} and {second} trade off (correlation {correlation:+.4f})"
         for first, second, correlation in fit.strongest_correlations(len(fit.estimates) ** 2)
@@ -248,30 +262,32 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
     ]
     for name, labels in blocks.items():
         try:
-            left_out = evidence.left_out(name, labels)
-        except UndeterminedError as error:
+            cross_validated = regression.cross_validated(name, labels)
+        except NotIdentifiableError as error:
             block = show(float(error.block), "bar") if name == "pressure" else f"{name} {error.block}"
             remarks.append(f"without {block} {error.reason}")
         else:
-            unseen[name] = LeftOut(beyond_directions(left_out.residuals, evidence.points), left_out.by_block)
-    bounds = [name for name, held in zip(fit.estimates, evidence.held, strict=True) if held]
+            cross_validation[name] = CrossValidation(
+                without_direction_means(cross_validated.residuals, regression.points), cross_validated.by_block
+            )
+    bounds = [name for name, at_bound in zip(fit.estimates, regression.at_bound, strict=True) if at_bound]
     flags = [f"{' and '.join(bounds)} at a bound: the data ask for what the law cannot be"] if bounds else []
     if reason := unphysical(fit.law):
         flags.append(reason)
-    residuals = evidence.solution.residuals
-    return Ranked(
+    residuals = regression.solution.residuals
+    return RankedLaw(
         kind.__name__,
         fit,
-        unseen=unseen,
+        cross_validation=cross_validation,
         aicc=_aicc(residuals, len(fit.estimates)),
-        structure=structure_of(evidence.points, residuals),
+        residual_correlations=residual_correlation(regression.points, residuals),
         flags=tuple(flags),
         remarks=tuple(remarks),
     )
 
 
-def _nearly_as_good(entry: Ranked, first: Ranked) -> bool:
-    if first.unseen:
+def _nearly_as_good(entry: RankedLaw, first: RankedLaw) -> bool:
+    if first.cross_validation:
         return entry.error <= _AS_GOOD * first.error
     return entry.aicc <= first.aicc + _SUPPORTED
 

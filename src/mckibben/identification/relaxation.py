@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.loading_path import Strokes
+from mckibben.identification.loading_path import LoadingPaths
 from mckibben.muscle.creep import remaining
 
 BLOCKS = 16
@@ -21,7 +21,7 @@ _SAME = 0.05  # s: times of points are hardly better
 
 
 @dataclass(frozen=True, eq=False)
-class Moves:
+class TimedLoadingPaths:
     """The moves of a test in time: what an arm is drawn along.
 
     Attributes
@@ -37,27 +37,27 @@ class Moves:
         From the end of a move to the first sample [s].
     """
 
-    strokes: Strokes
+    strokes: LoadingPaths
     moving: NDArray[np.float64] = field(repr=False)
     before: NDArray[np.float64] = field(repr=False)
     slack: NDArray[np.bool_] = field(repr=False)
     dwell: float
 
     @classmethod
-    def of(cls, means: IsobaricDataset, dwell: float, speed: float, acquisition: float) -> Moves:
+    def of(cls, means: IsobaricDataset, dwell: float, speed: float, acquisition: float) -> TimedLoadingPaths:
         """Those of plateau means, with the times [s] of a wait and of the samples, and the speed [m/s].
 
         Raises
         ------
         IdentificationError
-            As `Strokes.of`, or if all that takes longer than there is between two points.
+            As `LoadingPaths.of`, or if all that takes longer than there is between two points.
         """
         if len(means.directions) < 2:
             raise IdentificationError(
                 "the dataset has not both directions: then a sensor that drifts looks like creep",
                 remedy="measure while stretching and while shortening, and give the direction of each point",
             )
-        strokes = Strokes.of(means)
+        strokes = LoadingPaths.of(means)
         moving = np.abs(strokes.travel) / speed
         before = moving + dwell + acquisition
         if "time" in means.table:
@@ -86,16 +86,16 @@ class Moves:
         """Shape (rows,): 1 where the last move was a stretch, -1 a shortening, 0 where there was none."""
         return self.strokes.scattered(np.sign(np.where(np.abs(self.strokes.travel) > 1e-9, self.strokes.travel, 0.0)))
 
-    def held(self, time_constant: float) -> NDArray[np.float64]:
+    def at_bound(self, time_constant: float) -> NDArray[np.float64]:
         """The stretch [m] that an arm holds at the first sample, shape (rows,)."""
         carried = np.exp(-self.before / time_constant)
         added = self.strokes.travel * remaining(self.moving, time_constant)
-        held = np.empty_like(added)
+        at_bound = np.empty_like(added)
         now = np.zeros(added.shape[1])
         for k in range(len(added)):
             now = np.where(self.slack[k], 0.0, now * carried[k] + added[k])
-            held[k] = now
-        return self.strokes.scattered(held) * math.exp(-self.dwell / time_constant)
+            at_bound[k] = now
+        return self.strokes.scattered(at_bound) * math.exp(-self.dwell / time_constant)
 
     def stiffness(self, means: IsobaricDataset, used: NDArray[np.bool_]) -> float:
         """Of the muscle [N/m]: the median of force per length over the moves between used points."""
@@ -105,7 +105,7 @@ class Moves:
         return float(np.median(np.diff(means.force[place], axis=0)[both] / travel[both]))
 
 
-class Courses(NamedTuple):
+class RelaxationCurves(NamedTuple):
     """The samples of each plateau, averaged in blocks, less their mean.
 
     Attributes
@@ -126,7 +126,7 @@ class Courses(NamedTuple):
     times: NDArray[np.float64]
 
     @classmethod
-    def of(cls, samples: NDArray, interval: float) -> Courses:
+    def of(cls, samples: NDArray, interval: float) -> RelaxationCurves:
         """Of raw samples, shape (rows, samples), so many seconds apart."""
         count = samples.shape[1]
         edges = np.unique(np.linspace(0, count, min(BLOCKS, count) + 1).astype(np.int64))
@@ -157,11 +157,11 @@ _GRID = 61
 
 
 @dataclass(frozen=True, eq=False)
-class Arm:
+class MaxwellElementFit:
     """An arm along the moves of a test, and what it leaves of the courses of the plateaus."""
 
-    courses: Courses
-    moves: Moves
+    courses: RelaxationCurves
+    moves: TimedLoadingPaths
 
     def numbers(self, tau: float, used: NDArray[np.bool_]) -> tuple[float, float]:
         """The stiffness [N/m] of an arm of a time constant [s], 0 at least, and the common rate [N/s]."""
@@ -231,21 +231,21 @@ class Arm:
         return ends[0], ends[1]
 
     def _by_stiffness(self, tau: float) -> NDArray[np.float64]:
-        return self.moves.held(tau)[:, None] * self.courses.blocks(np.exp(-self.courses.times / tau))
+        return self.moves.at_bound(tau)[:, None] * self.courses.blocks(np.exp(-self.courses.times / tau))
 
     def _solved(self, tau: float, used: NDArray[np.bool_]) -> tuple[float, float, float]:
         """Stiffness, common rate and cost: the normal equations of columns that are products of plateau and block."""
         values, weight = self.courses.values[used], self.courses.weight
-        held, decay, line = (
-            self.moves.held(tau)[used],
+        at_bound, decay, line = (
+            self.moves.at_bound(tau)[used],
             self.courses.blocks(np.exp(-self.courses.times / tau)),
             self._line,
         )
-        size1 = math.sqrt(held @ held * (decay**2 @ weight))
-        size2 = math.sqrt(len(held) * (line**2 @ weight))
-        wanted1 = held @ (values @ (weight * decay)) / size1 if size1 > 0 else 0.0
+        size1 = math.sqrt(at_bound @ at_bound * (decay**2 @ weight))
+        size2 = math.sqrt(len(at_bound) * (line**2 @ weight))
+        wanted1 = at_bound @ (values @ (weight * decay)) / size1 if size1 > 0 else 0.0
         wanted2 = float((values @ (weight * line)).sum()) / size2
-        common = held.sum() * ((decay * line) @ weight) / (size1 * size2) if size1 > 0 else 0.0
+        common = at_bound.sum() * ((decay * line) @ weight) / (size1 * size2) if size1 > 0 else 0.0
         first = (wanted1 - common * wanted2) / (1 - common**2) if abs(common) < 1 else 0.0
         first = max(float(first), 0.0)  # no arm pushes on in the direction of the move
         second = wanted2 - common * first

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.identification.problem import FitProblem, Solution, UnitCube
-from mckibben.identification.uncertainty import triangle
+from mckibben.identification.uncertainty import tsqr_r
 from mckibben.muscle import ForceLaw
 
 _MAX_STEPS = 100
@@ -64,7 +64,7 @@ def project(problem: FitProblem, position: NDArray[np.float64], guess: NDArray[n
     if not np.isfinite(rows).all():  # the law has no force at some point for this shape
         shape = len(position)
         return Projected(position, values, np.inf, np.zeros((shape, shape)), np.zeros(shape), np.zeros((linear, shape)))
-    factor = triangle(rows.T)
+    factor = tsqr_r(rows.T)
     factor[:, linear:-1] *= problem.cube.rates(position)
     lengths = np.linalg.norm(factor[:, :linear], axis=0)  # of the columns: pressures are in Pa
     lengths[lengths == 0] = 1.0

@@ -17,7 +17,7 @@ from mckibben.errors import IdentificationError
 _BLOCK = 6144
 
 
-def triangle(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def tsqr_r(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """R of the QR factors, shape (k, k), of a matrix of shape (n, k), n >= k; fastest where columns are contiguous.
 
     As stable as the ordinary factorisation: blocks of rows are factored each, then their stacked triangles. Q is never
@@ -31,7 +31,7 @@ def triangle(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     Examples
     --------
     >>> matrix = np.vander(np.linspace(0, 1, 5000), 6)
-    >>> r = triangle(matrix)
+    >>> r = tsqr_r(matrix)
     >>> bool(np.allclose(r.T @ r, matrix.T @ matrix)), bool(np.all(np.tril(r, -1) == 0))
     (True, True)
     """
@@ -44,7 +44,7 @@ def triangle(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     if blocks * rows > count:
         matrix = np.concatenate([matrix, np.zeros((blocks * rows - count, width))])
     triangles = np.asarray(np.linalg.qr(matrix.reshape(blocks, rows, width), mode="r"))
-    return triangle(triangles.reshape(blocks * width, width))
+    return tsqr_r(triangles.reshape(blocks * width, width))
 
 
 CONDITION_LIMIT = 1e10
@@ -70,7 +70,9 @@ class Uncertainty:
     spread: float
 
 
-def uncertainty(jacobian: NDArray[np.float64], residuals: NDArray[np.float64], held: NDArray[np.bool_]) -> Uncertainty:
+def uncertainty(
+    jacobian: NDArray[np.float64], residuals: NDArray[np.float64], at_bound: NDArray[np.bool_]
+) -> Uncertainty:
     """Standard errors and correlations of the parameters that are not held.
 
     Parameters
@@ -91,7 +93,7 @@ def uncertainty(jacobian: NDArray[np.float64], residuals: NDArray[np.float64], h
     (1.8257, array([0.9129]))
     """
     count = jacobian.shape[1]
-    free = np.flatnonzero(~held)
+    free = np.flatnonzero(~at_bound)
     lengths, singular, directions = _decompose(jacobian[:, free])
     inverse = directions.T / singular
     scaled = inverse @ inverse.T
@@ -105,7 +107,7 @@ def uncertainty(jacobian: NDArray[np.float64], residuals: NDArray[np.float64], h
     return Uncertainty(errors, correlations, spread)
 
 
-def condition(jacobian: NDArray[np.float64]) -> float:
+def condition_number(jacobian: NDArray[np.float64]) -> float:
     """The condition number of a Jacobian with columns scaled to length one; infinite where singular."""
     _, singular, _ = _decompose(jacobian)
     if not len(singular):
@@ -113,7 +115,7 @@ def condition(jacobian: NDArray[np.float64]) -> float:
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
 
 
-def undetermined(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[str]:
+def unidentifiable(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[str]:
     """The parameters that can change together and leave all forces nearly as they are."""
     _, _, directions = _decompose(jacobian)
     share = np.abs(directions[-1])
@@ -122,7 +124,7 @@ def undetermined(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[st
 
 def _decompose(jacobian: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
     """Lengths of the columns; singular values and right singular vectors, as rows, of them at length one."""
-    factor = triangle(jacobian)
+    factor = tsqr_r(jacobian)
     lengths = np.linalg.norm(factor, axis=0)
     lengths[lengths == 0] = 1.0
     _, singular, directions = np.linalg.svd(factor / lengths)
@@ -148,7 +150,7 @@ class ErrorModel(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Independent:
+class IndependentErrors:
     """Errors of the points that are independent and equal: s^2 (X^T X)^-1, with n - k degrees of freedom.
 
     Parameters
@@ -161,12 +163,12 @@ class Independent:
         n - k.
     """
 
-    triangle: NDArray[np.float64]
+    tsqr_r: NDArray[np.float64]
     spread: float
     freedom: int
 
     @classmethod
-    def of(cls, jacobian: NDArray[np.float64], residuals: NDArray[np.float64]) -> Independent:
+    def of(cls, jacobian: NDArray[np.float64], residuals: NDArray[np.float64]) -> IndependentErrors:
         """From a Jacobian, shape (points, parameters), and residuals, shape (points,)."""
         freedom = len(residuals) - jacobian.shape[1]
         spread = float(np.sqrt(residuals @ residuals / freedom))
@@ -177,12 +179,12 @@ class Independent:
         return self.spread**2, float(self.freedom)
 
     def variance(self, gradients: NDArray[np.float64]) -> Pairs:
-        z = _solve(self.triangle, gradients)
+        z = _solve(self.tsqr_r, gradients)
         return self.spread**2 * np.einsum("mi,mi->m", z, z), np.full(len(z), float(self.freedom))
 
 
 @dataclass(frozen=True, eq=False)
-class ClusterRobust:
+class ClusterRobustErrors:
     """Errors that points of a group may share.
 
     Parameters
@@ -203,13 +205,13 @@ class ClusterRobust:
     --------
     The mean of four numbers, each a group: the textbook's s/2, with 3 degrees of freedom.
 
-    >>> model = ClusterRobust.of(np.ones((4, 1)), np.array([1.0, -1.0, 2.0, -2.0]), np.arange(4))
+    >>> model = ClusterRobustErrors.of(np.ones((4, 1)), np.array([1.0, -1.0, 2.0, -2.0]), np.arange(4))
     >>> variance, freedom = model.variance(np.ones((1, 1)))
     >>> round(float(np.sqrt(variance[0])), 4), round(float(freedom[0]), 4)
     (0.9129, 3.0)
     """
 
-    triangle: NDArray[np.float64]
+    tsqr_r: NDArray[np.float64]
     scores: NDArray[np.float64]
     own: NDArray[np.float64]
     shared: NDArray[np.float64]
@@ -219,11 +221,11 @@ class ClusterRobust:
     @classmethod
     def of(
         cls, jacobian: NDArray[np.float64], residuals: NDArray[np.float64], labels: NDArray[np.int64]
-    ) -> ClusterRobust:
+    ) -> ClusterRobustErrors:
         """From a Jacobian, shape (points, parameters), residuals, shape (points,), and groups, from 0 without gaps."""
         order = np.argsort(labels, kind="stable")
         starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
-        q, triangle = np.linalg.qr(jacobian[order])
+        q, tsqr_r = np.linalg.qr(jacobian[order])
         # All that is needed of A_g is in the eigenvectors of Q_g^T Q_g: those of A_g within the space of Q_g.
         information = np.add.reduceat(q[:, :, None] * q[:, None, :], starts)
         part, vectors = np.linalg.eigh(information)
@@ -239,10 +241,10 @@ class ClusterRobust:
         added = np.einsum("gij,gj,gkj,gk->gi", vectors, inverse, vectors, pulls)
         sizes = np.diff(np.append(starts, len(labels)))
         corrected = residuals[order] + np.einsum("ni,ni->n", q, np.repeat(added, sizes, axis=0))
-        return cls(triangle, scores, own, shared, alone, _scatter(corrected, starts, sizes, jacobian.shape[1]))
+        return cls(tsqr_r, scores, own, shared, alone, _scatter(corrected, starts, sizes, jacobian.shape[1]))
 
     def variance(self, gradients: NDArray[np.float64]) -> Pairs:
-        z = _solve(self.triangle, gradients)
+        z = _solve(self.tsqr_r, gradients)
         variance = np.sum((z @ self.scores.T) ** 2, axis=1)
         # Omega_gh = delta_gh z'D_g z - w_g'w_h with w_g = E_g z; its trace and square sum without forming it.
         own = np.einsum("mi,gij,mj->mg", z, self.own, z, optimize=True)
@@ -276,11 +278,11 @@ def _scatter(
     return square, (count - parameters) / (1 + agreement**2 * pairs / count)
 
 
-def _solve(triangle: NDArray[np.float64], gradients: NDArray[np.float64]) -> NDArray[np.float64]:
+def _solve(tsqr_r: NDArray[np.float64], gradients: NDArray[np.float64]) -> NDArray[np.float64]:
     """R^-T c for each gradient, shape (m, k)."""
-    lengths = np.linalg.norm(triangle, axis=0)
+    lengths = np.linalg.norm(tsqr_r, axis=0)
     lengths[lengths == 0] = 1.0
-    return np.linalg.solve((triangle / lengths).T, (gradients / lengths).T).T
+    return np.linalg.solve((tsqr_r / lengths).T, (gradients / lengths).T).T
 
 
 class Grouping(enum.Enum):
@@ -291,7 +293,7 @@ class Grouping(enum.Enum):
     POINT
         Every plateau mean is its own group: the errors are independent, as the classical formula has it.
     STROKE
-        The points of one pass at one pressure: same level, repeat and way (see `ways`), as far as these are recorded.
+        The points of one pass at one pressure: same level, repeat and `approach_labels`, as far as recorded.
         What the zero of a force sensor, creep, or friction adds to a whole pass is then one error and not many.
     PRESSURE
         All points of a pressure level: as well what the passes at a level have in common, such as how the law misses
@@ -337,7 +339,7 @@ def group_labels(points: IsobaricDataset, grouping: Grouping) -> NDArray[np.int6
     if grouping in (Grouping.STROKE, Grouping.REPEAT) and "repeat" in points.table:
         columns.append(points.table["repeat"].to_numpy())
     if grouping is Grouping.STROKE:
-        columns.append(ways(points))
+        columns.append(approach_labels(points))
     if not columns:
         raise IdentificationError(
             "the data do not say which repeat a point belongs to",
@@ -346,7 +348,7 @@ def group_labels(points: IsobaricDataset, grouping: Grouping) -> NDArray[np.int6
     return _numbered(columns)
 
 
-def ways(points: IsobaricDataset) -> NDArray[np.str_]:
+def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
     """Which way each point was reached, shape (points,): what tells the passes at a level apart.
 
     That is its direction, or its phase where no direction is known at its level and repeat; empty where neither is.
@@ -362,7 +364,7 @@ def ways(points: IsobaricDataset) -> NDArray[np.str_]:
     ...     direction=["", "unloading", "loading", "", ""],
     ...     phase=["filling", "", "", "filling", "venting"],
     ... )
-    >>> ways(points).tolist()
+    >>> approach_labels(points).tolist()
     ['unloading', 'unloading', 'loading', 'filling', 'venting']
     """
     direction, phase = (
@@ -384,7 +386,7 @@ def ways(points: IsobaricDataset) -> NDArray[np.str_]:
     return found
 
 
-def finest_recorded(points: IsobaricDataset) -> Grouping:
+def finest_grouping(points: IsobaricDataset) -> Grouping:
     """Strokes where a direction, a phase or a repeat is known, else pressures."""
     told_apart = bool(len(points.directions) or len(points.phases) or len(points.repeats))
     return Grouping.STROKE if told_apart else Grouping.PRESSURE

@@ -17,7 +17,7 @@ from mckibben.units import bar
 
 
 @dataclass(frozen=True)
-class Errors:
+class ErrorStatistics:
     """The errors of one law over a group of points.
 
     Attributes
@@ -63,7 +63,7 @@ class Validation:
         As the dataset says.
     """
 
-    errors: tuple[Errors, ...] = field(repr=False)
+    errors: tuple[ErrorStatistics, ...] = field(repr=False)
     slack: int
     specimen: str
 
@@ -72,7 +72,7 @@ class Validation:
         """The names of the laws."""
         return tuple(dict.fromkeys(e.law for e in self.errors))
 
-    def of(self, law: str, *, pressure: float | None = None, direction: str | None = None) -> Errors:
+    def of(self, law: str, *, pressure: float | None = None, direction: str | None = None) -> ErrorStatistics:
         """The errors of a law over all points, or at a pressure [Pa, met within 1 kPa], or in a direction.
 
         Raises
@@ -193,14 +193,14 @@ def validate(
             remedy="give at least one of each",
         )
     groups = list(_groups(points))
-    errors: list[Errors] = []
+    errors: list[ErrorStatistics] = []
     for name, law in named.items():
         difference = forces(law, points.contraction, points.pressure) - points.force
         outside = ~np.asarray(law.domain.contains(points.contraction, points.levels))
         for pressure, direction, mask in groups:
             part = difference[mask]
             errors.append(
-                Errors(
+                ErrorStatistics(
                     law=name,
                     pressure=pressure,
                     direction=direction,

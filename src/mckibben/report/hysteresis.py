@@ -15,8 +15,8 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import RangeError
 from mckibben.identification.creep import CreepFit
 from mckibben.identification.hysteresis import HysteresisFit
-from mckibben.identification.loading_path import Strokes
-from mckibben.identification.relaxation import Courses
+from mckibben.identification.loading_path import LoadingPaths
+from mckibben.identification.relaxation import RelaxationCurves
 from mckibben.muscle import MaxwellCreep
 from mckibben.report.style import BLACK, DOUBLE, LOADING, UNLOADING, blank, letter, styled
 from mckibben.units import bar, percent
@@ -146,10 +146,10 @@ def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
             remedy="give the dataset that it was identified from",
         )
     means = dataset.plateau_means()
-    measured = Courses.of(dataset.table["force_samples"].to_numpy(), found.interval)
-    modelled = Courses.of(found.course(measured.times), found.interval)
+    measured = RelaxationCurves.of(dataset.table["force_samples"].to_numpy(), found.interval)
+    modelled = RelaxationCurves.of(found.course(measured.times), found.interval)
     taut = ~means.slack
-    side, moves = _since_turn(Strokes.of(means))
+    side, moves = _since_turn(LoadingPaths.of(means))
     figure = blank(DOUBLE, 2.7)
     courses, slopes = figure.subplots(1, 2)
     _courses(courses, measured, modelled, found, taut, side)
@@ -157,7 +157,7 @@ def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
     return figure
 
 
-def _since_turn(strokes: Strokes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _since_turn(strokes: LoadingPaths) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Shape (rows,): the side of the last move, and how many went that way in a row; 0 where there was none."""
     sides = np.sign(np.where(np.abs(strokes.travel) > 1e-9, strokes.travel, 0.0))
     counts = np.zeros(sides.shape)
@@ -171,8 +171,8 @@ def _since_turn(strokes: Strokes) -> tuple[NDArray[np.float64], NDArray[np.int64
 
 def _courses(
     axes: Axes,
-    measured: Courses,
-    modelled: Courses,
+    measured: RelaxationCurves,
+    modelled: RelaxationCurves,
     found: CreepFit,
     taut: NDArray[np.bool_],
     side: NDArray[np.float64],
@@ -192,8 +192,8 @@ def _courses(
 
 def _slopes(
     axes: Axes,
-    measured: Courses,
-    modelled: Courses,
+    measured: RelaxationCurves,
+    modelled: RelaxationCurves,
     found: CreepFit,
     taut: NDArray[np.bool_],
     side: NDArray[np.float64],
