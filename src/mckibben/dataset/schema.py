@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import mmap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -313,3 +314,17 @@ def _cells(values: np.ndarray) -> list[str]:
     if values.dtype.kind == "f":
         return ["" if value != value else repr(value) for value in values.tolist()]
     return [str(value) or "unknown" for value in values.tolist()]  # directions and phases
+
+
+def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()) -> str:
+    """Table for a notebook: a title, a header, rows, and notes below.
+
+    >>> html_table("<Fit>", ["a"], [[1]], ["note"])
+    '<p>&lt;Fit&gt;</p><table><tr><th>a</th></tr><tr><td>1</td></tr></table><p>note</p>'
+    """
+
+    def row(cells: Sequence[object], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"
+
+    table = row(header, "th") + "".join(row(cells, "td") for cells in rows)
+    return f"<p>{escape(title)}</p><table>{table}</table>" + "".join(f"<p>{escape(note)}</p>" for note in notes)

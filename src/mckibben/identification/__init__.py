@@ -6,8 +6,8 @@ from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.fitting import ResidualCorrelation, identify
 from mckibben.identification.hysteresis import HysteresisFit, SensorDrift, identify_hysteresis
 from mckibben.identification.intervals import ForceIntervals, Interval, IntervalEstimate
+from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.posterior import Noise, Posterior, posterior
-from mckibben.identification.problem import design_matrix
 from mckibben.identification.profile import Profile, profile
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.storage import read_law

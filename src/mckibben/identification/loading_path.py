@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.problem import design_matrix
+from mckibben.identification.least_squares import design_matrix
 from mckibben.muscle import ForceLaw, MaxwellSlip, forces
 from mckibben.muscle.friction import NARROWEST, drawn, faded, polygon
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import ParameterError
 from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import IntervalEstimate, check_level, force_intervals, t_interval, variance_of
+from mckibben.identification.intervals import IntervalEstimate, check_level, t_interval, variance_of
 from mckibben.identification.uncertainty import Grouping
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import pressure_pair
@@ -120,7 +120,7 @@ def joint_bands(
         bands.append(t_interval(level, found[i], parts))
     doubtful = np.zeros(shape, bool)
     for contraction, pressure, fit in zip(contractions, where[1:], both, strict=True):
-        force = force_intervals(fit.law, fit.require_regression(), contraction, pressure, level=level, by=by).confidence
+        force = fit.force_intervals(contraction, pressure, level=level, by=by).confidence
         doubtful |= (force.lower < 0) & (force.upper > 0)
     return JointBands(bands[0], bands[1], doubtful)
 
