@@ -121,8 +121,8 @@ def test_data_that_cannot_tell_are_refused(drifting):
     refused("the initial length is not known", IsobaricDataset(nameless))
     shuffled = np.random.default_rng(0).permutation(len(data))
     timeless = data.table.drop_vars("time")
-    refused("ways at constant pressure|against the direction", IsobaricDataset(timeless.isel(point=shuffled)))
-    refused("ways at constant pressure", IsobaricDataset(data.table.drop_vars("set_pressure")))
+    refused("paths at constant pressure|against the direction", IsobaricDataset(timeless.isel(point=shuffled)))
+    refused("paths at constant pressure", IsobaricDataset(data.table.drop_vars("set_pressure")))
     by_length = np.lexsort([data.contraction, data.levels])
     refused("the direction changes .* times in .* moves", IsobaricDataset(timeless.isel(point=by_length)))
     refused("the data show no hysteresis", VirtualRig(MUSCLE, hysteresis=0).run(PROTOCOL, seed=1).plateau_means())
@@ -150,8 +150,8 @@ def test_the_force_along_the_way_is_that_of_the_rig(model):
     quiet = {"force_noise": 0, "pressure_noise": 0, "regulator_offset": 0}
     own = MaxwellSlip(9.0, 1 * mm, growth=1 / bar, reference_pressure=3 * bar)
     data = VirtualRig(Muscle(SPECIMEN, LAW, own), **quiet).run(PROTOCOL, seed=0)
-    exact = dataclasses.replace(model, strokes=LoadingPaths.of(data), means=data)
-    tension, friction = exact.parts({"half_width": 9.0, "growth": 1 / bar, "log_presliding": np.log(1e-3)})
+    exact = dataclasses.replace(model, paths=LoadingPaths.of(data), means=data)
+    tension, friction = exact.components({"half_width": 9.0, "growth": 1 / bar, "log_presliding": np.log(1e-3)})
     np.testing.assert_allclose(tension + friction, data.force, atol=1e-9)
 
 

@@ -191,11 +191,11 @@ def test_the_rule_looks_at_where_was_measured(map_of_martens, chart, fit):
         ExponentialLaw, IsobaricDataset.of(pressure=scattered, contraction=chart.contraction, force=chart.force)
     )
     assert alone.robust is None
-    assert any("independent: the 119 points are at 119 pressures, hardly two" in w for w in alone.warnings)
+    assert any("independent points: the 119 points are at 119 pressures, hardly two" in w for w in alone.warnings)
     assert "classical, as if" in alone.report()
     few = identify(ExponentialLaw, measured(EQ_3, np.array([3, 4, 5, 6]) * bar, np.linspace(0, 0.1, 9), 1.0))
     assert few.robust is None
-    assert any("independent: 4 pressures are too few to tell" in warning for warning in few.warnings)
+    assert any("independent points: 4 pressures are too few" in warning for warning in few.warnings)
 
 
 def test_intervals_are_t_intervals_of_the_errors_that_they_are_asked_for(fit):

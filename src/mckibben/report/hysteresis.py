@@ -139,15 +139,15 @@ def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
     RangeError
         If the dataset has another number of points, or no samples.
     """
-    if len(dataset) != len(found.relaxing) or "force_samples" not in dataset.table:
+    if len(dataset) != len(found.initial_force) or "force_samples" not in dataset.table:
         raise RangeError(
-            f"the creep is of the samples of {len(found.relaxing)} points, the dataset has {len(dataset)} points"
+            f"the creep is of the samples of {len(found.initial_force)} points, the dataset has {len(dataset)} points"
             + (" and no samples" if "force_samples" not in dataset.table else ""),
             remedy="give the dataset that it was identified from",
         )
     means = dataset.plateau_means()
     measured = RelaxationCurves.of(dataset.table["force_samples"].to_numpy(), found.interval)
-    modelled = RelaxationCurves.of(found.course(measured.times), found.interval)
+    modelled = RelaxationCurves.of(found.relaxation(measured.times), found.interval)
     taut = ~means.slack
     side, moves = _since_turn(LoadingPaths.of(means))
     figure = blank(DOUBLE, 2.7)
@@ -159,7 +159,7 @@ def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
 
 def _since_turn(strokes: LoadingPaths) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Shape (rows,): the side of the last move, and how many went that way in a row; 0 where there was none."""
-    sides = np.sign(np.where(np.abs(strokes.travel) > 1e-9, strokes.travel, 0.0))
+    sides = np.sign(np.where(np.abs(strokes.displacement) > 1e-9, strokes.displacement, 0.0))
     counts = np.zeros(sides.shape)
     way, run = np.zeros(sides.shape[1]), np.zeros(sides.shape[1])
     for k, now in enumerate(sides):
