@@ -66,7 +66,7 @@ def contest_wishes(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
     numbers
         Its `standing`.
     """
-    wishes = list(contest.suite.wishes)
+    wishes = list(contest.suite.references)
     figure = blank(DOUBLE, 0.9 + 0.42 * len(wishes))
     axes = figure.subplots(1, 2, sharey=True)
     looks = looks_of(contest.batches)
