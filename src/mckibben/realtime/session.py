@@ -414,4 +414,4 @@ def _building(source: str, field: str) -> Iterator[None]:
     except FileError:
         raise  # names a file and a place itself
     except McKibbenError as error:
-        raise ScenarioError(source, [Problem(str(error), field=field)]) from error
+        raise ScenarioError(source, [Problem.of(error, field=field)]) from error
