@@ -416,4 +416,4 @@ def _warn_outside(joint: AntagonisticJoint, angle: ArrayLike, pressures: tuple[A
     if not any(isinstance(value, Tracer) for value in (angle, pressure1, pressure2)):
         contraction1, contraction2 = joint.contractions(angle, pressures)
         points = (joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2)
-        warn_outside(*points, stacklevel=5)
+        warn_outside(*points)

@@ -184,14 +184,13 @@ class JointPlant(eqx.Module):
         """Return the time derivative of the motion (Eq. 6) at the pressures of a state."""
         angle, velocity, pressures, muscles, io = state
         creep1, creep2 = (state.creep for state in self.joint.state_rate(muscles, angle, velocity))
-        other = self.load.gravity_torque(angle) - self.load.damping * velocity
         if muscles == NO_STATES:
-            torque = self.joint.torque(angle, pressures) + other
+            torque = self.joint.torque(angle, pressures)
         else:
-            torque = self.joint.forces(angle, velocity, pressures, muscles).torque + other
+            torque = self.joint.forces(angle, velocity, pressures, muscles).torque
         if isinstance(io, IOState):
             torque = torque + io.disturbance
-        return Motion(velocity, torque * (1 / self.load.total_inertia), (creep1, creep2))
+        return Motion(velocity, self.load.acceleration(angle, velocity, torque), (creep1, creep2))
 
     def project(self, state: PlantState) -> PlantState:
         """Return the state after an integration step with updated internal states; no force changes by it."""
