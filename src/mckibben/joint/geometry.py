@@ -16,6 +16,9 @@ from mckibben.numerics.elementary import sincos
 Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
 """Values of muscle 1 (antagonist: lengthens as the angle increases) and muscle 2 (agonist)."""
 
+Pressures = tuple[ArrayLike, ArrayLike]
+"""Gauge pressures (p1, p2) [Pa]; each a number or an array."""
+
 
 _LONGEST = 10.0  # m: a longer joint is taken for one in millimetres
 
