@@ -138,10 +138,10 @@ def test_a_text_of_numbers_alone_reads_as_one_with_words(put):
     rng = np.random.default_rng(0)
     rows = [f"{p:.3f};{c:.4f};{f:.2e}\n".replace(".", ",") for p, c, f in rng.uniform(0, 0.4, (50, 3))]
     header = "pressure_bar;contraction_ratio;force_N"
-    plain = read_dataset(put(header + "\n" + "".join(rows)))
+    quote = read_dataset(put(header + "\n" + "".join(rows)))
     worded = read_dataset(put(header + ";note\n" + "".join(row[:-1] + ";a\n" for row in rows)))
-    assert plain.force.tolist() == worded.force.tolist()
-    assert plain.pressure.tolist() == worded.pressure.tolist()
+    assert quote.force.tolist() == worded.force.tolist()
+    assert quote.pressure.tolist() == worded.pressure.tolist()
     rows[30] = "-9;0;0\n"
     expected = ["line 32, pressure_bar: -9 bar is below a vacuum (-1.0132 bar, gauge)"]
     assert said_of(put(header + "\n" + "".join(rows))) == expected

@@ -185,12 +185,12 @@ def test_nothing_is_known_of_the_way_across_a_break(shift):
 
 def test_tolerance_dwell_and_settle_do_what_they_say():
     creeping = RUN.record(force=RUN.force + 20 * np.exp(-(RUN.time % 3.5 - 0.5).clip(0) / 0.3))
-    plain, settled = creeping.plateaus(), creeping.plateaus(settle=0.99)
-    assert len(plain.dataset) == len(settled.dataset) == len(RUN.plan)
-    bias = plain.dataset.force - settled.dataset.force
-    assert np.all(bias > 1) and settled.counts["settling"] > 3 * plain.counts["settling"]
+    quote, as_column = creeping.plateaus(), creeping.plateaus(settle=0.99)
+    assert len(quote.dataset) == len(as_column.dataset) == len(RUN.plan)
+    bias = quote.dataset.force - as_column.dataset.force
+    assert np.all(bias > 1) and as_column.counts["settling"] > 3 * quote.counts["settling"]
     assert len(creeping.plateaus(force_tolerance=0.5).dataset) > 20
-    assert creeping.plateaus(force_tolerance=0.5).samples.sum() < plain.samples.sum()
+    assert creeping.plateaus(force_tolerance=0.5).samples.sum() < quote.samples.sum()
     with pytest.raises(
         RangeError, match=r"nothing in the recording is steady for 4 s\n  23.00 samples: 0 used.*longer|shorter"
     ):

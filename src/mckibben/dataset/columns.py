@@ -93,7 +93,7 @@ def names(quantity: str) -> str:
     return " or ".join(filter(None, [", ".join(spelled[:-1]), spelled[-1]]))
 
 
-def recognise(header: str, unit: str = "") -> Header | None:
+def parse_header(header: str, unit: str = "") -> Header | None:
     """What a header says, or None where it is not one of ours.
 
     The case of letters is free, except that of a leading m in a unit: MPa is not mPa, mbar is not Mbar.
@@ -107,11 +107,11 @@ def recognise(header: str, unit: str = "") -> Header | None:
 
     Examples
     --------
-    >>> recognise("Pressure_KPA"), recognise("p / kPa"), recognise("Force", "N")
-    (Column(quantity='pressure', unit='kPa'), Column(quantity='pressure', unit='kPa'),
-     Column(quantity='force', unit='N'))
-    >>> recognise("pressure_mPa"), recognise("Pressure"), recognise("Pressure (bar abs)"), recognise("T / s")
-    (None, None, None, None)
+    >>> parse_header("Pressure_KPA"), parse_header("p / kPa"), parse_header("Force", "N")
+    (Header(quantity='pressure', unit='kPa'), Header(quantity='pressure', unit='kPa'),
+     Header(quantity='force', unit='N'))
+    >>> [parse_header(text) for text in ("pressure_mPa", "Pressure", "Pressure (bar abs)", "T / s")]
+    [None, None, None, None]
     """
     for quantity, spelled in _readings(header, unit):
         for known in ACCEPTED[quantity] or ("",):
@@ -120,15 +120,15 @@ def recognise(header: str, unit: str = "") -> Header | None:
     return None
 
 
-def foreign_unit(header: str, unit: str = "") -> str:
+def unit_error(header: str, unit: str = "") -> str:
     """Why a header names a quantity of ours in a unit that it cannot have; empty where it does not.
 
-    >>> foreign_unit("pressure_mPa"), foreign_unit("Pressure [psia]")
+    >>> unit_error("pressure_mPa"), unit_error("Pressure [psia]")
     ("'mPa' is not a unit of pressure here", "'psia' is absolute; a gauge pressure is needed")
-    >>> foreign_unit("pressure_sensor"), foreign_unit("pressure_bar"), foreign_unit("p / W")
+    >>> unit_error("pressure_sensor"), unit_error("pressure_bar"), unit_error("p / W")
     ('', '', '')
     """
-    if recognise(header, unit):
+    if parse_header(header, unit):
         return ""
     known = {name.lower() for name in units.UNITS}
     for quantity, spelled in _readings(header, unit):
@@ -162,8 +162,8 @@ def _readings(header: str, unit: str) -> list[tuple[str, str]]:
     if match := _WITH_UNIT.fullmatch(text):
         spelled = _bare(next(filter(None, (match["a"], match["b"], match["c"], match["d"]))))
     quantity = _NAMES.get(name) or _NAMES.get(name.lower() if len(name) > 1 else "")
-    if (plain := name.lower().replace(" ", "_")) in ACCEPTED:
-        quantity = plain
+    if (key := name.lower().replace(" ", "_")) in ACCEPTED:
+        quantity = key
     if quantity and spelled:
         found.append((quantity, spelled))
     return found
@@ -214,7 +214,7 @@ class Layout:
     problems: list[Problem] = field(default_factory=list)
 
 
-def lay_out(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) -> Layout:
+def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) -> Layout:
     """Find the columns of ours in a file.
 
     Parameters
@@ -231,9 +231,9 @@ def lay_out(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) 
     >>> from mckibben.dataset.sheet import RawColumn
     >>> headers = ["Druck [bar]", "contraction_percent", "note"]
     >>> sheet = RawTable([RawColumn(header, [], []) for header in headers], header_line=1)
-    >>> layout = lay_out(sheet, {"Druck [bar]": "pressure_bar"}, ["pressure", "contraction", "force"])
+    >>> layout = find_columns(sheet, {"Druck [bar]": "pressure_bar"}, ["pressure", "contraction", "force"])
     >>> layout.places["pressure"], layout.ignored
-    ((0, Column(quantity='pressure', unit='bar')), ['note'])
+    ((0, Header(quantity='pressure', unit='bar')), ['note'])
     >>> print(*layout.problems)
     line 1: no column for force; the file has 'Druck [bar]', 'contraction_percent', 'note'; name it force_N ...
     """
@@ -246,7 +246,7 @@ def lay_out(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) 
 
     asked: set[str] = set()
     for given, name in mapping.items():
-        column = recognise(name)
+        column = parse_header(name)
         if given not in header:
             problem(f"columns has {given!r}, the file {shown}")
         if column is None:
@@ -256,11 +256,11 @@ def lay_out(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) 
     for index, channel in enumerate(sheet.channels):
         text = channel.name
         mapped = text in mapping
-        column = recognise(mapping[text]) if mapped else recognise(channel.label, channel.unit)
+        column = parse_header(mapping[text]) if mapped else parse_header(channel.label, channel.unit)
         if text and text in header[:index]:
             problem("stands twice in the header", text)
         elif column is None or (column.quantity in asked and not mapped):
-            if column is None and not mapped and (reason := foreign_unit(channel.label, channel.unit)):
+            if column is None and not mapped and (reason := unit_error(channel.label, channel.unit)):
                 problem(reason, text, f"accepted are {_accepted(channel.label)}")
             layout.ignored += [text] if text else []
         elif column.quantity in layout.places:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mckibben.dataset.columns import is_unit
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, settled
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column
 from mckibben.errors import DatasetError, Problem
 
 _ROWS = 1_048_576  # of a sheet of Excel
@@ -95,7 +95,7 @@ def _table(rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, st
     units = (under if has_units else []) + [""] * len(header)
     lines = [number for number, _ in body]
     return [
-        RawColumn(name, settled([row[i] if i < len(row) else None for _, row in body]), lines, unit=units[i])
+        RawColumn(name, as_column([row[i] if i < len(row) else None for _, row in body]), lines, unit=units[i])
         for i, name in enumerate(header)
     ]
 

@@ -12,14 +12,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.schema import assemble, conform, held_in, spanned, write_csv, write_netcdf
+from mckibben.dataset.schema import assemble, format_range, load_validated, normalize, write_csv, write_netcdf
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, percent
 
 _BLOCK = 32768  # samples worked on at a time: 256 KiB of floats stay in a core's cache
 
 
-def mean_and_spread(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def mean_and_std(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and standard deviation of each row, in one pass through memory and without a copy of the whole.
 
     Parameters
@@ -34,7 +34,7 @@ def mean_and_spread(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[n
 
     Examples
     --------
-    >>> mean_and_spread(np.array([[1.0, 3.0], [5.0, 5.0]]))
+    >>> mean_and_std(np.array([[1.0, 3.0], [5.0, 5.0]]))
     (array([2., 5.]), array([1., 0.]))
     """
     points, count = samples.shape
@@ -50,7 +50,7 @@ def mean_and_spread(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[n
     return mean, spread
 
 
-def near(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: float = 1e3) -> NDArray[np.bool_]:
+def at_levels(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: float = 1e3) -> NDArray[np.bool_]:
     """The points whose level is within `tolerance` of any of the pressures, all in Pa.
 
     Raises
@@ -62,15 +62,15 @@ def near(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: float = 1
     close = np.abs(levels[:, None] - wanted) <= tolerance
     if len(missing := wanted[~np.any(close, axis=0)]):
         raise RangeError(
-            f"there is no point at {listed(missing / bar)} bar",
+            f"there is no point at {format_list(missing / bar)} bar",
             value=float(missing[0]),
             unit="Pa",
-            remedy=f"the pressures are {listed(np.unique(levels) / bar)} bar" if len(levels) else "",
+            remedy=f"the pressures are {format_list(np.unique(levels) / bar)} bar" if len(levels) else "",
         )
     return np.asarray(np.any(close, axis=1))
 
 
-def among(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.bool_]:
+def equal_to(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.bool_]:
     """The points whose entry in a column is one of the values; an empty column is one that is not recorded.
 
     Raises
@@ -84,14 +84,16 @@ def among(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.bool_]
         raise RangeError(
             f"there is no point of {name} {', '.join(map(str, missing))}",
             value=missing[0],
-            remedy=f"the {name}s are {listed(present)}" if len(present) else f"no {name} is recorded",
+            remedy=f"the {name}s are {format_list(present)}" if len(present) else f"no {name} is recorded",
         )
     if not len(wanted):
-        raise RangeError(f"no {name} is given", remedy=f"the {name}s are {listed(present)}" if len(present) else "")
+        raise RangeError(
+            f"no {name} is given", remedy=f"the {name}s are {format_list(present)}" if len(present) else ""
+        )
     return np.asarray(np.isin(column, wanted))
 
 
-def listed(values: np.ndarray, most: int = 24) -> str:
+def format_list(values: np.ndarray, most: int = 24) -> str:
     """Numbers or words as text, the first of them where there are many."""
     shown = [value if isinstance(value, str) else f"{value:g}" for value in values[:most].tolist()]
     return ", ".join(shown) + (f", ... ({len(values)} in all)" if len(values) > most else "")
@@ -134,7 +136,7 @@ class IsobaricDataset:
     table: xr.Dataset
 
     def __post_init__(self) -> None:
-        table, problems = conform(self.table)
+        table, problems = normalize(self.table)
         if problems:
             raise DatasetError("dataset", problems)
         object.__setattr__(self, "table", table)
@@ -272,14 +274,14 @@ class IsobaricDataset:
         if len(self):
             levels, contraction = self.pressures / bar, self.contraction / percent
             count = f"{len(levels)} pressure{'s' if len(levels) > 1 else ''}"
-            parts.append(f"{count} {spanned(levels)} bar")
-            parts.append(f"contraction {spanned(contraction)} %")
+            parts.append(f"{count} {format_range(levels)} bar")
+            parts.append(f"contraction {format_range(contraction)} %")
         if len(self.directions):
             parts.append(" and ".join(self.directions))
         if len(self.phases):
             parts.append(" and ".join(self.phases))
         if len(self.repeats):
-            parts.append(f"repeats {listed(self.repeats)}")
+            parts.append(f"repeats {format_list(self.repeats)}")
         if samples := self.table.sizes.get("sample"):
             parts.append(f"{samples} samples a point")
         return f"<IsobaricDataset{f' {name!r}' if name else ''}: {', '.join(parts)}>"
@@ -302,7 +304,7 @@ class IsobaricDataset:
         RangeError
             If there is no point at one of them; the error names the pressures that there are.
         """
-        return self.select(near(self.levels, pressures, tolerance))
+        return self.select(at_levels(self.levels, pressures, tolerance))
 
     def split(
         self,
@@ -332,11 +334,11 @@ class IsobaricDataset:
         """
         held_out = np.zeros(len(self), bool)
         if pressures is not None:
-            held_out |= near(self.levels, pressures)
+            held_out |= at_levels(self.levels, pressures)
         if repeats is not None:
-            held_out |= among(self._column("repeat"), repeats, "repeat")
+            held_out |= equal_to(self._column("repeat"), repeats, "repeat")
         if directions is not None:
-            held_out |= among(self._column("direction"), directions, "direction")
+            held_out |= equal_to(self._column("direction"), directions, "direction")
         if held_out.all() or not held_out.any():
             side = "train on" if held_out.any() else "hold out"
             raise RangeError(
@@ -354,7 +356,7 @@ class IsobaricDataset:
         """
         columns: dict[str, NDArray[np.float64]] = {}
         if "force_samples" in self.table:
-            columns["force"], columns["force_spread"] = mean_and_spread(self.table["force_samples"].to_numpy())
+            columns["force"], columns["force_spread"] = mean_and_std(self.table["force_samples"].to_numpy())
         if "pressure_samples" in self.table:
             columns["pressure"] = self.table["pressure_samples"].to_numpy().mean(axis=1, dtype=np.float64)
         if not columns:
@@ -378,7 +380,7 @@ class IsobaricDataset:
         DatasetError
             If the file is not there, is no NetCDF file, or does not hold an isobaric dataset.
         """
-        return held_in(Path(path), cls)
+        return load_validated(Path(path), cls)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the plateau means as CSV text in SI units; `read_dataset` gives the same numbers back.

@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, account, check
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, format_counts
 from mckibben.errors import RangeError
 from mckibben.units import bar, kPa
 
@@ -28,52 +28,52 @@ def isometric(
     gap: float | None,
 ) -> ExtractedPoints:
     """`Recording.isometric`, of the recording's table."""
-    check("reversal", reversal, "Pa")
-    check("contraction_tolerance", contraction_tolerance, "1")
+    check_positive("reversal", reversal, "Pa")
+    check_positive("contraction_tolerance", contraction_tolerance, "1")
     time, pressure, force = (table[name].to_numpy() for name in ("time", "pressure", "force"))
     if not len(time):
         raise RangeError("the recording has no samples")
-    ledger = SampleAccount(table, gap)
-    held = _held(table, contraction, contraction_tolerance, ledger)
-    usable = ledger.of < 0
+    account = SampleAccount(table, gap)
+    held = _held(table, contraction, contraction_tolerance, account)
+    usable = account.of < 0
     wanted = _levels(pressure[usable], levels, count)
     spacing = np.diff(wanted).min() if len(wanted) > 1 else np.inf
     if band is None:
         band = float(min(spacing / 2, np.ptp(wanted) / _BAND)) if len(wanted) > 1 else 10 * kPa
-    check("band", band, "Pa")
+    check_positive("band", band, "Pa")
     if 2 * band > spacing * (1 + 1e-9):
         raise RangeError(
             f"bands of {band:g} Pa around levels {spacing:g} Pa apart overlap", value=band, upper=spacing / 2, unit="Pa"
         )
-    phases = _phases(pressure, ledger.broken, reversal)
-    ledger.put(phases.of < 0, "at rest or turning")
-    usable = ledger.of < 0
+    phases = _phases(pressure, account.broken, reversal)
+    account.assign_reason(phases.of < 0, "at rest or turning")
+    usable = account.of < 0
 
     nearest = np.clip(np.searchsorted(wanted, pressure), 1, len(wanted) - 1) if len(wanted) > 1 else 0
     if len(wanted) > 1:
         nearest = np.where(pressure - wanted[nearest - 1] < wanted[nearest] - pressure, nearest - 1, nearest)
     offset = pressure - wanted[nearest]
     near = usable & (np.abs(offset) <= band)
-    ledger.put(usable & ~near, "between levels")
+    account.assign_reason(usable & ~near, "between levels")
     cell = (phases.of * len(wanted) + nearest)[near]
     sums = _Lines.through(cell, offset[near], force[near], time[near], len(phases.rising) * len(wanted))
-    ledger.put(near, "used")
+    account.assign_reason(near, "used")
 
     good = (sums.samples >= _LEAST) & (sums.below < 0) & (sums.above > 0)
     index = np.flatnonzero(good)
     few = np.flatnonzero(~good)
-    ledger.of[np.flatnonzero(near)[~good[cell]]] = -1
-    ledger.put(near, "too few at a level")
+    account.of[np.flatnonzero(near)[~good[cell]]] = -1
+    account.assign_reason(near, "too few at a level")
     for number, rising in enumerate(phases.rising):
         missed = [wanted[i % len(wanted)] for i in few if i // len(wanted) == number]
         if missed:
             what = f"{'filling' if rising else 'venting'} {phases.repeat[number]}"
             shown = ", ".join(f"{level / bar:g}" for level in missed[:8]) + (" ..." if len(missed) > 8 else "")
-            ledger.notes.append(f"{what} does not pass {shown} bar")
-    counts = ledger.counts("between levels")
+            account.notes.append(f"{what} does not pass {shown} bar")
+    counts = account.counts("between levels")
     if not len(index):
         raise RangeError(
-            "no level is passed\n  " + account(counts, ledger.notes).replace("\n", "\n  "),
+            "no level is passed\n  " + format_counts(counts, account.notes).replace("\n", "\n  "),
             remedy="give levels inside the range of the pressure, a wider band, or a smaller reversal",
         )
     phase_of, level_of = index // len(wanted), wanted[index % len(wanted)]
@@ -90,10 +90,10 @@ def isometric(
     )
     spread = ("point", sums.spread[index])
     dataset = IsobaricDataset(dataset.table.assign(force_spread=spread).assign_attrs(table.attrs))
-    return ExtractedPoints(dataset, sums.samples[index], counts, tuple(ledger.notes))
+    return ExtractedPoints(dataset, sums.samples[index], counts, tuple(account.notes))
 
 
-def _held(table: xr.Dataset, contraction: float | None, tolerance: float, ledger: SampleAccount) -> float:
+def _held(table: xr.Dataset, contraction: float | None, tolerance: float, account: SampleAccount) -> float:
     """The contraction at which the muscle was held [-]."""
     if "contraction" not in table:
         if contraction is None:
@@ -116,7 +116,7 @@ def _held(table: xr.Dataset, contraction: float | None, tolerance: float, ledger
             f"the length was not fixed: contraction {values.min():.4g} to {values.max():.4g}",
             remedy="use plateaus, or cut the recording to a part of one length",
         )
-    ledger.put(moved, "at another length")
+    account.assign_reason(moved, "at another length")
     return held if contraction is None else float(contraction)
 
 

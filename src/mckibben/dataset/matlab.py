@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.dataset.mat5 import DamagedError, Opaque, Value, variables
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, settled
+from mckibben.dataset.mat5 import CorruptFileError, MatlabObject, Value, variables
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column
 from mckibben.errors import DatasetError, Problem
 
 _SIGNATURE, _HEADER, _PART = b"GCOL\x01\x00\x00\x00", 16, 16
@@ -82,7 +82,7 @@ def read_matlab(path: Path, data: bytes) -> RawTable:
     try:
         for name, value in variables(data):
             _add(sheet, name, value, 0)
-    except DamagedError as error:
+    except CorruptFileError as error:
         raise _unreadable(path, "a MATLAB file", error) from error
     return _checked(path, sheet)
 
@@ -132,12 +132,12 @@ def _add(sheet: RawTable, name: str, value: Value, depth: int) -> None:
             return
         for field, each in value.items():
             _add(sheet, f"{name}.{field}", each, depth + 1)
-    elif isinstance(value, Opaque):
+    elif isinstance(value, MatlabObject):
         sheet.problems.append(Problem(_TABLE, field=name, remedy=_TABLE_REMEDY))
     elif isinstance(value, np.ndarray):
         _columns(sheet, name, value)
     elif isinstance(value, list) and len(value) > 1:
-        cells = settled([_one(cell) for cell in value])
+        cells = as_column([_one(cell) for cell in value])
         sheet.channels.append(RawColumn(name, cells, range(1, len(cells) + 1), short=name.rpartition(".")[2]))
     else:
         sheet.ignored.append(name)

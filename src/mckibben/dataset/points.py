@@ -125,7 +125,7 @@ class ExtractedPoints:
 
     def describe(self) -> str:
         """The account as text: samples by what became of them, and the notes."""
-        return account(self.counts, self.notes)
+        return format_counts(self.counts, self.notes)
 
 
 class SampleAccount:
@@ -140,7 +140,7 @@ class SampleAccount:
         for name in ("pressure", "force"):
             self._ends(name)
 
-    def put(self, where: NDArray[np.bool_] | NDArray[np.int64] | slice, reason: str) -> None:
+    def assign_reason(self, where: NDArray[np.bool_] | NDArray[np.int64] | slice, reason: str) -> None:
         """Say of samples what became of them, where it is not said yet."""
         if reason not in self.reasons:
             self.reasons.append(reason)
@@ -149,7 +149,7 @@ class SampleAccount:
 
     def counts(self, rest: str) -> dict[str, int]:
         """Samples by what became of them; all that nothing was said of are the rest."""
-        self.put(self.of < 0, rest)
+        self.assign_reason(self.of < 0, rest)
         found = np.bincount(self.of, minlength=len(self.reasons))
         return {reason: int(n) for reason, n in zip(self.reasons, found, strict=True) if n or reason == "used"}
 
@@ -181,13 +181,13 @@ class SampleAccount:
             times = f"{runs} times" if runs > 1 else "once"
             held = f"{name} sticks to {show(float(value), unit)}, the {end} of its channel, {times}"
             self.notes.append(f"{held}: {int(where.sum())} samples are left out")
-            self.put(where, f"at the {end} of {name}")
+            self.assign_reason(where, f"at the {end} of {name}")
 
 
-def account(counts: Mapping[str, int], notes: tuple[str, ...] | list[str]) -> str:
+def format_counts(counts: Mapping[str, int], notes: tuple[str, ...] | list[str]) -> str:
     """Counts and notes as text.
 
-    >>> print(account({"used": 90, "moving": 10}, ["gap: 1 to 2 s; nothing is joined across"]))
+    >>> print(format_counts({"used": 90, "moving": 10}, ["gap: 1 to 2 s; nothing is joined across"]))
     100 samples: 90 used, 10 moving
     gap: 1 to 2 s; nothing is joined across
     """
@@ -195,7 +195,7 @@ def account(counts: Mapping[str, int], notes: tuple[str, ...] | list[str]) -> st
     return "\n".join([f"{sum(counts.values())} samples: {parts}", *notes])
 
 
-def check(name: str, value: float, unit: str, *, may_be_zero: bool = False) -> None:
+def check_positive(name: str, value: float, unit: str, *, may_be_zero: bool = False) -> None:
     """Refuse an argument that is not above 0.
 
     Raises

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.columns import lay_out
-from mckibben.dataset.schema import VACUUM, WORDS, unplain
+from mckibben.dataset.columns import find_columns
+from mckibben.dataset.schema import VACUUM, WORDS, unquote
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError
 from mckibben.units import factor, quantity
@@ -42,19 +42,19 @@ _WORD_REMEDY = {
 
 
 class ColumnConverter:
-    """One file on its way from cells to SI columns; `problems`, `corrupt` and `suspicions` gather as it goes."""
+    """One file on its way from cells to SI columns; `problems`, `corrupt` and `suspect` gather as it goes."""
 
     def __init__(
         self, sheet: RawTable, mapping: Mapping[str, str], initial_length: float | None, needed: Sequence[str]
     ) -> None:
         self.sheet = sheet
         self.initial_length = initial_length
-        layout = lay_out(sheet, mapping, needed)
+        layout = find_columns(sheet, mapping, needed)
         self.places = layout.places
         self.ignored = layout.ignored
         self.problems = layout.problems + sheet.problems
         self.corrupt = list(sheet.corrupt)
-        self.suspicions = list(sheet.suspicions)
+        self.suspect = list(sheet.suspect)
         read = [sheet.channels[index] for index, _ in self.places.values()]
         if len({len(channel.cells) for channel in read}) > 1:  # then there are no rows
             self.places, read = {}, []
@@ -77,8 +77,8 @@ class ColumnConverter:
         if self.initial_length is None:
             self.initial_length = found.get("initial_length")
         return {
-            "specimen": specimen or unplain(comments.get("specimen", (0, ""))[1]),
-            "source": unplain(comments["source"][1]) if "source" in comments else path.name,
+            "specimen": specimen or unquote(comments.get("specimen", (0, ""))[1]),
+            "source": unquote(comments["source"][1]) if "source" in comments else path.name,
             "slack_force": found.get("slack_force", 0.0) if slack_force is None else slack_force,
         }
 
@@ -118,11 +118,11 @@ class ColumnConverter:
         if self.problems or (self.corrupt and on_corrupt == "raise"):
             found = sorted(self.problems + self.corrupt, key=self._place)
             raise DatasetError(str(path), found)
-        for text in self.suspicions:
+        for text in self.suspect:
             warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=4)
         attrs = {"ignored_columns": ", ".join(self.ignored)} if self.ignored else {}
         if "repairs" in self.sheet.comments:  # of the file from which this one was made
-            attrs["repairs"] = unplain(self.sheet.comments["repairs"][1])
+            attrs["repairs"] = unquote(self.sheet.comments["repairs"][1])
         if self.corrupt:
             found = sorted(self.corrupt, key=self._place)
             attrs["repairs"] = "\n".join([*filter(None, [attrs.get("repairs")]), *map(str, found)])
@@ -179,7 +179,7 @@ class ColumnConverter:
             vacuum = f"a vacuum ({VACUUM / factor(column.unit):.5g}{unit}, gauge)"
             self._refuse(name, values, si < VACUUM, f"{{:g}}{unit} is below {vacuum}")
             if column.unit == "Pa" and 0 < np.nanmax(np.abs(si), initial=0.0) <= 100:
-                self.suspicions.append(f"{header} never exceeds 100 Pa; if these are bar, name it {name}_bar")
+                self.suspect.append(f"{header} never exceeds 100 Pa; if these are bar, name it {name}_bar")
         elif name == "contraction" and column.unit == "ratio":
             remedy = "this looks like percent: name the column contraction_percent"
             self._refuse(name, values, np.abs(si) >= 1, "{:g} is not between -1 and 1", remedy)
@@ -187,7 +187,7 @@ class ColumnConverter:
             self._refuse(name, values, np.abs(si) >= 1, "{:g} % is not between -100 and 100 %")
             if np.nanmax(np.abs(values), initial=0.0) <= 0.5 and len(np.unique(values)) > 3:
                 meant = "if these are ratios, name it contraction_ratio"
-                self.suspicions.append(f"{header} never exceeds 0.5 %; {meant}")
+                self.suspect.append(f"{header} never exceeds 0.5 %; {meant}")
         elif name == "length":
             self._refuse(name, values, si <= 0, f"{{:g}}{unit} is not above 0")
         elif name == "repeat":

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.columns import recognise
+from mckibben.dataset.columns import parse_header
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.quantities import ColumnConverter, OnCorrupt
 from mckibben.dataset.recording import Recording
@@ -40,7 +40,7 @@ def read_sheet(path: Path, mapping: Mapping[str, str]) -> RawTable:
     data = read_bytes(path)
 
     def known(header: str, unit: str) -> bool:
-        return header in mapping or recognise(header, unit) is not None
+        return header in mapping or parse_header(header, unit) is not None
 
     if data.startswith(b"TDSm"):
         from mckibben.dataset.tdms import read_tdms

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isometric import isometric
 from mckibben.dataset.points import ExtractedPoints
-from mckibben.dataset.schema import VACUUM, held_in, spanned, write_netcdf
+from mckibben.dataset.schema import VACUUM, format_range, load_validated, write_netcdf
 from mckibben.dataset.segmentation import plateaus
 from mckibben.errors import DatasetError, Problem
 from mckibben.units import bar, kPa, percent
@@ -143,9 +143,9 @@ class Recording:
         parts = [f"{len(self)} samples"]
         if len(self):
             parts[0] += f" in {np.ptp(self.time):.4g} s"
-            parts += [f"{spanned(self.pressure / bar)} bar", f"{spanned(self.force)} N"]
+            parts += [f"{format_range(self.pressure / bar)} bar", f"{format_range(self.force)} N"]
             if self.contraction is not None:
-                parts.append(f"contraction {spanned(self.contraction / percent)} %")
+                parts.append(f"contraction {format_range(self.contraction / percent)} %")
         return f"<Recording{f' {name!r}' if name else ''}: {', '.join(parts)}>"
 
     def plateaus(
@@ -272,7 +272,7 @@ class Recording:
         DatasetError
             If the file is not there, is no NetCDF file, or does not hold a recording.
         """
-        return held_in(Path(path), cls)
+        return load_validated(Path(path), cls)
 
 
 def _conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:

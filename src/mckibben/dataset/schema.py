@@ -49,7 +49,7 @@ VARIABLES: Mapping[str, Variable] = {
 }
 
 
-def conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
+def normalize(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
     """Bring a table to the one form that an `IsobaricDataset` holds.
 
     Columns become float64 (`repeat` int64, `direction` and `phase` text) and read-only; float32 samples stay so, and
@@ -154,15 +154,15 @@ def _structure(table: xr.Dataset) -> Iterator[Problem]:
 
 def _settled(name: str, values: np.ndarray) -> np.ndarray:
     if name.endswith("_samples"):
-        settled = values.view() if values.dtype == np.float32 else np.asarray(values, np.float64).view()
+        as_column = values.view() if values.dtype == np.float32 else np.asarray(values, np.float64).view()
     elif name in WORDS:
-        settled = np.array(values, dtype="<U9") if _words(name, values) else np.array(values, dtype=str)
+        as_column = np.array(values, dtype="<U9") if _words(name, values) else np.array(values, dtype=str)
     elif name == "repeat" and np.all(np.isfinite(values) & (values == np.round(values))):
-        settled = np.array(values, dtype=np.int64)
+        as_column = np.array(values, dtype=np.int64)
     else:
-        settled = np.array(values, dtype=np.float64)
-    settled.setflags(write=False)
-    return settled
+        as_column = np.array(values, dtype=np.float64)
+    as_column.setflags(write=False)
+    return as_column
 
 
 def _words(name: str, values: np.ndarray) -> bool:
@@ -204,10 +204,10 @@ def _finite(value: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def spanned(values: np.ndarray) -> str:
+def format_range(values: np.ndarray) -> str:
     """From the least to the largest of some values, as text.
 
-    >>> spanned(np.array([1.0, 2.5])), spanned(np.array([3.0, 3.0]))
+    >>> format_range(np.array([1.0, 2.5])), format_range(np.array([3.0, 3.0]))
     ('1..2.5', '3')
     """
     low, high = f"{values.min():.4g}", f"{values.max():.4g}"
@@ -247,7 +247,7 @@ def load_netcdf(path: Path) -> xr.Dataset:
 Held = TypeVar("Held")
 
 
-def held_in(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
+def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
     """What a NetCDF file holds, made of its table; an error names the file.
 
     Raises
@@ -282,27 +282,27 @@ CSV_COLUMNS = {
 def write_csv(table: xr.Dataset, path: Path) -> None:
     """Write a table of plateau means: comments, header, and a row per point, floats in full."""
     attrs = table.attrs
-    comments = [f"# specimen: {plain(attrs['specimen'])}", f"# source: {plain(attrs['source'])}"]
+    comments = [f"# specimen: {quote(attrs['specimen'])}", f"# source: {quote(attrs['source'])}"]
     if "initial_length" in attrs:
         comments.append(f"# initial_length: {attrs['initial_length']!r} m")
     comments.append(f"# slack_force: {attrs['slack_force']!r} N")
     present = [name for name in CSV_COLUMNS if name in table]
     rows = zip(*(_cells(table[name].to_numpy()) for name in present), strict=True)
     if "repairs" in attrs:
-        comments.append(f"# repairs: {plain(attrs['repairs'])}")
+        comments.append(f"# repairs: {quote(attrs['repairs'])}")
     header = ",".join(CSV_COLUMNS[name] for name in present)
     text = "\n".join([*comments, header, *map(",".join, rows)])
     with whole(path) as sibling:
         sibling.write_text(f"{text}\n", encoding="utf-8", newline="\n")
 
 
-def plain(text: str) -> str:
+def quote(text: str) -> str:
     """A text for the rest of a line: as it is, or in JSON's quotes where it would not come back the same."""
     return text if text.isprintable() and text == text.strip() and not text.startswith('"') else json.dumps(text)
 
 
-def unplain(text: str) -> str:
-    """The inverse of `plain`; a text that only looks quoted is left as it is."""
+def unquote(text: str) -> str:
+    """The inverse of `quote`; a text that only looks quoted is left as it is."""
     try:
         value = json.loads(text) if text.startswith('"') else text
     except ValueError:

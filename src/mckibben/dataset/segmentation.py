@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, account, check
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, format_counts
 from mckibben.errors import RangeError
 from mckibben.units import kPa
 
@@ -151,14 +151,14 @@ def plateaus(
     gap: float | None,
 ) -> ExtractedPoints:
     """`Recording.plateaus`, of the recording's table."""
-    check("pressure_tolerance", pressure_tolerance, "Pa")
-    check("contraction_tolerance", contraction_tolerance, "1")
-    check("dwell", dwell, "s")
-    check("dwell - settle", dwell - settle, "s")
-    check("settle", settle, "s", may_be_zero=True)
-    check("level_tolerance", level_tolerance, "Pa")
+    check_positive("pressure_tolerance", pressure_tolerance, "Pa")
+    check_positive("contraction_tolerance", contraction_tolerance, "1")
+    check_positive("dwell", dwell, "s")
+    check_positive("dwell - settle", dwell - settle, "s")
+    check_positive("settle", settle, "s", may_be_zero=True)
+    check_positive("level_tolerance", level_tolerance, "Pa")
     if force_tolerance is not None:
-        check("force_tolerance", force_tolerance, "N")
+        check_positive("force_tolerance", force_tolerance, "N")
     if "contraction" not in table:
         raise RangeError(
             "the recording has no contraction",
@@ -167,7 +167,7 @@ def plateaus(
     time, pressure, contraction, force = (
         table[name].to_numpy() for name in ("time", "pressure", "contraction", "force")
     )
-    ledger = SampleAccount(table, gap)
+    account = SampleAccount(table, gap)
     forward = np.diff(time)
     forward = forward[forward > 0]
     if not len(forward):
@@ -177,8 +177,8 @@ def plateaus(
     if force_tolerance is not None:
         signals.append((force, force_tolerance))
     least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
-    found = steady_segments(signals, ledger.broken | (ledger.of >= 0), least)
-    ledger.put(found.drifting, "drifting")
+    found = steady_segments(signals, account.broken | (account.of >= 0), least)
+    account.assign_reason(found.drifting, "drifting")
     first, last = found.first, found.last
     firsts = zip(first, last, strict=True)
     begins = first + np.array([np.searchsorted(time[a:b], time[a] + settle) for a, b in firsts], np.int64)
@@ -186,16 +186,16 @@ def plateaus(
     # from the first to the last sample, and an interval: each stands for one
     whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
     for a, b in zip(first[~whole], last[~whole], strict=True):
-        ledger.put(slice(a, b), "steady too shortly")
+        account.assign_reason(slice(a, b), "steady too shortly")
     for a, b, c, d in zip(first[whole], begins[whole], ends[whole], last[whole], strict=True):
-        ledger.put(slice(a, b), "settling")
-        ledger.put(slice(c, d), "at the end of a plateau")
+        account.assign_reason(slice(a, b), "settling")
+        account.assign_reason(slice(c, d), "at the end of a plateau")
     first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
     if not len(first):
-        counts = ledger.counts("not steady")
+        counts = account.counts("not steady")
         raise RangeError(
             f"nothing in the recording is steady for {dwell:g} s\n  "
-            + account(counts, ledger.notes).replace("\n", "\n  "),
+            + format_counts(counts, account.notes).replace("\n", "\n  "),
             value=dwell,
             unit="s",
             remedy="allow a larger pressure_tolerance or contraction_tolerance, or a shorter dwell; for a record that "
@@ -204,7 +204,7 @@ def plateaus(
     samples = ends - begins
     owner = np.repeat(np.arange(len(first)), samples)
     at = np.arange(len(owner)) + np.repeat(begins - np.concatenate([[0], np.cumsum(samples)[:-1]]), samples)
-    ledger.put(at, "used")
+    account.assign_reason(at, "used")
 
     def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
         middle = values[begins]  # subtracted, so that sums of many samples keep their digits
@@ -217,11 +217,11 @@ def plateaus(
     else:
         set_pressure, wide = levels_of(p, level_tolerance)
         if wide:
-            ledger.notes.append(
+            account.notes.append(
                 f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
             )
-    direction, phase = _approach(table, ledger.broken, first, last, c, p, contraction_tolerance, pressure_tolerance)
-    counts = ledger.counts("not steady")
+    direction, phase = _approach(table, account.broken, first, last, c, p, contraction_tolerance, pressure_tolerance)
+    counts = account.counts("not steady")
     attrs = {name: value for name, value in table.attrs.items() if name not in ("repairs", "ignored_columns")}
     dataset = IsobaricDataset.of(
         pressure=p,
@@ -234,7 +234,7 @@ def plateaus(
         **attrs,
     )
     dataset = IsobaricDataset(dataset.table.assign(force_spread=("point", spread)).assign_attrs(table.attrs))
-    return ExtractedPoints(dataset, samples, counts, tuple(ledger.notes))
+    return ExtractedPoints(dataset, samples, counts, tuple(account.notes))
 
 
 def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], int]:

@@ -89,7 +89,7 @@ class RawTable:
     delimiter: str = ";"
     corrupt: list[Problem] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
-    suspicions: list[str] = field(default_factory=list)
+    suspect: list[str] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
     interval: float | None = None
     kind: type[Problem] = Problem
@@ -105,10 +105,10 @@ class RawTable:
         return "line" if self.kind is Problem else "row"
 
 
-def settled(cells: Sequence[object]) -> list[str] | NDArray[np.float64]:
+def as_column(cells: Sequence[object]) -> list[str] | NDArray[np.float64]:
     """The cells of a column as numbers, if all are, or as texts; nothing is an empty text.
 
-    >>> settled([1, 2.5]), settled([1, None, "a"])
+    >>> as_column([1, 2.5]), as_column([1, None, "a"])
     (array([1. , 2.5]), ['1', '', 'a'])
     """
     if all(isinstance(cell, (int, float, np.integer, np.floating)) and not isinstance(cell, bool) for cell in cells):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, settled
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column
 from mckibben.errors import DatasetError, Problem
 
 
@@ -34,7 +34,7 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
     sheet = RawTable(kind=RowProblem)
     intervals: set[float] = set()
     try:
-        with _heard() as warned:
+        with _captured_log() as warned:
             file = TdmsFile.read_metadata(io.BytesIO(data))
             claimed = sum(len(channel) for group in file.groups() for channel in group.channels())
             if claimed > len(data):  # a sample has at least a byte
@@ -81,7 +81,7 @@ def _even(channels: list[RawColumn]) -> list[RawColumn]:
 
 
 @contextmanager
-def _heard() -> Iterator[list[str]]:
+def _captured_log() -> Iterator[list[str]]:
     """What npTDMS would log: it goes on where a file is damaged, and says so there only."""
     said: list[str] = []
     handler = logging.Handler(logging.WARNING)
@@ -106,7 +106,7 @@ def _add(sheet: RawTable, name: str, channel: Any, intervals: set[float]) -> Non
     if values.dtype.kind in "biuf":
         cells = values.astype(np.float64)
     elif values.dtype.kind in "OU":
-        cells = settled(values.tolist())
+        cells = as_column(values.tolist())
     else:  # time stamps, complex numbers
         sheet.ignored.append(name)
         return

@@ -76,13 +76,13 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTa
 
 def _header(line: str, stream: io.StringIO, number: int, known: _Known) -> tuple[list[str], int]:
     """The lines from the header on that were taken from the stream, and the number of the header."""
-    if _merit(line, _delimiter(line, known), known)[0]:
+    if _score(line, _delimiter(line, known), known)[0]:
         return [line], number
     lines = [line, *islice(stream, _PREAMBLE)]
     for index, candidate in enumerate(lines):
         delimiter = _delimiter(candidate, known)
         cells = _split(candidate, delimiter)
-        if index and _merit(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
+        if index and _score(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
             return lines[index:], number + index
         if sum(bool(_NUMBER.fullmatch(cell)) for cell in cells) >= 2:
             break  # a row: what follows is no header
@@ -98,12 +98,12 @@ def _known_word(lines: Sequence[str], index: int, known: _Known) -> Callable[[st
 
 
 def _delimiter(header: str, known: _Known) -> str:
-    best = max(_DELIMITERS, key=lambda delimiter: _merit(header, delimiter, known))
-    words = _merit(header, " ", known)
-    return best if _merit(header, best, known)[1] > 1 or words[1] < 2 else " "
+    best = max(_DELIMITERS, key=lambda delimiter: _score(header, delimiter, known))
+    words = _score(header, " ", known)
+    return best if _score(header, best, known)[1] > 1 or words[1] < 2 else " "
 
 
-def _merit(header: str, delimiter: str, known: _Known) -> tuple[int, int]:
+def _score(header: str, delimiter: str, known: _Known) -> tuple[int, int]:
     cells = _split(header, delimiter)
     return sum(known(cell, "") for cell in cells), len(cells)
 
@@ -250,7 +250,7 @@ def _look_at_the_end(text: str, zeros: int, sheet: RawTable) -> None:
         if "has" in cut.message and not cut.remedy:
             sheet.corrupt[-1] = Problem(f"{cut.message}, and no line end: the file was cut off here", line=last)
     elif sheet.channels and not zeros and (short := _short(text, sheet.delimiter)):
-        sheet.suspicions.append(f"line {last} has no line end and {short}; the file may have been cut off in it")
+        sheet.suspect.append(f"line {last} has no line end and {short}; the file may have been cut off in it")
 
 
 def _short(text: str, delimiter: str) -> str:
