@@ -116,7 +116,7 @@ def test_the_ends_of_a_sensor_are_recognised_and_left_out():
     assert found.max() < high and found.min() > low
     clipped = ((RUN.force <= low) | (RUN.force >= high)).sum()
     assert points.counts["at the floor of force"] + points.counts["at the ceiling of force"] >= clipped * 0.98
-    assert any("force sticks to 180 N, the ceiling of its channel" in note for note in points.notes)
+    assert any("force is saturated at 180 N, the ceiling of its channel" in note for note in points.notes)
 
 
 @pytest.mark.parametrize("step", [0.05, 2.0])

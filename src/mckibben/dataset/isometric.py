@@ -1,4 +1,4 @@
-"""A record at a fixed length: the force at chosen pressures, apart for filling and venting."""
+"""Points of a recording at a fixed length: force at given pressures, separately for filling and venting."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def isometric(
     reversal: float,
     gap: float | None,
 ) -> ExtractedPoints:
-    """`Recording.isometric`, of the recording's table."""
+    """`Recording.isometric` for the recording's table."""
     check_positive("reversal", reversal, "Pa")
     check_positive("contraction_tolerance", contraction_tolerance, "1")
     time, pressure, force = (table[name].to_numpy() for name in ("time", "pressure", "force"))
@@ -94,7 +94,7 @@ def isometric(
 
 
 def _held(table: xr.Dataset, contraction: float | None, tolerance: float, account: SampleAccount) -> float:
-    """The contraction at which the muscle was held [-]."""
+    """Contraction of the test [-]."""
     if "contraction" not in table:
         if contraction is None:
             raise RangeError(
@@ -136,15 +136,7 @@ def _levels(pressure: NDArray[np.float64], levels: ArrayLike | None, count: int)
 
 
 class _Phases:
-    """The fillings and ventings of a record.
-
-    Attributes
-    ----------
-    of
-        Shape (samples,): the number of the phase, -1 where the pressure turns or rests.
-    rising, repeat
-        Shape (phases,): whether it is a filling, and which of the fillings or ventings.
-    """
+    """Phases of a recording: number by sample (-1 at reversal or rest); direction and repeat by phase."""
 
     def __init__(self, of: NDArray[np.int64], rising: NDArray[np.bool_]) -> None:
         self.of = of
@@ -154,7 +146,7 @@ class _Phases:
 
 
 def _phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], reversal: float) -> _Phases:
-    """Cut a record where its pressure turns, by means over a two-thousandth of it; a phase begins under way."""
+    """Split a recording at the reversals of its pressure, by means over a two-thousandth of it."""
     size = max(1, len(pressure) // _SMOOTHED)
     edges = np.arange(0, max(1, len(pressure) - size + 1), size)
     bounds = np.append(edges, len(pressure))
@@ -165,7 +157,7 @@ def _phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], reversal: 
 
     def close(start: int, end: int, up: bool) -> None:
         away = np.abs(means[start : end + 1] - means[start]) >= reversal
-        if away.any():  # before, the muscle rests, or friction is on the side of the phase before
+        if away.any():  # before, the muscle rests, or friction is that of the last phase
             of[start + int(np.argmax(away)) : end + 1] = len(rising)
             rising.append(up)
 
@@ -191,7 +183,7 @@ def _phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], reversal: 
 
 
 class _Lines:
-    """Straight lines of force over pressure, one for each group of samples, at offset 0."""
+    """Least-squares lines of force over pressure, one for each group of samples, at offset 0."""
 
     def __init__(self, samples: NDArray[np.int64], force: NDArray[np.float64]) -> None:
         self.samples = samples
@@ -207,7 +199,7 @@ class _Lines:
         time: NDArray[np.float64],
         groups: int,
     ) -> _Lines:
-        """Fit them; shape (groups,) each, NaN where a group is empty."""
+        """Fit the lines; shape (groups,) each, NaN where a group is empty."""
         samples = np.bincount(group, minlength=groups)
 
         def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
-"""The bytes of MATLAB files of versions 4 to 7, by their published format.
+"""Parser of MATLAB files of versions 4 to 7, by their published format.
 
-scipy.io.loadmat reads more of it (sparse matrices, objects), but a damaged file can end the process (SciPy 1.17 reads
-memory that is not its own): of a few bytes that were wrong in a file, a user should get a message.
+`scipy.io.loadmat` reads more (sparse matrices, objects), but a corrupt file can crash the process (SciPy 1.17 reads out
+of bounds).
 """
 
 from __future__ import annotations
@@ -38,28 +38,28 @@ _COMPLEX = 0x0800
 
 
 class MatlabObject:
-    """An object of MATLAB, of a class that the format does not describe: tables, strings, times."""
+    """MATLAB object of a class that the format does not describe: tables, strings, times."""
 
 
 class Unsupported:
-    """What is no column: sparse and complex matrices, functions."""
+    """Variable that is no column: sparse and complex matrices, functions."""
 
 
 Value = NDArray[np.float64] | str | list["Value"] | dict[str, "Value"] | MatlabObject | Unsupported
-"""A matrix, shape (rows, columns, ...); a text; the cells of a cell array; the fields of a struct of one element."""
+"""Matrix, shape (rows, columns, ...); text; cells of a cell array; fields of a struct of one element."""
 
 
 class CorruptFileError(Exception):
-    """The bytes do not follow the format."""
+    """Raised where bytes violate the format."""
 
 
 def variables(data: bytes) -> Iterator[tuple[str, Value]]:
-    r"""The variables of a file, by name.
+    r"""Variables of a file, by name.
 
     Raises
     ------
-    DamagedError
-        If the bytes end too early, or say what cannot be.
+    CorruptFileError
+        If the file is truncated or inconsistent.
 
     Examples
     --------
@@ -86,7 +86,7 @@ def variables(data: bytes) -> Iterator[tuple[str, Value]]:
 
 
 class _Reader:
-    """Elements one after the other."""
+    """Reader of consecutive elements."""
 
     def __init__(self, data: memoryview, order: str) -> None:
         self.data: Final = data
@@ -94,7 +94,7 @@ class _Reader:
         self.at = 0
 
     def element(self, *, padded: bool = False) -> tuple[int, memoryview]:
-        """The kind and the content of the next one; compressed ones are not padded."""
+        """Kind and content of the next element; compressed ones are not padded."""
         head = self._take(8)
         kind, size = struct.unpack(f"{self.order}2I", head)
         if kind >> 16:  # small: both in the first word, the content in the second
@@ -108,7 +108,7 @@ class _Reader:
         return kind, content
 
     def numbers(self) -> np.ndarray:
-        """The next one as an array, of the type in which it is kept."""
+        """Next element as an array of its stored type."""
         kind, content = self.element()
         if kind not in _KINDS:
             raise CorruptFileError(f"an element of kind {kind} stands where numbers should")
@@ -118,17 +118,17 @@ class _Reader:
         return np.frombuffer(content, dtype)
 
     def text(self) -> str:
-        """The next one as text of one byte a letter."""
+        """Next element as Latin-1 text."""
         return self.element()[1].tobytes().decode("latin-1")
 
     def name(self) -> str:
-        """The next one as the name of a variable, which may be empty."""
+        """Next element as the name of a variable, which may be empty."""
         return _named(self.text().rstrip("\0"))
 
     def _take(self, size: int) -> memoryview:
         if size > len(self.data) - self.at:
             missing = size - (len(self.data) - self.at)
-            raise CorruptFileError(f"it ends {missing} bytes too early: was it cut off?")
+            raise CorruptFileError(f"it is truncated by {missing} bytes")
         self.at += size
         return self.data[self.at - size : self.at]
 
@@ -151,7 +151,7 @@ def _unpacked(content: memoryview) -> memoryview:
 
 
 def _array(content: memoryview, order: str, depth: int) -> tuple[str, Value]:
-    """The name and the value of a matrix element."""
+    """Name and value of a matrix element."""
     if depth > _DEEPEST:
         raise CorruptFileError(f"arrays stand {_DEEPEST} deep in each other")
     if not len(content):
@@ -203,7 +203,7 @@ def _matrix(reader: _Reader) -> memoryview:
 
 
 def _possible(count: int, reader: _Reader) -> int:
-    """A number of elements that the bytes can hold: each has 8 at least."""
+    """Check a number of elements: each has at least 8 bytes."""
     if count > len(reader.data) // 8:
         raise CorruptFileError(f"{count} elements are claimed, which the file does not hold")
     return count
@@ -221,7 +221,7 @@ def _version_4(data: bytes) -> Iterator[tuple[str, Value]]:
     at = 0
     while at < len(data):
         if len(data) - at < 20:
-            raise CorruptFileError("it ends in the head of a variable: was it cut off?")
+            raise CorruptFileError("it is truncated in the header of a variable")
         order = "<" if 0 <= struct.unpack_from("<i", data, at)[0] < 1000 else ">"
         code, rows, columns, imaginary, letters = struct.unpack_from(f"{order}5i", data, at)
         number_type, kind = code // 10 % 10, code % 10
@@ -231,7 +231,7 @@ def _version_4(data: bytes) -> Iterator[tuple[str, Value]]:
         size = rows * columns * dtype.itemsize * (2 if imaginary else 1)
         start = at + 20 + letters
         if start + size > len(data):
-            raise CorruptFileError(f"it ends {start + size - len(data)} bytes too early: was it cut off?")
+            raise CorruptFileError(f"it is truncated by {start + size - len(data)} bytes")
         name = data[at + 20 : start].split(b"\0")[0].decode("latin-1")
         values = np.frombuffer(data, dtype, rows * columns, start).astype(np.float64)
         yield _named(name), Unsupported() if kind or imaginary else values.reshape((rows, columns), order="F")

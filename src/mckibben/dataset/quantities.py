@@ -1,4 +1,4 @@
-"""The columns of a file in SI units, with all that is wrong in them."""
+"""Conversion of the columns of a file to SI units, with all problems found."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError
 from mckibben.units import factor, quantity
 
 OnCorrupt = Literal["raise", "report"]
-"""What to do about rows that hold no number: an error, or leave them out and report each."""
+"""Treatment of corrupt rows: raise an error, or leave them out and report each."""
 
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
 _LENGTH_ROUNDING = 0.5e-3, 0.002  # m and parts of the initial length: a rule's and a printed table's
@@ -42,7 +42,7 @@ _WORD_REMEDY = {
 
 
 class ColumnConverter:
-    """One file on its way from cells to SI columns; `problems`, `corrupt` and `suspect` gather as it goes."""
+    """Converts the cells of a file to SI columns; collects `problems`, `corrupt` rows and `suspect` values."""
 
     def __init__(
         self, sheet: RawTable, mapping: Mapping[str, str], initial_length: float | None, needed: Sequence[str]
@@ -65,7 +65,7 @@ class ColumnConverter:
         self.decimal = decimal_sign(numeric, self.lines, sheet.delimiter)
 
     def attributes(self, path: Path, specimen: str, slack_force: float | None) -> dict[str, Any]:
-        """The attributes from the comments, where no argument is given instead."""
+        """Attributes from the comments, unless given as arguments."""
         comments = self.sheet.comments
         found: dict[str, float] = {}
         for key, unit in (("initial_length", "m"), ("slack_force", "N")):
@@ -83,7 +83,7 @@ class ColumnConverter:
         }
 
     def columns(self) -> dict[str, np.ndarray]:
-        """The columns in SI units and our words, with lengths turned into contractions."""
+        """Columns in SI units, lengths converted to contractions, and categorical columns."""
         data = {name: self._numbers(name) for name in self.places if name not in WORDS}
         if (length := data.pop("length", None)) is not None:
             if "contraction" in data:
@@ -95,18 +95,7 @@ class ColumnConverter:
     def settle(
         self, path: Path, data: dict[str, np.ndarray], on_corrupt: OnCorrupt
     ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-        """The rows that hold numbers, and attributes that say what was left out; or the error with all problems.
-
-        Raises
-        ------
-        DatasetError
-            If something is wrong that leaving rows out does not mend, or half of the rows would go.
-
-        Warns
-        -----
-        McKibbenWarning
-            If rows are left out; and of each suspicion.
-        """
+        """Valid rows, and attributes that list the corrupt ones; raises a `DatasetError` with all problems."""
         bad = {problem.line for problem in self.corrupt}
         lines = np.asarray(self.lines)
         kept = ~np.isin(lines, [line for line in bad if line is not None])
@@ -138,14 +127,14 @@ class ColumnConverter:
         return problem.line or 0, names.index(problem.field) if problem.field in names else len(names)
 
     def _problem(self, message: str, line: int | None, name: str, remedy: str = "") -> None:
-        """Record a problem in the column of a quantity, or with an attribute."""
+        """Add a problem of a quantity's column or of an attribute."""
         self.problems.append(self.sheet.kind(message, line=line, field=self._field(name), remedy=remedy))
 
     def _field(self, name: str) -> str:
         return self.sheet.channels[self.places[name][0]].name if name in self.places else name
 
     def _words(self, name: str) -> NDArray[np.str_]:
-        """The directions or phases in our words."""
+        """Directions or phases."""
         cells = [str(cell) for cell in self.sheet.channels[self.places[name][0]].cells]
         meaning = {text: _MEANINGS[name].get(text.strip().lower()) for text in set(cells)}
         for line, text in zip(self.lines, cells, strict=True):
@@ -216,7 +205,7 @@ class ColumnConverter:
         return contraction
 
     def _compare(self, contraction: NDArray[np.float64], length: NDArray[np.float64]) -> None:
-        """Find the initial length that contractions and lengths agree on, and the rows that do not."""
+        """Check contractions against lengths; infer the initial length if it is not given."""
         usable = np.isfinite(contraction) & np.isfinite(length) & (np.abs(contraction) < 1) & (length > 0)
         if not usable.any():
             return

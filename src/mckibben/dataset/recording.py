@@ -1,4 +1,4 @@
-"""A raw record of a rig: pressure and force against time, and where it is known the contraction."""
+"""Raw recordings of a rig: pressure, force and contraction against time."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Self
 
@@ -32,10 +33,10 @@ _NEEDED = ("time", "pressure", "force")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording:
-    """Samples of a test in the order in which they were taken.
+    """Samples of a test in the order of time, made by `of` or `read_recording`.
 
-    Make one with `of` or `read_recording`. It becomes points by `plateaus`, where pressure and contraction were
-    held, or by `isometric`, where a muscle of a fixed length was filled and vented.
+    Points are extracted by `plateaus`, where pressure and contraction were constant, or by `isometric`, where a muscle
+    of a fixed length was filled and vented.
 
     Attributes
     ----------
@@ -46,7 +47,7 @@ class Recording:
     Raises
     ------
     DatasetError
-        If a variable is missing, of the wrong shape or unit, or holds what is no finite number.
+        If a variable is missing, of the wrong shape or unit, or not finite.
 
     Examples
     --------
@@ -87,7 +88,7 @@ class Recording:
         Parameters
         ----------
         time, pressure, force
-            Shape (samples,): [s], gauge [Pa], [N]. Arrays of float64 are not copied: do not write to them after.
+            Shape (samples,): [s], gauge [Pa], [N]. Arrays of float64 are not copied.
         contraction, set_pressure
             Shape (samples,), or one number for all: [-], [Pa].
         specimen, initial_length, source, slack_force
@@ -96,7 +97,7 @@ class Recording:
         Raises
         ------
         DatasetError
-            With all that is wrong.
+            With every problem.
         """
         given = {"time": time, "pressure": pressure, "force": force}
         given |= {"contraction": contraction, "set_pressure": set_pressure}
@@ -117,7 +118,7 @@ class Recording:
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """When each sample was taken [s], read-only."""
+        """Time of each sample [s], read-only."""
         return self.table["time"].to_numpy()
 
     @property
@@ -148,6 +149,9 @@ class Recording:
                 parts.append(f"contraction {format_range(self.contraction / percent)} %")
         return f"<Recording{f' {name!r}' if name else ''}: {', '.join(parts)}>"
 
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(repr(self))}</p>{self.table._repr_html_()}"
+
     def plateaus(
         self,
         *,
@@ -159,7 +163,7 @@ class Recording:
         level_tolerance: float = 10 * kPa,
         gap: float | None = None,
     ) -> ExtractedPoints:
-        """The steady segments of the record, a point each: means of pressure, contraction and force.
+        """Points of the steady segments: means of pressure, contraction and force.
 
         Parameters
         ----------
@@ -212,27 +216,27 @@ class Recording:
         reversal: float = 10 * kPa,
         gap: float | None = None,
     ) -> ExtractedPoints:
-        """Points at given pressures of a record at a fixed length, apart for each filling and venting.
+        """Points at given pressures of a recording at a fixed length, separately for each filling and venting.
 
-        Nothing needs to be steady. At each level the force is the value of a straight line through the samples whose
-        pressure is near it.
+        At each level the force is that of a least-squares line through the samples with a pressure near it; nothing
+        needs to be steady.
 
         Parameters
         ----------
         levels
-            Pressures [Pa]; `count` evenly spaced ones inside the range of the record unless given.
+            Pressures [Pa]; `count` evenly spaced ones inside the range of the recording unless given.
         count
-            Of these, how many.
+            Number of levels.
         contraction
-            At which the muscle was held [-]; what the record says unless given.
+            Contraction of the test [-]; the recorded one unless given.
         contraction_tolerance
-            How far a recorded contraction may be from its median [-]; samples beyond are left out.
+            Largest deviation of a recorded contraction from its median [-]; samples beyond are left out.
         band
-            Samples within this [Pa] of a level belong to it: half the least distance between levels, but at most a
-            fortieth of their range, unless given.
+            Largest deviation of a sample's pressure from its level [Pa]; unless given, half the least distance between
+            levels, and at most a fortieth of their range.
         reversal
-            A pressure has turned when it is this far [Pa] from its last extreme; what lies between belongs to neither
-            phase, as there the muscle rests, or friction is still on the other side.
+            Pressure has reversed when it is this far [Pa] from its last extreme; samples in between belong to neither
+            phase, as there the muscle rests or friction has not reversed yet.
         gap
             As for `plateaus`.
 
@@ -240,8 +244,7 @@ class Recording:
         -------
         Points
             The dataset has ``phase`` ("filling" or "venting"), ``repeat`` (the filling or venting's number, from 0),
-            ``set_pressure`` (the level) and ``force_spread`` (about the line), and no direction: a muscle of a fixed
-            length is neither being stretched nor shortening, and on which side of the loop it is hangs on the pressure.
+            ``set_pressure`` (the level) and ``force_spread`` (about the line); no direction.
 
         Raises
         ------
@@ -260,7 +263,7 @@ class Recording:
         )
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write all samples to a NetCDF-4 file, which appears whole or not at all."""
+        """Write all samples to a NetCDF-4 file atomically."""
         write_netcdf(self.table, Path(path))
 
     @classmethod
@@ -276,7 +279,7 @@ class Recording:
 
 
 def _conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
-    """A table in the one form that a recording holds, and all that is wrong with it."""
+    """Normalised table of a recording, and all problems found."""
     problems = [Problem("is missing", field=name) for name in _NEEDED if name not in table]
     columns: dict[str, tuple[str, np.ndarray, dict[str, str]]] = {}
     for name, (unit, long_name) in _VARIABLES.items():

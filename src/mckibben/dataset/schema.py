@@ -1,4 +1,4 @@
-"""The schema of an isobaric dataset, its validation, and tables in NetCDF and CSV files."""
+"""Schema of an isobaric dataset, validation, and NetCDF and CSV files."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from mckibben.errors import DatasetError, Problem
 from mckibben.storage.files import whole
 
 VACUUM = -101325.0
-"""The lowest gauge pressure there is [Pa]: absolute zero below a standard atmosphere."""
+"""Lowest possible gauge pressure [Pa]: vacuum at a standard atmosphere."""
 
 WORDS: Mapping[str, tuple[str, ...]] = {"direction": ("loading", "unloading"), "phase": ("filling", "venting")}
-"""The variables that hold words, and these; an empty text is a point of which it is not known."""
+"""Categorical variables and their values; an empty text is unknown."""
 
 
 class Variable(NamedTuple):
-    """One variable of the table."""
+    """Variable of the table."""
 
     unit: str
     long_name: str
@@ -50,18 +50,11 @@ VARIABLES: Mapping[str, Variable] = {
 
 
 def normalize(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
-    """Bring a table to the one form that an `IsobaricDataset` holds.
+    """Normalised table of an `IsobaricDataset`, and all problems found.
 
-    Columns become float64 (`repeat` int64, `direction` and `phase` text) and read-only; float32 samples stay so, and
-    samples are not copied. Every variable gets its `units` and `long_name`, the table its four attributes.
-    Variables that are not ours pass through.
-
-    Returns
-    -------
-    table
-        In that form; of use only where there are no problems.
-    problems
-        All that is wrong, each with the name of its variable or attribute.
+    Columns become float64 (`repeat` int64, `direction` and `phase` text) and read-only; samples are not copied. Every
+    variable gets its `units` and `long_name`, the table its four attributes. Other variables pass through. With
+    problems the table is not normalised.
     """
     problems = list(_structure(table))
     if problems:
@@ -94,15 +87,7 @@ def normalize(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
 
 
 def assemble(variables: Mapping[str, ArrayLike]) -> tuple[xr.Dataset, list[Problem]]:
-    """Make a table of array-likes by name.
-
-    Returns
-    -------
-    table
-        Empty if there are problems.
-    problems
-        The variables whose shapes do not go together.
-    """
+    """Table of array-likes by name, empty if shapes do not match, and the problems."""
     arrays: dict[str, np.ndarray] = {}
     problems: list[Problem] = []
     for name, values in variables.items():
@@ -176,7 +161,7 @@ def _values(name: str, values: np.ndarray) -> Iterator[Problem]:
         return
     finite = np.isfinite(values)
     if name == "set_pressure":
-        finite |= np.isnan(values)  # not known for this point
+        finite |= np.isnan(values)  # unknown
     if not finite.all():
         yield _first(~finite, values, name, "is not finite")
     if "pressure" in name and (bad := values < VACUUM).any():
@@ -205,7 +190,7 @@ def _finite(value: object) -> float | None:
 
 
 def format_range(values: np.ndarray) -> str:
-    """From the least to the largest of some values, as text.
+    """Range of values as text.
 
     >>> format_range(np.array([1.0, 2.5])), format_range(np.array([3.0, 3.0]))
     ('1..2.5', '3')
@@ -215,7 +200,7 @@ def format_range(values: np.ndarray) -> str:
 
 
 def write_netcdf(table: xr.Dataset, path: Path) -> None:
-    """Write a table, samples included."""
+    """Write a table, samples included, atomically."""
     # Not compressed: the low bits of samples are noise, so that gzip and lzf make the file smaller by a quarter to a
     # half, but 5 to 10 times slower to read and 10 times slower to write (5.85 million samples: 47 MB in 20 ms).
     encoding = {str(name): {"_FillValue": None} for name, values in table.variables.items() if values.dtype.kind == "f"}
@@ -224,19 +209,19 @@ def write_netcdf(table: xr.Dataset, path: Path) -> None:
 
 
 def load_netcdf(path: Path) -> xr.Dataset:
-    """The content of a NetCDF file.
+    """Read a NetCDF file.
 
     Raises
     ------
     DatasetError
-        If the file is not there, or is no NetCDF file.
+        If the file is missing or no NetCDF file.
     """
     try:
         with path.open("rb") as file:  # so that what the system objects to is told from what is wrong with the content
             if file.seek(0, 2) > 0:
                 with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
                     if not global_heaps_are_valid(content):
-                        raise ValueError("a heap of texts is damaged")
+                        raise ValueError("a heap of strings is corrupt")
         return xr.load_dataset(path, engine="h5netcdf", decode_times=False).drop_encoding()
     except ImportError:
         raise
@@ -248,7 +233,7 @@ Held = TypeVar("Held")
 
 
 def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
-    """What a NetCDF file holds, made of its table; an error names the file.
+    """Object made of the table of a NetCDF file; errors name the file.
 
     Raises
     ------
@@ -280,7 +265,7 @@ CSV_COLUMNS = {
 
 
 def write_csv(table: xr.Dataset, path: Path) -> None:
-    """Write a table of plateau means: comments, header, and a row per point, floats in full."""
+    """Write plateau means as CSV: comments, header, and a row per point at full precision."""
     attrs = table.attrs
     comments = [f"# specimen: {quote(attrs['specimen'])}", f"# source: {quote(attrs['source'])}"]
     if "initial_length" in attrs:
@@ -297,12 +282,12 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
 
 
 def quote(text: str) -> str:
-    """A text for the rest of a line: as it is, or in JSON's quotes where it would not come back the same."""
+    """Text for the rest of a line, as JSON where it would not be read back unchanged."""
     return text if text.isprintable() and text == text.strip() and not text.startswith('"') else json.dumps(text)
 
 
 def unquote(text: str) -> str:
-    """The inverse of `quote`; a text that only looks quoted is left as it is."""
+    """Inverse of `quote`; a text that only looks quoted is left unchanged."""
     try:
         value = json.loads(text) if text.startswith('"') else text
     except ValueError:

@@ -1,4 +1,4 @@
-"""Where several signals hold still at once."""
+"""Steady segments of a recording, and the plateaus in them."""
 
 from __future__ import annotations
 
@@ -18,18 +18,7 @@ _PARTS = 20  # of a dwell: the means that are compared
 
 
 class Segments(NamedTuple):
-    """Steady segments, in the order of the samples.
-
-    Attributes
-    ----------
-    first, last
-        Shape (segments,): of each the first sample, and the one after the last.
-    drifting
-        Shape (samples,): steady for a dwell at a time, and yet not part of a segment.
-    edge
-        Samples at either end of each segment in which motion may already have begun, or not quite have ended: those of
-        one mean.
-    """
+    """Steady segments: first and one past the last sample; mask of drifting samples; uncertain samples at the ends."""
 
     first: NDArray[np.int64]
     last: NDArray[np.int64]
@@ -42,9 +31,9 @@ def steady_segments(
 ) -> Segments:
     """Find the segments in which every signal stays within its tolerance.
 
-    Means over a twentieth of the dwell are compared, so that noise counts little. A dwell is steady where the means of
-    each signal lie within twice its tolerance of each other; steady dwells that overlap make a segment; and of
-    a segment its ends are cut off up to where every mean is within the tolerance of the segment's middle half.
+    Means over a twentieth of the dwell are compared, which suppresses noise. A dwell is steady where the means of each
+    signal lie within twice its tolerance; overlapping steady dwells make a segment, whose ends are trimmed to where
+    every mean is within the tolerance of the segment's middle half.
 
     Parameters
     ----------
@@ -53,7 +42,7 @@ def steady_segments(
     broken
         Shape (n,): samples that no segment may contain.
     dwell
-        Samples that a segment has at least.
+        Minimum number of samples of a segment.
 
     Examples
     --------
@@ -99,7 +88,7 @@ def steady_segments(
 
 
 def _sliding(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
-    """Highest and lowest of each window of that many values, shape (n - window + 1,)."""
+    """Sliding maximum and minimum, shape (n - window + 1,)."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # 50 ms that reading points does not need
 
     shift = -(window // 2)
@@ -112,7 +101,7 @@ def _sliding(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
 def _trimmed(
     means: Sequence[tuple[NDArray[np.float64], float]], first: NDArray[np.int64], last: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Segments of blocks cut to where all is within the tolerance of their middle half."""
+    """Segments of blocks trimmed to the tolerance around their middle half."""
     if not len(first):
         return first, last
     lengths = last - first
@@ -150,7 +139,7 @@ def plateaus(
     level_tolerance: float,
     gap: float | None,
 ) -> ExtractedPoints:
-    """`Recording.plateaus`, of the recording's table."""
+    """`Recording.plateaus` for the recording's table."""
     check_positive("pressure_tolerance", pressure_tolerance, "Pa")
     check_positive("contraction_tolerance", contraction_tolerance, "1")
     check_positive("dwell", dwell, "s")
@@ -238,21 +227,21 @@ def plateaus(
 
 
 def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], int]:
-    """The level of each of some pressures: the mean, in whole kPa, of those that follow each other closely.
+    """Level of each pressure: the mean, in whole kPa, of its cluster.
 
     Parameters
     ----------
     pressures
         Shape (n,) [Pa].
     tolerance
-        Sorted pressures closer than this [Pa] are of one level; a chain of more than three times that is none.
+        Sorted pressures closer than this [Pa] are one cluster; a cluster wider than three times this has no level.
 
     Returns
     -------
     levels
-        Shape (n,) [Pa]; NaN where there is none.
+        Shape (n,) [Pa]; NaN without a level.
     chained
-        How many have none.
+        Number of pressures without a level.
 
     Examples
     --------
@@ -282,11 +271,9 @@ def _approach(
     contraction_tolerance: float,
     pressure_tolerance: float,
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
-    """Direction and phase of each plateau, by what moved last between the one before it and it.
+    """Direction and phase of each plateau, by the last motion before it.
 
-    The side from which it came is that of the last sample out of twice the tolerance; where none is, that of the
-    plateau before. Nothing is known of what happened in a gap: the first plateau after one begins anew, as that of a
-    record does, and has only the samples since to tell.
+    It is told by the last sample outside of twice the tolerance, else by the plateau before; never across a gap.
     """
     before = np.concatenate([[0], last[:-1]])
     breaks = np.append(0, np.flatnonzero(broken))
