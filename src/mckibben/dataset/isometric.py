@@ -6,8 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, format_counts
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, extracted_points, format_counts
 from mckibben.errors import RangeError
 from mckibben.units import bar, kPa
 
@@ -70,15 +69,18 @@ def isometric(
             what = f"{'filling' if rising else 'venting'} {phases.repeat[number]}"
             shown = ", ".join(f"{level / bar:g}" for level in missed[:8]) + (" ..." if len(missed) > 8 else "")
             account.notes.append(f"{what} does not pass {shown} bar")
-    counts = account.counts("between levels")
     if not len(index):
+        counts = account.counts("between levels")
         raise RangeError(
             "no level is passed\n  " + format_counts(counts, account.notes).replace("\n", "\n  "),
             remedy="give levels inside the range of the pressure, a wider band, or a smaller reversal",
         )
     phase_of, level_of = index // len(wanted), wanted[index % len(wanted)]
-    attrs = {name: value for name, value in table.attrs.items() if name not in ("repairs", "ignored_columns")}
-    dataset = IsobaricDataset.of(
+    return extracted_points(
+        table,
+        account,
+        "between levels",
+        sums.samples[index],
         pressure=level_of,
         contraction=np.full(len(index), held),
         force=sums.force[index],
@@ -86,11 +88,8 @@ def isometric(
         repeat=phases.repeat[phase_of],
         time=sums.time[index],
         set_pressure=level_of,
-        **attrs,
+        force_spread=sums.spread[index],
     )
-    spread = ("point", sums.spread[index])
-    dataset = IsobaricDataset(dataset.table.assign(force_spread=spread).assign_attrs(table.attrs))
-    return ExtractedPoints(dataset, sums.samples[index], counts, tuple(account.notes))
 
 
 def _held(table: xr.Dataset, contraction: float | None, tolerance: float, account: SampleAccount) -> float:

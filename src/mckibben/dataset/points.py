@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.errors import RangeError
@@ -124,6 +124,17 @@ class ExtractedPoints:
     def describe(self) -> str:
         """Counts of samples by use, and the notes, as text."""
         return format_counts(self.counts, self.notes)
+
+
+def extracted_points(
+    table: xr.Dataset, account: SampleAccount, rest: str, samples: NDArray[np.int64], **columns: ArrayLike | None
+) -> ExtractedPoints:
+    """Points of a recording's table; `columns` are those of a dataset, and ``force_spread``."""
+    spread = ("point", columns.pop("force_spread"))
+    attrs = {name: value for name, value in table.attrs.items() if name not in ("repairs", "ignored_columns")}
+    dataset = IsobaricDataset.of(**columns, **attrs)  # type: ignore[arg-type]
+    dataset = IsobaricDataset(dataset.table.assign(force_spread=spread).assign_attrs(table.attrs))
+    return ExtractedPoints(dataset, samples, account.counts(rest), tuple(account.notes))
 
 
 class SampleAccount:

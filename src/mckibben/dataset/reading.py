@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,7 +121,9 @@ def read_dataset(
     """
     path = Path(path)
     if path.suffix.lower() == ".nc":
-        return _from_netcdf(path, columns, initial_length, specimen, slack_force)
+        return _from_netcdf(
+            IsobaricDataset, path, columns, initial_length=initial_length, specimen=specimen, slack_force=slack_force
+        )
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
     file = ColumnConverter(read_sheet(path, mapping), mapping, initial_length, _NEEDED)
     attrs = file.attributes(path, specimen, slack_force)
@@ -146,22 +149,20 @@ def _implausible(contraction: NDArray[np.float64]) -> list[str]:
     ]
 
 
-def _from_netcdf(
-    path: Path,
-    columns: Mapping[str, str] | None,
-    initial_length: float | None,
-    specimen: str,
-    slack_force: float | None,
-) -> IsobaricDataset:
+Kind = TypeVar("Kind", IsobaricDataset, Recording)
+
+
+def _from_netcdf(kind: type[Kind], path: Path, columns: Mapping[str, str] | None, **given: float | str | None) -> Kind:
+    """Dataset or recording of a NetCDF file, with the attributes that are given."""
     if columns:
         raise DatasetError(str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")])
-    dataset = IsobaricDataset.from_netcdf(path)
-    given = {"initial_length": initial_length, "specimen": specimen or None, "slack_force": slack_force}
-    changes = {name: value for name, value in given.items() if value is not None}
-    return IsobaricDataset(dataset.table.assign_attrs(changes)) if changes else dataset
+    found = kind.from_netcdf(path)
+    changes = {name: value for name, value in given.items() if value not in (None, "")}
+    return kind(found.table.assign_attrs(changes)) if changes else found
 
 
 _KEPT = ("time", "pressure", "force", "contraction", "set_pressure")
+_OWN_CONTRACTION = "contraction is given, and the file has its own"
 _RATE_REMEDY = "give sample_rate (command line: --sample-rate '1000 Hz'), or a column time_s, time_ms or time_min"
 
 
@@ -204,7 +205,14 @@ def read_recording(
     """
     path = Path(path)
     if path.suffix.lower() == ".nc":
-        return _recording_from_netcdf(path, columns, initial_length, contraction, specimen, slack_force)
+        found = _from_netcdf(
+            Recording, path, columns, initial_length=initial_length, specimen=specimen, slack_force=slack_force
+        )
+        if contraction is None:
+            return found
+        if "contraction" in found.table:
+            raise DatasetError(str(path), [Problem(_OWN_CONTRACTION, remedy="leave contraction out")])
+        return Recording(found.table.assign(contraction=("sample", np.full(len(found), contraction))))
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
     sheet = read_sheet(path, mapping)
     file = ColumnConverter(sheet, mapping, initial_length, ("pressure", "force"))
@@ -224,8 +232,7 @@ def read_recording(
     elif sample_rate is not None and "time" in data:
         file.problems.append(Problem("sample_rate is given, and the file has times", remedy="leave sample_rate out"))
     if contraction is not None and "contraction" in data:
-        remedy = "leave contraction out"
-        file.problems.append(Problem("contraction is given, and the file has its own", remedy=remedy))
+        file.problems.append(Problem(_OWN_CONTRACTION, remedy="leave contraction out"))
     data, found = file.settle(path, data, on_corrupt)
     if contraction is not None:
         data["contraction"] = np.full(len(data["pressure"]), contraction)
@@ -234,24 +241,3 @@ def read_recording(
     except DatasetError as error:  # what an argument brought in
         raise DatasetError(str(path), error.problems) from None
     return Recording(recording.table.assign_attrs(found)) if found else recording
-
-
-def _recording_from_netcdf(
-    path: Path,
-    columns: Mapping[str, str] | None,
-    initial_length: float | None,
-    contraction: float | None,
-    specimen: str,
-    slack_force: float | None,
-) -> Recording:
-    if columns:
-        raise DatasetError(str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")])
-    recording = Recording.from_netcdf(path)
-    given = {"initial_length": initial_length, "specimen": specimen or None, "slack_force": slack_force}
-    table = recording.table.assign_attrs({name: value for name, value in given.items() if value is not None})
-    if contraction is not None:
-        if "contraction" in table:
-            message = "contraction is given, and the file has its own"
-            raise DatasetError(str(path), [Problem(message, remedy="leave contraction out")])
-        table = table.assign(contraction=("sample", np.full(len(recording), contraction)))
-    return Recording(table)

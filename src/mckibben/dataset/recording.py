@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isometric import isometric
 from mckibben.dataset.points import ExtractedPoints
-from mckibben.dataset.schema import VACUUM, format_range, load_validated, write_netcdf
+from mckibben.dataset.schema import format_range, load_validated, normalize_attributes, value_problems, write_netcdf
 from mckibben.dataset.segmentation import plateaus
 from mckibben.errors import DatasetError, Problem
 from mckibben.units import bar, kPa, percent
@@ -293,36 +292,11 @@ def _conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
             problems.append(Problem(f"is in {said!r}", field=name, remedy=f"give it in {unit!r}"))
         values = np.asarray(array.to_numpy(), np.float64).view()
         values.setflags(write=False)
-        problems += _values(name, values)
+        problems += value_problems(name, values, "sample")
         columns[name] = "sample", values, {"units": unit, "long_name": long_name}
-    attrs = dict(table.attrs)
-    for name in ("specimen", "source"):
-        attrs[name] = str(attrs.get(name, ""))
-    attrs.setdefault("slack_force", 0.0)
-    if attrs.get("initial_length") is None:
-        attrs.pop("initial_length", None)
-    for name in ("slack_force", "initial_length"):
-        value = attrs.get(name, 1.0)
-        if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
-            problems.append(Problem(f"{value!r} is not a finite number", field=name))
-        elif name == "initial_length" and value <= 0:
-            problems.append(Problem(f"{value:g} m is not above 0", field=name))
+    attrs, wrong = normalize_attributes(table.attrs)
+    problems += wrong
     if not problems:
         table = table.assign(columns)
         table.attrs = attrs
     return table, problems
-
-
-def _values(name: str, values: NDArray[np.float64]) -> list[Problem]:
-    wrong = {"is not finite": ~np.isfinite(values) & ~(np.isnan(values) & (name == "set_pressure"))}
-    if name.endswith("pressure"):
-        wrong[f"is below {VACUUM:g} Pa, the gauge pressure of a vacuum"] = values < VACUUM
-    if name == "contraction":
-        wrong["is not between -1 and 1; contraction is a ratio: divide percent by 100"] = np.abs(values) >= 1
-    problems = []
-    for what, bad in wrong.items():
-        if (count := int(bad.sum())) > 0:
-            more = f" (and {count - 1} more)" if count > 1 else ""
-            at = int(np.argmax(bad))
-            problems.append(Problem(f"{values[at]:g} at sample {at} {what}{more}", field=name))
-    return problems

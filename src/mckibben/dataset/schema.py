@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import math
 import mmap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -63,9 +63,19 @@ def normalize(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
     for name, variable in VARIABLES.items():
         if name in table:
             values = _settled(name, table[name].to_numpy())
-            problems += _values(name, values)
+            problems += value_problems(name, values)
             columns[name] = (variable.dims, values, {"units": variable.unit, "long_name": variable.long_name})
-    attrs = dict(table.attrs)
+    attrs, wrong = normalize_attributes(table.attrs)
+    problems += wrong
+    if not problems:
+        table = table.assign(columns)
+        table.attrs = attrs
+    return table, problems
+
+
+def normalize_attributes(attrs: Mapping[Hashable, Any]) -> tuple[dict[Hashable, Any], list[Problem]]:
+    """Attributes of a dataset or recording with defaults, and all problems found."""
+    attrs, problems = dict(attrs), []
     for name in ("specimen", "source"):
         attrs[name] = str(attrs.get(name, ""))
     for name, default in (("slack_force", 0.0), ("initial_length", None)):
@@ -80,10 +90,7 @@ def normalize(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
             problems.append(Problem(f"{number:g} m is not above 0", field=name))
         else:
             attrs[name] = number
-    if not problems:
-        table = table.assign(columns)
-        table.attrs = attrs
-    return table, problems
+    return attrs, problems
 
 
 def assemble(variables: Mapping[str, ArrayLike]) -> tuple[xr.Dataset, list[Problem]]:
@@ -154,7 +161,8 @@ def _words(name: str, values: np.ndarray) -> bool:
     return bool(np.isin(values.astype(str), [*WORDS[name], ""]).all())
 
 
-def _values(name: str, values: np.ndarray) -> Iterator[Problem]:
+def value_problems(name: str, values: np.ndarray, place: str = "point") -> Iterator[Problem]:
+    """Problems of the values of a variable."""
     if name in WORDS:
         if (bad := ~np.isin(values, [*WORDS[name], ""])).any():
             yield _first(bad, values, name, "is neither " + " nor ".join(map(repr, WORDS[name])))
@@ -163,22 +171,25 @@ def _values(name: str, values: np.ndarray) -> Iterator[Problem]:
     if name == "set_pressure":
         finite |= np.isnan(values)  # unknown
     if not finite.all():
-        yield _first(~finite, values, name, "is not finite")
+        yield _first(~finite, values, name, "is not finite", place=place)
     if "pressure" in name and (bad := values < VACUUM).any():
-        yield _first(bad, values, name, f"is below {VACUUM:g} Pa, the gauge pressure of a vacuum")
+        yield _first(bad, values, name, f"is below {VACUUM:g} Pa, the gauge pressure of a vacuum", place=place)
     if name == "contraction" and (bad := finite & (np.abs(values) >= 1)).any():
-        yield _first(bad, values, name, "is not between -1 and 1", "contraction is a ratio: divide percent by 100")
+        remedy = "contraction is a ratio: divide percent by 100"
+        yield _first(bad, values, name, "is not between -1 and 1", remedy, place)
     if name == "repeat" and (bad := finite & ((values < 0) | (values != np.round(values)))).any():
         yield _first(bad, values, name, "is not an integer from 0 up")
 
 
-def _first(bad: np.ndarray, values: np.ndarray, name: str, what: str, remedy: str = "") -> Problem:
+def _first(
+    bad: np.ndarray, values: np.ndarray, name: str, what: str, remedy: str = "", place: str = "point"
+) -> Problem:
     at = tuple(int(index) for index in np.argwhere(bad)[0])
     count = int(bad.sum())
     more = f" (and {count - 1} more)" if count > 1 else ""
     value = values[at].item()
     shown = f"{value:g}" if isinstance(value, float) else repr(value)
-    return Problem(f"{shown} at point {at[0]} {what}{more}", field=name, remedy=remedy)
+    return Problem(f"{shown} at {place} {at[0]} {what}{more}", field=name, remedy=remedy)
 
 
 def _finite(value: object) -> float | None:

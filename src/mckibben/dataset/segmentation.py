@@ -9,8 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, format_counts
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, extracted_points, format_counts
 from mckibben.errors import RangeError
 from mckibben.units import kPa
 
@@ -210,9 +209,11 @@ def plateaus(
                 f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
             )
     direction, phase = _approach(table, account.broken, first, last, c, p, contraction_tolerance, pressure_tolerance)
-    counts = account.counts("not steady")
-    attrs = {name: value for name, value in table.attrs.items() if name not in ("repairs", "ignored_columns")}
-    dataset = IsobaricDataset.of(
+    return extracted_points(
+        table,
+        account,
+        "not steady",
+        samples,
         pressure=p,
         contraction=c,
         force=f,
@@ -220,10 +221,8 @@ def plateaus(
         phase=phase if np.any(phase != "") else None,
         time=t,
         set_pressure=set_pressure,
-        **attrs,
+        force_spread=spread,
     )
-    dataset = IsobaricDataset(dataset.table.assign(force_spread=("point", spread)).assign_attrs(table.attrs))
-    return ExtractedPoints(dataset, samples, counts, tuple(account.notes))
 
 
 def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], int]:

@@ -93,13 +93,13 @@ class Posterior:
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Equal-tailed credible intervals by parameter, in SI."""
-        lower, upper = np.t_quantile(self.draws, _tails(level), axis=0)
+        lower, upper = np.quantile(self.draws, _tails(level), axis=0)
         return {n: Interval(*ends) for n, *ends in zip(self._names, lower.tolist(), upper.tolist(), strict=True)}
 
     def force_interval(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> IntervalEstimate:
         """Posterior mean and credible interval of the law's force [N] at contractions [-] and pressures [Pa]."""
         forces = law_forces(type(self.law), self.draws, contraction, pressure)
-        lower, upper = np.t_quantile(forces, _tails(level), axis=0)
+        lower, upper = np.quantile(forces, _tails(level), axis=0)
         value, error = forces.mean(axis=0), np.std(forces, axis=0, ddof=1)
         return IntervalEstimate(level, value, error, np.full_like(value, np.inf), lower, upper)
 
