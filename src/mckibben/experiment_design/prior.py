@@ -183,7 +183,7 @@ def _fit(data: IsobaricDataset, law_type: type[ForceLaw] | None) -> tuple[Fit | 
     try:
         return identify(law_type, data), ""
     except IdentificationError as error:
-        return None, str(error).removesuffix(f"; {error.remedy}")
+        return None, error.message
 
 
 def _spread(

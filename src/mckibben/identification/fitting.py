@@ -124,7 +124,7 @@ def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) 
 
 def _within_validity(law_type: type[ForceLaw], points: IsobaricDataset) -> IsobaricDataset:
     """Move points beyond the law's range of contraction by no more than noise to its limit; refuse others."""
-    valid = law_type.holds
+    valid = law_type.formula_domain
     contraction = np.clip(points.contraction, float(valid.contraction_min), float(valid.contraction_max))
     near = np.abs(contraction - points.contraction) <= _CONTRACTION_NOISE
     contraction = np.where(near, contraction, points.contraction)

@@ -14,7 +14,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.least_squares import design_matrix
 from mckibben.muscle import ForceLaw, MaxwellSlip, forces
-from mckibben.muscle.friction import NARROWEST, drawn, faded, polygon
+from mckibben.muscle.friction import MIN_HALF_WIDTH, play_response, polygon, smooth_limit
 
 _SAME_LEVEL = 1.0  # Pa
 _FEWEST = 4  # points of a path that show friction
@@ -294,7 +294,7 @@ class PathDependentModel:
         """Lower and upper bounds of the named parameters."""
         given = {p.name: (p.lower, p.upper) for p in type(self.template).shape_parameters}
         given |= {
-            "half_width": (NARROWEST, _WIDEST),
+            "half_width": (MIN_HALF_WIDTH, _WIDEST),
             "log_presliding": (self.shortest, float(np.log(10 * np.ptp(self.paths.length)))),
         }
         lower, upper = zip(*(given.get(name, (-np.inf, np.inf)) for name in names), strict=True)
@@ -344,10 +344,10 @@ class PathDependentModel:
         """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
         half_width, growth, log_presliding = (np.array([values[name] for values in sets]) for name in FRICTION)
         above = self.means.pressure - self.reference_pressure
-        limit = faded(half_width + growth * above[:, None], tension, np)
+        limit = smooth_limit(half_width + growth * above[:, None], tension, np)
         share, stiffness = polygon(self.elements)
         stiffness = stiffness * (half_width / np.exp(log_presliding))[:, None]
-        deflections = drawn(
+        deflections = play_response(
             self.paths.displacement[..., None],
             limit[self.paths.place],
             stiffness,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.loading_path import LoadingPaths
-from mckibben.muscle.creep import remaining
+from mckibben.muscle.creep import retained_fraction
 
 _BLOCKS = 16  # to which the samples of a plateau are averaged: an exponential is smooth
 _CLOCK_ERROR = 0.05  # s, of the times of points
@@ -87,7 +87,7 @@ class TimedLoadingPaths:
     def deflection(self, time_constant: float) -> NDArray[np.float64]:
         """Deflection [m] of a Maxwell element's spring at the first sample, shape (rows,)."""
         decay = np.exp(-self.before / time_constant)
-        added = self.paths.displacement * remaining(self.moving, time_constant)
+        added = self.paths.displacement * retained_fraction(self.moving, time_constant)
         deflections = np.empty_like(added)
         now = np.zeros(added.shape[1])
         for k in range(len(added)):
