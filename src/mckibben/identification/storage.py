@@ -14,15 +14,15 @@ import numpy as np
 from pydantic import ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
 from mckibben.config.document import read_document, to_text
-from mckibben.config.fields import BoundedInt, Number, OneOf
+from mckibben.config.fields import Number, OneOf
 from mckibben.config.model import ConfigModel, fail_validation, problems_of, read_text
-from mckibben.errors import Problem, ScenarioError, UnitError, quoted, suggest
+from mckibben.errors import Problem, ScenarioError, quoted, suggest
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.uncertainty import Grouping
 from mckibben.muscle import LAWS, Domain, ForceLaw
 from mckibben.storage.files import whole
-from mckibben.units import factor, quantity, show
+from mckibben.units import BoundedInt, factor, quantity, show
 
 _HEAD = "# A force law identified by mckibben. Numbers have their unit beside them, comments that of publications.\n"
 
@@ -126,10 +126,7 @@ class _Estimate(_Section):
     def _from_text(cls, value: Any) -> Any:
         if not isinstance(value, str):
             return value
-        try:
-            return {"estimate": quantity(value, cls.expected), "unit": cls.expected}
-        except UnitError as error:
-            fail_validation(error.message, error.remedy, value=value, unit=cls.expected)
+        return {"estimate": quantity(value, cls.expected), "unit": cls.expected}
 
 
 class _FittedEstimate(_Estimate):
@@ -310,10 +307,8 @@ def _read(path: str | os.PathLike[str], *, complete: bool) -> Any:
 
 
 def _of_kind(unit: str, expected: str) -> str:
-    try:
-        factor(unit, expected)
-    except UnitError as error:
-        fail_validation(error.message, error.remedy, value=unit, unit=expected)
+    """The unit, if it is of the expected kind."""
+    factor(unit, expected)
     return unit
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import sincos
+from mckibben.units import Distance, Length
 
 Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
 """One value for muscle 1 (antagonist: it lengthens as the angle grows) and one for muscle 2 (agonist)."""
@@ -49,9 +50,9 @@ class KneeGeometry(eqx.Module):
     [0.03, 0.03]
     """
 
-    joint_length: float
-    joint_radius: float
-    connector_length: float
+    joint_length: Length
+    joint_radius: Length
+    connector_length: Distance
 
     def __check_init__(self) -> None:
         check_positive("KneeGeometry", "m", joint_length=self.joint_length, joint_radius=self.joint_radius)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
+from mckibben.units import CreepTime, SpringRate
 
 Relaxing = tuple[Array, ...]
 """What is on its way back to the law: the force [N] in each arm of the creep."""
@@ -146,8 +147,8 @@ class MaxwellCreep(Creep):
     array([4.532, 1.667, 0.613])
     """
 
-    stiffness: float
-    time_constant: float
+    stiffness: SpringRate
+    time_constant: CreepTime
     arms: int = eqx.field(default=1, kw_only=True, static=True)
 
     def __check_init__(self) -> None:

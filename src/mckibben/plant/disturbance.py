@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import floating
+from mckibben.units import Duration, PositiveTime, ShortTime, Torque
 
 
 class Disturbance(eqx.Module):
@@ -48,10 +49,10 @@ class TorquePulses(Disturbance):
     [0.0, 0.5, 0.0, -0.5, 0.5]
     """
 
-    height: float
-    width: float = 0.1
-    interval: float = 1.0
-    start: float = 0.5
+    height: Torque
+    width: PositiveTime = 0.1
+    interval: Duration = 1.0
+    start: ShortTime = 0.5
 
     def __check_init__(self) -> None:
         check_positive("TorquePulses", "s", width=self.width, interval=self.interval)

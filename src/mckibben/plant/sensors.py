@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
+from mckibben.units import AngleStep, Delay, PressureNoise, Seed
 
 Scalar = Float[Array, ""]
 
@@ -79,10 +80,10 @@ class SampledSensors(Sensors):
     (0.12, 200000.0)
     """
 
-    encoder: float = 0.0
-    pressure_noise: float = 0.0
-    delay: float = 0.0
-    seed: int = 0
+    encoder: AngleStep = 0.0
+    pressure_noise: PressureNoise = 0.0
+    delay: Delay = 0.0
+    seed: Seed = 0
 
     def __check_init__(self) -> None:
         check_positive("SampledSensors", "rad", zero=True, encoder=self.encoder)

@@ -12,17 +12,17 @@ import jax
 from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
 from mckibben.config.document import Document, dotted, to_text
-from mckibben.config.fields import AngularAcceleration, BoundedInt, Duration, PositiveTime, Title
+from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.study.parameters import Over, over, read_over, read_overs
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import build_signal
-from mckibben.study.scenario.controller import ControllerSpec
-from mckibben.study.scenario.plant import DisturbanceSpec, JointSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
+from mckibben.study.scenario.controller import AnyController
+from mckibben.study.scenario.plant import AnyDisturbance, AnyLoad, AnySensors, AnyValve, JointSpec, StartSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
 from mckibben.study.scenario.scenario import check_divides_duration
 from mckibben.study.tune import Cost, around_gains, read_cost, read_ranges
+from mckibben.units import AngularAcceleration, BoundedInt, Duration, PositiveTime
 
 _OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
 _LONGEST_NAME = 80
@@ -163,7 +163,7 @@ def _about_controller(over: tuple[Over, ...]) -> None:
             )
 
 
-def _plain(signal: SignalSpec[Any]) -> None:
+def _plain(signal: SignalSpec) -> None:
     if signal.samples is not None:
         raise ParameterError("samples cannot be compared on", remedy="give a constant, step, sine or multisine")
 
@@ -179,7 +179,7 @@ AS_BELIEVED = "as believed"
 def start_of(reference: ReferenceSpec) -> StartSpec:
     """Where a run starts: at rest at the first angle of its wish, amid the attainable stiffness."""
     samples = reference.angle.samples is not None  # which no suite may have; it says so itself
-    return StartSpec() if samples else StartSpec(angle=float(build_signal(reference.angle, "angle")(0.0)))
+    return StartSpec() if samples else StartSpec(angle=float(reference.angle.build()(0.0)))
 
 
 class PlantSpec(ConfigModel):
@@ -269,14 +269,14 @@ class Suite(ConfigModel):
     joint: JointSpec
     joint_share: _Share = 1
     other_joints: dict[str, PlantSpec] = Field(default_factory=dict)
-    load: LoadSpec
-    valve: ValveSpec | None = None
-    sensors: SensorsSpec | None = None
-    disturbance: DisturbanceSpec | None = None
+    load: AnyLoad
+    valve: AnyValve | None = None
+    sensors: AnySensors | None = None
+    disturbance: AnyDisturbance | None = None
     conditions: tuple[str, ...] = ()
     references: dict[str, ReferenceCase] = Field(min_length=1)
     fastest: AngularAcceleration | None = None
-    controllers: dict[str, ControllerSpec] = Field(min_length=1)
+    controllers: dict[str, AnyController] = Field(min_length=1)
     tuning: TuningSpec = TuningSpec()
     unseen: UnseenSpec = UnseenSpec()
     duration: Duration

@@ -16,22 +16,11 @@ from pydantic import (
     model_validator,
 )
 
-from mckibben.config.fields import (
-    BoundedInt,
-    Duration,
-    Flag,
-    Force,
-    OneOf,
-    Pressure,
-    PressureRate,
-    Quantity,
-    read_path,
-    write_path,
-)
+from mckibben.config.fields import Flag, OneOf, read_path, write_path
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
 from mckibben.errors import quoted, suggest
 from mckibben.rig import steps as typed
-from mckibben.units import quantity, show
+from mckibben.units import BoundedInt, Duration, Force, Pressure, PressureRate, Quantity, quantity, show
 
 _BARE = re.compile(r"[-+]?\d{1,9}(\.\d{0,9})?")
 _ADDRESS = re.compile(r"[A-Za-z0-9_.:/-]{1,80}")

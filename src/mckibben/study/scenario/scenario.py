@@ -9,23 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
 from mckibben.config.document import to_text
-from mckibben.config.fields import BoundedInt, Duration, PositiveTime, Title
+from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.numerics.checks import whole_periods
 from mckibben.storage.files import whole
-from mckibben.study.scenario.controller import ControllerSpec
-from mckibben.study.scenario.plant import DisturbanceSpec, JointSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
+from mckibben.study.scenario.controller import AnyController, ControllerSpec
+from mckibben.study.scenario.plant import AnyDisturbance, AnyLoad, AnySensors, AnyValve, JointSpec, StartSpec
 from mckibben.study.scenario.reference import ReferenceSpec
+from mckibben.units import BoundedInt, Duration, PositiveTime
 
 if TYPE_CHECKING:
-    from mckibben.control import (
-        DecouplingControl,
-        FrictionCompensation,
-        InverseModelControl,
-        PositionStiffnessControl,
-        PredictiveControl,
-        Reference,
-    )
+    from mckibben.control import Controller, Reference
     from mckibben.plant import JointPlant, PlantState
 
 _MOST_PERIODS = 10_000_000
@@ -86,11 +80,11 @@ class Scenario(ConfigModel):
 
     name: Title = Field(examples=["pre-contracted knee, PID"])
     joint: JointSpec
-    load: LoadSpec = Field(examples=["knee-table-2"])
-    valve: ValveSpec | None = None
-    sensors: SensorsSpec | None = None
-    disturbance: DisturbanceSpec | None = None
-    controller: ControllerSpec
+    load: AnyLoad = Field(examples=["knee-table-2"])
+    valve: AnyValve | None = None
+    sensors: AnySensors | None = None
+    disturbance: AnyDisturbance | None = None
+    controller: AnyController
     signals: ReferenceSpec = Field(alias="reference")
     start: StartSpec = StartSpec()
     duration: Duration = Field(examples=["10 s"])
@@ -173,9 +167,7 @@ class Scenario(ConfigModel):
 
         return build_plant(self.joint, self.load, self.valve, self.sensors, self.disturbance)
 
-    def control(
-        self,
-    ) -> PositionStiffnessControl | FrictionCompensation | InverseModelControl | DecouplingControl | PredictiveControl:
+    def control(self) -> Controller:
         """The controller, with its own model of the joint."""
         from mckibben.study.scenario.building import build_control
 
