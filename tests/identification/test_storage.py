@@ -24,7 +24,7 @@ def same(a: Fit, b: Fit) -> None:
         elif field.name == "standard_errors":
             np.testing.assert_array_equal(list(a.standard_errors.values()), list(b.standard_errors.values()))
             assert list(a.standard_errors) == list(b.standard_errors)
-        elif field.name not in ("residuals", "evidence"):
+        elif field.name not in ("residuals", "regression"):
             assert getattr(a, field.name) == getattr(b, field.name), field.name
 
 
@@ -33,7 +33,7 @@ def test_every_number_comes_back_exactly(fit, tmp_path):
     again = Fit.from_yaml(tmp_path / "fit.yaml")
     same(fit, again)
     assert again.residuals is None
-    assert again.evidence is None
+    assert again.regression is None
     assert again.robust == fit.robust
     assert fit.robust.groups == 16
     assert again.intervals() == fit.intervals()

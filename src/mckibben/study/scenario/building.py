@@ -23,7 +23,7 @@ from mckibben.control import (
     VelocityObserver,
 )
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon
-from mckibben.muscle import ChouLaw, Muscle, NoCreep, NoFriction, stronger
+from mckibben.muscle import ChouLaw, Muscle, NoCreep, NoFriction, scaled_law
 from mckibben.plant import (
     IdealValve,
     JointPlant,
@@ -142,7 +142,7 @@ def build_reference(spec: ReferenceSpec) -> Reference:
 
 def build_start(plant: JointPlant, spec: StartSpec) -> PlantState:
     """The state at rest to start from."""
-    return plant.at_rest(spec.angle, stiffness=spec.stiffness)
+    return plant.equilibrium(spec.angle, stiffness=spec.stiffness)
 
 
 def _muscle(spec: MuscleSpec) -> Muscle:
@@ -155,4 +155,4 @@ def _muscle(spec: MuscleSpec) -> Muscle:
         law = Fit.from_yaml(spec.law).law
     else:
         law = ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law)
-    return Muscle(specimen, law if spec.strength is None else stronger(law, spec.strength), friction, creep)
+    return Muscle(specimen, law if spec.strength is None else scaled_law(law, spec.strength), friction, creep)
