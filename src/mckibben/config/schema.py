@@ -41,7 +41,7 @@ class ComponentModel(ConfigModel):
         """The component; what is not given keeps the default of its class."""
         declared = self.runtime.__dataclass_fields__
         for name, value in explicit_fields(self).items():
-            if name in declared:
+            if name in declared and name not in others:
                 default = declared[name].default
                 others[name] = type(default)[value.upper()] if isinstance(default, enum.Enum) else value
         return self.runtime(*args, **others)
@@ -174,13 +174,13 @@ class PartOf:
             return None
         module, _, name = self.base.partition(":")
         base = getattr(importlib.import_module(module), name)
-        known = {one.__name__: one for one in _concrete(base)}
+        known = {one.__name__: one for one in concrete_subclasses(base)}
         chosen = value["class"]
         if not isinstance(chosen, str) or chosen not in known:
             remedy = suggest(str(chosen), sorted(known)) if known else "there is none yet"
             fail_validation(
                 f"there is no class {quoted(chosen)} of {base.__name__}",
-                f"import its module first (`--extension FILE.py` on the command line); {remedy}",
+                f"import its module first (`mckibben --extension FILE.py ...`); {remedy}",
                 value=chosen,
             )
         return _model_of_subclass(known[chosen], self.model, self.signal)
@@ -191,10 +191,10 @@ def _model_of_subclass(runtime: type, base: type[ComponentModel], signal: Any) -
     return model_of(runtime, base=base, signal=signal, class_name=(str, Field(alias="class")))
 
 
-def _concrete(base: type) -> Iterator[type]:
-    """The subclasses of a class that can be made from numbers alone, itself excluded."""
+def concrete_subclasses(base: type) -> Iterator[type]:
+    """All subclasses of a class that are not abstract, of modules that are imported."""
     for one in base.__subclasses__():
-        yield from _concrete(one)
+        yield from concrete_subclasses(one)
         if not inspect.isabstract(one):
             yield one
 

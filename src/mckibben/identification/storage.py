@@ -16,6 +16,7 @@ from pydantic import ConfigDict, Field, ValidationError, create_model, field_val
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Number, OneOf
 from mckibben.config.model import ConfigModel, fail_validation, problems_of, read_text
+from mckibben.config.schema import concrete_subclasses
 from mckibben.errors import Problem, ScenarioError, quoted, suggest
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.intervals import RobustErrors
@@ -96,6 +97,11 @@ def read_fit(path: Path) -> Fit:
         With every problem of the file and its line.
     """
     return _read(path, complete=True).fit()
+
+
+def law_types() -> dict[str, type[ForceLaw]]:
+    """Force laws by name: those of mckibben, and classes of one's own that are imported."""
+    return {**{law.__name__: law for law in concrete_subclasses(ForceLaw) if law.parameters()}, **LAWS}
 
 
 class _Section(ConfigModel):
@@ -212,7 +218,7 @@ class _LawFile(ConfigModel):
     domain: _Domain
 
     def force_law(self) -> ForceLaw:
-        law_type, contraction, pressure = LAWS[self.law], self.domain.contraction, self.domain.pressure
+        law_type, contraction, pressure = law_types()[self.law], self.domain.contraction, self.domain.pressure
         values = {name: row.si("estimate") for name, row in self.parameters}
         limits = (contraction.si("min"), contraction.si("max"), pressure.si("min"), pressure.si("max"))
         return law_type(**values, domain=Domain(*limits))
@@ -230,7 +236,7 @@ class _FitFile(_LawFile):
     @field_validator("correlations", mode="after")
     @classmethod
     def _square(cls, value: Any, info: Any) -> Any:
-        size = len(LAWS[info.data["law"]].parameters()) if "law" in info.data else len(value)
+        size = len(law_types()[info.data["law"]].parameters()) if "law" in info.data else len(value)
         if len(value) != size or any(len(row) != size for row in value):
             fail_validation(f"is not a table of {size} rows of {size} numbers", "keep the order of the parameters")
         return value
@@ -276,13 +282,14 @@ def _read(path: str | os.PathLike[str], *, complete: bool) -> Any:
     if not document.readable:
         raise ScenarioError(source, document.problems)
     data = document.data if isinstance(document.data, dict) else {}
-    law_type = LAWS.get(data["law"]) if isinstance(data.get("law"), str) else None
+    known = law_types()
+    law_type = known.get(data["law"]) if isinstance(data.get("law"), str) else None
     if law_type is None and "law" in data:
         problem = Problem(
             f"there is no law {quoted(data['law'])}",
             document.line(("law",)),
             "law",
-            suggest(str(data["law"]), sorted(LAWS)),
+            suggest(str(data["law"]), sorted(known)),
             value=data["law"],
         )
         raise ScenarioError(source, [*document.problems, problem])

@@ -33,7 +33,7 @@ def effective_value(scenario: Scenario, part: ConfigModel, place: tuple[str, ...
     if key == "valve_time_constant":  # of the controller's model
         return 0.0 if scenario.valve is None else getattr(scenario.valve, key.removeprefix("valve_"), None)
     if isinstance(part, JointSpec):
-        return part.geometry.effective(key)
+        return part.geometry.effective(key) if key in type(part.geometry).model_fields else None
     return part.effective(key) if isinstance(part, ComponentModel) else None
 
 
@@ -159,7 +159,10 @@ def _add_number(
     # One number in two places: the joint's own stands in for the geometry's. It is set where the file has it.
     joint_wide = isinstance(part, JointSpec)
     geometry = part.geometry if joint_wide else part
-    assert isinstance(geometry, GeometrySpec)  # the other part with connectors
+    if not isinstance(geometry, GeometrySpec):  # a class of one's own
+        if not joint_wide:
+            found.add(called, here, mark, nominal)
+        return
     if joint_wide == (geometry.connector_length is None):
         other = [(*name[:-1], "geometry", key) if joint_wide else (*name[:-2], key) for name in called]
         found.add([*called, *other], here, mark, nominal)

@@ -172,7 +172,7 @@ class JointSpec(ConfigModel):
     `connector_length` [m] takes the place of the geometry's own.
     """
 
-    geometry: GeometrySpec
+    geometry: Annotated[GeometrySpec, PartOf("mckibben.joint:Geometry")]
     connector_length: Distance | None = None
     muscle1: MuscleSpec | None = None
     muscle2: MuscleSpec | None = None
@@ -206,6 +206,8 @@ class JointSpec(ConfigModel):
         geometry = info.data.get("geometry")
         if value is None or geometry is None:
             return value
+        if not isinstance(geometry, GeometrySpec):
+            fail_validation("is no part of a geometry with its own class", "give it in the geometry")
         if geometry.connector_length is not None:
             fail_validation("is given in the geometry as well", "keep one of them")
         if geometry.joint_length is not None and value >= geometry.joint_length:
