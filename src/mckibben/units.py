@@ -120,7 +120,7 @@ def _parse(unit: str) -> dict[str, int]:
 
 
 def _size(powers: dict[str, int]) -> float:
-    """How much of SI a unit is."""
+    """The size of a unit in SI."""
     size = 1.0
     for name, power in powers.items():
         size *= _VOCABULARY[name][0] ** power
@@ -133,7 +133,7 @@ def _dimensions(powers: dict[str, int]) -> list[int]:
 
 
 def factor(unit: str, to: str = "") -> float:
-    """What to multiply a number in `unit` by to have it in `to` (by default in SI).
+    """The factor from a number in `unit` to one in `to` (by default SI).
 
     >>> factor("N/bar")
     1e-05
@@ -293,7 +293,7 @@ class Quantity:
         return self.lower * scale, self.upper * scale
 
     def holds(self, number: Any) -> Any:
-        """Whether a number in SI, or each of an array, is in the range."""
+        """Test whether a number in SI, or each of an array, is in the range."""
         lower, upper = self.limits
         above = number > lower if self.open_lower else number >= lower
         return above & (number < upper if self.open_upper else number <= upper)

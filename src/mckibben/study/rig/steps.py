@@ -44,7 +44,7 @@ class Percent(Quantity):
 
     @property
     def example(self) -> str:
-        """How a value may look."""
+        """A value as it is written."""
         return "'10 %'"
 
     @property
@@ -231,7 +231,7 @@ class StepSpec(ConfigModel):
         return {kind: next(iter(inside.values())) if list(inside) == [_ALONE.get(kind)] else inside}
 
     def step(self) -> typed.Step:
-        """The step that it stands for."""
+        """The step."""
         if self.repeat is not None:
             return typed.Repeat(times=self.repeat.times, steps=steps(self.repeat.steps))
         if self.walk is not None:
@@ -276,7 +276,7 @@ RepeatSpec.model_rebuild()
 
 
 def steps(written: tuple[StepSpec, ...]) -> tuple[typed.Step, ...]:
-    """The steps that they stand for."""
+    """The steps."""
     return tuple(one.step() for one in written)
 
 
@@ -371,5 +371,5 @@ class ProtocolSpec(ConfigModel):
 
     @property
     def form(self) -> str:
-        """Which of them it is."""
+        """Name of the form that is given."""
         return next(key for key in _FORMS if getattr(self, key) is not None)

@@ -1,4 +1,4 @@
-"""The parts of a scenario as the objects that are simulated. Only here is JAX needed."""
+"""Plant, controller and reference of a scenario."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def build_plant(
     sensors: SensorsSpec | None = None,
     disturbance: DisturbanceSpec | None = None,
 ) -> JointPlant:
-    """What is simulated."""
+    """The simulated plant."""
     return JointPlant(
         build_joint(joint),
         load.build(),
@@ -69,7 +69,7 @@ def build_plant(
 
 
 def build_joint(spec: JointSpec) -> AntagonisticJoint:
-    """The joint, as it is or as a controller believes it to be."""
+    """A joint: the plant's, or that of a controller's model."""
     muscle1, muscle2 = spec.muscle1 or spec.muscle, spec.muscle2 or spec.muscle
     tendon = RigidTendon() if spec.spring is None else spec.spring.build()
     assert muscle1 is not None and muscle2 is not None  # the model of the joint sees to it
@@ -77,7 +77,7 @@ def build_joint(spec: JointSpec) -> AntagonisticJoint:
 
 
 def build_geometry(spec: JointSpec) -> KneeGeometry:
-    """Where the muscles of a joint run, its own connectors in place of the geometry's."""
+    """The geometry of a joint; its own connector length replaces the geometry's."""
     geometry = spec.geometry.build()
     if spec.connector_length is None:
         return geometry
@@ -85,24 +85,24 @@ def build_geometry(spec: JointSpec) -> KneeGeometry:
 
 
 def build_control(spec: ControllerSpec, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> Controller:
-    """The controller of a plant; its model is an object of its own even where it is that of the plant."""
+    """The controller; its model is never the plant's object, even where the numbers are equal."""
     spec = spec.with_model(joint, load, valve)
     if isinstance(spec, OwnControllerSpec):
         return _own_controller(spec)
     assert spec.model is not None
     model = build_joint(spec.model)
-    believing = spec.decoupling or spec.predictive
-    if believing is not None:
-        assert believing.load is not None
-        beliefs = model, believing.load.build()
+    model_based = spec.decoupling or spec.predictive
+    if model_based is not None:
+        assert model_based.load is not None
+        model_and_load = model, model_based.load.build()
         numbers: dict[str, Any] = {
             "friction_compensation": bool(spec.friction_compensation),
-            "adaptation": None if believing.adaptation is None else believing.adaptation.build(),
-            **explicit_fields(believing, *_PARTS),
+            "adaptation": None if model_based.adaptation is None else model_based.adaptation.build(),
+            **explicit_fields(model_based, *_PARTS),
         }
-        if isinstance(believing, DecouplingSpec):
-            return DecouplingControl(*beliefs, *decoupling_parts(believing), **numbers)
-        return PredictiveControl(*beliefs, *observers(believing), **numbers)
+        if isinstance(model_based, DecouplingSpec):
+            return DecouplingControl(*model_and_load, *decoupling_parts(model_based), **numbers)
+        return PredictiveControl(*model_and_load, *observers(model_based), **numbers)
     assert spec.position is not None and spec.stiffness is not None  # the model of the controller sees to it
     loops = spec.position.build(), spec.stiffness.build()
     control = PositionStiffnessControl(*loops, model=model, minimum_tension=spec.minimum_tension)

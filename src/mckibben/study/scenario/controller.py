@@ -1,4 +1,4 @@
-"""The controller of a scenario: two loops, the inverse of a model or a look ahead; what it believes of the joint."""
+"""Controllers of scenario files, and their model of the joint."""
 
 from __future__ import annotations
 
@@ -146,10 +146,9 @@ _MODEL_FIELDS = ("valve_time_constant", "minimum_tension", "friction_compensatio
 
 
 class ModelBasedSpec(ComponentModel):
-    """What a controller by a model observes, and what it believes of load and valves.
+    """Observers of a model-based controller, and its model of load and valves.
 
-    Load and valves are the plant's own unless given, and the observers have the classes' own bandwidths. With
-    `adaptation` the strength of the model's muscles is corrected on line.
+    Load and valves are those of the plant unless given. `adaptation` estimates the strength of the muscles online.
     """
 
     velocity_observer: ObserverSpec | None = None
@@ -169,7 +168,7 @@ class ModelBasedSpec(ComponentModel):
 
 
 class DecouplingSpec(ModelBasedSpec):
-    """The parts of `DecouplingControl`: `poles` or `sliding`, and what it observes and believes."""
+    """Parameters of `DecouplingControl`: feedback by `poles` or `sliding`, observers and model."""
 
     runtime: ClassVar = DecouplingControl
 
@@ -209,10 +208,10 @@ class InverseModelSpec(model_of(InverseModelControl)):
 
 
 class ControllerSpec(ConfigModel):
-    """Both loops of `PositionStiffnessControl`, `DecouplingControl` or `PredictiveControl`; and its model of the joint.
+    """Two loops (`PositionStiffnessControl`), `decoupling` or `predictive`, and the controller's model of the joint.
 
-    The model is the plant's own joint unless given. `friction_compensation` makes up for the friction of that model's
-    muscles, as `FrictionCompensation` does. Beside the loops there may be an `inverse_model` and a `minimum_tension`.
+    The model is the plant's joint unless given. `friction_compensation` compensates the friction of its muscles.
+    `inverse_model` and `minimum_tension` go with the two loops.
     """
 
     position: PositionLoopSpec | None = None
@@ -235,7 +234,7 @@ class ControllerSpec(ConfigModel):
     @classmethod
     def _friction_learned(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and info.data.get("friction_compensation"):
-            fail_validation("is given beside friction_compensation", "keep one: what it learns has the friction in it")
+            fail_validation("is given beside friction_compensation", "keep one: the learned inverse includes friction")
         return value
 
     @field_validator("decoupling", "predictive", mode="after")
@@ -269,7 +268,7 @@ class ControllerSpec(ConfigModel):
 
 
 class OwnControllerSpec(ComponentModel):
-    """A controller class of one's own; what it holds of `model`, `load` and `valve` is the plant's unless given."""
+    """A controller class of one's own; its `model` and `load` are the plant's unless given."""
 
     model: JointSpec | None = None
     load: LoadSpec | None = None

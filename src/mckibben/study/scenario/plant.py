@@ -64,7 +64,7 @@ def read_law(value: Any, info: ValidationInfo) -> str | Path:
 
 
 def write_law(value: str | Path, info: SerializationInfo) -> str:
-    """What `read_law` reads."""
+    """Text that `read_law` reads."""
     return write_path(value, info) if isinstance(value, Path) else value
 
 
@@ -136,7 +136,7 @@ class GeometrySpec(model_of(KneeGeometry, optional=True, base=_CatalogPart, entr
                 parent=True,
             )
         if length is not None and value is not None and value >= length:
-            fail_validation(f"connector_length {value:g} m leaves no room for a muscle in {length:g} m", "shorten it")
+            fail_validation(f"connector_length {value:g} m leaves no length for a muscle in {length:g} m", "shorten it")
         return value
 
 
@@ -149,10 +149,9 @@ class CreepSpec(model_of(MaxwellCreep)):
 
 
 class MuscleSpec(ConfigModel):
-    """A make of muscle from the catalog, and its law: of the catalog, ``chou``, or the path of a fit's file.
+    """A specimen of the catalog and its law: of the catalog, ``chou``, or the path of a fit file.
 
-    Without `friction` it has none, and without `creep` none of that. With a `strength` all its forces are so many times
-    those of the law.
+    `strength` multiplies all forces of the law.
     """
 
     specimen: Annotated[str, CatalogName("specimens")]
@@ -167,9 +166,9 @@ class SpringSpec(model_of(SeriesSpring)):
 
 
 class JointSpec(ConfigModel):
-    """A joint between two muscles, alike (`muscle`) or not (`muscle1`, the antagonist, and `muscle2`).
+    """A joint with two equal muscles (`muscle`) or two different ones (`muscle1`, the antagonist, and `muscle2`).
 
-    `connector_length` [m] takes the place of the geometry's own.
+    `connector_length` [m] replaces that of the geometry.
     """
 
     geometry: Annotated[GeometrySpec, PartOf("mckibben.joint:Geometry")]
@@ -181,7 +180,7 @@ class JointSpec(ConfigModel):
 
     @property
     def has_friction(self) -> bool:
-        """Whether one of its muscles has."""
+        """Whether a muscle of the joint has friction."""
         return any(muscle and muscle.friction for muscle in (self.muscle, self.muscle1, self.muscle2))
 
     @field_validator("spring", mode="after")
@@ -190,12 +189,12 @@ class JointSpec(ConfigModel):
         muscles = [info.data.get(key) for key in ("muscle", "muscle1", "muscle2")]
         if value is not None and any(muscle and muscle.friction and muscle.friction.viscous for muscle in muscles):
             fail_validation(
-                "stands in series with a muscle of viscous friction, the rate of whose length is then not known",
+                "is in series with a muscle that has viscous friction, whose rate of contraction is then unknown",
                 "leave out `viscous` or the spring",
             )
         if value is not None and any(muscle and muscle.creep for muscle in muscles):
             fail_validation(
-                "stands in series with a muscle that creeps, the rate of whose length is then not known",
+                "is in series with a muscle that creeps, whose rate of contraction is then unknown",
                 "leave out `creep` or the spring",
             )
         return value
@@ -212,7 +211,7 @@ class JointSpec(ConfigModel):
             fail_validation("is given in the geometry as well", "keep one of them")
         if geometry.joint_length is not None and value >= geometry.joint_length:
             fail_validation(
-                f"{value:g} m leaves no room for a muscle in the joint_length of {geometry.joint_length:g} m",
+                f"{value:g} m leaves no length for a muscle in the joint_length of {geometry.joint_length:g} m",
                 "shorten it",
             )
         return value
@@ -291,7 +290,7 @@ AnyLoad = Annotated[LoadSpec, PartOf("mckibben.joint:Load")]
 
 
 class StartSpec(ConfigModel):
-    """Where the joint rests at the start: angle [rad] and, unless it is to be in the middle, stiffness [N*m/rad]."""
+    """Initial equilibrium: angle [rad], and stiffness [N*m/rad] (by default the middle of the attainable range)."""
 
     angle: Angle = 0.0
     stiffness: Stiffness | None = None

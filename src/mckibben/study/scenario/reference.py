@@ -56,7 +56,7 @@ def read_samples(path: Path, name: str, unit: str) -> tuple[list[float], list[fl
             continue
         time, value = (_number(row, place, scale) for place, scale in columns)
         if not (math.isfinite(time) and math.isfinite(value)):
-            problems.append(Problem(f"{','.join(row)[:60]!r} holds no two finite numbers", line))
+            problems.append(Problem(f"{','.join(row)[:60]!r} does not hold two finite numbers", line))
         elif times and time <= times[-1]:
             problems.append(Problem(f"the time {time:g} s does not rise", line, remedy="sort the rows"))
         else:
@@ -70,7 +70,7 @@ def read_samples(path: Path, name: str, unit: str) -> tuple[list[float], list[fl
 
 
 def _column(header: list[str], name: str, unit: str, problems: list[Problem]) -> tuple[int, float]:
-    """Where a quantity stands, and what to multiply it by."""
+    """Index and scale of the column of a quantity."""
     found = [i for i, title in enumerate(header) if title.startswith(f"{name}_")]
     if len(found) != 1:
         what = "has several columns" if found else "has no column"
