@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError
-from mckibben.joint import KneeGeometry, RigidTendon
+from mckibben.joint import Geometry, RigidTendon
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.calculus import derivative
@@ -109,9 +109,7 @@ def margins(
     return jnp.stack([jnp.broadcast_to(margin, held.shape) for margin in each])
 
 
-def _taut(
-    geometry: KneeGeometry, muscles: tuple[Muscle, Muscle], angle: Array, pressures: tuple[Array, Array]
-) -> Array:
+def _taut(geometry: Geometry, muscles: tuple[Muscle, Muscle], angle: Array, pressures: tuple[Array, Array]) -> Array:
     """The stiffness by the laws as they are, not cut off where they turn negative: smooth beyond what is attainable."""
 
     def torque(angle: Array) -> Array:

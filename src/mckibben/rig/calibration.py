@@ -1,4 +1,4 @@
-"""What the volts of a channel mean: a straight line, found from known loads and kept with the data."""
+"""Linear calibration of a channel: volts to a quantity in SI, and back."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Calibration:
             )
 
     def si(self, volts: ArrayLike) -> NDArray[np.float64]:
-        """What volts mean, in the unit; any shape."""
+        """The value of volts in the unit; any shape."""
         return (np.asarray(volts, np.float64) - self.offset) * self.gain - self.tare
 
     def volts(self, si: ArrayLike) -> NDArray[np.float64]:
@@ -104,7 +104,7 @@ class Calibration:
         return (np.asarray(si, np.float64) + self.tare) / self.gain + self.offset
 
     def lost(self, volts: ArrayLike, channel: Channel | None = None) -> NDArray[np.bool_]:
-        """Whether no working sensor gives these volts [V]; any shape.
+        """True where no working sensor gives these volts [V]; any shape.
 
         They are further outside the span than the margin, exactly at an end of what the converter can tell, or no
         number. The span is the sensor's own: a tare does not move it.
@@ -122,7 +122,7 @@ class Calibration:
         return ends[0], ends[1]
 
     def check(self, low: float, high: float, channel: Channel | None = None) -> list[Problem]:
-        """What stands against measuring (or giving) values from low to high, in the unit.
+        """Problems of measuring (or giving) values from low to high, in the unit.
 
         The span must hold them, and so must the converter, where it is given.
         """
@@ -303,7 +303,7 @@ def calibrate(
 
 
 def content_of(path: Path, remedy: str) -> Mapping[str, Any]:
-    """What a file of calibrations holds, by the names of the channels.
+    """Content of a calibration file, by channel.
 
     Parameters
     ----------
