@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mckibben.paper.claims import judge
+from mckibben.paper.claims import evaluate_claims
 from mckibben.paper.identification import run_identification, run_joint
 from mckibben.paper.reproduction import Reproduction
 from mckibben.paper.tracking import run_tracking
@@ -33,5 +33,5 @@ def tracking(reported):
 
 @pytest.fixture(scope="session")
 def reproduction(identification, joint_maps, tracking):
-    claims = judge(identification, joint_maps, tracking)
+    claims = evaluate_claims(identification, joint_maps, tracking)
     return Reproduction(identification, joint_maps, tracking, claims, quick=True, seconds=1.0)

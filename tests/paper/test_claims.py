@@ -8,10 +8,20 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.paper.claims import judge
+from mckibben.paper.claims import evaluate_claims
 from mckibben.paper.identification import CHOU, EXPERIMENTAL, FESTO, MARTENS, RIG
-from mckibben.paper.settings import SETTINGS, Wish
-from mckibben.paper.tracking import BP, CONTROLLERS, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, Coupling, Run, Tracking
+from mckibben.paper.settings import SETTINGS, StiffnessReference
+from mckibben.paper.tracking import (
+    BP,
+    CONTROLLERS,
+    FREE_TUNED_BP,
+    PID,
+    TUNED_BP,
+    TUNED_PID,
+    ControllerRun,
+    Coupling,
+    Tracking,
+)
 from mckibben.simulation import Metrics
 from mckibben.units import deg
 
@@ -24,7 +34,7 @@ RANGE_CLAIM = "The knee's rotating range is 55 deg"
 MODERATE, OPTIMISED = "the same moderate gains in both", "gains tuned by an optimiser"
 
 
-def angle_claim(wish: Wish, gains: str) -> str:
+def angle_claim(wish: StiffnessReference, gains: str) -> str:
     return f"BP's position error is smaller than PID's under {wish.value} stiffness ({gains})"
 
 
@@ -38,7 +48,7 @@ def of(claims, start: str):
     return found[0]
 
 
-def run(*, angle_rmse=1.0, settling=0.5) -> Run:
+def run(*, angle_rmse=1.0, settling=0.5) -> ControllerRun:
     """A run over seeds whose metrics are known, in degrees and seconds; single numbers are those of every seed.
 
     Its wish is a sine of 10 deg.
@@ -49,7 +59,7 @@ def run(*, angle_rmse=1.0, settling=0.5) -> Run:
         columns[name] = np.broadcast_to(np.asarray(value, float), (3,)) * (1 if name == "stiffness_settling" else deg)
     wish = 10 * deg * np.sin(np.linspace(0, 2 * np.pi, 1000, endpoint=False))
     result = types.SimpleNamespace(trajectory=types.SimpleNamespace(desired_angle=wish))
-    return Run(None, result, Metrics(**columns))
+    return ControllerRun(None, result, Metrics(**columns))
 
 
 @pytest.fixture(scope="module")
@@ -57,12 +67,12 @@ def judged(identification, joint_maps):
     """The verdict on a claim, with some of the inputs replaced; by default BP is better at everything."""
     better = {PID: run(angle_rmse=2.0, settling=0.6), BP: run(), TUNED_PID: run(angle_rmse=0.3, settling=0.3)}
     better |= {TUNED_BP: run(angle_rmse=0.2, settling=0.2), FREE_TUNED_BP: run(angle_rmse=0.3)}
-    standard = {(s.key, w, name): better[name] for s in SETTINGS for w in Wish for name in CONTROLLERS}
+    standard = {(s.key, w, name): better[name] for s in SETTINGS for w in StiffnessReference for name in CONTROLLERS}
     coupling = {s.key: Coupling(0.1 * deg, 0.1, 0.001) for s in SETTINGS}
 
     def judge_with(start: str, *, runs=None, muscles=identification, maps=joint_maps, coupled=coupling):
         tracking = Tracking(standard | (runs or {}), {}, coupled, seeds=3)
-        return of(judge(muscles, maps, tracking), start)
+        return of(evaluate_claims(muscles, maps, tracking), start)
 
     return judge_with
 
@@ -95,25 +105,25 @@ def test_the_verdicts_follow_from_the_numbers_of_the_report(reproduction):
     tracking = found["tracking"]
     number = lambda key, wish, name, what: tracking[key][wish.value][name][what]  # noqa: E731
     for pid, bp, gains in ((PID, BP, MODERATE), (TUNED_PID, TUNED_BP, OPTIMISED)):
-        for wish in Wish:
+        for wish in StiffnessReference:
             expected[angle_claim(wish, gains)] = all(
-                tracking[s.key][wish.value][bp]["lost"] == 0
+                tracking[s.key][wish.value][bp]["unstable"] == 0
                 and number(s.key, wish, bp, "angle_rmse_deg") < 0.95 * number(s.key, wish, pid, "angle_rmse_deg")
                 for s in SETTINGS
             )
         sooner = []
         for s in SETTINGS:
-            for wish in Wish:
+            for wish in StiffnessReference:
                 after, before = (number(s.key, wish, name, "stiffness_settling_s") for name in (bp, pid))
                 sooner.append(after is not None and (before is None or after < before))
         expected[settling_claim(gains)] = all(sooner)
     expected[next(c for c in verdict if c.startswith(SAFE_CLAIM))] = all(
-        tracking[s.key][wish.value][FREE_TUNED_BP]["lost"] == 0
+        tracking[s.key][wish.value][FREE_TUNED_BP]["unstable"] == 0
         and number(s.key, wish, FREE_TUNED_BP, "angle_rmse_deg") <= number(s.key, wish, TUNED_PID, "angle_rmse_deg")
         for s in SETTINGS
-        for wish in Wish
+        for wish in StiffnessReference
     )
-    low, high = found["joint"]["as_printed"]["holdable_angles_deg"]
+    low, high = found["joint"]["as_printed"]["static_range_deg"]
     expected[next(c for c in verdict if c.startswith(RANGE_CLAIM))] = high - low >= 55
     expected[next(c for c in verdict if c.startswith(COUPLED_CLAIM))] = all(
         c["angle_by_step_deg"] > 1e-4 and c["stiffness_by_motion"] > c["stiffness_at_rest"]
@@ -125,7 +135,7 @@ def test_the_verdicts_follow_from_the_numbers_of_the_report(reproduction):
 
 def test_the_numbers_of_the_evidence_are_those_of_the_report(reproduction):
     found = reproduction.results()["tracking"]
-    evidence = of(reproduction.claims, angle_claim(Wish.CONSTANT, MODERATE)).evidence
+    evidence = of(reproduction.claims, angle_claim(StiffnessReference.CONSTANT, MODERATE)).evidence
     for setting in SETTINGS:
         both = found[setting.key]["constant"]
         pid, bp = both[PID]["angle_rmse_deg"], both[BP]["angle_rmse_deg"]
@@ -172,13 +182,13 @@ def test_loading_and_unloading_may_differ(judged, identification):
         assert found.holds is holds, found.evidence
 
 
-@pytest.mark.parametrize("wish", Wish)
+@pytest.mark.parametrize("wish", StiffnessReference)
 @pytest.mark.parametrize(
     ("pid", "bp", "gains"), [(PID, BP, MODERATE), (TUNED_PID, TUNED_BP, OPTIMISED)], ids=["moderate", "tuned"]
 )
 def test_bp_may_have_the_larger_angle_error(judged, wish, pid, bp, gains):
     claim = angle_claim(wish, gains)
-    other = next(w for w in Wish if w is not wish)
+    other = next(w for w in StiffnessReference if w is not wish)
     assert judged(claim).holds
     for setting in SETTINGS:  # one geometry of two is enough
         assert not judged(claim, runs={(setting.key, wish, bp): run(angle_rmse=5.0)}).holds
@@ -191,7 +201,7 @@ def test_bp_may_have_the_larger_angle_error(judged, wish, pid, bp, gains):
         assert not judged(claim, runs={(setting.key, wish, bp): run(angle_rmse=math.nan)}).holds
 
 
-@pytest.mark.parametrize("wish", Wish)
+@pytest.mark.parametrize("wish", StiffnessReference)
 @pytest.mark.parametrize(
     ("pid", "bp", "gains"), [(PID, BP, MODERATE), (TUNED_PID, TUNED_BP, OPTIMISED)], ids=["moderate", "tuned"]
 )
@@ -214,10 +224,10 @@ def test_bp_may_settle_later_or_never(judged, wish, pid, bp, gains):
 def test_bp_may_be_safe_or_not(judged):
     assert judged(SAFE_CLAIM).holds
     key = SETTINGS[1].key
-    lost = judged(SAFE_CLAIM, runs={(key, Wish.STEP, FREE_TUNED_BP): run(angle_rmse=[0.1, 0.1, 50.0])})
+    lost = judged(SAFE_CLAIM, runs={(key, StiffnessReference.STEP, FREE_TUNED_BP): run(angle_rmse=[0.1, 0.1, 50.0])})
     assert not lost.holds
     assert "1 of 3 seeds lost" in lost.evidence
-    assert not judged(SAFE_CLAIM, runs={(key, Wish.STEP, FREE_TUNED_BP): run(angle_rmse=0.31)}).holds
+    assert not judged(SAFE_CLAIM, runs={(key, StiffnessReference.STEP, FREE_TUNED_BP): run(angle_rmse=0.31)}).holds
 
 
 def test_position_and_stiffness_may_be_uncoupled(judged):
@@ -243,7 +253,7 @@ def test_the_knee_may_have_its_range(judged, joint_maps):
 
 
 def test_a_reader_of_the_evidence_can_tell_why_a_smaller_error_is_not_enough(judged):
-    slightly = {(s.key, Wish.STEP, BP): run(angle_rmse=1.94) for s in SETTINGS}  # against 2.0
-    found = judged(angle_claim(Wish.STEP, MODERATE), runs=slightly)
+    slightly = {(s.key, StiffnessReference.STEP, BP): run(angle_rmse=1.94) for s in SETTINGS}  # against 2.0
+    found = judged(angle_claim(StiffnessReference.STEP, MODERATE), runs=slightly)
     assert not found.holds
     assert "5 %" in found.claim + found.evidence

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from mckibben.paper.settings import AS_PRINTED, PRE_CONTRACTED, Wish, bp_scenario, pid_scenario
+from mckibben.paper.settings import AS_PRINTED, PRE_CONTRACTED, StiffnessReference, bp_scenario, pid_scenario
 from mckibben.study.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 RUNS = {
-    "as-printed-constant-pid": pid_scenario(AS_PRINTED, Wish.CONSTANT),
-    "pre-contracted-step-pid": pid_scenario(PRE_CONTRACTED, Wish.STEP),
-    "pre-contracted-step-backprop": bp_scenario(PRE_CONTRACTED, Wish.STEP),
+    "as-printed-constant-pid": pid_scenario(AS_PRINTED, StiffnessReference.CONSTANT),
+    "pre-contracted-step-pid": pid_scenario(PRE_CONTRACTED, StiffnessReference.STEP),
+    "pre-contracted-step-backprop": bp_scenario(PRE_CONTRACTED, StiffnessReference.STEP),
 }
 
 

@@ -37,7 +37,7 @@ def test_the_numbers_of_the_documentation(joint_maps, references, key, band, ang
     assert found.at(0.0) == pytest.approx(band, abs=0.05)
     assert found.at(0.0) == pytest.approx(held_in(references[key], 0.0), abs=2e-3)
     step = 80 / 120
-    assert np.array(found.holdable) / deg == pytest.approx(angles, abs=step)
+    assert np.array(found.static_range) / deg == pytest.approx(angles, abs=step)
 
 
 @pytest.mark.parametrize("key", ["as_printed", "pre_contracted"])
@@ -50,7 +50,7 @@ def test_the_band_is_that_of_trying_all_pressures(joint_maps, references, key):
 
 
 def test_as_printed_it_is_held_up_to_3_percent_of_stretch(joint_maps, paper):
-    low, high = joint_maps["as_printed"].holdable
+    low, high = joint_maps["as_printed"].static_range
     assert min(paper.contractions(low)) > -0.03
     assert min(paper.contractions(low - 80 / 120 * deg)) < -0.03
     assert min(paper.contractions(high + 80 / 120 * deg)) < -0.03

@@ -9,7 +9,7 @@ from mckibben import paper
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit
 from mckibben.paper import reproduction
-from mckibben.paper.settings import SETTINGS, Wish
+from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import BP, CONTROLLERS, PID, TUNED_BP, TUNED_PID
 from mckibben.simulation import Result
 from mckibben.study.scenario import Scenario
@@ -18,7 +18,7 @@ from mckibben.study.scenario.running import run_scenario
 NAMES = {
     f"{s.key.replace('_', '-')}-{w.value}-{c.lower().replace(',', '').replace(' ', '-')}"
     for s in SETTINGS
-    for w in Wish
+    for w in StiffnessReference
     for c in CONTROLLERS
 }
 
@@ -51,7 +51,7 @@ def test_the_results_have_every_number_of_the_report(results):
     for setting in SETTINGS:
         low, high = results["joint"][setting.key]["attainable_stiffness_at_0_deg"]
         assert 0 < low < high
-        for wish in Wish:
+        for wish in StiffnessReference:
             runs = results["tracking"][setting.key][wish.value]
             assert set(runs) == set(CONTROLLERS)
             for run in runs.values():
@@ -65,7 +65,7 @@ def test_the_results_have_every_number_of_the_report(results):
 def test_the_numbers_of_a_run_are_those_of_its_trajectory(results, reproduction):
     """Worked out here, in degrees, from the table."""
     for setting in SETTINGS:
-        for wish in Wish:
+        for wish in StiffnessReference:
             table = reproduction.tracking.runs[setting.key, wish, PID].result.table
             shown = results["tracking"][setting.key][wish.value][PID]
             error = np.degrees((table["angle"] - table["desired_angle"]).to_numpy())
@@ -74,7 +74,7 @@ def test_the_numbers_of_a_run_are_those_of_its_trajectory(results, reproduction)
             stiffness = table["stiffness"].to_numpy()
             off = stiffness - table["desired_stiffness"].to_numpy()
             assert shown["stiffness_rmse"] == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-9)
-            start = 5000 if wish is Wish.STEP else 0
+            start = 5000 if wish is StiffnessReference.STEP else 0
             band = 0.1 * abs(table["desired_stiffness"].to_numpy()[-1] - stiffness[start])
             outside = np.flatnonzero(np.abs(off[start:]) > band)
             assert shown["stiffness_settling_s"] == pytest.approx((outside[-1] + 1) * 1e-3)

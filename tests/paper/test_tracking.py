@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from mckibben import control
-from mckibben.paper.settings import SETTINGS, STEP_TIME, Wish, bp_scenario, gains_of, pid_scenario
-from mckibben.paper.tracking import BP, CONTROLLERS, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, Run
+from mckibben.paper.settings import SETTINGS, STEP_TIME, StiffnessReference, bp_scenario, gains_of, pid_scenario
+from mckibben.paper.tracking import BP, CONTROLLERS, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun
 from mckibben.simulation import Metrics, check_reference
 from mckibben.study.parameters import with_values
 from mckibben.study.scenario import Scenario
 from mckibben.units import quantity
 
-RUNS = list(itertools.product([s.key for s in SETTINGS], Wish))
+RUNS = list(itertools.product([s.key for s in SETTINGS], StiffnessReference))
 
 
 def moved_by(amplitude: float, **metrics) -> types.SimpleNamespace:
@@ -27,16 +27,16 @@ def moved_by(amplitude: float, **metrics) -> types.SimpleNamespace:
     )
 
 
-def seeded(**columns) -> Run:
+def seeded(**columns) -> ControllerRun:
     """A run of which the metrics over the seeds are known; zeros where they are not given."""
     size = len(next(iter(columns.values())))
-    return Run(
+    return ControllerRun(
         None, moved_by(1.0), Metrics(**{n: np.asarray(columns.get(n, np.zeros(size)), float) for n in Metrics._fields})
     )
 
 
 def test_every_controller_runs_every_wish_in_every_geometry(tracking):
-    assert set(tracking.runs) == set(itertools.product([s.key for s in SETTINGS], Wish, CONTROLLERS))
+    assert set(tracking.runs) == set(itertools.product([s.key for s in SETTINGS], StiffnessReference, CONTROLLERS))
     assert tracking.seeds == 2
 
 
@@ -65,7 +65,7 @@ def test_both_methods_have_the_same_plant_wish_start_and_base_gains(tracking, ke
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
 def test_the_tuned_gains_are_those_of_the_tuning_to_the_last_bit(tracking, setting):
     tuned = tracking.tuned[setting.key]
-    for wish in Wish:
+    for wish in StiffnessReference:
         given = tracking.runs[setting.key, wish, TUNED_PID].scenario.control()
         for loop in ("position", "stiffness"):
             for gain in ("kp", "ki", "kd"):
@@ -81,11 +81,11 @@ def test_the_cost_of_the_tuning_is_that_of_the_runs_at_least(tracking, setting):
     angle, stiffness = quantity(setting.angle_scale, "rad") / 10, quantity(setting.stiffness_scale, "N*m/rad") / 10
     total = dict.fromkeys((PID, TUNED_PID), 0.0)
     for name in total:
-        for wish in Wish:
+        for wish in StiffnessReference:
             found = tracking.runs[setting.key, wish, name].result.metrics()
             total[name] += found["angle_rmse"] / angle + found["stiffness_rmse"] / stiffness
-    assert tuned.cost_before == pytest.approx(total[PID] / len(Wish), rel=1e-6)
-    assert tuned.cost >= total[TUNED_PID] / len(Wish) * (1 - 1e-6)
+    assert tuned.cost_before == pytest.approx(total[PID] / len(StiffnessReference), rel=1e-6)
+    assert tuned.cost >= total[TUNED_PID] / len(StiffnessReference) * (1 - 1e-6)
 
 
 @pytest.mark.parametrize(("key", "wish"), RUNS)
@@ -105,7 +105,7 @@ def test_progress_rises_to_the_end(tracking, reported):
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
-@pytest.mark.parametrize("wish", Wish)
+@pytest.mark.parametrize("wish", StiffnessReference)
 def test_the_wishes_are_within_reach(setting, wish):
     scenario = pid_scenario(setting, wish)
     reach = check_reference(scenario.plant(), scenario.reference(), control_period=1e-2)
@@ -115,7 +115,10 @@ def test_the_wishes_are_within_reach(setting, wish):
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
 def test_the_wishes_are_what_is_declared(setting):
     times = np.array([0.0, 0.5, 4.999, 5.0, 9.9])
-    constant, step = (pid_scenario(setting, wish).reference()(times) for wish in (Wish.CONSTANT, Wish.STEP))
+    constant, step = (
+        pid_scenario(setting, wish).reference()(times)
+        for wish in (StiffnessReference.CONSTANT, StiffnessReference.STEP)
+    )
     amplitude = quantity(setting.amplitude, "rad")
     np.testing.assert_allclose(constant.angle, amplitude * np.sin(np.pi * times), atol=1e-12)
     np.testing.assert_allclose(constant.angle, step.angle)
@@ -131,8 +134,11 @@ def test_gains_as_text_read_back_to_the_last_bit():
         for name, loop in (("position", position), ("stiffness", stiffness))
         for gain in ("kp", "ki", "kd")
     }
-    text = gains_of(with_values(pid_scenario(SETTINGS[0], Wish.STEP), values))
-    for scenario in (pid_scenario(SETTINGS[1], Wish.STEP, text), bp_scenario(SETTINGS[1], Wish.STEP, text)):
+    text = gains_of(with_values(pid_scenario(SETTINGS[0], StiffnessReference.STEP), values))
+    for scenario in (
+        pid_scenario(SETTINGS[1], StiffnessReference.STEP, text),
+        bp_scenario(SETTINGS[1], StiffnessReference.STEP, text),
+    ):
         again = Scenario.parse(scenario.dumps()).control()
         for given, loop in ((position, again.position), (stiffness, again.stiffness)):
             base = getattr(loop, "base", loop)
@@ -142,18 +148,18 @@ def test_gains_as_text_read_back_to_the_last_bit():
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
 def test_coupling_is_what_the_runs_show(tracking, setting):
     found = tracking.coupling[setting.key]
-    table = tracking.runs[setting.key, Wish.CONSTANT, PID].result.table
+    table = tracking.runs[setting.key, StiffnessReference.CONSTANT, PID].result.table
     late = table["time"].to_numpy() >= 5.0 - 1e-9
     error = (table["stiffness"] - table["desired_stiffness"]).to_numpy()[late]
     assert found.stiffness_by_motion == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
     assert found.stiffness_at_rest < 1e-3 * found.stiffness_by_motion
 
-    scenario = tracking.runs[setting.key, Wish.STEP, PID].scenario
-    level = pid_scenario(dataclasses.replace(setting, after=setting.before), Wish.STEP)
+    scenario = tracking.runs[setting.key, StiffnessReference.STEP, PID].scenario
+    level = pid_scenario(dataclasses.replace(setting, after=setting.before), StiffnessReference.STEP)
     assert level.start == scenario.start
     from mckibben.study.scenario.running import run_scenario
 
-    with_step = tracking.runs[setting.key, Wish.STEP, PID].result.table["angle"].to_numpy()
+    with_step = tracking.runs[setting.key, StiffnessReference.STEP, PID].result.table["angle"].to_numpy()
     without = run_scenario(level).result.table
     assert np.ptp(without["desired_stiffness"].to_numpy()) == 0
     assert found.angle_by_step == pytest.approx(np.abs(with_step - without["angle"].to_numpy())[late].max(), rel=1e-6)
@@ -170,10 +176,10 @@ def test_medians_and_worsts_over_seeds():
 
 def test_a_run_that_is_worse_than_not_moving_or_not_finite_is_lost():
     still = math.sqrt(0.5)  # the RMS of a sine of 1 rad
-    assert seeded(angle_rmse=[0.1, still * 1.001, np.nan, np.inf, still * 0.999]).lost == 3
-    assert Run(None, moved_by(1.0), None).lost == 0
-    single = Run(None, moved_by(0.1), None)
-    assert single.lost == 1
+    assert seeded(angle_rmse=[0.1, still * 1.001, np.nan, np.inf, still * 0.999]).unstable == 3
+    assert ControllerRun(None, moved_by(1.0), None).lost == 0
+    single = ControllerRun(None, moved_by(0.1), None)
+    assert single.unstable == 1
     assert single.median("angle_rmse") == single.worst("angle_rmse") == 0.5
 
 

@@ -17,7 +17,7 @@ from mckibben.paper.identification import (
     JointMap,
     direction_gap,
 )
-from mckibben.paper.settings import SETTINGS, Wish
+from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import BP, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, Tracking
 from mckibben.simulation import SETTLING_PART
 from mckibben.units import bar, deg, quantity
@@ -51,14 +51,22 @@ class Claim:
     of_paper: bool = True
 
 
-def judge(identification: Identification, joint: dict[str, JointMap], tracking: Tracking) -> tuple[Claim, ...]:
+def evaluate_claims(
+    identification: Identification, joint: dict[str, JointMap], tracking: Tracking
+) -> tuple[Claim, ...]:
     """All claims."""
     return (
         _closer_than_chou(identification),
         _closer_on_real_muscles(identification),
         _directions_similar(identification),
-        *(_smaller_angle_error(tracking, wish, PID, BP, "the same moderate gains in both") for wish in Wish),
-        *(_smaller_angle_error(tracking, wish, TUNED_PID, TUNED_BP, "gains tuned by an optimiser") for wish in Wish),
+        *(
+            _smaller_angle_error(tracking, wish, PID, BP, "the same moderate gains in both")
+            for wish in StiffnessReference
+        ),
+        *(
+            _smaller_angle_error(tracking, wish, TUNED_PID, TUNED_BP, "gains tuned by an optimiser")
+            for wish in StiffnessReference
+        ),
         _settles_sooner(tracking, PID, BP, "the same moderate gains in both"),
         _settles_sooner(tracking, TUNED_PID, TUNED_BP, "gains tuned by an optimiser"),
         _coupled(tracking),
@@ -118,19 +126,19 @@ def _directions_similar(identification: Identification) -> Claim:
     )
 
 
-def _smaller_angle_error(tracking: Tracking, wish: Wish, pid: str, bp: str, gains: str) -> Claim:
+def _smaller_angle_error(tracking: Tracking, wish: StiffnessReference, pid: str, bp: str, gains: str) -> Claim:
     parts, holds = [], True
     for setting in SETTINGS:
         base, learned = tracking.runs[setting.key, wish, pid], tracking.runs[setting.key, wish, bp]
         before, after = base.median("angle_rmse"), learned.median("angle_rmse")
-        holds = holds and after < (1 - _AT_A_GLANCE) * before and learned.lost == 0
+        holds = holds and after < (1 - _AT_A_GLANCE) * before and learned.unstable == 0
         parts.append(
             f"{setting.name}: PID {before / deg:.3f} deg, BP {after / deg:.3f} deg "
             f"(worst of {tracking.seeds} seeds {learned.worst('angle_rmse') / deg:.3f})"
         )
     return Claim(
         f"BP's position error is smaller than PID's under {wish.value} stiffness ({gains})",
-        "Fig. 8 (a)" if wish is Wish.CONSTANT else "Fig. 8 (b)",
+        "Fig. 8 (a)" if wish is StiffnessReference.CONSTANT else "Fig. 8 (b)",
         holds,
         f"angle RMSE, {'; '.join(parts)}; smaller means by {_AT_A_GLANCE * 100:g} % or more, as seen in a figure",
     )
@@ -139,12 +147,12 @@ def _smaller_angle_error(tracking: Tracking, wish: Wish, pid: str, bp: str, gain
 def _settles_sooner(tracking: Tracking, pid: str, bp: str, gains: str) -> Claim:
     parts, sooner, later = [], 0, 0
     for setting in SETTINGS:
-        for wish in Wish:
+        for wish in StiffnessReference:
             base, learned = tracking.runs[setting.key, wish, pid], tracking.runs[setting.key, wish, bp]
             before, after = base.median("stiffness_settling"), learned.median("stiffness_settling")
             first, second = (math.inf if math.isnan(time) else time for time in (before, after))
             sooner += second < (1 - _AT_A_GLANCE) * first
-            later += learned.lost > 0 or first < (1 - _AT_A_GLANCE) * second
+            later += learned.unstable > 0 or first < (1 - _AT_A_GLANCE) * second
             parts.append(f"{setting.name}, {wish.value}: PID {_seconds(before)}, BP {_seconds(after)}")
     return Claim(
         f"BP's stiffness settles sooner ({gains})",
@@ -158,11 +166,11 @@ def _settles_sooner(tracking: Tracking, pid: str, bp: str, gains: str) -> Claim:
 def _learning_is_safe(tracking: Tracking) -> Claim:
     parts, holds = [], True
     for setting in SETTINGS:
-        for wish in Wish:
+        for wish in StiffnessReference:
             run, base = tracking.runs[setting.key, wish, FREE_TUNED_BP], tracking.runs[setting.key, wish, TUNED_PID]
             after, before = run.median("angle_rmse"), base.median("angle_rmse")
-            holds = holds and run.lost == 0 and after <= before
-            lost = f"{run.lost} of {tracking.seeds} seeds lost" if run.lost else f"RMSE {after / deg:.3g} deg"
+            holds = holds and run.unstable == 0 and after <= before
+            lost = f"{run.unstable} of {tracking.seeds} seeds lost" if run.unstable else f"RMSE {after / deg:.3g} deg"
             parts.append(f"{setting.name}, {wish.value}: {lost} (PID {before / deg:.3f} deg)")
     return Claim(
         "BP can be put on any PID (tuned gains, free to move by a factor of 2)",
@@ -196,10 +204,10 @@ def _coupled(tracking: Tracking) -> Claim:
 
 
 def _range(joint: dict[str, JointMap]) -> Claim:
-    printed = joint[SETTINGS[0].key].holdable
+    printed = joint[SETTINGS[0].key].static_range
     parts = []
     for setting in SETTINGS:
-        low, high = joint[setting.key].holdable
+        low, high = joint[setting.key].static_range
         parts.append(f"{setting.name}: {low / deg:.1f}..{high / deg:.1f} deg")
     return Claim(
         "The knee's rotating range is 55 deg (Table 2 as printed, no stretch structure)",

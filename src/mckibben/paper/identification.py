@@ -15,7 +15,7 @@ from mckibben.identification import Fit, Validation, identify, validate
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ChouLaw, ExponentialLaw, ForceLaw, Muscle
 from mckibben.numerics.compiled import compiled
-from mckibben.paper.settings import SETTINGS, Setting, Wish, pid_scenario
+from mckibben.paper.settings import SETTINGS, Setting, StiffnessReference, pid_scenario
 from mckibben.plant import JointPlant
 from mckibben.rig import IsobaricProtocol, VirtualRig, away_from_turns
 from mckibben.units import bar, deg
@@ -29,7 +29,7 @@ RIG, MARTENS, FESTO = "virtual-rig", "dmsp-10-250-martens2017", "festo-tool-10mm
 
 
 @dataclass(frozen=True)
-class RigTest:
+class VirtualRigTest:
     """The isobaric test of the paper on the virtual rig.
 
     Attributes
@@ -78,7 +78,7 @@ class Identification:
         diameter fitted, and Eq. 3 as published.
     """
 
-    rig: RigTest
+    rig: VirtualRigTest
     data: dict[str, IsobaricDataset]
     fits: dict[str, Fit]
     retested: Validation
@@ -147,7 +147,7 @@ def direction_gap(data: IsobaricDataset) -> tuple[float, float]:
     return float(np.mean(gaps)), float(taut.force.max())
 
 
-def _test(repeats: int) -> RigTest:
+def _test(repeats: int) -> VirtualRigTest:
     law: ForceLaw = catalog.law("lei-mas-10-180n")
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), law)
     rig, protocol = VirtualRig(muscle), IsobaricProtocol(repeats=repeats)
@@ -155,7 +155,7 @@ def _test(repeats: int) -> RigTest:
     test = raw.plateau_means()
     retest = rig.run(IsobaricProtocol(pressures=TEST_PRESSURES, repeats=1), seed=2).plateau_means()
     samples = raw.table["force_samples"].size
-    return RigTest(muscle, rig, protocol, test, away_from_turns(test), retest, samples)
+    return VirtualRigTest(muscle, rig, protocol, test, away_from_turns(test), retest, samples)
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def _map(setting: Setting, resolution: int) -> JointMap:
     lowest, highest = _attainable(plant.joint, angles, holding)
     lowest_at, highest_at = _attainable(plant.joint, angles[None, :], torques[:, None])
     maps = (np.asarray(x) for x in (angles, lowest, highest, torques, lowest_at, highest_at, holding))
-    return JointMap(*maps, holdable=_holdable(plant, np.asarray(angles), np.isnan(np.asarray(lowest))))
+    return JointMap(*maps, static_range=_holdable(plant, np.asarray(angles), np.isnan(np.asarray(lowest))))
 
 
 def _holdable(plant: JointPlant, angles: NDArray[np.float64], lost: NDArray[np.bool_]) -> tuple[float, float]:
@@ -234,4 +234,4 @@ def _attainable(joint: AntagonisticJoint, angle: Array, torque: Array) -> tuple[
 
 def plant_of(setting: Setting) -> JointPlant:
     """The plant of a setting."""
-    return pid_scenario(setting, Wish.CONSTANT).plant()
+    return pid_scenario(setting, StiffnessReference.CONSTANT).plant()

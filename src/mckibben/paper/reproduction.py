@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from mckibben.identification import Validation
-from mckibben.paper.claims import Claim, judge
+from mckibben.paper.claims import Claim, evaluate_claims
 from mckibben.paper.identification import Identification, JointMap, run_identification, run_joint
-from mckibben.paper.settings import SETTINGS, Wish
-from mckibben.paper.tracking import Run, Tracking, run_tracking
+from mckibben.paper.settings import SETTINGS, StiffnessReference
+from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
 from mckibben.study.reporting import METRICS, fit_numbers, plain, write_json
 from mckibben.units import bar, deg, factor
 
@@ -89,10 +89,10 @@ class Reproduction:
         write_json(folder / "results.json", self.results())
 
 
-def file_stem(key: str, wish: Wish, controller: str) -> str:
+def file_stem(key: str, wish: StiffnessReference, controller: str) -> str:
     """What the files of a run are called.
 
-    >>> file_stem("as_printed", Wish.STEP, "BP on tuned gains, free")
+    >>> file_stem("as_printed", StiffnessReference.STEP, "BP on tuned gains, free")
     'as-printed-step-bp-on-tuned-gains-free'
     """
     return "-".join((key, wish.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
@@ -135,7 +135,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
         )
         identification, joint = muscle.result(), knee.result()
     report("claims", 0.95)
-    claims = judge(identification, joint, tracking)
+    claims = evaluate_claims(identification, joint, tracking)
     return Reproduction(identification, joint, tracking, claims, quick, time.perf_counter() - start)
 
 
@@ -176,10 +176,10 @@ def _errors(validation: Validation) -> dict[str, dict[str, float]]:
 
 def _joint(found: JointMap) -> dict[str, Any]:
     low, high = found.at(0.0)
-    first, last = found.holdable
+    first, last = found.static_range
     return {
         "attainable_stiffness_at_0_deg": [low, high],
-        "holdable_angles_deg": [first / deg, last / deg],
+        "static_range_deg": [first / deg, last / deg],
     }
 
 
@@ -190,11 +190,11 @@ def _tracking(found: Tracking) -> dict[str, Any]:
     return table
 
 
-def _run(run: Run) -> dict[str, Any]:
+def _run(run: ControllerRun) -> dict[str, Any]:
     found: dict[str, Any] = {name: run.median(metric) / unit for name, (metric, _, unit) in METRICS.items()}
     if run.seeds is not None:
         found["worst"] = {name: run.worst(metric) / unit for name, (metric, _, unit) in METRICS.items()}
-        found["lost"] = run.lost
+        found["unstable"] = run.unstable
     return found | {"outcome": run.result.describe()}
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from mckibben.study.scenario import Scenario
 
 
-class Wish(enum.Enum):
+class StiffnessReference(enum.Enum):
     """The two kinds of desired stiffness in Figs. 7 and 8."""
 
     CONSTANT = "constant"
@@ -114,7 +114,9 @@ FREE, BOUND = 2.0, 1.1
 where the loop loses its stability."""
 
 
-def pid_scenario(setting: Setting, wish: Wish, gains: Gains | None = None, *, name: str = "PID") -> Scenario:
+def pid_scenario(
+    setting: Setting, wish: StiffnessReference, gains: Gains | None = None, *, name: str = "PID"
+) -> Scenario:
     """The scenario of a run under PID, with the moderate gains unless others are given."""
     gains = gains or setting.moderate
     return _scenario(setting, wish, name, f"{{pid: {{{gains.position}}}}}", f"{{pid: {{{gains.stiffness}}}}}")
@@ -122,7 +124,7 @@ def pid_scenario(setting: Setting, wish: Wish, gains: Gains | None = None, *, na
 
 def bp_scenario(
     setting: Setting,
-    wish: Wish,
+    wish: StiffnessReference,
     gains: Gains | None = None,
     *,
     gain_ratio: float = FREE,
@@ -143,10 +145,10 @@ def bp_scenario(
     return _scenario(setting, wish, name, position, stiffness)
 
 
-def _scenario(setting: Setting, wish: Wish, name: str, position: str, stiffness: str) -> Scenario:
+def _scenario(setting: Setting, wish: StiffnessReference, name: str, position: str, stiffness: str) -> Scenario:
     wanted = (
         f"{{constant: {setting.constant}}}"
-        if wish is Wish.CONSTANT
+        if wish is StiffnessReference.CONSTANT
         else f"{{step: {{before: {setting.before}, after: {setting.after}, at: {STEP_TIME}}}}}"
     )
     return Scenario.parse(

@@ -12,7 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from mckibben.control import Setpoint
-from mckibben.paper.settings import BOUND, FREE, SETTINGS, Setting, Wish, bp_scenario, gains_of, pid_scenario
+from mckibben.paper.settings import (
+    BOUND,
+    FREE,
+    SETTINGS,
+    Setting,
+    StiffnessReference,
+    bp_scenario,
+    gains_of,
+    pid_scenario,
+)
 from mckibben.simulation import (
     SETTLING_PART,
     Metrics,
@@ -34,7 +43,7 @@ CONTROLLERS = (PID, BP, TUNED_PID, TUNED_BP, FREE_TUNED_BP)
 
 
 @dataclass(frozen=True)
-class Run:
+class ControllerRun:
     """One controller on one wish in one geometry.
 
     Attributes
@@ -109,7 +118,7 @@ class Tracking:
         How many seeds BP was run with.
     """
 
-    runs: dict[tuple[str, Wish, str], Run]
+    runs: dict[tuple[str, StiffnessReference, str], ControllerRun]
     tuned: dict[str, Tuned]
     coupling: dict[str, Coupling]
     seeds: int
@@ -145,23 +154,25 @@ def run_tracking(
         runs |= _tuned_runs(setting, tuned[setting.key], seeds)
         if progress:
             progress(0.7 + 0.3 * (i + 1) / len(SETTINGS))
-    coupling = {setting.key: _coupling(setting, runs[setting.key, Wish.STEP, PID]) for setting in SETTINGS}
+    coupling = {
+        setting.key: _coupling(setting, runs[setting.key, StiffnessReference.STEP, PID]) for setting in SETTINGS
+    }
     return Tracking(runs, tuned, coupling, seeds)
 
 
-def _moderate_runs(seeds: int) -> dict[tuple[str, Wish, str], Run]:
-    runs: dict[tuple[str, Wish, str], Run] = {}
+def _moderate_runs(seeds: int) -> dict[tuple[str, StiffnessReference, str], ControllerRun]:
+    runs: dict[tuple[str, StiffnessReference, str], ControllerRun] = {}
     for setting in SETTINGS:
-        for wish in Wish:
+        for wish in StiffnessReference:
             runs[setting.key, wish, PID] = _run_pid(pid_scenario(setting, wish, name=PID))
             runs[setting.key, wish, BP] = _run_bp(bp_scenario(setting, wish, gain_ratio=FREE, name=BP), seeds)
     return runs
 
 
-def _tuned_runs(setting: Setting, tuned: Tuned, seeds: int) -> dict[tuple[str, Wish, str], Run]:
+def _tuned_runs(setting: Setting, tuned: Tuned, seeds: int) -> dict[tuple[str, StiffnessReference, str], ControllerRun]:
     gains = gains_of(tuned.scenarios[0])
-    runs: dict[tuple[str, Wish, str], Run] = {}
-    for wish in Wish:
+    runs: dict[tuple[str, StiffnessReference, str], ControllerRun] = {}
+    for wish in StiffnessReference:
         runs[setting.key, wish, TUNED_PID] = _run_pid(pid_scenario(setting, wish, gains, name=TUNED_PID))
         for name, ratio in ((TUNED_BP, BOUND), (FREE_TUNED_BP, FREE)):
             scenario = bp_scenario(setting, wish, gains, gain_ratio=ratio, name=name)
@@ -170,7 +181,7 @@ def _tuned_runs(setting: Setting, tuned: Tuned, seeds: int) -> dict[tuple[str, W
 
 
 def _tune(setting: Setting, generations: int, population: int, progress: Callable[[float], None]) -> Tuned:
-    scenarios = [pid_scenario(setting, wish) for wish in Wish]
+    scenarios = [pid_scenario(setting, wish) for wish in StiffnessReference]
     scales = {
         "angle_rmse": quantity(setting.angle_scale, "rad") / 10,
         "stiffness_rmse": quantity(setting.stiffness_scale, "N*m/rad") / 10,
@@ -186,11 +197,11 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
     )
 
 
-def _run_pid(scenario: Scenario) -> Run:
-    return Run(scenario, run_scenario(scenario).result, None)
+def _run_pid(scenario: Scenario) -> ControllerRun:
+    return ControllerRun(scenario, run_scenario(scenario).result, None)
 
 
-def _run_bp(scenario: Scenario, seeds: int) -> Run:
+def _run_bp(scenario: Scenario, seeds: int) -> ControllerRun:
     plant = scenario.plant()
     _, wishes = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     control, initial = scenario.control(), scenario.initial(plant)
@@ -202,12 +213,14 @@ def _run_bp(scenario: Scenario, seeds: int) -> Run:
 
     # One by one: the programs are those of the single run, and a batch would first have to be compiled.
     over_seeds = [measured(seed) for seed in range(seeds)]
-    return Run(scenario, run_scenario(scenario).result, jax.tree.map(lambda *each: jnp.stack(each), *over_seeds))
+    return ControllerRun(
+        scenario, run_scenario(scenario).result, jax.tree.map(lambda *each: jnp.stack(each), *over_seeds)
+    )
 
 
-def _coupling(setting: Setting, stepping: Run) -> Coupling:
+def _coupling(setting: Setting, stepping: ControllerRun) -> Coupling:
     """From the run with the step, and two more with the constant wish: the angle moving, and held."""
-    scenario = pid_scenario(setting, Wish.CONSTANT)
+    scenario = pid_scenario(setting, StiffnessReference.CONSTANT)
     plant = scenario.plant()
     _, moving = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     held = moving._replace(angle=jnp.zeros_like(moving.angle))

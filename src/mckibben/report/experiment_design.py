@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
-from mckibben.experiment_design import Plan, PlannedPoint
+from mckibben.experiment_design import ExperimentPlan, PlannedPoint
 from mckibben.report.style import BLUE, DOUBLE, LOADING, UNLOADING, blank, letter, styled
 from mckibben.units import bar, percent
 
@@ -24,7 +24,7 @@ _WIDEST = 300.0  # from the palest to the darkest shade
 
 
 @styled
-def planned(found: Plan) -> Figure:
+def planned(found: ExperimentPlan) -> Figure:
     """Contraction and pressure, shaded by the standard error of the law's force: now on the left, after on the right.
 
     Grey is where the points do not determine it, white where nothing can be measured. The points at hand are drawn on
@@ -55,7 +55,7 @@ def planned(found: Plan) -> Figure:
     return figure
 
 
-def _scale(found: Plan) -> LogNorm:
+def _scale(found: ExperimentPlan) -> LogNorm:
     both = np.concatenate([found.map.now.ravel(), found.map.after.ravel()])
     both = both[np.isfinite(both)]
     low = float(both.min()) if both.size else 1.0
@@ -72,7 +72,9 @@ def _colours() -> ListedColormap:
     return shades
 
 
-def _shade(axes: Axes, found: Plan, errors: NDArray[np.float64], scale: LogNorm, colours: ListedColormap) -> None:
+def _shade(
+    axes: Axes, found: ExperimentPlan, errors: NDArray[np.float64], scale: LogNorm, colours: ListedColormap
+) -> None:
     x, y = found.map.states.contractions / percent, found.map.states.pressures / bar
     axes.pcolormesh(
         _edges(x), _edges(y), np.ma.masked_where(~np.isinf(errors), np.ones_like(errors)),
@@ -90,7 +92,7 @@ def _edges(centres: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.append(centres - step / 2, centres[-1] + step / 2)
 
 
-def _at_hand(axes: Axes, found: Plan) -> list[Line2D]:
+def _at_hand(axes: Axes, found: ExperimentPlan) -> list[Line2D]:
     points = found.measured.taut
     known = points.table["direction"].to_numpy() if "direction" in points.table else np.full(len(points), "")
     handles = []
@@ -104,7 +106,7 @@ def _at_hand(axes: Axes, found: Plan) -> list[Line2D]:
     return handles
 
 
-def _to_come(axes: Axes, found: Plan) -> list[Line2D]:
+def _to_come(axes: Axes, found: ExperimentPlan) -> list[Line2D]:
     """The planned points; those that are close together are numbered together, beside the rightmost of them."""
     used: dict[str, Line2D] = {}
     bunches: list[list[int]] = []
@@ -143,7 +145,7 @@ def _close(one: PlannedPoint, other: PlannedPoint) -> bool:
     return bool(np.hypot(*apart) <= 1)
 
 
-def _aims(left: Axes, right: Axes, found: Plan) -> list[Line2D]:
+def _aims(left: Axes, right: Axes, found: ExperimentPlan) -> list[Line2D]:
     """Where the muscles are whose joint is asked about, or the region whose force is."""
     states = found.target_states
     if not len(states):

@@ -11,8 +11,8 @@ from mckibben.control import BackpropPID
 from mckibben.muscle import ChouLaw
 from mckibben.paper import Reproduction
 from mckibben.paper.identification import CHOU, EXPERIMENTAL, RIG
-from mckibben.paper.settings import FREE, SETTINGS, Setting, Wish
-from mckibben.paper.tracking import BP, PID, TUNED_BP, Run
+from mckibben.paper.settings import FREE, SETTINGS, Setting, StiffnessReference
+from mckibben.paper.tracking import BP, PID, TUNED_BP, ControllerRun
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.tables import SECTIONS, name_of
@@ -106,7 +106,9 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
 def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
     maps = {setting.name: reproduction.joint[setting.key] for setting in SETTINGS}
     wishes = {
-        setting.name: {wish.value: reproduction.tracking.runs[setting.key, wish, PID].result for wish in Wish}
+        setting.name: {
+            wish.value: reproduction.tracking.runs[setting.key, wish, PID].result for wish in StiffnessReference
+        }
         for setting in SETTINGS
     }
     yield ReportFigure(
@@ -138,7 +140,7 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
     panels = {
         f"{name}, {wish.value} stiffness": (name, runs[setting.key, wish, name].result)
         for name in (PID, BP)
-        for wish in Wish
+        for wish in StiffnessReference
     }
     step = f"{setting.before} to {setting.after}".replace(" N*m/rad to", " to").replace("N*m/rad", "N·m/rad")
     constant = setting.constant.replace("N*m/rad", "N·m/rad")
@@ -154,9 +156,13 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
         control_results(panels),
     )
     columns = {
-        f"{wish.value} stiffness": {name: runs[setting.key, wish, name].result for name in (PID, BP)} for wish in Wish
+        f"{wish.value} stiffness": {name: runs[setting.key, wish, name].result for name in (PID, BP)}
+        for wish in StiffnessReference
     }
-    rmse = {name: runs[setting.key, Wish.CONSTANT, name].result.metrics()["angle_rmse"] / deg for name in (PID, BP)}
+    rmse = {
+        name: runs[setting.key, StiffnessReference.CONSTANT, name].result.metrics()["angle_rmse"] / deg
+        for name in (PID, BP)
+    }
     yield ReportFigure(
         f"fig8-errors-{key}",
         "tracking",
@@ -173,9 +179,9 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
 
 def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
     runs, seeds = reproduction.tracking.runs, reproduction.tracking.seeds
-    found: dict[str, dict[str, dict[str, Run]]] = {}
+    found: dict[str, dict[str, dict[str, ControllerRun]]] = {}
     for setting in SETTINGS:
-        for wish in Wish:
+        for wish in StiffnessReference:
             found.setdefault(setting.name, {})[wish.value] = {
                 name: run for (key, w, name), run in runs.items() if key == setting.key and w is wish
             }
@@ -192,7 +198,7 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
     histories = {}
     for setting in SETTINGS:
         for name in (BP, TUNED_BP):
-            run = runs[setting.key, Wish.STEP, name]
+            run = runs[setting.key, StiffnessReference.STEP, name]
             histories[f"{setting.name},\n{name}"] = (run.result, gain_ratio(run))
     yield ReportFigure(
         "bp-gains",
@@ -206,7 +212,7 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
     )
 
 
-def gain_ratio(run: Run) -> float:
+def gain_ratio(run: ControllerRun) -> float:
     """By what factor the position loop of a run under BP may move its gains."""
     spec = run.scenario.controller.position
     assert spec is not None  # the paper has two loops

@@ -14,7 +14,7 @@ import markupsafe
 
 from mckibben import catalog
 from mckibben.paper import Reproduction, file_stem
-from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, Wish
+from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, StiffnessReference
 from mckibben.paper.tracking import PID
 from mckibben.report import tables
 from mckibben.report.figures import ReportFigure, figures
@@ -119,7 +119,7 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
     """The page as text, with figures that are drawn already, by section."""
     results = reproduction.results()
     template = template_of("report.html.jinja")
-    example = reproduction.tracking.runs[PRE_CONTRACTED.key, Wish.STEP, PID].scenario
+    example = reproduction.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, PID].scenario
     return template.render(
         style=style_sheet(),
         results=results,

@@ -20,7 +20,7 @@ from mckibben.paper.settings import (
     SETTINGS,
     STEP_TIME,
     Setting,
-    Wish,
+    StiffnessReference,
 )
 from mckibben.paper.tracking import CONTROLLERS, PID
 from mckibben.plant import FirstOrderValve
@@ -66,7 +66,7 @@ def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
     printed, contracted = (plant_of(setting) for setting in SETTINGS)
     valve = printed.valve
     lag = f"{valve.time_constant / ms:g} ms" if isinstance(valve, FirstOrderValve) else "none"
-    first, last = (limit / deg for limit in reproduction.joint[AS_PRINTED.key].holdable)
+    first, last = (limit / deg for limit in reproduction.joint[AS_PRINTED.key].static_range)
     pressed = float(printed.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent
     short = float(contracted.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent
     gravity = float(printed.load.gravity_torque(0.0))
@@ -278,7 +278,7 @@ def joint_table(results: Mapping[str, Any]) -> Table:
     for setting in SETTINGS:
         found = results["joint"][setting.key]
         low, high = found["attainable_stiffness_at_0_deg"]
-        first, last = found["holdable_angles_deg"]
+        first, last = found["static_range_deg"]
         rows.append((setting.name, setting.connectors, number(low), number(high), number(first), number(last)))
     head = ("geometry", "connectors", "lowest stiffness at 0° [N·m/rad]", "highest at 0° [N·m/rad]",
             "held from [deg]", "to [deg]")  # fmt: skip
@@ -297,7 +297,7 @@ def tracking_tables(results: Mapping[str, Any]) -> list[Table]:
     tables = []
     for setting in SETTINGS:
         rows: list[tuple[str, ...]] = []
-        for wish in Wish:
+        for wish in StiffnessReference:
             rows.append((f"{wish.value} stiffness",))
             runs = results["tracking"][setting.key][wish.value]
             rows += [_tracking_row(name, runs[name], columns, results["seeds"]) for name in CONTROLLERS if name in runs]
@@ -324,7 +324,7 @@ def _tracking_row(name: str, run: Mapping[str, Any], columns: Mapping[str, str],
     return (
         name,
         *(cell(key) for key in columns.values()),
-        f"{run['lost']} of {seeds}" if "lost" in run else "no seeds",
+        f"{run['unstable']} of {seeds}" if "unstable" in run else "no seeds",
     )
 
 
@@ -344,7 +344,7 @@ def gains_table(reproduction: Reproduction, results: Mapping[str, Any]) -> Table
                 f"tuned, {tuned['evaluated']:,} sets of gains tried{bounds}",
             )
         )
-        moderate = reproduction.tracking.runs[setting.key, Wish.CONSTANT, PID].scenario.control()
+        moderate = reproduction.tracking.runs[setting.key, StiffnessReference.CONSTANT, PID].scenario.control()
         for loop, names in units.items():
             for gain, unit in zip(("kp", "ki", "kd"), names, strict=True):
                 scale = factor(unit)
@@ -361,7 +361,7 @@ def gains_table(reproduction: Reproduction, results: Mapping[str, Any]) -> Table
 
 def settings_table(reproduction: Reproduction) -> Table:
     """What the paper leaves open in its simulations, as it was set here."""
-    scenario = reproduction.tracking.runs[SETTINGS[0].key, Wish.STEP, PID].scenario
+    scenario = reproduction.tracking.runs[SETTINGS[0].key, StiffnessReference.STEP, PID].scenario
     rows = [
         ("connectors (Table 2 and ours)", *(s.connectors for s in SETTINGS)),
         ("desired angle", *(_sine(reproduction, s) for s in SETTINGS)),
@@ -400,6 +400,6 @@ def coupling_table(results: Mapping[str, Any]) -> Table:
 
 
 def _sine(reproduction: Reproduction, setting: Setting) -> str:
-    angle = reproduction.tracking.runs[setting.key, Wish.STEP, PID].scenario.reference().angle
+    angle = reproduction.tracking.runs[setting.key, StiffnessReference.STEP, PID].scenario.reference().angle
     assert isinstance(angle, Sine)
     return f"sine of {float(angle.amplitude) / deg:g} deg, {float(angle.frequency):g} Hz"
