@@ -1,4 +1,4 @@
-"""What the tests of the paper's study share: one reduced run of it."""
+"""One reduced reproduction for all tests of a worker."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def joint_maps():
 
 @pytest.fixture(scope="session")
 def reported():
-    """The progress that the tracking reported; filled when `tracking` has run."""
+    """Progress reported by `tracking`."""
     return []
 
 
 @pytest.fixture(scope="session")
 def tracking(reported):
-    return run_tracking(seeds=2, generations=2, progress=reported.append)
+    return run_tracking(seeds=2, generations=2, population=8, progress=reported.append)
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""The paper, end to end."""
+"""Reproduction of the paper, end to end."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Everything that the report shows, as numbers.
+    """All results of the reproduction.
 
     Attributes
     ----------
     identification, joint, tracking
-        The three parts.
+        Results of the three parts.
     claims
-        The paper's claims with verdicts.
+        Claims with verdicts.
     quick
-        Whether it was the quick form: fewer repeats, seeds and generations.
+        Whether with fewer repeats, seeds and generations.
     seconds
-        How long it took.
+        Duration [s].
     """
 
     identification: Identification
@@ -46,7 +46,7 @@ class Reproduction:
     seconds: float
 
     def results(self) -> dict[str, Any]:
-        """Every number of the report, ready for JSON; a number that does not exist is None."""
+        """All numbers as plain data for JSON; NaN as None."""
         return plain(
             {
                 "mckibben": version("mckibben"),
@@ -75,38 +75,38 @@ class Reproduction:
         )
 
     def save(self, folder: Path) -> None:
-        """Keep the numbers: results.json, fits, datasets, scenarios and trajectories."""
+        """Write results.json, fits, datasets, scenarios and trajectories."""
         for name in ("fits", "data", "scenarios", "trajectories"):
             (folder / name).mkdir(parents=True, exist_ok=True)
         for name, fit in self.identification.fits.items():
             fit.to_yaml(folder / "fits" / f"{name}.yaml")
         self.identification.rig.test.to_netcdf(folder / "data" / "virtual-rig-test.nc")
         self.identification.rig.retest.to_netcdf(folder / "data" / "virtual-rig-retest.nc")
-        for (key, wish, controller), run in self.tracking.runs.items():
-            name = file_stem(key, wish, controller)
+        for (key, reference, controller), run in self.tracking.runs.items():
+            name = file_stem(key, reference, controller)
             run.scenario.to_yaml(folder / "scenarios" / f"{name}.yaml")
             run.result.to_netcdf(folder / "trajectories" / f"{name}.nc")
         write_json(folder / "results.json", self.results())
 
 
-def file_stem(key: str, wish: StiffnessReference, controller: str) -> str:
-    """What the files of a run are called.
+def file_stem(key: str, reference: StiffnessReference, controller: str) -> str:
+    """File name of a run.
 
     >>> file_stem("as_printed", StiffnessReference.STEP, "BP on tuned gains, free")
     'as-printed-step-bp-on-tuned-gains-free'
     """
-    return "-".join((key, wish.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
+    return "-".join((key, reference.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
 
 
 def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Reproduction:
-    """Run the paper: test, identify, validate, the joint, and the control of position and stiffness.
+    """Reproduce the paper: test, identification, validation, joint, and control of position and stiffness.
 
     Parameters
     ----------
     quick
         Two repeats of the test instead of five, 5 seeds of BP instead of 20, and a shorter tuning.
     progress
-        Called with what is being done and the part that is done, 0 to 1.
+        Called with the present task and the fraction done, 0 to 1.
     """
     start = time.perf_counter()
 
@@ -114,8 +114,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
         if progress:
             progress(what, part)
 
-    # The muscle's half does not wait for the knee's: much of both is compilation, which leaves the other cores idle.
-    with ThreadPoolExecutor(max_workers=1) as beside:
+    with ThreadPoolExecutor(max_workers=1) as beside:  # most of both is compilation, which uses one core each
         muscle = beside.submit(run_identification, repeats=2 if quick else 5)
         knee = beside.submit(run_joint)
         what = "isobaric test and identification; control of position and stiffness"
@@ -125,7 +124,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
             report(what, 0.95 * part)
             for other in (muscle, knee):
                 if other.done():
-                    other.result()  # an error there ends the run here and now
+                    other.result()  # raises its error
 
         tracking = run_tracking(
             seeds=5 if quick else 20,
@@ -165,7 +164,7 @@ def _validation(found: Identification) -> dict[str, Any]:
 
 
 def _errors(validation: Validation) -> dict[str, dict[str, float]]:
-    """RMSE of each law: over all points, by direction, by pressure, and by both."""
+    """RMSE of each law over all points, by direction, by pressure, and by both."""
     table: dict[str, dict[str, float]] = {}
     for errors in validation.errors:
         place = [] if errors.pressure is None else [f"{errors.pressure / bar:g} bar"]
@@ -185,8 +184,8 @@ def _joint(found: JointMap) -> dict[str, Any]:
 
 def _tracking(found: Tracking) -> dict[str, Any]:
     table: dict[str, Any] = {}
-    for (key, wish, controller), run in found.runs.items():
-        table.setdefault(key, {}).setdefault(wish.value, {})[controller] = _run(run)
+    for (key, reference, controller), run in found.runs.items():
+        table.setdefault(key, {}).setdefault(reference.value, {})[controller] = _run(run)
     return table
 
 

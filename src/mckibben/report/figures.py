@@ -167,7 +167,8 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
         f"fig8-errors-{key}",
         "tracking",
         f"Fig. 8: errors, geometry {setting.name}",
-        f"Actual minus desired. In (a) the angle error is {rmse[PID]:.2f}° RMS under PID and {rmse[BP]:.2f}° under BP. "
+        f"Actual minus desired. In (a) the angle error is {rmse[PID]:.2f}° RMS under PID and {rmse[BP]:.2f}° under BP "
+        "(first seed; tables have the median over seeds). "
         "The last row zooms in on the stiffness after its wish was set or changed; grey is the settling band, and "
         "dotted lines mark when each controller has entered it for good. A peak that is only the jump of the wish is "
         "cut off, and said so.",

@@ -67,7 +67,7 @@ def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
     valve = printed.valve
     lag = f"{valve.time_constant / ms:g} ms" if isinstance(valve, FirstOrderValve) else "none"
     first, last = (limit / deg for limit in reproduction.joint[AS_PRINTED.key].static_range)
-    pressed = float(printed.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent
+    pressed = round(float(printed.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent, 6) + 0.0
     short = float(contracted.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent
     gravity = float(printed.load.gravity_torque(0.0))
     hanging = float(printed.load.hanging_angle) / deg
