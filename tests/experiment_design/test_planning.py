@@ -10,7 +10,14 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError, ParameterError, RangeError
-from mckibben.experiment_design import Coefficients, Force, JointStiffness, JointTorque, parse_quantity, plan
+from mckibben.experiment_design import (
+    Coefficients,
+    Force,
+    JointStiffness,
+    JointTorque,
+    parse_quantity_of_interest,
+    plan,
+)
 from mckibben.experiment_design.candidates import DesignRegion, StateGrid
 from mckibben.experiment_design.information import (
     DesignCriterion,
@@ -336,12 +343,12 @@ def test_quantities_are_read_from_text_and_print_back(as_printed):
         ("torque at 5 deg, 2 bar", JointTorque(as_printed, 5 * deg, (2 * bar, 2 * bar))),
         ("stiffness at 0.1 rad, 2 bar, 4 bar", JointStiffness(as_printed, 0.1, (2 * bar, 4 * bar))),
     ):
-        assert str(parse_quantity(text, ExponentialLaw, lambda: as_printed)) == str(same)
-    several = parse_quantity("stiffness at -4..4 deg, 3 bar", ExponentialLaw, lambda: as_printed)
+        assert str(parse_quantity_of_interest(text, ExponentialLaw, lambda: as_printed)) == str(same)
+    several = parse_quantity_of_interest("stiffness at -4..4 deg, 3 bar", ExponentialLaw, lambda: as_printed)
     assert np.asarray(several.angle) / deg == pytest.approx([-4, -2, 0, 2, 4])
     assert str(several) == "stiffness at -4..4 deg, 3 bar, 3 bar"
     with pytest.raises(ParameterError, match="has braid_angle"):
-        parse_quantity("decay", ChouLaw, lambda: as_printed)
+        parse_quantity_of_interest("decay", ChouLaw, lambda: as_printed)
 
 
 def test_states_are_multiples_of_the_steps(law):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mckibben.cli.options import Json, Out, quantity_of, quantity_or_none, said, table
+from mckibben.cli.options import Json, Out, notify, parse_optional_quantity, parse_quantity, table
 from mckibben.errors import ParameterError
 from mckibben.storage.files import folder
 
@@ -47,10 +47,10 @@ def envelope(
     """Show the static envelope, whether the reference is trackable, and the nearest that is; or size the joint."""
     if out:
         folder(out)
-    fraction = quantity_of("--margin", margin, "1")
-    width = quantity_or_none("--smoothing", smoothing, "s")
-    reserve = quantity_of("--torque-reserve", torque_reserve, "N*m")
-    tension = quantity_of("--minimum-tension", minimum_tension, "N")
+    fraction = parse_quantity("--margin", margin, "1")
+    width = parse_optional_quantity("--smoothing", smoothing, "s")
+    reserve = parse_quantity("--torque-reserve", torque_reserve, "N*m")
+    tension = parse_quantity("--minimum-tension", minimum_tension, "N")
     if design is None and (vary or reserve or tension):
         raise ParameterError(
             "--vary, --torque-reserve and --minimum-tension are for a design",
@@ -96,7 +96,7 @@ def _show(found: Envelope, json: bool, out: Path | None) -> None:
             names += save_reference(found.scenario, near, out, f"nearest-{near.preserved.name.lower()}")
         write_json(out / "results.json", numbers)
         save(draw(found), out, "envelope")
-        said(f"kept {', '.join(names)} and envelope.png and .svg in {out}", json)
+        notify(f"kept {', '.join(names)} and envelope.png and .svg in {out}", json)
 
 
 def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None) -> None:
@@ -127,4 +127,4 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
         write_json(out / "results.json", numbers)
         about = sum(found.target.angles) / 2
         save(draw(found, static_envelope(scenario.plant(), about=about)), out, "design")
-        said(f"kept {', '.join(names)} and design.png and .svg in {out}", json)
+        notify(f"kept {', '.join(names)} and design.png and .svg in {out}", json)

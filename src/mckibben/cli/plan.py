@@ -13,10 +13,10 @@ from mckibben.cli.options import (
     Json,
     Out,
     SlackForce,
-    measured,
-    quantity_of,
-    quantity_or_none,
-    said,
+    notify,
+    parse_optional_quantity,
+    parse_quantity,
+    read_data,
     table,
 )
 from mckibben.errors import ParameterError, UnitError
@@ -94,16 +94,16 @@ def plan(
             f"{directions!r} is not a direction", value=directions, remedy=f"choose of {', '.join(_DIRECTIONS)}"
         )
     from mckibben import catalog
-    from mckibben.experiment_design import parse_quantity
+    from mckibben.experiment_design import parse_quantity_of_interest
     from mckibben.experiment_design import plan as run
     from mckibben.study.inputs import joint_named, law_named, law_type_named
     from mckibben.study.reporting import to_json, write_json
 
     law_type = law_type_named(law)
     known = catalog.specimen(specimen) if specimen else None
-    quantity = parse_quantity(of, law_type, lambda: joint_named(joint))
+    quantity = parse_quantity_of_interest(of, law_type, lambda: joint_named(joint))
     initial = law_named(guess, specimen=specimen) if guess else None
-    read = measured(data, column, initial_length, slack_force)
+    read = read_data(data, column, initial_length, slack_force)
     in_catalog = read.table.attrs["specimen"] in catalog.names("specimens")
     muscle = known or (catalog.specimen(read.table.attrs["specimen"]) if in_catalog else None)
     length = read.table.attrs.get("initial_length") or (float(muscle.initial_length) if muscle else None)
@@ -115,12 +115,12 @@ def plan(
         limits=_limits(contraction, pressure, muscle),
         specimen=known,
         contraction_step=_contraction_step(contraction_step, length),
-        pressure_step=quantity_of("--pressure-step", pressure_step, "Pa"),
+        pressure_step=parse_quantity("--pressure-step", pressure_step, "Pa"),
         directions=_DIRECTIONS[directions],
         repeats=repeats,
         friction=friction,
-        noise=quantity_or_none("--noise", noise, "N"),
-        stroke_error=quantity_or_none("--stroke-error", stroke_error, "N"),
+        noise=parse_optional_quantity("--noise", noise, "N"),
+        stroke_error=parse_optional_quantity("--stroke-error", stroke_error, "N"),
         guess=initial,
     )
     numbers = found.records()
@@ -135,7 +135,7 @@ def plan(
         found.to_csv(out / "plan.csv")
         write_json(out / "results.json", numbers)
         save(planned(found), out, "plan")
-        said(f"kept plan.csv, results.json and plan.png and .svg in {out}", json)
+        notify(f"kept plan.csv, results.json and plan.png and .svg in {out}", json)
 
 
 def _show(found: ExperimentPlan, specimen: str) -> None:
@@ -183,7 +183,7 @@ def _contraction_step(text: str, length: float | None) -> float | None:
     try:
         return quantity(text, "1")
     except UnitError:
-        step = quantity_of("--contraction-step", text, "m")
+        step = parse_quantity("--contraction-step", text, "m")
     if length is None:
         raise ParameterError(
             f"--contraction-step {text!r} is a length, and the initial length of the muscle is unknown",

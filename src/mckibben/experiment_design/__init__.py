@@ -7,7 +7,7 @@ from mckibben.experiment_design.quantities import (
     JointStiffness,
     JointTorque,
     QuantityOfInterest,
-    parse_quantity,
+    parse_quantity_of_interest,
     parse_range,
 )
 from mckibben.experiment_design.result import ErrorMap, ExperimentPlan, PlannedPoint
@@ -21,7 +21,7 @@ __all__ = [
     "JointTorque",
     "PlannedPoint",
     "QuantityOfInterest",
-    "parse_quantity",
+    "parse_quantity_of_interest",
     "parse_range",
     "plan",
 ]

@@ -246,7 +246,9 @@ def _derivatives(
     return torque_and_stiffness(jnp.asarray(values)), gradients, joint.contractions(angle, (pressure1, pressure2))
 
 
-def parse_quantity(text: str, law_type: type[ForceLaw], joint: Callable[[], AntagonisticJoint]) -> QuantityOfInterest:
+def parse_quantity_of_interest(
+    text: str, law_type: type[ForceLaw], joint: Callable[[], AntagonisticJoint]
+) -> QuantityOfInterest:
     """Parse a quantity of interest.
 
     Parameters
@@ -273,7 +275,7 @@ def parse_quantity(text: str, law_type: type[ForceLaw], joint: Callable[[], Anta
     >>> from mckibben.muscle import ExponentialLaw
     >>> knee = lambda: catalog.joint("knee-table-2")
     >>> for words in ("decay", "force at 0..10 %, 3..6 bar", "stiffness at 5 deg, 2 bar, 4 bar"):
-    ...     print(parse_quantity(words, ExponentialLaw, knee))
+    ...     print(parse_quantity_of_interest(words, ExponentialLaw, knee))
     decay
     force at contraction 0..10 %, pressure 3..6 bar
     stiffness at 5 deg, 2 bar, 4 bar

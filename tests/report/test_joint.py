@@ -27,18 +27,18 @@ def drawn(axes, label):
     return next(line for line in axes.lines if line.get_label() == label)
 
 
-def test_reference_bands_and_nearest_references(scenario):
+def test_the_reference_the_band_and_the_nearest_references(scenario):
     found = envelope(scenario)
     figure = draw(found)
     torque, stiffness, over_time, angle = figure.axes[:4]
     motion = found.trackability.trajectory
-    wished = drawn(over_time, "wished")
-    np.testing.assert_allclose(wished.get_xdata(), motion.times)
-    np.testing.assert_allclose(drawn(angle, "wished").get_ydata(), motion.angle / deg)
+    reference = drawn(over_time, "reference")
+    np.testing.assert_allclose(reference.get_xdata(), motion.times)
+    np.testing.assert_allclose(drawn(angle, "reference").get_ydata(), motion.angle / deg)
     np.testing.assert_allclose(
-        drawn(torque, "torque of the motion wished").get_ydata(), found.trackability.bands.torque
+        drawn(torque, "torque of the reference motion").get_ydata(), found.trackability.bands.torque
     )
-    names = ("nearest, angle kept", "nearest, stiffness kept")
+    names = ("nearest, angle preserved", "nearest, stiffness preserved")
     for near, name in zip(found.nearest, names, strict=True):
         moved = near.trackability.trajectory
         np.testing.assert_allclose(drawn(over_time, name).get_ydata(), moved.stiffness)
@@ -47,7 +47,7 @@ def test_reference_bands_and_nearest_references(scenario):
     assert (band[:, 0].min(), band[:, 0].max()) == pytest.approx((-10.25, 10.25), abs=0.2)
     assert band[:, 1].min() == pytest.approx(np.nanmin(found.static.stiffness.lowest), abs=0.01)
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert {"wished", *names, "attainable, standing", "attainable, moving as wished"} <= set(labels)
+    assert {"reference", *names, "attainable, static", "attainable, reference motion"} <= set(labels)
 
 
 def test_a_design_before_and_after(scenario):
