@@ -5,6 +5,7 @@ import pytest
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import identify
+from mckibben.identification.reporting import fit_numbers
 from mckibben.muscle import ExponentialLaw
 from mckibben.paper.identification import (
     CHOU,
@@ -17,7 +18,6 @@ from mckibben.paper.identification import (
     TEST_PRESSURES,
     direction_gap,
 )
-from mckibben.study.reporting import fit_numbers
 from mckibben.units import deg
 
 EQ3 = {"a1": -245.8, "a2": 109.0, "b1": 3.216, "b2": -3.442, "c1": 255.6, "c2": -13.18, "decay": 0.3}

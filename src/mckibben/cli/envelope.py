@@ -72,7 +72,7 @@ def envelope(
 
 def _show(found: Envelope, json: bool, out: Path | None) -> None:
     from mckibben.reachability import HEADERS, save_reference
-    from mckibben.study.reporting import to_json, write_json
+    from mckibben.storage.files import to_json, write_json
     from mckibben.units import deg
 
     numbers, static = found.records(), found.static
@@ -101,7 +101,7 @@ def _show(found: Envelope, json: bool, out: Path | None) -> None:
 
 def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None) -> None:
     from mckibben.reachability import save_design, static_envelope
-    from mckibben.study.reporting import to_json, write_json
+    from mckibben.storage.files import to_json, write_json
     from mckibben.units import mm
 
     numbers = found.records()

@@ -96,8 +96,8 @@ def plan(
     from mckibben import catalog
     from mckibben.experiment_design import parse_quantity_of_interest
     from mckibben.experiment_design import plan as run
+    from mckibben.storage.files import to_json, write_json
     from mckibben.study.inputs import joint_named, law_named, law_type_named
-    from mckibben.study.reporting import to_json, write_json
 
     law_type = law_type_named(law)
     known = catalog.specimen(specimen) if specimen else None

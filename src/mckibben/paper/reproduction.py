@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from mckibben.identification import Validation
+from mckibben.identification.reporting import fit_numbers
 from mckibben.paper.claims import Claim, evaluate_claims
 from mckibben.paper.identification import Identification, JointMap, run_identification, run_joint
 from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
-from mckibben.study.reporting import METRICS, fit_numbers, plain, write_json
+from mckibben.simulation.metrics import METRICS
+from mckibben.storage.files import json_ready, write_json
 from mckibben.units import bar, deg, factor
 
 Progress = Callable[[str, float], None]
@@ -47,7 +49,7 @@ class Reproduction:
 
     def results(self) -> dict[str, Any]:
         """All numbers as plain data for JSON; NaN as None."""
-        return plain(
+        return json_ready(
             {
                 "mckibben": version("mckibben"),
                 "versions": {name: version(name) for name in ("jax", "numpy", "equinox")},
