@@ -166,7 +166,7 @@ def test_the_errors_now_are_those_of_the_fit_and_after_those_of_all_points_toget
     )
     assert found.points[-1].standard_error == found.error_after == pytest.approx(errors[4], rel=1e-5)
     there = np.argmin(abs(found.map.states.pressures - 4 * bar)), np.argmin(abs(found.map.states.contractions - 0.052))
-    band = fit.force_band(0.052, 4 * bar, by=Grouping.POINT).mean
+    band = fit.force_intervals(0.052, 4 * bar, by=Grouping.POINT).confidence
     assert float(band.standard_error) == pytest.approx(found.map.now[there], rel=1e-5)
     assert found.map.after[there] < found.map.now[there]
 
@@ -222,7 +222,7 @@ def test_where_strokes_err_as_a_whole_the_points_are_chosen_for_that(law):
     data = identify(ExponentialLaw, made(law, ["loading", "unloading"]))
     quantity, shared = Coefficients(("a2",)), 6.0
     blind, found = (plan(data, quantity, points=10, stroke_error=error) for error in (0.0, shared))
-    taut = data.known_evidence().points
+    taut = data.require_regression().points
 
     def brute(points):
         """The standard error of a2 with the whole covariance of all points, those at hand included."""
@@ -292,7 +292,7 @@ def test_what_cannot_be_planned(martens, fit, as_printed):
 
     assert "-12.8 % is outside -3..25 %" in fails(JointStiffness(as_printed, 50 * deg))
     assert "9 bar is outside 0..8 bar" in fails(JointStiffness(as_printed, 0.0, (9 * bar, 3 * bar)))
-    assert "both muscles are slack, or their errors cancel" in fails(
+    assert "both muscles slack, or their errors cancel" in fails(
         JointTorque(as_printed, 0.0, (3 * bar, 3 * bar)), error=IdentificationError
     )
     assert "nothing to gain" in fails(JointStiffness(as_printed, 0.0, (0.0, 0.0)), error=IdentificationError)

@@ -81,7 +81,7 @@ class StateGrid:
             )
         grid = contractions[None, :], pressures[:, None]
         force = forces(law, *grid)
-        valid = np.asarray(type(law).holds.contains(*grid))
+        valid = np.asarray(type(law).formula_domain.contains(*grid))
         with np.errstate(invalid="ignore"):
             allowed = np.isfinite(force) & valid & (force > region.force_min) & (force <= region.force_max)
         if not allowed.any():
@@ -197,10 +197,8 @@ def design_region(
 
 
 def _intersection(limits: Domain, specimen: Specimen) -> Domain:
-    both = limits.intersection(specimen.domain)
-    bounds = both.contraction_min, both.contraction_max, both.pressure_min, both.pressure_max
     try:
-        return Domain(*(float(x) for x in bounds))
+        return limits.intersection(specimen.domain)
     except RangeError:
         raise RangeError(
             f"the limits {limits} lie outside {specimen.domain} of {specimen.name}",

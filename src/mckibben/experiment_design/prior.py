@@ -13,7 +13,7 @@ from mckibben.errors import IdentificationError, ParameterError
 from mckibben.experiment_design.information import Floats, Indices, NoiseModel, estimate_noise
 from mckibben.identification import Fit, Grouping, identify
 from mckibben.identification.intervals import force_gradients
-from mckibben.identification.uncertainty import finest_recorded, group_labels
+from mckibben.identification.uncertainty import finest_grouping, group_labels
 from mckibben.muscle import Domain, ForceLaw, forces
 
 DIRECTION_SIGN = {"loading": 1.0, "unloading": -1.0}
@@ -130,7 +130,7 @@ class PriorData:
     ) -> PriorData:
         """Prior data from points or a fit; arguments as for `mckibben.experiment_design.plan`."""
         fit, reason = (data, "") if isinstance(data, Fit) else _fit(data, law_type)
-        measured = data.plateau_means() if isinstance(data, IsobaricDataset) else data.known_evidence().points
+        measured = data.plateau_means() if isinstance(data, IsobaricDataset) else data.require_regression().points
         points = measured.taut
         notes: list[str] = []
         residuals = np.zeros(len(points))
@@ -139,7 +139,7 @@ class PriorData:
             law, origin = initial_guess(law_type, points, guess)
             notes.append(f"no fit ({reason}): the plan is linearised about a guess, {origin}")
         else:
-            law, residuals = fit.law, fit.known_evidence().solution.residuals
+            law, residuals = fit.law, fit.require_regression().solution.residuals
         modelled = bool(len(points.directions)) if friction is None else friction
         signs = np.zeros(len(points))
         if "direction" in points.table:
@@ -149,9 +149,9 @@ class PriorData:
         rows = np.concatenate([rows, signs[:, None]], axis=1) if modelled else rows
         by, ungrouped = Grouping.POINT, "there is no fit"
         if fit is not None:
-            by, ungrouped = fit.known_evidence().rule
+            by, ungrouped = fit.require_regression().default_grouping
         if stroke_error is not None:
-            by = finest_recorded(points) if stroke_error else Grouping.POINT
+            by = finest_grouping(points) if stroke_error else Grouping.POINT
         strokes = group_labels(points, by) if len(points) else np.empty(0, np.int64)
         grouped = strokes if by is not Grouping.POINT else None
         components = _noise_model(rows, residuals, grouped, measured, noise, stroke_error)
@@ -170,7 +170,7 @@ def _fit(data: IsobaricDataset, law_type: type[ForceLaw] | None) -> tuple[Fit | 
     try:
         return identify(law_type, data), ""
     except IdentificationError as error:
-        return None, str(error).removesuffix(f"; {error.remedy}")
+        return None, error.message
 
 
 def _noise_model(

@@ -136,7 +136,7 @@ class Force(QuantityOfInterest):
             contraction, pressure = (axis.ravel() for axis in np.meshgrid(*sides))
             force = forces(law, contraction, pressure)
             with np.errstate(invalid="ignore"):
-                taut = (force > 0) & np.asarray(type(law).holds.contains(contraction, pressure))
+                taut = (force > 0) & np.asarray(type(law).formula_domain.contains(contraction, pressure))
             if not taut.any():
                 raise RangeError(
                     f"the law has no force anywhere in the region {box}",

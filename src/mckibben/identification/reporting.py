@@ -117,7 +117,7 @@ class UncertaintyReport:
                 error = refits.standard_errors[name] / factor(unit)
                 values = f"standard error {error:.2g}, {share} {low:.5g} .. {high:.5g} {unit}"
                 lines.append(f"  {name}: {'at its bound' if np.isnan(error) else values}")
-            lines += [f"warning: {doubt}" for doubt in refits.doubts]
+            lines += [f"warning: {doubt}" for doubt in refits.warnings]
         return "\n".join(lines)
 
     def records(self) -> dict[str, Any]:
@@ -147,7 +147,7 @@ class UncertaintyReport:
                 "blocks": refits.blocks,
                 "refits": len(refits.draws),
                 "drawn_again": refits.failed,
-                "doubts": list(refits.doubts),
+                "doubts": list(refits.warnings),
                 "standard_errors": _scaled(fit, refits.standard_errors),
                 "intervals": _intervals(fit, refits.intervals(self.level)),
             }

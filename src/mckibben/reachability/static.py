@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.joint.attainable import is_affine, segment_of
+from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
@@ -187,11 +187,11 @@ def _static_states(plant: JointPlant, angle: ArrayLike, points: ArrayLike) -> tu
     angle, points = floating(angle), floating(points)
     torque = -plant.load.gravity_torque(angle)
     limits = plant.joint.attainable_torque(angle)
-    segment = segment_of(plant.joint, angle, torque, None, 0.0)
+    segment = cocontraction_segment(plant.joint, angle, torque, None, 0.0)
     pressures, stiffness = segment.at(points[:, None])
     _, arms = plant.joint.geometry.paths_and_arms(angle)
     able = (arms[0] > 0) & (arms[1] > 0)
-    stiffness = jnp.where(able & segment.holdable, stiffness, jnp.nan)
+    stiffness = jnp.where(able & segment.feasible, stiffness, jnp.nan)
     return torque, *(jnp.where(able, limit, jnp.nan) for limit in limits), stiffness, *pressures
 
 

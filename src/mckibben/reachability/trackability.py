@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.control import Reference, Step
 from mckibben.errors import RangeError
-from mckibben.joint.attainable import is_affine, segment_of
+from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
@@ -95,7 +95,7 @@ def _states(
     inertia, damping = load.total_inertia, load.damping
     torque = inertia * acceleration + damping * velocity - load.gravity_torque(angle)
     torque_rate = inertia * jerk + damping * acceleration + load.gravity_stiffness(angle) * velocity
-    segment = segment_of(joint, angle, torque, None, 0.0)
+    segment = cocontraction_segment(joint, angle, torque, None, 0.0)
     tension = segment.first + (segment.last - segment.first) * points[:, None]
 
     def state(angle: Array, torque: Array, tension1: Array) -> tuple[Array, Array, Array]:
@@ -115,7 +115,7 @@ def _states(
     by_motion, by_tension = ([rate[k] for rate in rates] for k in (0, 1))
     tension_rate = (stiffness_rate - by_motion[2]) / by_tension[2]
     commands = (plant.valve.command_for(values[i], by_motion[i] + by_tension[i] * tension_rate) for i in range(2))
-    return torque, *attainable_band(plant, angle), segment.holdable, values[2], *commands
+    return torque, *attainable_band(plant, angle), segment.feasible, values[2], *commands
 
 
 def _within_limits(stiffness: Values, commands: list[Values], limits: list[tuple[float, float]]) -> AttainableRange:
