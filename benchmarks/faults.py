@@ -29,41 +29,41 @@ from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import Limits
 from mckibben.rig.session import STOPPED
-from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Vent, Walk
-from mckibben.rig.twin import (
+from mckibben.rig.simulated import (
     Burst,
-    Delaying,
-    Dropping,
     Fault,
     HostDelayed,
-    Silent,
+    SamplesDelayed,
+    SamplesDropped,
+    SamplesStopped,
+    SensorDisconnected,
+    SimulatedRig,
     Slipped,
     Stalled,
     SupplyLost,
-    TwinRig,
-    Unplugged,
     ValveStuck,
 )
+from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Vent, Walk
 from mckibben.units import bar, mm, percent
 
 FAULTS: Mapping[str, Callable[[float], Fault]] = {
     "supply lost": SupplyLost,
-    "force sensor unplugged, at a rail": lambda at: Unplugged(at, "force"),
-    "force sensor unplugged, floating": lambda at: Unplugged(at, "force", volts=None),
-    "force sensor hangs": lambda at: Unplugged(at, "force", volts=0.7),
-    "pressure sensor unplugged, at a rail": lambda at: Unplugged(at, "pressure"),
-    "pressure sensor unplugged, floating": lambda at: Unplugged(at, "pressure", volts=None),
-    "pressure sensor hangs": lambda at: Unplugged(at, "pressure", volts=2.0),
+    "force sensor unplugged, at a rail": lambda at: SensorDisconnected(at, "force"),
+    "force sensor unplugged, floating": lambda at: SensorDisconnected(at, "force", volts=None),
+    "force sensor hangs": lambda at: SensorDisconnected(at, "force", volts=0.7),
+    "pressure sensor unplugged, at a rail": lambda at: SensorDisconnected(at, "pressure"),
+    "pressure sensor unplugged, floating": lambda at: SensorDisconnected(at, "pressure", volts=None),
+    "pressure sensor hangs": lambda at: SensorDisconnected(at, "pressure", volts=2.0),
     "muscle slips": Slipped,
     "muscle bursts": Burst,
     "motor stalls": Stalled,
     "host delayed, long": lambda at: HostDelayed(at, 3.0),
     "host delayed, a little": lambda at: HostDelayed(at, 0.3),
-    "daq silent": Silent,
-    "daq drops": Dropping,
-    "daq drops many": lambda at: Dropping(at, 900),
-    "daq delays": Delaying,
-    "daq delays a little": lambda at: Delaying(at, 0.03),
+    "daq silent": SamplesStopped,
+    "daq drops": SamplesDropped,
+    "daq drops many": lambda at: SamplesDropped(at, 900),
+    "daq delays": SamplesDelayed,
+    "daq delays a little": lambda at: SamplesDelayed(at, 0.03),
     "valve stuck open": ValveStuck,
     "valve stuck shut": lambda at: ValveStuck(at, 0.0),
 }
@@ -86,7 +86,7 @@ TOLD_BY_A_READING = ("is lost", "beyond the limit", "does not follow", "are old"
 class Spied:
     """A rig, and what was done to it."""
 
-    def __init__(self, rig: TwinRig) -> None:
+    def __init__(self, rig: SimulatedRig) -> None:
         self.rig = rig
         self.blocks: list[Block] = []
         self.calls: list[str] = []
@@ -104,7 +104,7 @@ class Spied:
 
 def broken(fault: Fault, seed: int, folder: Path) -> str:
     """Run the test with a fault: why it was stopped; empty where it was not."""
-    twin = TwinRig(MUSCLE, seed=seed, faults=[fault])
+    twin = SimulatedRig(MUSCLE, seed=seed, faults=[fault])
     rig, reason = Spied(twin), ""
     bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
     with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:

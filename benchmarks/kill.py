@@ -31,8 +31,8 @@ from mckibben.rig.record import Event, assemble, passages, points, read_record, 
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.safety import Limits
+from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR, Regulator, SimulatedRig
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Vent, Walk
-from mckibben.rig.twin import FORCE_SENSOR, PRESSURE_SENSOR, Regulator, TwinRig
 from mckibben.units import bar, mm, percent
 
 ACQUIRE = Acquire(samples=50, duration=0.05)
@@ -57,9 +57,9 @@ PERIOD = 2e-3  # s: a test takes as long as a breath here, and chunks are writte
 _REPORT = struct.Struct("<Q")
 
 
-def rig(session: int) -> tuple[TwinRig, Bench]:
+def rig(session: int) -> tuple[SimulatedRig, Bench]:
     """The virtual rig of a session, and what stands on it; the regulator gives what it is told."""
-    twin = TwinRig(
+    twin = SimulatedRig(
         MUSCLE,
         seed=session,
         regulator=Regulator(hysteresis=0.0, repeatability=0.0),

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from machine import describe, sentence
 
-from mckibben.realtime import JointRig, compute_in_this_thread, prepared
+from mckibben.realtime import JointRig, compute_in_this_thread, prepare
 from mckibben.realtime import loop as module
-from mckibben.realtime.loop import Spread, undisturbed
+from mckibben.realtime.loop import Percentiles, realtime_process_settings
 from mckibben.study.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -40,7 +40,7 @@ def asleep(duration, period):
     """How late a thread wakes that does nothing but sleep; `missed` are sleeps that took a whole period too long."""
     count = round(duration / period)
     late = np.empty(count)
-    with undisturbed():
+    with realtime_process_settings():
         origin = time.perf_counter()
         for i in range(count):
             until = origin + i * period
@@ -48,7 +48,7 @@ def asleep(duration, period):
             if left > 0:
                 time.sleep(left)
             late[i] = time.perf_counter() - until
-    return int((late > period).sum()), Spread.of(late)
+    return int((late > period).sum()), Percentiles.of(late)
 
 
 class Load:
@@ -94,7 +94,7 @@ def main():
     print("| | missed | skipped | sample to loop [us] | loop to valves [us] | jitter [us] | others, ours [cores] |")
     print("|---|---|---|---|---|---|---|", flush=True)
     for name, controller in (("PID", None), ("decoupling, 80 rad/s", DECOUPLING)):
-        session = prepared(scenario(asked.duration, period, controller), JointRig(virtual={}))
+        session = prepare(scenario(asked.duration, period, controller), JointRig(virtual={}))
         with tempfile.TemporaryDirectory() as folder, Load() as load:
             ran = session.run(folder)
         timing = ran.timing

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mckibben.plant import JointPlant, PlantState
-from mckibben.realtime import PERFECT, ControlProgram, Course, JointLimits, VirtualJoint, control
-from mckibben.realtime.compiled_step import Answer, PlantProgram
+from mckibben.realtime import PERFECT, ControlProgram, JointLimits, RunPlan, SimulatedJoint, control
+from mckibben.realtime.compiled_step import PlantProgram, StepResult
 from mckibben.study.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
@@ -61,7 +61,7 @@ class SteadyControl:
         return None
 
     def step(self, state, told):
-        return Answer(None, np.array([*self.commands, 0.0, 13.0]))
+        return StepResult(None, np.array([*self.commands, 0.0, 13.0]))
 
 
 class Knee(NamedTuple):
@@ -73,14 +73,14 @@ class Knee(NamedTuple):
 
     def joint(self, *, vented=False, sensing=PERFECT, **changes):
         start = None if vented else self.start
-        return VirtualJoint(self.plant, period=PERIOD, start=start, sensing=sensing, program=self.moved, **changes)
+        return SimulatedJoint(self.plant, period=PERIOD, start=start, sensing=sensing, program=self.moved, **changes)
 
     def course(self, periods=100, raising=0, settling=0, wish=None):
         times = np.arange(periods) * PERIOD
         angle = 10 * deg * np.sin(np.pi * times) if wish is None else np.full(periods, wish)
         wishes = np.stack([angle, np.full(periods, 13.0)], axis=1)
         pressures = float(self.start.pressure1), float(self.start.pressure2)
-        return Course(wishes, PERIOD, raising, settling, pressures, ((0.0, 8 * bar), (0.0, 8 * bar)))
+        return RunPlan(wishes, PERIOD, raising, settling, pressures, ((0.0, 8 * bar), (0.0, 8 * bar)))
 
     def run(self, joint=None, *, course=None, limits=None, recorder=None, **options):
         kept = Kept() if recorder is None else recorder

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.rig.ni import NiBackend
-from mckibben.rig.ni import Wiring as Terminals
-from mckibben.rig.twin.faults import Silent
+from mckibben.rig.ni import NiBackend, Terminals
+from mckibben.rig.simulated.faults import SamplesStopped
 from mckibben.units import bar, ms
 
 from .conftest import PERIOD
@@ -58,7 +57,7 @@ class JointCard(device.Card):
 
     def _wired(self):
         if self.lines[device.HOLD] and self.twin.is_open:
-            self.twin.press(self.valves)
+            self.twin.set_valves(self.valves)
         else:
             self.twin.vent()
 
@@ -97,7 +96,7 @@ def test_on_a_card_a_run_is_the_one_without(stiff, on_card):
 
 
 def test_a_card_that_falls_silent_is_vented(stiff, on_card):
-    joint = stiff.joint(patience=1.0, faults=[Silent(20 * PERIOD)])
+    joint = stiff.joint(patience=1.0, faults=[SamplesStopped(20 * PERIOD)])
     ending, kept = stiff.run(on_card(joint), course=stiff.course(60))
     assert ending.kind == "silent"
     assert kept.columns["sample"].size >= 20

@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 
 from mckibben.realtime import loop
-from mckibben.realtime.loop import Told
-from mckibben.realtime.simulated import Unplugged, VirtualJoint
-from mckibben.rig.twin.faults import Delaying, Dropping, HostDelayed, Silent, SupplyLost
+from mckibben.realtime.loop import StopFlag
+from mckibben.realtime.simulated import SimulatedJoint
+from mckibben.rig.simulated.faults import (
+    HostDelayed,
+    SamplesDelayed,
+    SamplesDropped,
+    SamplesStopped,
+    SensorDisconnected,
+    SupplyLost,
+)
 from mckibben.units import bar, ms
 
 from .conftest import LIMITS, PERIOD, Kept
@@ -18,7 +25,7 @@ PERIODS = 30
 INSTANTS = np.random.default_rng(5).uniform(0, PERIODS * PERIOD, 200)
 
 
-class Watched(VirtualJoint):
+class Watched(SimulatedJoint):
     """Notes when it was vented first, by its own clock."""
 
     vented_at = math.inf
@@ -61,7 +68,7 @@ SENSORS = ("angle", "pressure1", "pressure2")
 def test_a_sensor_that_is_lost_at_any_time_vents_within_its_period(stiff, watched, monkeypatch, sensor):
     monkeypatch.setattr(loop, "_VENTING", 100 * ms)  # s for which it would look for a pressure that it cannot read
     for instant in INSTANTS:
-        joint = watched(faults=[Unplugged(instant, sensor)])
+        joint = watched(faults=[SensorDisconnected(instant, sensor, 0.0)])
         ending, kept = stiff.run(joint, course=stiff.course(PERIODS + 1))
         columns = check_safe(joint, kept, ending, "stopped")
         assert f"the sensor of {sensor} is lost" in ending.text
@@ -73,7 +80,7 @@ def test_a_sensor_that_is_lost_at_any_time_vents_within_its_period(stiff, watche
 
 def test_a_device_that_falls_silent_at_any_time(stiff, watched):
     for instant in INSTANTS:
-        joint = watched(faults=[Silent(instant)])
+        joint = watched(faults=[SamplesStopped(instant)])
         ending, kept = stiff.run(joint, course=stiff.course(PERIODS + 1))
         check_safe(joint, kept, ending, "silent")
         found = math.ceil(instant / PERIOD - 1e-9) * PERIOD
@@ -82,7 +89,7 @@ def test_a_device_that_falls_silent_at_any_time(stiff, watched):
 
 def test_samples_that_are_late_at_any_time(stiff, watched):
     for instant in INSTANTS:
-        joint = watched(faults=[Delaying(instant, 60 * ms)])
+        joint = watched(faults=[SamplesDelayed(instant, 60 * ms)])
         ending, kept = stiff.run(joint, course=stiff.course(PERIODS + 1))
         check_safe(joint, kept, ending, "stopped")
         assert "old" in ending.text
@@ -98,7 +105,7 @@ def test_a_host_that_is_away_for_longer_than_the_rig_waits(stiff, watched):
 
 def test_too_many_samples_dropped_at_any_time(stiff, watched):
     for instant in INSTANTS:
-        joint = watched(faults=[Dropping(instant, 60)])
+        joint = watched(faults=[SamplesDropped(instant, 60)])
         ending, kept = stiff.run(joint, course=stiff.course(PERIODS + 100))
         check_vented(joint, kept, ending, "stopped")
         assert "60 samples were dropped" in ending.text
@@ -116,7 +123,7 @@ def test_air_that_fails_is_found_before_the_joint_has_gone_far(stiff, watched):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_at_any_time_vents_within_a_period(stiff, watched, number):
     for instant in INSTANTS:
-        told, joint = Told(), watched()
+        told, joint = StopFlag(), watched()
 
         def show(shown, told=told, instant=instant):
             if shown.time >= instant - PERIOD:
@@ -158,11 +165,11 @@ def test_a_host_that_dies_is_found_by_the_rig_itself(stiff):
         joint = stiff.joint(patience=20 * ms)
         joint.open()
         joint.read(1)
-        joint.press([4.0, 4.0])
-        joint.beat()
+        joint.set_valves([4.0, 4.0])
+        joint.heartbeat()
         while joint.clock() < instant:
             joint.read(1)
-            joint.beat()
+            joint.heartbeat()
         joint.pass_time(15 * ms)
         assert min(joint.truth[2:]) > 0.5 * bar
         joint.pass_time(200 * ms)

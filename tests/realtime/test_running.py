@@ -10,12 +10,12 @@ from mckibben.control.base import Setpoint
 from mckibben.errors import RigError, StoppedError
 from mckibben.numerics.compiled import numeric
 from mckibben.realtime import JointLimits, Sensing, Timing
-from mckibben.realtime.config import Reading
+from mckibben.realtime.config import JointReading
 from mckibben.realtime.limits import Watch
-from mckibben.realtime.loop import undisturbed
-from mckibben.realtime.record import Phase, Rows
+from mckibben.realtime.loop import realtime_process_settings
+from mckibben.realtime.record import Phase, RowBuffer
 from mckibben.rig.backend import Backend
-from mckibben.rig.twin.faults import Dropping, HostDelayed
+from mckibben.rig.simulated.faults import HostDelayed, SamplesDropped
 from mckibben.simulation.loop import compiled_episode
 from mckibben.units import bar, deg, kPa, ms
 
@@ -81,10 +81,10 @@ def test_beyond_a_limit_it_stops(knee, limits, text):
 def test_rates_are_those_of_a_straight_line():
     watch = Watch(JointLimits(lowest_angle=-9, highest_angle=9, pressure=9 * bar, angle_rate=2.0), PERIOD)
     for i in range(200):
-        watch.look(i * PERIOD, Reading(1.99 * i * PERIOD, 0.0, 0.0))
+        watch.look(i * PERIOD, JointReading(1.99 * i * PERIOD, 0.0, 0.0))
     with pytest.raises(StoppedError, match="rate of the angle"):
         for i in range(200, 300):
-            watch.look(i * PERIOD, Reading(1.99 * 0.2 + 2.02 * (i - 200) * PERIOD, 0.0, 0.0))
+            watch.look(i * PERIOD, JointReading(1.99 * 0.2 + 2.02 * (i - 200) * PERIOD, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("command", [(math.nan, 3e5), (3e5, math.inf)])
@@ -121,7 +121,7 @@ def test_a_late_loop_takes_the_newest_sample_and_tells_how_long_it_took(stiff):
 
 
 def test_dropped_samples_are_counted(stiff):
-    joint = stiff.joint(faults=[Dropping(10 * PERIOD, 3)])
+    joint = stiff.joint(faults=[SamplesDropped(10 * PERIOD, 3)])
     ending, kept = stiff.run(joint, course=stiff.course(40))
     timing = Timing.of(kept.columns, PERIOD)
     assert ending.completed
@@ -168,7 +168,7 @@ def test_sensors_have_the_noise_and_the_steps_that_they_are_said_to(stiff):
 def test_rows_of_a_slow_loop_do_not_wait_for_others(stiff):
     """Every sample is on the disk within a second; 50 of a loop of 20 Hz are 2.5 s."""
     kept = Kept()
-    rows = Rows(kept, ())
+    rows = RowBuffer(kept, ())
     for number in range(40):
         rows.begin(number, Phase.RUN, number * 50 * ms, (0.0, 0.0, 0.0), number * 50 * ms)
         there = sum(len(table["sample"]) for table in kept.tables)
@@ -209,7 +209,7 @@ def test_a_command_between_samples_counts_from_when_it_came(stiff):
     while joint.clock() < 0.6 * PERIOD:
         pass
     before = joint.clock()
-    joint.press([0.0, 10.0])
+    joint.set_valves([0.0, 10.0])
     after = joint.clock()
     volts = joint.read(1).volts[0]
     joint.close()
@@ -218,7 +218,7 @@ def test_a_command_between_samples_counts_from_when_it_came(stiff):
 
 
 def test_in_real_time_it_takes_the_time_that_it_says(stiff):
-    with undisturbed():
+    with realtime_process_settings():
         ending, kept = stiff.run(stiff.joint(paced=True, patience=1.0), course=stiff.course(300), limits=_patient())
     columns = kept.columns
     assert ending.completed

@@ -13,7 +13,7 @@ from mckibben.rig.record import PLACE, POINT, Event, Point, assemble, points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import columns_of
 from mckibben.rig.safety import Limits
-from mckibben.rig.twin.sensing import FORCE, PRESSURE, VALVE
+from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
 
 BENCH = Bench(
     of=catalog.specimen("MAS-10-180N-AA-MC-O"),

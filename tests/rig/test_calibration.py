@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RangeError, RigError
-from mckibben.rig.backend import Channel, Drive
+from mckibben.rig.backend import AnalogChannel, Drive
 from mckibben.rig.calibration import Calibration, calibrate
 from mckibben.units import bar, mm
 
 FORCE = Calibration(name="force", unit="N", gain=-200.0, offset=0.05, low=-2000.0, high=2000.0)
-CHANNEL = Channel("force", -10.0, 10.0)
+CHANNEL = AnalogChannel("force", -10.0, 10.0)
 WEIGHTS = np.array([0.0, 98.1, 294.3, 588.6, 784.8])  # N, of 0, 10, 30, 60 and 80 kg
 
 
@@ -86,7 +86,7 @@ def test_what_leaves_the_span_or_the_converter_is_told():
     assert FORCE.check(0, 1900, CHANNEL) == []
     (span,) = FORCE.check(0, 2001)
     assert "0..2001 N leaves its span" in str(span)
-    (volts,) = FORCE.check(0, 630, Channel("force", -3.0, 3.0))
+    (volts,) = FORCE.check(0, 630, AnalogChannel("force", -3.0, 3.0))
     assert "-3.1..0.05 V" in str(volts)
 
 

@@ -19,8 +19,8 @@ from mckibben.rig.record import assemble, read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import Limits
+from mckibben.rig.simulated import Regulator, SimulatedRig, SupplyLost
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Walk
-from mckibben.rig.twin import Regulator, SupplyLost, TwinRig
 from mckibben.units import bar, mm, percent
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -38,7 +38,7 @@ def trials(monkeypatch):
 
 
 def run(folder, steps, *, of=MUSCLE, muscle=MUSCLE, twin=None, limits=LIMITS, **given):
-    twin = twin or TwinRig(muscle, seed=3, regulator=EXACT)
+    twin = twin or SimulatedRig(muscle, seed=3, regulator=EXACT)
     bench = Bench(of=of, drive=twin.drive, calibrations=twin.calibrations, limits=limits, steady=0.3)
     with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
         Runner(twin, bench, recorder, **given).run(steps)
@@ -130,7 +130,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
     partly = 0
     for after in np.linspace(1, counting.cycles - 2, 9, dtype=int).tolist():
         folder = tmp_path / str(after)
-        twin = TwinRig(slow, seed=3, regulator=EXACT)
+        twin = SimulatedRig(slow, seed=3, regulator=EXACT)
         bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
         with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
             interrupting = Interrupting(after)
@@ -145,7 +145,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
         stop = len(done)
         partly += bool((record.columns["plateau"] == stop).any())
         with Recorder.resume(folder, {}, columns_of(["force", "pressure"])) as recorder:
-            again = TwinRig(slow, seed=4, regulator=EXACT)
+            again = SimulatedRig(slow, seed=4, regulator=EXACT)
             since = float(record.columns["time"][-1]) + 1e-3
             Runner(again, bench, recorder, done=done, since=since).run(steps)
         data = assemble(folder, bench)
@@ -160,7 +160,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
 
 def test_it_goes_on_from_where_the_motor_stands(tmp_path):
     """Of a rig that was not opened where the muscle was mounted."""
-    twin = TwinRig(MUSCLE, seed=3, mounted_at=4 * percent, regulator=EXACT)
+    twin = SimulatedRig(MUSCLE, seed=3, mounted_at=4 * percent, regulator=EXACT)
     bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
     with Recorder.create(tmp_path, {}, columns_of(["force", "pressure"])) as recorder:
         steps = [Pressurise(pressure=2 * bar), Move(to=3 * percent, speed=4 * mm), Acquire(samples=100, duration=0.1)]
@@ -195,7 +195,7 @@ def test_a_full_disk_vents_and_is_told(tmp_path, monkeypatch):
     def full(recorder, table):
         raise RigError("the disk is full")
 
-    twin = TwinRig(MUSCLE, seed=3)
+    twin = SimulatedRig(MUSCLE, seed=3)
     monkeypatch.setattr(Recorder, "append", full)
     with pytest.raises(StoppedError, match="stopped: the disk is full; the muscle is vented"):
         run(tmp_path, [Pressurise(pressure=2 * bar)], twin=twin)
@@ -203,7 +203,7 @@ def test_a_full_disk_vents_and_is_told(tmp_path, monkeypatch):
 
 
 def test_an_empty_supply_is_found_at_once_after_the_pressure_had_settled(tmp_path):
-    twin = TwinRig(MUSCLE, seed=3, faults=[SupplyLost(4.0)])
+    twin = SimulatedRig(MUSCLE, seed=3, faults=[SupplyLost(4.0)])
     with pytest.raises(StoppedError, match="the pressure does not follow"):
         run(tmp_path, [Pressurise(pressure=2 * bar), Dwell(duration=60.0)], twin=twin)
     assert twin.truth.time < 4.0 + 3.0

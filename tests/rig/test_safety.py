@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RangeError, StoppedError
-from mckibben.rig.backend import Block, Channel, Drive
+from mckibben.rig.backend import AnalogChannel, Block, Drive
 from mckibben.rig.safety import Limits, Watch
-from mckibben.rig.twin.sensing import FORCE, PRESSURE
+from mckibben.rig.simulated.sensing import FORCE, PRESSURE
 from mckibben.units import bar, mm
 
 LIMITS = Limits(pressure=4 * bar, force=500.0, stretch=5 * mm, shorten=40 * mm)
-INPUTS = (Channel("force", -10.0, 10.0), Channel("pressure", -10.0, 10.0))
+INPUTS = (AnalogChannel("force", -10.0, 10.0), AnalogChannel("pressure", -10.0, 10.0))
 
 
 def watch(limits=LIMITS, **given):

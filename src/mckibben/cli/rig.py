@@ -17,9 +17,9 @@ from mckibben.cli.options import Json, late_progress, metric, quantity_or_none, 
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
 
 if TYPE_CHECKING:
-    from mckibben.realtime import Ran, Session, Shown
+    from mckibben.realtime import JointRunResult, JointSession, RunProgress
     from mckibben.rig.session import Progress, Report
-    from mckibben.study.rig.running import Checked
+    from mckibben.study.rig.running import CheckedTest
     from mckibben.study.scenario import Scenario
 
 
@@ -56,7 +56,7 @@ def control(
     from mckibben.realtime.compiled_step import compute_in_this_thread
 
     compute_in_this_thread()
-    from mckibben.realtime import JointRig, prepared
+    from mckibben.realtime import JointRig, prepare
     from mckibben.storage.files import check_free, folder
     from mckibben.study.scenario import Scenario
 
@@ -65,7 +65,7 @@ def control(
     if on is not None and on.nidaqmx is not None and unpaced:
         raise ParameterError("--unpaced is for the virtual joint", remedy="leave it out")
     check_free(folder(out), (*_KEPT, "record-0001.chunks"))
-    session = prepared(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
+    session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
     if not session.reach.reachable:
         typer.echo(f"warning: {session.reach.describe()}", err=True)
     read.to_yaml(out / "scenario.yaml")
@@ -90,7 +90,7 @@ def _lasting(scenario: Scenario, duration: float | None) -> Scenario:
     return scenario.model_copy(update={"duration": duration})
 
 
-def _report(ran: Ran, session: Session, out: Path, *, paced: bool, json: bool) -> None:
+def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: bool, json: bool) -> None:
     """Print what came of it, and keep it."""
     from mckibben.study.reporting import METRICS, shown, to_json, write_json
 
@@ -152,11 +152,11 @@ class _Line:
     """
 
     def __init__(self) -> None:
-        self._shown: Shown | None = None
+        self._shown: RunProgress | None = None
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def __call__(self, shown: Shown) -> None:
+    def __call__(self, shown: RunProgress) -> None:
         self._shown = shown
         if self._thread is None:
             self._thread = threading.Thread(target=self._show, name="progress", daemon=True)
@@ -192,7 +192,7 @@ def _line(*, quiet: bool) -> Iterator[_Line | None]:
         line.close()
 
 
-def _text(now: Shown) -> str:
+def _text(now: RunProgress) -> str:
     from mckibben.units import bar, deg
 
     wish = f" (wish {now.wish / deg:6.2f})" if now.wish == now.wish else ""
@@ -302,8 +302,8 @@ def check(
 rig.command()(control)
 
 
-def _numbers(checked: Checked) -> dict[str, object]:
-    found = checked.outline
+def _numbers(checked: CheckedTest) -> dict[str, object]:
+    found = checked.dry_run
     return {
         "name": checked.test.name,
         "rig": checked.rig,
@@ -318,11 +318,11 @@ def _numbers(checked: Checked) -> dict[str, object]:
 
 
 @contextmanager
-def _shown(checked: Checked, *, quiet: bool) -> Iterator[Report | None]:
+def _shown(checked: CheckedTest, *, quiet: bool) -> Iterator[Report | None]:
     """A line on the terminal: how far it is, what is measured, how long it takes yet by the rig's clock."""
     from mckibben.units import bar, percent
 
-    found = checked.outline
+    found = checked.dry_run
     total = max(1, found.plateaus)
     with late_progress(quiet=quiet, width=8) as bars:
         if bars is None:

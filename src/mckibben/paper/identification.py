@@ -17,7 +17,7 @@ from mckibben.muscle import ChouLaw, ExponentialLaw, ForceLaw, Muscle
 from mckibben.numerics.compiled import compiled
 from mckibben.paper.settings import SETTINGS, Setting, Wish, pid_scenario
 from mckibben.plant import JointPlant
-from mckibben.rig import IsobaricProtocol, VirtualRig, away_from_turns
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest, away_from_turns
 from mckibben.units import bar, deg
 
 TEST_PRESSURES = (2 * bar, 3 * bar, 4.5 * bar, 6 * bar)
@@ -49,7 +49,7 @@ class RigTest:
     """
 
     muscle: Muscle
-    rig: VirtualRig
+    rig: SimulatedIsobaricTest
     protocol: IsobaricProtocol
     test: IsobaricDataset
     settled: IsobaricDataset
@@ -150,7 +150,7 @@ def direction_gap(data: IsobaricDataset) -> tuple[float, float]:
 def _test(repeats: int) -> RigTest:
     law: ForceLaw = catalog.law("lei-mas-10-180n")
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), law)
-    rig, protocol = VirtualRig(muscle), IsobaricProtocol(repeats=repeats)
+    rig, protocol = SimulatedIsobaricTest(muscle), IsobaricProtocol(repeats=repeats)
     raw = rig.run(protocol, seed=1)
     test = raw.plateau_means()
     retest = rig.run(IsobaricProtocol(pressures=TEST_PRESSURES, repeats=1), seed=2).plateau_means()

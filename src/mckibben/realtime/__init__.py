@@ -2,26 +2,26 @@
 
 from mckibben.realtime.compiled_step import ControlProgram, compute_in_this_thread
 from mckibben.realtime.config import JointRig, Wiring
-from mckibben.realtime.limits import Course, Ending, JointLimits, Shown
+from mckibben.realtime.limits import JointLimits, RunOutcome, RunPlan, RunProgress
 from mckibben.realtime.loop import Timing
-from mckibben.realtime.session import Ran, Session, control, prepared
-from mckibben.realtime.simulated import PERFECT, Sensing, VirtualJoint
+from mckibben.realtime.session import JointRunResult, JointSession, control, prepare
+from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
 
 __all__ = [
     "PERFECT",
     "ControlProgram",
-    "Course",
-    "Ending",
     "JointLimits",
     "JointRig",
-    "Ran",
+    "JointRunResult",
+    "JointSession",
+    "RunOutcome",
+    "RunPlan",
+    "RunProgress",
     "Sensing",
-    "Session",
-    "Shown",
+    "SimulatedJoint",
     "Timing",
-    "VirtualJoint",
     "Wiring",
     "compute_in_this_thread",
     "control",
-    "prepared",
+    "prepare",
 ]

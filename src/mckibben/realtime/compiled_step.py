@@ -69,7 +69,7 @@ def _torque(plant: JointPlant, angles: ArrayLike) -> Array:
 _ARRAYS = (jax.Array, np.ndarray, np.generic, jax.ShapeDtypeStruct)
 
 
-class Packing:
+class FlatTree:
     """Where the numbers of a tree lie in one array of 64-bit floats; flags and whole numbers come back as such.
 
     Parameters
@@ -79,7 +79,7 @@ class Packing:
 
     Examples
     --------
-    >>> packing = Packing((np.asarray(2.5), np.asarray([1, 2]), np.asarray(True)))
+    >>> packing = FlatTree((np.asarray(2.5), np.asarray([1, 2]), np.asarray(True)))
     >>> packing.packed((np.asarray(2.5), np.asarray([1, 2]), np.asarray(True)))
     array([2.5, 1. , 2. , 1. ])
     >>> packing.unpacked(np.array([2.5, 1.0, 2.0, 1.0]))
@@ -112,7 +112,7 @@ class Packing:
         return jax.tree.unflatten(self._structure, leaves)
 
 
-class Answer(NamedTuple):
+class StepResult(NamedTuple):
     """What a step of a controller gives: its next state, and ``[command1, command2, *telemetry]``."""
 
     state: Array
@@ -137,7 +137,7 @@ class ControlProgram:
         controller = numeric(controller)
         zero: Any = jax.ShapeDtypeStruct((), float)
         state = jax.eval_shape(controller.init, Measurement(zero, (zero, zero)))
-        numbers, states = Packing(controller), Packing(state)
+        numbers, states = FlatTree(controller), FlatTree(state)
         self.telemetry = tuple(jax.eval_shape(controller.telemetry, state))
 
         def init(packed: Array, measured: Array) -> Array:
@@ -161,7 +161,7 @@ class ControlProgram:
         """The state before the first step, as it takes over from an angle [rad] and pressures [Pa]."""
         return self._init(self._numbers, np.array([angle, pressure1, pressure2]))
 
-    def step(self, state: Array, told: NDArray[np.float64]) -> Answer:
+    def step(self, state: Array, told: NDArray[np.float64]) -> StepResult:
         """One step.
 
         Parameters
@@ -173,7 +173,7 @@ class ControlProgram:
             the last step; shape (6,).
         """
         after, values = self._step(self._numbers, state, told)
-        return Answer(after, np.asarray(values))
+        return StepResult(after, np.asarray(values))
 
 
 class PlantProgram:
@@ -190,7 +190,7 @@ class PlantProgram:
     def __init__(self, plant: JointPlant, substeps: int) -> None:
         plant = numeric(plant)
         still = jax.eval_shape(lambda: plant.still(0.0, (0.0, 0.0)))
-        numbers, self._states = Packing(plant), Packing(still)
+        numbers, self._states = FlatTree(plant), FlatTree(still)
         states = self._states
 
         def over(packed: Array, state: Array, told: Array) -> Array:

@@ -14,14 +14,14 @@ from pydantic import Field, ValidationInfo, field_validator
 from mckibben.config.fields import Part, Quantity, refuse
 from mckibben.config.reading import parsed, text_of
 from mckibben.errors import Problem, RigError, StoppedError
-from mckibben.rig.backend import Backend, Channel
+from mckibben.rig.backend import AnalogChannel, Backend
 from mckibben.rig.calibration import Calibration
 from mckibben.study.rig.steps import JsonPath, Wait
 from mckibben.study.scenario.fields import Angle, Duration, PositiveTime, Pressure, PressureRate, Title, Whole
 from mckibben.units import bar, deg
 
 
-class Reading(NamedTuple):
+class JointReading(NamedTuple):
     """What the sensors of a joint say at one time: angle [rad], gauge pressures [Pa]."""
 
     angle: float
@@ -98,7 +98,7 @@ class Wiring:
 class Connected:
     """A wiring on the channels of a backend: plain numbers, for a loop that has a millisecond."""
 
-    def __init__(self, wiring: Wiring, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> None:
+    def __init__(self, wiring: Wiring, inputs: Sequence[AnalogChannel], outputs: Sequence[AnalogChannel]) -> None:
         self.wiring = wiring
         names = [one.name for one in inputs]
         self._lines = [_line(c, names.index(c.name), inputs) for c in wiring.sensors]
@@ -116,7 +116,7 @@ class Connected:
         """Of the volts of all inputs those of angle and pressures, in this order."""
         return [volts[line.column] for line in self._lines]
 
-    def read(self, volts: Sequence[float]) -> Reading:
+    def read(self, volts: Sequence[float]) -> JointReading:
         """The reading of one sample, the volts of all inputs.
 
         Raises
@@ -137,11 +137,11 @@ class Connected:
                     remedy="check its plug and its supply",
                 )
             values.append((signal - offset) * gain - tare)
-        return Reading(*values)
+        return JointReading(*values)
 
-    def seen(self, volts: Sequence[float]) -> Reading:
+    def seen(self, volts: Sequence[float]) -> JointReading:
         """The reading of one sample; NaN where a sensor is lost."""
-        return Reading(
+        return JointReading(
             *(
                 (volts[line.column] - line.offset) * line.gain - line.tare
                 if line.low < volts[line.column] < line.high
@@ -166,7 +166,7 @@ class Connected:
         return [problem for c in self.wiring.valves for problem in c.check(low, high, channels[c.name])]
 
 
-def _line(calibration: Calibration, column: int, inputs: Sequence[Channel]) -> _Line:
+def _line(calibration: Calibration, column: int, inputs: Sequence[AnalogChannel]) -> _Line:
     low, high = calibration.limits
     low, high = max(low, inputs[column].low), min(high, inputs[column].high)
     return _Line(calibration.name, column, calibration.gain, calibration.offset, calibration.tare, low, high)

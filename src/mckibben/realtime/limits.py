@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import McKibbenError, RangeError, StoppedError
-from mckibben.realtime.config import Reading
+from mckibben.realtime.config import JointReading
 from mckibben.realtime.record import Phase
 from mckibben.rig.safety import beyond
 from mckibben.units import bar, deg, ms
 
 
 @dataclass(frozen=True)
-class Course:
+class RunPlan:
     """What a joint rig is to do.
 
     Attributes
@@ -51,19 +51,19 @@ class Course:
         return self.raising + self.settling + len(self.wishes)
 
 
-class Shown(NamedTuple):
+class RunProgress(NamedTuple):
     """What a run tells while it is on: how far it is [s], the reading, the wished angle [rad], missed deadlines."""
 
     time: float
     of: float
     phase: Phase
-    reading: Reading
+    reading: JointReading
     wish: float
     missed: int
 
 
 @dataclass(frozen=True)
-class Ending:
+class RunOutcome:
     """How a run ended.
 
     Attributes
@@ -158,12 +158,12 @@ class Watch:
     def __init__(self, limits: JointLimits, period: float) -> None:
         self.limits = limits
         self._width = max(1, round(limits.window / period))
-        self._recent: deque[tuple[float, Reading]] = deque(maxlen=2 * self._width)
+        self._recent: deque[tuple[float, JointReading]] = deque(maxlen=2 * self._width)
         self._sums = [0.0] * 8  # time, angle, pressure1, pressure2 of the older window, and of the newer
         self._share = min(1.0, period / limits.following)
         self._errors = [0.0, 0.0]
 
-    def follow(self, reading: Reading, commands: Sequence[float]) -> None:
+    def follow(self, reading: JointReading, commands: Sequence[float]) -> None:
         """Hold the pressures of a reading against the commands [Pa] that were in force until then.
 
         Raises
@@ -185,7 +185,7 @@ class Watch:
                     remedy="check the supply, the valve, the muscle and the sensor",
                 )
 
-    def look(self, time: float, reading: Reading) -> None:
+    def look(self, time: float, reading: JointReading) -> None:
         """Pass a reading [s], or not.
 
         Raises
@@ -209,7 +209,7 @@ class Watch:
             raise beyond(f"pressure {which}", value / bar, limits.pressure / bar, "bar")
         self._look_at_rates(time, reading)
 
-    def _look_at_rates(self, time: float, reading: Reading) -> None:
+    def _look_at_rates(self, time: float, reading: JointReading) -> None:
         recent, sums, width = self._recent, self._sums, self._width
         full = len(recent) == 2 * width
         if full:
@@ -236,7 +236,7 @@ class Watch:
                 raise beyond(what, abs(rate) / unit, limit / unit, name)
 
 
-def _add(sums: list[float], at: int, one: tuple[float, Reading], sign: float) -> None:
+def _add(sums: list[float], at: int, one: tuple[float, JointReading], sign: float) -> None:
     time, (angle, pressure1, pressure2) = one
     sums[at] += sign * time
     sums[at + 1] += sign * angle

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from mckibben.errors import McKibbenError, RigError, SignalledError, StoppedError
 from mckibben.realtime.compiled_step import ControlProgram
-from mckibben.realtime.config import Connected, Reading
-from mckibben.realtime.limits import Course, Shown, Watch
-from mckibben.realtime.record import Phase, Rows
+from mckibben.realtime.config import Connected, JointReading
+from mckibben.realtime.limits import RunPlan, RunProgress, Watch
+from mckibben.realtime.record import Phase, RowBuffer
 from mckibben.rig.backend import Backend
 from mckibben.storage.interruption import heeded
 from mckibben.units import bar
@@ -29,7 +29,7 @@ _TIMER_SLACK = 29  # PR_SET_TIMERSLACK of Linux
 _SWITCH = 1e-4  # s: how long another thread may keep the interpreter to itself
 
 
-class Told:
+class StopFlag:
     """The signal that has come, if one has: 0 for none. A loop looks at it once a period."""
 
     def __init__(self) -> None:
@@ -37,9 +37,9 @@ class Told:
 
 
 @contextlib.contextmanager
-def signals_told() -> Iterator[Told]:
+def stop_on_signals() -> Iterator[StopFlag]:
     """Note the signals that `heeded` tells of."""
-    told = Told()
+    told = StopFlag()
 
     def note(number: int) -> None:
         told.signal = number
@@ -49,7 +49,7 @@ def signals_told() -> Iterator[Told]:
 
 
 @contextlib.contextmanager
-def undisturbed() -> Iterator[str]:
+def realtime_process_settings() -> Iterator[str]:
     """Let this thread run as evenly as the system allows, and say what it does: "real-time" or "ordinary" priority.
 
     Real-time priority needs the right to it (on Linux ``CAP_SYS_NICE``); without, everything else is done.
@@ -96,7 +96,7 @@ def _timer_slack(nanoseconds: int) -> int | None:
         return None
 
 
-class Spread(NamedTuple):
+class Percentiles(NamedTuple):
     """Of times [s]: median, 95 and 99.9 percent, and the worst."""
 
     median: float
@@ -105,7 +105,7 @@ class Spread(NamedTuple):
     worst: float
 
     @classmethod
-    def of(cls, times: NDArray[np.float64]) -> Spread:
+    def of(cls, times: NDArray[np.float64]) -> Percentiles:
         """NaN where there are none."""
         if not times.size:
             return cls(*[float("nan")] * 4)
@@ -141,9 +141,9 @@ class Timing(NamedTuple):
     missed: int
     skipped: int
     dropped: int
-    lateness: Spread
-    work: Spread
-    jitter: Spread
+    lateness: Percentiles
+    work: Percentiles
+    jitter: Percentiles
 
     @classmethod
     def of(cls, columns: Mapping[str, NDArray[Any]], period: float) -> Timing:
@@ -162,9 +162,9 @@ class Timing(NamedTuple):
             missed=periods - int(in_time.sum()),
             skipped=int((~answered).sum()),
             dropped=periods - sample.size,
-            lateness=Spread.of((had - taken)[answered]),
-            work=Spread.of((out - had)[answered]),
-            jitter=Spread.of(np.abs(between - period)),
+            lateness=Percentiles.of((had - taken)[answered]),
+            work=Percentiles.of((out - had)[answered]),
+            jitter=Percentiles.of(np.abs(between - period)),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -180,19 +180,19 @@ _VENTING = 0.5  # s: how long the fall of the pressures is watched
 _MOST = 1000  # samples that are taken at once
 
 
-class Loop:
+class ControlLoop:
     """One run on a backend that is open; arguments as for `control`. All that a period needs is at hand."""
 
     def __init__(
         self,
         backend: Backend,
         program: ControlProgram,
-        course: Course,
+        course: RunPlan,
         watch: Watch,
-        rows: Rows,
+        rows: RowBuffer,
         connected: Connected,
-        told: Told,
-        show: Callable[[Shown], None] | None,
+        told: StopFlag,
+        show: Callable[[RunProgress], None] | None,
     ) -> None:
         self._backend, self._program, self._course, self._watch = backend, program, course, watch
         self._rows, self._connected, self._told, self._show = rows, connected, told, show
@@ -257,13 +257,15 @@ class Loop:
         if number >= course.periods:  # what was due last was dropped
             return
         wish = self._act(number, row, reading)
-        self._backend.beat()
+        self._backend.heartbeat()
         answered = self._backend.clock()
         rows.answered(row, answered)
         self._missed += lost + last + (answered > times[last] + course.period * (1 + 1e-9))
         if self._show is not None:
             self._show(
-                Shown(times[last], course.periods * course.period, self._phase(number), reading, wish, self._missed)
+                RunProgress(
+                    times[last], course.periods * course.period, self._phase(number), reading, wish, self._missed
+                )
             )
 
     def _recorded(
@@ -274,7 +276,7 @@ class Loop:
         clock: float,
         *,
         venting: bool = False,
-    ) -> tuple[int, list[Reading]]:
+    ) -> tuple[int, list[JointReading]]:
         """Record samples before anything else is done with them; the row of the last, and what each says."""
         rows, connected, row, readings = self._rows, self._connected, -1, []
         for number, (time, signals) in enumerate(zip(times, volts, strict=True), start=first):
@@ -294,7 +296,7 @@ class Loop:
             return Phase.SETTLING
         return Phase.RUN if number < course.periods else Phase.VENTING
 
-    def _act(self, number: int, row: int, reading: Reading) -> float:
+    def _act(self, number: int, row: int, reading: JointReading) -> float:
         """Give the valves their commands, and say which angle is wished for [rad]."""
         course = self._course
         angle, pressure1, pressure2 = reading
@@ -329,7 +331,7 @@ class Loop:
             )
         (low1, high1), (low2, high2) = self._course.limited_to
         commands = min(max(wanted[0], low1), high1), min(max(wanted[1], low2), high2)
-        self._backend.press(self._connected.volts(commands))
+        self._backend.set_valves(self._connected.volts(commands))
         self._commands, self._pressed = commands, True
         return commands[0] != wanted[0] or commands[1] != wanted[1]
 
@@ -351,7 +353,7 @@ class Loop:
                 self._rows.flush()
         return None
 
-    def _look_on(self) -> Reading:
+    def _look_on(self) -> JointReading:
         """The samples that are there, or the next one, recorded; what the newest says."""
         block = self._backend.read(self._waiting(), timeout=self._watch.limits.silence)
         clock = self._backend.clock()

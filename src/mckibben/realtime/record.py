@@ -14,7 +14,7 @@ from mckibben.control.base import Setpoint
 from mckibben.muscle import NoCreep, NoFriction
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.realtime.config import Reading
+from mckibben.realtime.config import JointReading
 from mckibben.rig.record import Column
 from mckibben.rig.recorder import Recorder
 from mckibben.simulation import Reach, Result, compiled_trajectory
@@ -62,8 +62,8 @@ def columns(telemetry: Sequence[str]) -> list[Column]:
     return [*(Column(*one) for one in _OWN), *reported]
 
 
-class Rows:
-    """Rows on their way to a recorder. What a sample has not got is NaN."""
+class RowBuffer:
+    """RowBuffer on their way to a recorder. What a sample has not got is NaN."""
 
     def __init__(self, recorder: Recorder, telemetry: Sequence[str]) -> None:
         self._recorder = recorder
@@ -81,7 +81,7 @@ class Rows:
         self._filled = row + 1
         return row
 
-    def measured(self, row: int, reading: Reading) -> None:
+    def measured(self, row: int, reading: JointReading) -> None:
         """What it means."""
         self._table[row, _READING : _READING + 3] = reading
 

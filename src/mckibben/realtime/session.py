@@ -20,10 +20,10 @@ from mckibben.errors import FileError, McKibbenError, Problem, RigError, Scenari
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import ControlProgram, vented_angle
 from mckibben.realtime.config import Connected, JointCardSpec, JointRig, Wiring
-from mckibben.realtime.limits import Course, Ending, JointLimits, Shown, Watch
-from mckibben.realtime.loop import Loop, Timing, Told, signals_told, undisturbed
-from mckibben.realtime.record import Rows, columns, measured_result
-from mckibben.realtime.simulated import PERFECT, Sensing, VirtualJoint
+from mckibben.realtime.limits import JointLimits, RunOutcome, RunPlan, RunProgress, Watch
+from mckibben.realtime.loop import ControlLoop, StopFlag, Timing, realtime_process_settings, stop_on_signals
+from mckibben.realtime.record import RowBuffer, columns, measured_result
+from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
 from mckibben.rig.backend import Backend
 from mckibben.rig.calibration import calibrations_in, content_of
 from mckibben.rig.record import read_record
@@ -38,14 +38,14 @@ from mckibben.units import deg
 def control(
     backend: Backend,
     program: ControlProgram,
-    course: Course,
+    course: RunPlan,
     limits: JointLimits,
     recorder: Recorder,
     *,
     wiring: Wiring | None = None,
-    told: Told | None = None,
-    show: Callable[[Shown], None] | None = None,
-) -> Ending:
+    told: StopFlag | None = None,
+    show: Callable[[RunProgress], None] | None = None,
+) -> RunOutcome:
     """Open a backend, run a controller on it, vent it and close it; what happened is recorded.
 
     Parameters
@@ -69,7 +69,7 @@ def control(
 
     Returns
     -------
-    Ending
+    RunOutcome
         Of the run, or of what stopped it if that was foreseen. Any other exception is raised again, after the vent.
 
     Raises
@@ -79,20 +79,22 @@ def control(
     """
     connected = (wiring or Wiring()).connected(backend)
     _check(backend, course, connected)
-    rows = Rows(recorder, program.telemetry)
-    loop = Loop(backend, program, course, Watch(limits, course.period), rows, connected, told or Told(), show)
+    rows = RowBuffer(recorder, program.telemetry)
+    loop = ControlLoop(
+        backend, program, course, Watch(limits, course.period), rows, connected, told or StopFlag(), show
+    )
     try:
         backend.open()
     except BaseException:
         backend.close()
         raise
     try:
-        rows.event("opened", "", backend=dict(backend.described))
+        rows.event("opened", "", backend=dict(backend.description))
         loop.run()
-        ending = Ending("completed", f"completed {len(course.wishes) * course.period:g} s")
+        ending = RunOutcome("completed", f"completed {len(course.wishes) * course.period:g} s")
     except McKibbenError as error:
         backend.vent()
-        ending = Ending(_kind(error), str(error), error)
+        ending = RunOutcome(_kind(error), str(error), error)
     except BaseException as error:
         try:
             backend.vent()
@@ -109,10 +111,10 @@ def control(
         _note(rows, "vented" if after is not None else "not vented", vented)
     finally:
         backend.close()
-    return Ending(ending.kind, ending.text, ending.error, after)
+    return RunOutcome(ending.kind, ending.text, ending.error, after)
 
 
-def _check(backend: Backend, course: Course, connected: Connected) -> None:
+def _check(backend: Backend, course: RunPlan, connected: Connected) -> None:
     """Raise before anything moves."""
     if not math.isclose(backend.rate * course.period, 1.0, rel_tol=1e-9):
         raise RigError(
@@ -138,7 +140,7 @@ def _kind(error: McKibbenError) -> str:
     return names.get(type(error).__name__, "failed")
 
 
-def _note(rows: Rows, kind: str, text: str) -> None:
+def _note(rows: RowBuffer, kind: str, text: str) -> None:
     """Record what happened; a recorder that cannot is what happened, and then everything is vented already."""
     with contextlib.suppress(McKibbenError):
         rows.flush()
@@ -150,7 +152,7 @@ _BEYOND = 10 * deg
 _ABOVE = 1.05
 
 
-class Ran(NamedTuple):
+class JointRunResult(NamedTuple):
     """What came of a run.
 
     Attributes
@@ -167,7 +169,7 @@ class Ran(NamedTuple):
         Of the loop: "real-time" or "ordinary".
     """
 
-    ending: Ending
+    ending: RunOutcome
     result: Result | None
     reach: Reach
     timing: Timing
@@ -175,7 +177,7 @@ class Ran(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Session:
+class JointSession:
     """A scenario and the rig that it is about to be run on, checked and compiled.
 
     Attributes
@@ -198,11 +200,13 @@ class Session:
     backend: Backend
     wiring: Wiring
     limits: JointLimits
-    course: Course
+    course: RunPlan
     program: ControlProgram
     header: Mapping[str, Any]
 
-    def run(self, folder: str | os.PathLike[str], *, show: Callable[[Shown], None] | None = None) -> Ran:
+    def run(
+        self, folder: str | os.PathLike[str], *, show: Callable[[RunProgress], None] | None = None
+    ) -> JointRunResult:
         """Run it into a folder.
 
         Parameters
@@ -220,7 +224,11 @@ class Session:
             If the rig is not there, or does not fit: before anything moves.
         """
         folder = made(folder)
-        with alone(folder / "lock", "running a joint rig"), signals_told() as told, undisturbed() as priority:
+        with (
+            alone(folder / "lock", "running a joint rig"),
+            stop_on_signals() as told,
+            realtime_process_settings() as priority,
+        ):
             header = {**self.header, "priority": priority}
             with Recorder.create(folder, header, columns(self.program.telemetry)) as recorder:
                 try:
@@ -243,17 +251,17 @@ class Session:
         period = self.course.period
         text = self.scenario.dumps()
         result = measured_result(table, self.plant, self.reach, period, scenario=text)
-        return Ran(ending, result, self.reach, Timing.of(table, period), priority)
+        return JointRunResult(ending, result, self.reach, Timing.of(table, period), priority)
 
 
-def prepared(
+def prepare(
     scenario: Scenario,
     rig: JointRig | None = None,
     *,
     source: str = "",
     paced: bool = True,
     ideal: bool = False,
-) -> Session:
+) -> JointSession:
     """Make ready what a scenario needs on a rig: all that can be wrong with it is said here.
 
     Parameters
@@ -290,7 +298,7 @@ def prepared(
     _, wishes = sampled(scenario.reference(), scenario.duration, period)
     wished = np.stack([np.asarray(wishes.angle), np.asarray(wishes.stiffness)], axis=1)
     approach = rig.approach
-    course = Course(
+    course = RunPlan(
         wishes=wished,
         period=period,
         raising=0 if ideal else round(approach.raising / period),
@@ -304,7 +312,7 @@ def prepared(
         "what": "joint rig",
         "scenario": scenario.dumps(),
         "rig": rig.to_json(),
-        "backend": dict(backend.described),
+        "backend": dict(backend.description),
         "calibrations": wiring.to_json(),
         "limits": {name: value for name, value in vars(limits).items() if np.isfinite(value)},
         "course": {"raising": course.raising, "settling": course.settling, "run": len(wished), "period": period},
@@ -316,7 +324,7 @@ def prepared(
             "system": platform.platform(),
         },
     }
-    return Session(scenario, plant, reach, backend, wiring, limits, course, program, header)
+    return JointSession(scenario, plant, reach, backend, wiring, limits, course, program, header)
 
 
 def _rated(plant: JointPlant) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -349,7 +357,7 @@ def _connected(
     assert spec is not None  # the model of the rig sees to it
     given = {name: value for name, value in spec if value is not None and name != "seed"}
     wiring = Wiring()
-    joint = VirtualJoint(
+    joint = SimulatedJoint(
         plant,
         period=period,
         substeps=scenario.substeps,
@@ -369,7 +377,7 @@ def _card(spec: JointCardSpec, period: float, patience: float) -> tuple[Wiring, 
     def terminal(name: str) -> str:
         return f"{spec.device}/{name}"
 
-    terminals = ni.Wiring(
+    terminals = ni.Terminals(
         inputs={name: terminal(getattr(spec, name)) for name in ("angle", "pressure1", "pressure2")},
         outputs={name: terminal(getattr(spec, name)) for name in ("valve1", "valve2")},
         heartbeat=terminal(spec.heartbeat),

@@ -14,35 +14,17 @@ from mckibben.numerics.checks import check_positive
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import PlantProgram, vented_angle
 from mckibben.realtime.config import Wiring
-from mckibben.rig.backend import Block, Channel
-from mckibben.rig.twin.faults import Delaying, Dropping, Fault, HostDelayed, Silent, SupplyLost
+from mckibben.rig.backend import AnalogChannel, Block
+from mckibben.rig.simulated.faults import (
+    Fault,
+    HostDelayed,
+    SamplesDelayed,
+    SamplesDropped,
+    SamplesStopped,
+    SensorDisconnected,
+    SupplyLost,
+)
 from mckibben.units import deg, kPa, ms
-
-SENSORS = ("angle", "pressure1", "pressure2")
-"""The inputs of a joint rig."""
-
-
-@dataclass(frozen=True)
-class Unplugged(Fault):
-    """A sensor's plug comes off.
-
-    Parameters
-    ----------
-    sensor
-        "angle", "pressure1" or "pressure2".
-    volts
-        What the open input then reads [V]: 0 V, to which a resistor pulls it.
-    """
-
-    sensor: str = "angle"
-    volts: float = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.sensor not in SENSORS:
-            remedy = f"choose of {', '.join(SENSORS)}"
-            raise RangeError(f"Unplugged: no sensor {self.sensor!r}", value=self.sensor, remedy=remedy)
-
 
 _SPIN = 80e-6  # s: a sleep ends late by up to so much, and the rest is waited for awake
 _DRAWN = 1024  # samples whose noise is drawn at once
@@ -76,7 +58,7 @@ PERFECT = Sensing(0.0, 0.0, 0.0)
 """Without noise and steps: what a simulation has."""
 
 
-class VirtualJoint:
+class SimulatedJoint:
     """The plant of a scenario as a `Backend`: angle and two pressures in, two valves out, all in volts.
 
     Samples are taken at whole multiples of the sample period, the first when it is opened. Signals reach the valves
@@ -99,14 +81,14 @@ class VirtualJoint:
     sensing
         How well it is measured.
     patience
-        How long it goes on without a beat [s].
+        How long it goes on without a heartbeat [s].
     paced
         Whether its time is that of the wall.
     seed
         Of the noise.
     faults
-        What happens to it, at times since it was opened: `Unplugged` of `joint_rig.faults`, and of `rig.twin.faults`
-        ``SupplyLost``, ``HostDelayed``, ``Silent``, ``Dropping`` (once) and ``Delaying``.
+        Faults at times since it was opened, of `rig.simulated.faults`: `SensorDisconnected`,
+        ``SupplyLost``, ``HostDelayed``, ``SamplesStopped``, ``SamplesDropped`` (once) and ``SamplesDelayed``.
     program
         Of this plant and number of steps, where it has been compiled before.
 
@@ -116,8 +98,8 @@ class VirtualJoint:
         If it knows no such fault.
     """
 
-    outputs = (Channel("valve1", 0.0, 10.0, "virtual"), Channel("valve2", 0.0, 10.0, "virtual"))
-    inputs = tuple(Channel(name, -10.0, 10.0, "virtual") for name in ("angle", "pressure1", "pressure2"))
+    outputs = (AnalogChannel("valve1", 0.0, 10.0, "virtual"), AnalogChannel("valve2", 0.0, 10.0, "virtual"))
+    inputs = tuple(AnalogChannel(name, -10.0, 10.0, "simulated") for name in ("angle", "pressure1", "pressure2"))
 
     def __init__(
         self,
@@ -134,8 +116,11 @@ class VirtualJoint:
         faults: Sequence[Fault] = (),
         program: PlantProgram | None = None,
     ) -> None:
-        check_positive("VirtualJoint", "s", period=period, patience=patience)
-        known = (Unplugged, SupplyLost, HostDelayed, Silent, Dropping, Delaying)
+        check_positive("SimulatedJoint", "s", period=period, patience=patience)
+        known = (SensorDisconnected, SupplyLost, HostDelayed, SamplesStopped, SamplesDropped, SamplesDelayed)
+        for fault in faults:
+            if isinstance(fault, SensorDisconnected):
+                fault.check([channel.name for channel in self.inputs])
         strange = [type(fault).__name__ for fault in faults if not isinstance(fault, known)]
         if strange:
             raise RigError(
@@ -159,7 +144,7 @@ class VirtualJoint:
         self._state, self._at = self._start, 0.0  # the plant, integrated up to here
         self._held = self._held_at_start
         self._coming: deque[tuple[float, tuple[float, float]]] = deque()  # commands, and when they reach the valves
-        self._now = self._beaten = 0.0
+        self._now = self._last_heartbeat = 0.0
         self._next = 0  # sample
         self._vented_itself = False
         self._random = np.random.default_rng(self._seed)
@@ -168,7 +153,7 @@ class VirtualJoint:
         self._origin = time.perf_counter()
 
     @property
-    def described(self) -> Mapping[str, str]:
+    def description(self) -> Mapping[str, str]:
         """What it is."""
         return {
             "kind": "virtual joint",
@@ -187,13 +172,13 @@ class VirtualJoint:
         """Since it was opened [s]."""
         return time.perf_counter() - self._origin if self.paced else self._now
 
-    def beat(self) -> None:
-        """Say that the host lives."""
+    def heartbeat(self) -> None:
+        """Reset the watchdog."""
         now = self.clock()
         self._look_whether_host_lives(now)
-        self._beaten = now
+        self._last_heartbeat = now
 
-    def press(self, volts: Sequence[float]) -> None:
+    def set_valves(self, volts: Sequence[float]) -> None:
         """Hold these signals at the valves [V].
 
         Raises
@@ -206,7 +191,7 @@ class VirtualJoint:
         self._look_whether_host_lives(now)
         if self._vented_itself:
             raise RigError(
-                f"the joint vented itself: there was no beat for {self.patience:g} s",
+                f"the joint vented itself: there was no heartbeat for {self.patience:g} s",
                 remedy="find out what kept the host busy, and open it anew",
             )
         commands = []
@@ -280,9 +265,9 @@ class VirtualJoint:
 
     def _look_whether_host_lives(self, now: float) -> None:
         """Vent when nobody has called for too long; at the time when patience ended, not when it is found."""
-        if now - self._beaten > self.patience and not self._vented_itself:
+        if now - self._last_heartbeat > self.patience and not self._vented_itself:
             self._vented_itself = True
-            self._command(self._beaten + self.patience, (0.0, 0.0))
+            self._command(self._last_heartbeat + self.patience, (0.0, 0.0))
 
     def _advance(self, until: float) -> None:
         """Integrate the plant, each command from when it reached the valves."""
@@ -319,21 +304,21 @@ class VirtualJoint:
         ):
             signal = (value + tare) / gain + offset
             for fault in self._faults:
-                if isinstance(fault, Unplugged) and fault.sensor == channel.name and fault.at <= due:
-                    signal = fault.volts
+                if isinstance(fault, SensorDisconnected) and fault.sensor == channel.name and fault.at <= due:
+                    signal = float(fault.volts_at(np.array([due]))[0])
             if sensing.volts_step:
                 signal = round(signal / sensing.volts_step) * sensing.volts_step
             volts.append(min(max(signal, channel.low), channel.high))
         return volts
 
     def _silent(self, due: float) -> bool:
-        return any(isinstance(fault, Silent) and fault.at <= due for fault in self._faults)
+        return any(isinstance(fault, SamplesStopped) and fault.at <= due for fault in self._faults)
 
     def _drop(self) -> None:
         """Lose the samples that a fault takes."""
         for fault in self._faults:
             due = self._next * self._period
-            if isinstance(fault, Dropping) and fault.at <= due and fault not in self._happened:
+            if isinstance(fault, SamplesDropped) and fault.at <= due and fault not in self._happened:
                 self._happened.add(fault)
                 self._next += fault.samples
 
@@ -341,7 +326,7 @@ class VirtualJoint:
         """When a sample reaches the host [s], and the host comes to take it."""
         arriving = due
         for fault in self._faults:
-            if isinstance(fault, Delaying) and fault.at <= due:
+            if isinstance(fault, SamplesDelayed) and fault.at <= due:
                 arriving = max(arriving, due + fault.delay)
             if isinstance(fault, HostDelayed) and fault.at <= due and fault not in self._happened:
                 self._happened.add(fault)

@@ -16,7 +16,7 @@ from mckibben.numerics.checks import check_positive
 from mckibben.units import mm
 
 
-class Channel(NamedTuple):
+class AnalogChannel(NamedTuple):
     """One input or output of a rig, in volts; what the volts mean is the calibration's to say.
 
     Attributes
@@ -62,7 +62,7 @@ class Block(NamedTuple):
 class Backend(Protocol):
     """Sensors and valves. What every rig has, virtual or real; all of it in volts.
 
-    A backend is vented and at rest when it is opened, and whenever the host has not called `beat` for `patience`
+    A backend is vented and at rest when it is opened, and whenever the host has not called `heartbeat` for `patience`
     seconds (by its own clock): then it vents and stops without being told, and stays so until it is opened anew.
     """
 
@@ -70,20 +70,20 @@ class Backend(Protocol):
     """Samples a second [Hz] of each input."""
 
     patience: float
-    """How long [s] it goes on without a beat."""
+    """How long [s] it goes on without a heartbeat."""
 
     @property
-    def inputs(self) -> Sequence[Channel]:
+    def inputs(self) -> Sequence[AnalogChannel]:
         """What is measured, in the order of the columns of a block."""
         ...
 
     @property
-    def outputs(self) -> Sequence[Channel]:
-        """The valves, in the order of the values that `press` takes."""
+    def outputs(self) -> Sequence[AnalogChannel]:
+        """The valves, in the order of the values that `set_valves` takes."""
         ...
 
     @property
-    def described(self) -> Mapping[str, str]:
+    def description(self) -> Mapping[str, str]:
         """What it is, for the record: kind, devices, serial numbers, driver and versions, seed."""
         ...
 
@@ -113,12 +113,12 @@ class Backend(Protocol):
         """
         ...
 
-    def press(self, volts: Sequence[float]) -> None:
+    def set_valves(self, volts: Sequence[float]) -> None:
         """Hold these signals at the valves [V], one an output."""
         ...
 
-    def beat(self) -> None:
-        """Say that the host lives."""
+    def heartbeat(self) -> None:
+        """Reset the watchdog."""
         ...
 
     def vent(self) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import McKibbenError, Problem, RangeError, RigError, ScenarioError
-from mckibben.rig.backend import Channel
+from mckibben.rig.backend import AnalogChannel
 from mckibben.units import percent
 
 _NUMBERS = ("gain", "offset", "tare", "low", "high")
@@ -103,7 +103,7 @@ class Calibration:
         """The volts [V] of a value in the unit; any shape."""
         return (np.asarray(si, np.float64) + self.tare) / self.gain + self.offset
 
-    def lost(self, volts: ArrayLike, channel: Channel | None = None) -> NDArray[np.bool_]:
+    def lost(self, volts: ArrayLike, channel: AnalogChannel | None = None) -> NDArray[np.bool_]:
         """Whether no working sensor gives these volts [V]; any shape.
 
         They are further outside the span than the margin, exactly at an end of what the converter can tell, or no
@@ -121,7 +121,7 @@ class Calibration:
         ends = sorted(end / self.gain + self.offset for end in (self.low - beyond, self.high + beyond))
         return ends[0], ends[1]
 
-    def check(self, low: float, high: float, channel: Channel | None = None) -> list[Problem]:
+    def check(self, low: float, high: float, channel: AnalogChannel | None = None) -> list[Problem]:
         """What stands against measuring (or giving) values from low to high, in the unit.
 
         The span must hold them, and so must the converter, where it is given.

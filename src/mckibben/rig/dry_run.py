@@ -10,7 +10,7 @@ import numpy as np
 
 from mckibben.errors import McKibbenError, Problem
 from mckibben.muscle import Muscle, forces
-from mckibben.rig.backend import Channel
+from mckibben.rig.backend import AnalogChannel
 from mckibben.rig.bench import Bench
 from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Step, Vent, Walk
 from mckibben.units import bar, mm, percent
@@ -20,7 +20,7 @@ _CHUNK = 64  # bytes that a cycle takes besides its rows, at most
 
 
 @dataclass
-class Outline:
+class DryRunReport:
     """What a test takes.
 
     Attributes
@@ -55,9 +55,9 @@ class Outline:
         return math.ceil(1.1 * self.rows * row_size) + (1 << 20)
 
 
-def outline(
-    steps: Sequence[Step], bench: Bench, inputs: Sequence[Channel] = (), *, patience: float = math.inf
-) -> Outline:
+def dry_run(
+    steps: Sequence[Step], bench: Bench, inputs: Sequence[AnalogChannel] = (), *, patience: float = math.inf
+) -> DryRunReport:
     """Go through steps without a rig.
 
     Parameters
@@ -81,7 +81,7 @@ def outline(
 
 class _Tour:
     def __init__(self, bench: Bench) -> None:
-        self.bench, self.found = bench, Outline()
+        self.bench, self.found = bench, DryRunReport()
         self.contraction, self.pressure = bench.mounted_at, 0.0
         self.walked_from = bench.mounted_at
         self.contractions, self.pressures = [bench.mounted_at], [0.0]
@@ -119,7 +119,7 @@ class _Tour:
                     self._spend(_SETTLING)
             self.contractions.append(self.contraction)
 
-    def finish(self, inputs: Sequence[Channel]) -> Outline:
+    def finish(self, inputs: Sequence[AnalogChannel]) -> DryRunReport:
         """The end of it: the law at all places visited, and the sensors' spans."""
         found, bench = self.found, self.bench
         limits, calibrations, name = bench.limits, bench.calibrations, bench.specimen.name

@@ -114,7 +114,7 @@ class IsometricProtocol:
         _refuse("isometric protocol", _ascending(self.pressures), _given("contractions", self.contractions))
 
     def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
-        """The test as steps; what does not suit the muscle is found by `outline`.
+        """The test as steps; what does not suit the muscle is found by `dry_run`.
 
         Where a law tells that a pressure would take the force above the rated one, it is left out at that length.
         """
@@ -175,7 +175,7 @@ class IsotonicProtocol:
         _refuse("isotonic protocol", _ascending(self.pressures), _given("forces", self.forces))
 
     def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
-        """The test as steps; what does not suit the muscle is found by `outline`.
+        """The test as steps; what does not suit the muscle is found by `dry_run`.
 
         It begins at the length at rest with no pressure, and stretches until the muscle pulls.
         """

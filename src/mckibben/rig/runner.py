@@ -12,7 +12,7 @@ from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.record import PLACE, POINT, Column, Point
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.session import Handling, Report
+from mckibben.rig.session import Report, RigSession
 from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Step, Vent, Walk
 from mckibben.units import bar, mm, percent
 
@@ -29,7 +29,7 @@ def columns_of(inputs: Sequence[str]) -> tuple[Column, ...]:
 
 
 @dataclass
-class _Wanted:
+class _Target:
     """What the steps have asked for; where a test goes on, it is brought about before the first point that lacks.
 
     `turn` is where the way now followed began, `before` where the one before that did, and `via` the pressure before
@@ -72,7 +72,7 @@ class Runner:
 
     Notes
     -----
-    What comes after a stop is watched and recorded for up to 10 s, until the muscle is empty; see `Handling` for the
+    What comes after a stop is watched and recorded for up to 10 s, until the muscle is empty; see `RigSession` for the
     cycle.
     """
 
@@ -90,9 +90,9 @@ class Runner:
         self.backend = backend
         self.bench = bench
         self.recorder = recorder
-        self._rig = Handling(backend, bench, recorder, origin=origin, since=since, report=report)
+        self._rig = RigSession(backend, bench, recorder, origin=origin, since=since, report=report)
         self._done = done
-        self._wanted = _Wanted()
+        self._target = _Target()
         self._live = not done
         self._number = 0
         self._repeat = 0
@@ -125,7 +125,7 @@ class Runner:
         try:
             self._rig.begin()
             if self._live:  # the steps begin where the muscle was mounted
-                self._rig.drive(0, self._speed)
+                self._rig.move_to(0, self._speed)
             self._do(steps)
             self._vent()
             self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self._rig.pulses)
@@ -134,7 +134,7 @@ class Runner:
                 backend.vent()  # before anything else
             finally:
                 backend.stop()
-            raise self._rig.stopped(error) from error
+            raise self._rig.record_stop(error) from error
         finally:
             try:
                 backend.vent()
@@ -168,7 +168,7 @@ class Runner:
                     self._vent()
 
     def _walk(self, walk: Walk) -> None:
-        begin = self._wanted.pulses
+        begin = self._target.pulses
         to = self._walked_from if walk.to is None else self.bench.pulses_at(walk.to)
         self._walked_from = begin
         step = self.bench.drive.nearest(walk.step)
@@ -189,16 +189,16 @@ class Runner:
         number, self._number = self._number, self._number + 1
         if number < len(self._done):
             point = self._done[number]
-            if self._wanted.holding is not None:
-                self._wanted.before = self._wanted.turn = self._wanted.pressed = point.pulses
-            self._wanted.pulses = point.pulses
+            if self._target.holding is not None:
+                self._target.before = self._target.turn = self._target.pressed = point.pulses
+            self._target.pulses = point.pulses
             return point
         self._go_live()
         bench, recorder = self.bench, self.recorder
         every = max(1, round(bench.rate * acquire.duration / acquire.samples))
         rows = (acquire.samples - 1) * every + 1
         first, pulses = recorder.rows, self._rig.pulses
-        taken = self._rig.take(rows, number)
+        taken = self._rig.acquire(rows, number)
         force, pressure = (float(bench.calibrations[name].si(taken.means[name])) for name in ("force", "pressure"))
         point = Point(
             number=number,
@@ -211,7 +211,7 @@ class Runner:
             contraction=bench.contraction_at(pulses),
             force=force,
             pressure=pressure,
-            set_pressure=self._wanted.pressure,
+            set_pressure=self._target.pressure,
             direction=acquire.direction,
             phase=acquire.phase,
             repeat=self._repeat,
@@ -237,70 +237,70 @@ class Runner:
             )
 
     def _move_to(self, pulses: int, speed: float) -> None:
-        wanted = self._wanted
-        if (pulses - wanted.pulses) * (wanted.pulses - wanted.turn) < 0:
-            wanted.before, wanted.turn = wanted.turn, wanted.pulses
-        wanted.pulses, wanted.speed, wanted.rest = pulses, speed, 0.0
+        target = self._target
+        if (pulses - target.pulses) * (target.pulses - target.turn) < 0:
+            target.before, target.turn = target.turn, target.pulses
+        target.pulses, target.speed, target.rest = pulses, speed, 0.0
         if self._live:
-            self._rig.drive(pulses, speed)
+            self._rig.move_to(pulses, speed)
 
     def _rest(self, duration: float) -> None:
-        self._wanted.rest += duration
+        self._target.rest += duration
         if self._live:
             self._rig.wait(duration)
 
     def _pressurise(self, pressure: float, rate: float | None, holding: float | None) -> None:
-        wanted = self._wanted
-        wanted.via, wanted.pressure, wanted.holding, wanted.rest = wanted.pressure, pressure, holding, 0.0
-        wanted.hold, wanted.pressed = None, wanted.pulses
+        target = self._target
+        target.via, target.pressure, target.holding, target.rest = target.pressure, pressure, holding, 0.0
+        target.hold, target.pressed = None, target.pulses
         if holding is None:
-            wanted.before = wanted.turn = wanted.pulses
+            target.before = target.turn = target.pulses
         if self._live:
-            self._rig.press(wanted.via, pressure, rate, holding)
+            self._rig.set_pressure(target.via, pressure, rate, holding)
 
     def _vent(self) -> None:
-        self._wanted.via = self._wanted.pressure = self._wanted.rest = 0.0
-        self._wanted.holding = self._wanted.hold = None
-        self._wanted.before = self._wanted.turn = self._wanted.pressed = self._wanted.pulses
+        self._target.via = self._target.pressure = self._target.rest = 0.0
+        self._target.holding = self._target.hold = None
+        self._target.before = self._target.turn = self._target.pressed = self._target.pulses
         if self._live:
-            self._rig.let_out()
+            self._rig.vent_and_wait()
 
     def _hold(self, step: HoldForce) -> None:
-        self._wanted.rest, self._wanted.hold = 0.0, step
+        self._target.rest, self._target.hold = 0.0, step
         if not self._live:
             return
         deadline = self._rig.now + step.longest
-        while abs(self._rig.see().force - step.force) > step.tolerance or self.backend.moving:
-            self._rig.towards(step.force, step.speed)
+        while abs(self._rig.read_cycle().force - step.force) > step.tolerance or self.backend.moving:
+            self._rig.step_towards(step.force, step.speed)
             if self._rig.now > deadline:
                 raise StoppedError(
                     f"the force of {step.force:g} N was not reached within {step.longest:g} s",
                     remedy="choose one that the muscle has at this pressure within its range",
                 )
-        self._wanted.pulses = self._wanted.turn = self._wanted.before = self._rig.pulses
+        self._target.pulses = self._target.turn = self._target.before = self._rig.pulses
 
     def _go_live(self) -> None:
         """Where a test goes on: bring about what the steps done before had, from the side they had it from."""
         if self._live:
             return
         self._live = True
-        wanted = self._wanted
-        rest = wanted.rest
-        speed = wanted.speed or self._speed
+        target = self._target
+        rest = target.rest
+        speed = target.speed or self._speed
         self.recorder.event(RESUMED, f"at point {self._number - 1}", point=self._number - 1)
-        self._rig.let_out()
-        self._rig.drive(wanted.pressed, speed)
-        if wanted.via > 0:
-            self._rig.press(0.0, wanted.via, 1 * bar, wanted.holding)
-        if wanted.pressure != 0:
-            self._rig.press(
-                wanted.via, wanted.pressure, 1 * bar if wanted.holding is not None else None, wanted.holding
+        self._rig.vent_and_wait()
+        self._rig.move_to(target.pressed, speed)
+        if target.via > 0:
+            self._rig.set_pressure(0.0, target.via, 1 * bar, target.holding)
+        if target.pressure != 0:
+            self._rig.set_pressure(
+                target.via, target.pressure, 1 * bar if target.holding is not None else None, target.holding
             )
-        if wanted.hold is not None:
-            self._hold(wanted.hold)
+        if target.hold is not None:
+            self._hold(target.hold)
         else:
             most = round(_TURNING * self.bench.drive.pulses_per_metre)
-            self._rig.drive(wanted.turn + max(-most, min(most, wanted.before - wanted.turn)), speed)
-            self._rig.drive(wanted.turn, speed)
-            self._rig.drive(wanted.pulses, speed)
+            self._rig.move_to(target.turn + max(-most, min(most, target.before - target.turn)), speed)
+            self._rig.move_to(target.turn, speed)
+            self._rig.move_to(target.pulses, speed)
         self._rig.wait(rest)

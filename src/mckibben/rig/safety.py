@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.errors import RangeError, StoppedError
-from mckibben.rig.backend import Block, Channel, Drive
+from mckibben.rig.backend import AnalogChannel, Block, Drive
 from mckibben.rig.calibration import Calibration
 from mckibben.units import bar, mm, ms, s
 
@@ -66,7 +66,7 @@ class Limits:
                 raise RangeError(f"limits: {name} is {value:g}", value=value, remedy="it has to be finite and above 0")
 
 
-class Seen(NamedTuple):
+class BlockMeans(NamedTuple):
     """What a block says.
 
     Attributes
@@ -115,7 +115,7 @@ class Watch:
     def __init__(
         self,
         limits: Limits,
-        inputs: Sequence[Channel],
+        inputs: Sequence[AnalogChannel],
         calibrations: Mapping[str, Calibration],
         drive: Drive,
         origin: int = 0,
@@ -148,7 +148,7 @@ class Watch:
         if venting:
             self._venting_until = time + self.limits.settling
 
-    def look(self, block: Block, clock: float) -> Seen:
+    def look(self, block: Block, clock: float) -> BlockMeans:
         """Means of a block, if nothing is wrong with it.
 
         Parameters
@@ -208,7 +208,7 @@ class Watch:
                     unit="Pa",
                     remedy="check the supply, the valve and the muscle",
                 )
-        return Seen(time, force, pressure, position)
+        return BlockMeans(time, force, pressure, position)
 
     def _alive(self, lowest: list[float], highest: list[float], time: float) -> None:
         for at, name, _, _ in self._ends:

@@ -14,7 +14,7 @@ from mckibben.errors import McKibbenError, RigError, SignalledError, StoppedErro
 from mckibben.rig.backend import Block, MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.safety import Seen, Watch
+from mckibben.rig.safety import BlockMeans, Watch
 from mckibben.units import bar, mm
 
 STOPPED, VENTED, DROPPED = "stopped", "vented", "dropped"
@@ -30,7 +30,7 @@ class Progress(NamedTuple):
     """How far a test is: the time of the rig [s], what was seen last, and how many points were taken."""
 
     time: float
-    seen: Seen
+    seen: BlockMeans
     contraction: float
     set_pressure: float
     points: int
@@ -42,14 +42,14 @@ class Report(Protocol):
     def __call__(self, progress: Progress) -> None: ...
 
 
-class Taken(NamedTuple):
+class PlateauSamples(NamedTuple):
     """Samples that were taken in a row: when the first one was [s], and the mean volts of each input by its name."""
 
     begun: float
     means: Mapping[str, float]
 
 
-class Handling:
+class RigSession:
     """What a test does with a rig.
 
     Parameters
@@ -94,7 +94,7 @@ class Handling:
         self._names = [channel.name for channel in backend.inputs]
         self._watch = Watch(bench.limits, backend.inputs, bench.calibrations, bench.drive, origin)
         self._expected = 0
-        self._seen: Seen | None = None
+        self._seen: BlockMeans | None = None
         self._signal: tuple[int, str] | None = None
         self._set_pressure = 0.0
         self._points = 0
@@ -106,10 +106,10 @@ class Handling:
 
     def begin(self) -> None:
         """The first look: nothing is pressed or moved before the muscle is seen to be empty."""
-        self.recorder.event("opened", "", **self.backend.described)
-        self.let_out()
+        self.recorder.event("opened", "", **self.backend.description)
+        self.vent_and_wait()
 
-    def take(self, count: int, plateau: int) -> Taken:
+    def acquire(self, count: int, plateau: int) -> PlateauSamples:
         """Take so many samples in a row, all of them recorded, as those of a plateau."""
         sums: NDArray[np.float64] = np.zeros(len(self._names))
         begun, left, self._points = None, count, plateau
@@ -119,14 +119,16 @@ class Handling:
             begun = float(block.time[0]) if begun is None else begun
             left -= len(block.time)
         self._points = plateau + 1
-        return Taken(self._since + (begun or 0.0), dict(zip(self._names, (sums / count).tolist(), strict=True)))
+        return PlateauSamples(
+            self._since + (begun or 0.0), dict(zip(self._names, (sums / count).tolist(), strict=True))
+        )
 
     @property
     def now(self) -> float:
         """The rig's clock at the last reading [s]."""
         return self._seen.time if self._seen is not None else 0.0
 
-    def drive(self, pulses: int, speed: float) -> None:
+    def move_to(self, pulses: int, speed: float) -> None:
         """Go to where the motor stands so [pulses], at a speed [m/s]."""
         way = pulses - self.pulses
         if not way:
@@ -148,7 +150,7 @@ class Handling:
                     remedy="check its driver and its end switches",
                 )
 
-    def towards(self, force: float, speed: float) -> None:
+    def step_towards(self, force: float, speed: float) -> None:
         """A short move towards a force."""
         if self.backend.moving or self._seen is None:
             return
@@ -166,7 +168,7 @@ class Handling:
         while left > 0:
             left -= len(self._cycle(min(left, self.bench.samples_a_cycle)).time)
 
-    def press(self, before: float, pressure: float, rate: float | None, holding: float | None) -> None:
+    def set_pressure(self, before: float, pressure: float, rate: float | None, holding: float | None) -> None:
         """Bring the pressure from one to another [Pa], at once or at a rate [Pa/s], its length held or a force [N]."""
         self._set_pressure = pressure
         self.recorder.event("pressure", pressure=pressure)
@@ -178,27 +180,27 @@ class Handling:
                 self._set(set_now)
                 self._cycle()
                 if holding is not None:
-                    self.towards(holding, _SPEED)
+                    self.step_towards(holding, _SPEED)
         self._set(pressure)
         self._watch.expect(pressure, self.now)
         self._settle(pressure, holding)
 
     def _set(self, pressure: float) -> None:
-        self.backend.press([float(self.bench.calibrations["valve"].volts(max(pressure, 0.0)))])
+        self.backend.set_valves([float(self.bench.calibrations["valve"].volts(max(pressure, 0.0)))])
 
     def _settle(self, pressure: float, holding: float | None) -> None:
         """Until the pressure was near for a second; the watch stops it where that takes too long."""
         near = 0.0
         while near < self.bench.steady - 1e-9:
             before = self.now
-            seen = self.see()
+            seen = self.read_cycle()
             near = near + seen.time - before if abs(seen.pressure - pressure) <= self.bench.settled else 0.0
             if holding is not None:
-                self.towards(holding, _SPEED)
+                self.step_towards(holding, _SPEED)
             self._late(pressure, seen)
         self._watch_closely(pressure)
 
-    def let_out(self) -> None:
+    def vent_and_wait(self) -> None:
         """Vent, and wait until the muscle is empty."""
         self._set_pressure = 0.0
         self.recorder.event("venting")
@@ -207,7 +209,7 @@ class Handling:
         since, near = self.now, 0.0
         while near < self.bench.steady - 1e-9:
             before = self.now
-            seen = self.see()
+            seen = self.read_cycle()
             near = near + seen.time - before if seen.pressure <= self.bench.vented else 0.0
             if self.now > since + self.bench.limits.settling:
                 raise StoppedError(
@@ -220,14 +222,14 @@ class Handling:
         """It is there: from now on it has no more time to get there."""
         self._watch.expect(pressure, self.now - self.bench.limits.settling)
 
-    def _late(self, pressure: float, seen: Seen) -> None:
+    def _late(self, pressure: float, seen: BlockMeans) -> None:
         if seen.time > self._watch.since + self.bench.limits.settling + self.bench.steady:
             raise StoppedError(
                 f"the pressure does not settle: {seen.pressure / bar:.3g} bar where {pressure / bar:.3g} bar were set",
                 remedy="check the supply, the valve and the muscle",
             )
 
-    def see(self) -> Seen:
+    def read_cycle(self) -> BlockMeans:
         """What a cycle tells."""
         self._cycle()
         assert self._seen is not None
@@ -245,7 +247,7 @@ class Handling:
             with contextlib.suppress(RigError):  # what the watch found says more
                 self._record(block, 1, plateau)
             raise
-        backend.beat()
+        backend.heartbeat()
         self.pulses = int(block.pulses[-1]) + self._origin
         self._record(block, 1 if plateau >= 0 else bench.every, plateau)
         if self._signal is not None:
@@ -272,7 +274,7 @@ class Handling:
             table[name] = volts[:, at]
         self.recorder.append(table)  # type: ignore[arg-type]
 
-    def stopped(self, error: BaseException) -> StoppedError:
+    def record_stop(self, error: BaseException) -> StoppedError:
         """Record why, watch the pressure fall, and say both."""
         if isinstance(error, KeyboardInterrupt) and self._signal is not None:  # it came again, and did not wait
             error = _interrupted(*self._signal)

@@ -1,4 +1,4 @@
-"""The steps that a test is made of. They say what is wanted; `Runner` does it, `outline` adds it up beforehand."""
+"""The steps that a test is made of. They say what is wanted; `Runner` does it, `dry_run` adds it up beforehand."""
 
 from __future__ import annotations
 
@@ -243,17 +243,17 @@ class Repeat:
 Step = Move | Dwell | Pressurise | HoldForce | Acquire | Walk | Vent | Repeat
 
 
-def described(steps: Sequence[Step], indent: int = 0) -> list[str]:
+def describe_steps(steps: Sequence[Step], indent: int = 0) -> list[str]:
     """Steps as lines of text, those of a repeat indented.
 
-    >>> described([Repeat(times=2, steps=(Dwell(duration=1.0), Vent()))])
+    >>> describe_steps([Repeat(times=2, steps=(Dwell(duration=1.0), Vent()))])
     ['2 times', '  wait 1 s', '  vent']
     """
     lines: list[str] = []
     for step in steps:
         lines.append("  " * indent + step.describe())
         if isinstance(step, Repeat):
-            lines += described(step.steps, indent + 1)
+            lines += describe_steps(step.steps, indent + 1)
     return lines
 
 

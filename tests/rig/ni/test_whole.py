@@ -14,7 +14,7 @@ from mckibben import catalog
 from mckibben.errors import FileError, SignalledError, StoppedError
 from mckibben.muscle import Muscle, forces
 from mckibben.rig.record import read_record, segments
-from mckibben.rig.twin import Silent, TwinRig
+from mckibben.rig.simulated import SamplesStopped, SimulatedRig
 from mckibben.study.rig.document import read_test
 from mckibben.study.rig.running import check, readings, run_test
 from mckibben.units import bar
@@ -44,7 +44,7 @@ def on_card(tmp_path):
     servers = []
 
     def make(mounted_at=0.0, **settings):
-        twin = TwinRig(MUSCLE, seed=len(servers), mounted_at=mounted_at, **settings)
+        twin = SimulatedRig(MUSCLE, seed=len(servers), mounted_at=mounted_at, **settings)
         server, address = device.serve(device.Card(twin))
         servers.append(server)
         calibrations = {name: one.to_json() for name, one in twin.calibrations.items()}
@@ -93,7 +93,7 @@ def test_a_protocol_on_a_card_is_stopped_and_goes_on_from_where_the_motor_stands
 
 
 def test_where_the_motor_of_a_card_that_fell_silent_stands_is_asked(on_card, tmp_path):
-    twin, checked = on_card(faults=[Silent(5.0)])
+    twin, checked = on_card(faults=[SamplesStopped(5.0)])
     with pytest.raises(StoppedError, match=r"samples did not come in time.*no reading tells"):
         run_test(checked, tmp_path / "out")
     twin.pass_time(1.0)

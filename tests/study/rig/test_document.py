@@ -205,7 +205,7 @@ def test_a_whole_test_that_does_not_suit_the_muscle_is_told_with_its_line():
 
 def test_the_example_is_the_papers_test():
     checked = check(RigTest.read(EXAMPLES / "rig" / "paper-protocol.yaml"))
-    assert checked.outline.samples == 5_850_000
+    assert checked.dry_run.samples == 5_850_000
     assert checked.test.protocol.isobaric is not None
     paper = IsobaricProtocol(contraction_min=0.0, contraction_max=0.245, slack_steps=44)
     given_ = {name: value for name, value in checked.test.protocol.isobaric if value is not None}
@@ -214,7 +214,7 @@ def test_the_example_is_the_papers_test():
 
 
 def test_a_card_and_its_calibrations(tmp_path):
-    from mckibben.rig.twin.sensing import FORCE, PRESSURE, VALVE
+    from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
     from mckibben.study.reporting import to_json
 
     path = tmp_path / "calibration.json"

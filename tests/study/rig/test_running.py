@@ -99,7 +99,7 @@ def test_a_rig_that_is_not_there_leaves_nothing_behind(tmp_path, monkeypatch):
     def missing(_):
         raise RigError("no device Dev1", remedy="connect it")
 
-    monkeypatch.setattr("mckibben.rig.twin.TwinRig.open", missing)
+    monkeypatch.setattr("mckibben.rig.simulated.SimulatedRig.open", missing)
     with pytest.raises(RigError, match="no device Dev1; connect it") as refused:
         run_test(checked(), tmp_path)
     assert not isinstance(refused.value, StoppedError)
@@ -153,7 +153,7 @@ def test_a_dataset_of_another_calibration_than_was_recorded_is_told(tmp_path, mo
         bench = dataclasses.replace(setup.bench, calibrations={**setup.bench.calibrations, "force": tared})
         return dataclasses.replace(setup, bench=bench)
 
-    monkeypatch.setattr(checking, "build_setup", mended)
+    monkeypatch.setattr(running, "build_setup", mended)
     with pytest.warns(McKibbenWarning, match=r"record-0001\.chunks was recorded with another calibration"):
         again = gather(tmp_path)
     np.testing.assert_allclose(again.force, made.force - 3.0, atol=1e-4)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RangeError, RigError
 from mckibben.numerics.checks import check_positive
-from mckibben.rig.backend import Block, Channel
-from mckibben.rig.ni.driver import Driver, Wiring
+from mckibben.rig.backend import AnalogChannel, Block
+from mckibben.rig.ni.driver import Driver, Terminals
 
 _BUFFER = 10.0  # s of samples that the driver keeps for us
 _OFF = 1e-3  # V: a signal nearer to rest is rest
@@ -27,7 +27,7 @@ class NiBackend:
     All inputs are sampled by one clock of the card; the outputs are held by it. A card holds its last output when its
     host dies: nothing in it vents. That is the work of an external relay that watches the line `heartbeat`, and cuts
     the current of a valve that a spring opens; `patience` has to be the time for which that relay waits. What the host
-    can see of a missed beat it enforces here: the line then rests until the backend is opened anew.
+    can see of a missed heartbeat it enforces here: the line then rests until the backend is opened anew.
 
     Parameters
     ----------
@@ -36,17 +36,17 @@ class NiBackend:
     rate
         Samples a second of each input [Hz]; the card has to have it exactly.
     patience
-        After how long without a beat the relay lets go [s].
+        After how long without a heartbeat the relay lets go [s].
     server
         Address of an NI gRPC Device Server, "host:port", on whose machine the card is; empty: this one.
     """
 
     def __init__(
-        self, wiring: Wiring | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
+        self, wiring: Terminals | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
     ) -> None:
         check_positive("rig", "Hz", rate=rate)
         check_positive("rig", "s", patience=patience)
-        self.wiring = wiring or Wiring()
+        self.wiring = wiring or Terminals()
         self.rate = float(rate)
         self.patience = float(patience)
         self.server = server
@@ -58,22 +58,24 @@ class NiBackend:
         self._switch: Any = None
         self._lines: dict[str, bool] = {}
         self._taken = 0
-        self._beaten = 0.0
+        self._last_heartbeat = 0.0
         self._tripped = False
         self._facts: dict[str, str] = {}
 
     @property
-    def inputs(self) -> Sequence[Channel]:
+    def inputs(self) -> Sequence[AnalogChannel]:
         """What is measured."""
-        return tuple(Channel(name, *self.wiring.input_range, where) for name, where in self.wiring.inputs.items())
+        return tuple(AnalogChannel(name, *self.wiring.input_range, where) for name, where in self.wiring.inputs.items())
 
     @property
-    def outputs(self) -> Sequence[Channel]:
+    def outputs(self) -> Sequence[AnalogChannel]:
         """The valves."""
-        return tuple(Channel(name, *self.wiring.output_range, where) for name, where in self.wiring.outputs.items())
+        return tuple(
+            AnalogChannel(name, *self.wiring.output_range, where) for name, where in self.wiring.outputs.items()
+        )
 
     @property
-    def described(self) -> Mapping[str, str]:
+    def description(self) -> Mapping[str, str]:
         """What it is, for the record; driver and serial numbers once it has been opened."""
         wired = {**self.wiring.inputs, **self.wiring.outputs, **self.wiring.lines}
         if self.wiring.counter:
@@ -130,13 +132,13 @@ class NiBackend:
         times = np.arange(first, self._taken) / self.rate
         return Block(first, times, np.ascontiguousarray(volts.T), self._counted(times))
 
-    def press(self, volts: Sequence[float]) -> None:
+    def set_valves(self, volts: Sequence[float]) -> None:
         """Hold these signals at the valves [V]; one other than rest closes the spring valve again.
 
         Raises
         ------
         RigError
-            If it is not open, a beat was missed, or a signal is outside the range.
+            If it is not open, a heartbeat was missed, or a signal is outside the range.
         """
         driver = self._must_go()
         low, high = self.wiring.output_range
@@ -150,8 +152,8 @@ class NiBackend:
             if (np.abs(signals - self.wiring.rest) > _OFF).any():
                 self._set(hold=True)
 
-    def beat(self) -> None:
-        """Say that the host lives. After a missed beat the line rests.
+    def heartbeat(self) -> None:
+        """Reset the watchdog. After a missed heartbeat the line rests.
 
         Raises
         ------
@@ -163,7 +165,7 @@ class NiBackend:
             return
         with driver.translated("the heartbeat"):
             self._set(heartbeat=not self._lines["heartbeat"])
-        self._beaten = time.monotonic()
+        self._last_heartbeat = time.monotonic()
 
     def vent(self) -> None:
         """Let all air out: cut the spring valve's current, then bring the signals to rest. Never raises."""
@@ -187,7 +189,7 @@ class NiBackend:
         self._take_hold_of_outputs(driver)
         self._take_hold_of_inputs(driver)
         self._taken, self._tripped = 0, False
-        self._beaten = time.monotonic()
+        self._last_heartbeat = time.monotonic()
 
     def _take_hold_of_outputs(self, driver: Driver) -> None:
         """Lines first: they vent."""
@@ -261,13 +263,13 @@ class NiBackend:
         driver = self._open()
         if self._missed():
             raise RigError(
-                f"there was no beat for {self.patience:g} s: the relay has let go, the muscle is vented",
-                remedy="open the rig anew, and beat in time",
+                f"there was no heartbeat for {self.patience:g} s: the relay has let go, the muscle is vented",
+                remedy="open the rig anew, and send heartbeats in time",
             )
         return driver
 
     def _missed(self) -> bool:
-        if not self._tripped and time.monotonic() - self._beaten > self.patience:
+        if not self._tripped and time.monotonic() - self._last_heartbeat > self.patience:
             self._tripped = True
             self.vent()
         return self._tripped
@@ -307,7 +309,7 @@ class NiRig(NiBackend):
     """
 
     def __init__(
-        self, wiring: Wiring | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
+        self, wiring: Terminals | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
     ) -> None:
         super().__init__(wiring, rate=rate, patience=patience, server=server)
         if not self.wiring.counter:
@@ -329,7 +331,7 @@ class NiRig(NiBackend):
         Raises
         ------
         RigError
-            If it is still moving, a beat was missed, or the card cannot send them.
+            If it is still moving, a heartbeat was missed, or the card cannot send them.
         """
         driver = self._must_go()
         if self.moving:

@@ -8,15 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.errors import RigError
-from mckibben.rig.backend import Channel
+from mckibben.rig.backend import AnalogChannel
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.ni.backend import NiBackend
-from mckibben.rig.ni.driver import Driver, Wiring
+from mckibben.rig.ni.driver import Driver, Terminals
 
 _LOOK = 0.1  # s
 
 
-class Presence(NamedTuple):
+class ChannelStatus(NamedTuple):
     """One thing that a rig needs.
 
     Attributes
@@ -35,9 +35,9 @@ class Presence(NamedTuple):
     problem: str = ""
 
 
-def present(
-    wiring: Wiring | None = None, calibrations: Mapping[str, Calibration] | None = None, *, server: str = ""
-) -> list[Presence]:
+def channel_status(
+    wiring: Terminals | None = None, calibrations: Mapping[str, Calibration] | None = None, *, server: str = ""
+) -> list[ChannelStatus]:
     """Look for driver, devices and terminals, and read each sensor for a tenth of a second.
 
     The muscle stays vented, and nothing moves. What is missing is told, and does not raise.
@@ -51,42 +51,46 @@ def present(
     server
         As for `NiBackend`.
     """
-    wiring, calibrations = wiring or Wiring(), calibrations or {}
-    found: list[Presence] = []
+    wiring, calibrations = wiring or Terminals(), calibrations or {}
+    found: list[ChannelStatus] = []
     try:
         driver = Driver(server)
     except RigError as error:
-        return [Presence("package", "", "", str(error))]
+        return [ChannelStatus("package", "", "", str(error))]
     try:
-        found.append(Presence("driver", server or "this machine", f"NI-DAQmx {driver.version()}"))
+        found.append(ChannelStatus("driver", server or "this machine", f"NI-DAQmx {driver.version()}"))
         devices = driver.devices()
     except RigError as error:
-        return [*found, Presence("driver", server or "this machine", "", str(error))]
+        return [*found, ChannelStatus("driver", server or "this machine", "", str(error))]
     finally:
         driver.close()
-    found += [Presence("device", name, f"{model}, serial {serial}") for name, (model, serial) in devices.items()]
+    found += [ChannelStatus("device", name, f"{model}, serial {serial}") for name, (model, serial) in devices.items()]
     if not devices:
-        found.append(Presence("device", "", "", "no device is connected; check its cable and power"))
+        found.append(ChannelStatus("device", "", "", "no device is connected; check its cable and power"))
     for name, where in wiring.inputs.items():
-        found.append(_looked_at(Channel(name, *wiring.input_range, where), wiring, calibrations.get(name), server))
+        found.append(
+            _looked_at(AnalogChannel(name, *wiring.input_range, where), wiring, calibrations.get(name), server)
+        )
     others = {**wiring.outputs, **wiring.lines} | ({"counter": wiring.counter} if wiring.counter else {})
     for name, where in others.items():
         device = where.split("/")[0]
         missing = "" if device in devices else f"no device {device}; correct the address in the wiring"
-        found.append(Presence(name, where, "" if missing else "not tried", missing))
+        found.append(ChannelStatus(name, where, "" if missing else "not tried", missing))
     return found
 
 
-def _looked_at(channel: Channel, wiring: Wiring, calibration: Calibration | None, server: str) -> Presence:
+def _looked_at(
+    channel: AnalogChannel, wiring: Terminals, calibration: Calibration | None, server: str
+) -> ChannelStatus:
     """Of one input, by itself, so that one that is missing does not hide the others."""
     alone = _Looking(
-        Wiring(inputs={channel.name: channel.where}, input_range=wiring.input_range, counter=""), server=server
+        Terminals(inputs={channel.name: channel.where}, input_range=wiring.input_range, counter=""), server=server
     )
     try:
         alone.open()
         volts = alone.read(round(_LOOK * alone.rate)).volts[:, 0]
     except RigError as error:
-        return Presence(channel.name, channel.where, "", str(error))
+        return ChannelStatus(channel.name, channel.where, "", str(error))
     finally:
         alone.close()
     reading = f"{np.mean(volts):.4f} V"
@@ -96,7 +100,7 @@ def _looked_at(channel: Channel, wiring: Wiring, calibration: Calibration | None
         lost = calibration.lost(volts, channel)
     reading += f" (noise {np.std(volts) * 1e3:.2f} mV)"
     problem = "no working sensor reads that; check its plug and its supply" if lost.any() else ""
-    return Presence(channel.name, channel.where, reading, problem)
+    return ChannelStatus(channel.name, channel.where, reading, problem)
 
 
 class _Looking(NiBackend):

@@ -146,7 +146,7 @@ def _first(error: Exception) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wiring:
+class Terminals:
     """Terminals by name, as the driver calls them.
 
     Parameters
@@ -156,7 +156,7 @@ class Wiring:
     outputs
         Analog outputs of the valves.
     heartbeat
-        Digital line that changes with each beat; an external relay lets go when it does not.
+        Digital line that changes with each heartbeat; an external relay lets go when it does not.
     hold
         Digital line that, through that relay, holds the current of the spring valve: high = closed.
     counter
@@ -175,7 +175,7 @@ class Wiring:
 
     Examples
     --------
-    >>> wiring = Wiring()  # the paper's rig
+    >>> wiring = Terminals()  # the paper's rig
     >>> wiring.inputs["pressure"], wiring.outputs["valve"], wiring.counter
     ('Dev1/ai1', 'Dev1/ao0', 'Dev1/ctr0')
     """

@@ -23,7 +23,7 @@ from mckibben.study.rig.steps import ProtocolSpec, steps
 from mckibben.study.scenario.building import build_creep, build_friction
 
 if TYPE_CHECKING:
-    from mckibben.rig.ni import Wiring
+    from mckibben.rig.ni import Terminals
 
 _PROCEDURES: Mapping[str, type[Procedure]] = {
     "isobaric": IsobaricProtocol,
@@ -96,7 +96,15 @@ def _virtual(
 ) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
     from dataclasses import replace
 
-    from mckibben.rig.twin import FORCE_SENSOR, PRESSURE_SENSOR, Converter, Paced, Regulator, Stretcher, TwinRig
+    from mckibben.rig.simulated import (
+        FORCE_SENSOR,
+        PRESSURE_SENSOR,
+        Converter,
+        RealTimeRig,
+        Regulator,
+        SimulatedRig,
+        Stretcher,
+    )
 
     specimen = of.specimen if isinstance(of, Muscle) else of
     law = spec.law or test.muscle.law
@@ -111,8 +119,8 @@ def _virtual(
             "force_sensor": replace(FORCE_SENSOR, noise=0.0),
             "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
         }
-    twin = TwinRig(muscle, seed=spec.seed + _APART * session, mounted_at=test.muscle.mounted_at, **parts)
-    return Paced(twin) if spec.paced else twin, twin.calibrations, twin.drive
+    twin = SimulatedRig(muscle, seed=spec.seed + _APART * session, mounted_at=test.muscle.mounted_at, **parts)
+    return RealTimeRig(twin) if spec.paced else twin, twin.calibrations, twin.drive
 
 
 def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
@@ -123,14 +131,14 @@ def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Dri
     return NiRig(build_wiring(spec), **given), calibrations, Drive(**given_fields(spec.drive) if spec.drive else {})
 
 
-def build_wiring(spec: CardSpec) -> Wiring:
+def build_wiring(spec: CardSpec) -> Terminals:
     """Which terminal goes where."""
-    from mckibben.rig.ni import Wiring
+    from mckibben.rig.ni import Terminals
 
     def at(name: str) -> str:
         return f"{spec.device}/{getattr(spec, name)}"
 
-    return Wiring(
+    return Terminals(
         inputs={name: at(name) for name in ("force", "pressure")},
         outputs={"valve": at("valve")},
         counter=at("counter"),

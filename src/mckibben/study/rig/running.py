@@ -20,12 +20,12 @@ import mckibben
 from mckibben.config.document import Document, Place, dotted
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, RangeError, RigError, ScenarioError
-from mckibben.rig.dry_run import Outline, outline
+from mckibben.rig.dry_run import DryRunReport, dry_run
 from mckibben.rig.record import Event, Point, assemble, header_of, passages, points, read_header, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.session import VENTED, Report
-from mckibben.rig.steps import Step, described
+from mckibben.rig.steps import Step, describe_steps
 from mckibben.storage.files import alone, check_free
 from mckibben.storage.files import folder as made
 from mckibben.storage.interruption import heeded
@@ -34,7 +34,7 @@ from mckibben.study.rig.document import RigTest
 from mckibben.units import bar, mm, percent
 
 if TYPE_CHECKING:
-    from mckibben.rig.ni import Presence
+    from mckibben.rig.ni import ChannelStatus
     from mckibben.study.rig.building import Setup
 
 
@@ -51,10 +51,10 @@ def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
     ScenarioError
         If the protocol cannot be read.
     """
-    from mckibben.rig.ni import present
+    from mckibben.rig.ni import channel_status
 
     if protocol is None:
-        yield from map(_line, present())
+        yield from map(_line, channel_status())
         return
     from mckibben.study.rig.building import build_setup, build_wiring, read_calibrations
     from mckibben.study.rig.document import read_test
@@ -63,7 +63,7 @@ def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
     card = test.rig.nidaqmx
     if card is not None:
         calibrations = read_calibrations(Path(str(card.calibration)))
-        yield from map(_line, present(build_wiring(card), calibrations, server=card.server or ""))
+        yield from map(_line, channel_status(build_wiring(card), calibrations, server=card.server or ""))
     else:
         yield from _virtual(build_setup(test))
     try:
@@ -75,7 +75,7 @@ def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
     yield "nothing stands against it", True
 
 
-def _line(found: Presence) -> tuple[str, bool]:
+def _line(found: ChannelStatus) -> tuple[str, bool]:
     where = f" at {found.where}" if found.where else ""
     return f"{found.name}{where}: {found.problem or found.reading}", not found.problem
 
@@ -100,7 +100,7 @@ def _virtual(setup: Setup) -> Iterator[tuple[str, bool]]:
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckedTest:
     """A test that may be run.
 
     Attributes
@@ -111,7 +111,7 @@ class Checked:
         Its rig, still closed.
     steps
         What is done.
-    outline
+    dry_run
         What that takes.
     room
         On the disk [bytes]: the record and the dataset.
@@ -120,18 +120,18 @@ class Checked:
     test: RigTest
     setup: Setup
     steps: tuple[Step, ...]
-    outline: Outline
+    dry_run: DryRunReport
     room: int
 
     def describe(self) -> str:
         """The dry run in words: the steps, and what they take."""
-        found, upto = self.outline, "at most " if self.outline.at_most else ""
+        found, upto = self.dry_run, "at most " if self.dry_run.at_most else ""
         limits = self.setup.bench.limits
         law = f"{found.force:.0f} N by the law, " if found.force else ""
         return "\n".join(
             [
                 f"{self.test.name}: {self.setup.bench.specimen.name} on the {self.rig} rig",
-                *described(self.steps, 1),
+                *describe_steps(self.steps, 1),
                 f"{upto}{_time(found.duration)}, {found.plateaus} points, {found.samples} samples, "
                 f"{found.pulses} pulses, {self.room / 1e6:.0f} MB on the disk",
                 f"contraction {found.contraction[0] / percent:.4g}..{found.contraction[1] / percent:.4g} %, pressure "
@@ -147,7 +147,9 @@ class Checked:
         return "virtual" if self.test.rig.virtual is not None else "nidaqmx"
 
 
-def check(test: RigTest, document: Document | None = None, *, source: str = "protocol", session: int = 0) -> Checked:
+def check(
+    test: RigTest, document: Document | None = None, *, source: str = "protocol", session: int = 0
+) -> CheckedTest:
     """Go through a test without moving anything.
 
     Parameters
@@ -172,11 +174,11 @@ def check(test: RigTest, document: Document | None = None, *, source: str = "pro
         steps = build_steps(test.protocol, setup.bench.of)
     except RangeError as error:
         raise ScenarioError(source, _unsuited(str(error), ("protocol", test.protocol.form), lines)) from None
-    found = outline(steps, setup.bench, setup.backend.inputs, patience=setup.backend.patience)
+    found = dry_run(steps, setup.bench, setup.backend.inputs, patience=setup.backend.patience)
     if found.problems:
         raise ScenarioError(source, [_placed(problem, test, lines) for problem in found.problems])
     row = sum(column.stored.itemsize for column in columns_of([one.name for one in setup.backend.inputs]))
-    return Checked(test, setup, steps, found, found.bytes(row) + 2 * 4 * found.samples)
+    return CheckedTest(test, setup, steps, found, found.bytes(row) + 2 * 4 * found.samples)
 
 
 def check_room(folder: Path, needed: int) -> None:
@@ -246,7 +248,7 @@ def data_name(test: RigTest) -> str:
 
 
 def run_test(
-    checked: Checked,
+    checked: CheckedTest,
     folder: str | os.PathLike[str],
     *,
     resume: bool = False,
@@ -321,7 +323,7 @@ def gather(folder: str | os.PathLike[str]) -> IsobaricDataset:
         return _assembled(checked, folder)
 
 
-def _assembled(checked: Checked, folder: Path) -> IsobaricDataset:
+def _assembled(checked: CheckedTest, folder: Path) -> IsobaricDataset:
     calibration = _header(checked)["calibration"]
     for path in segments(folder):
         if read_header(path)[0]["header"]["calibration"] != calibration:
@@ -338,7 +340,7 @@ def _assembled(checked: Checked, folder: Path) -> IsobaricDataset:
     return data
 
 
-def _go_on(checked: Checked, folder: Path, past: _Past, standing_at: float | None, report: Report | None) -> None:
+def _go_on(checked: CheckedTest, folder: Path, past: _Past, standing_at: float | None, report: Report | None) -> None:
     bench, backend = checked.setup.bench, checked.setup.backend
     origin = _origin(checked, folder, past, standing_at)
     columns = columns_of([channel.name for channel in backend.inputs])
@@ -349,7 +351,7 @@ def _go_on(checked: Checked, folder: Path, past: _Past, standing_at: float | Non
             runner.run(checked.steps)
 
 
-def _origin(checked: Checked, folder: Path, past: _Past, standing_at: float | None) -> int:
+def _origin(checked: CheckedTest, folder: Path, past: _Past, standing_at: float | None) -> int:
     bench = checked.setup.bench
     if standing_at is not None:
         return bench.pulses_at(standing_at)
@@ -389,12 +391,12 @@ def _same(test: RigTest, folder: Path) -> None:
     raise ScenarioError(str(folder), [Problem("holds another test", remedy=remedy)])
 
 
-def _header(checked: Checked) -> dict[str, Any]:
+def _header(checked: CheckedTest) -> dict[str, Any]:
     bench = checked.setup.bench
     specimen = bench.specimen
     return {
         "protocol": checked.test.dumps(),
-        "steps": described(checked.steps),
+        "steps": describe_steps(checked.steps),
         "specimen": {
             "name": specimen.name,
             "initial_length_m": float(specimen.initial_length),
@@ -404,7 +406,7 @@ def _header(checked: Checked) -> dict[str, Any]:
         },
         "calibration": {name: one.to_json() for name, one in bench.calibrations.items()},
         "drive": {"pulses_per_metre": bench.drive.pulses_per_metre},
-        "rig": dict(checked.setup.backend.described),
+        "rig": dict(checked.setup.backend.description),
         "rate_Hz": bench.rate,
         "clock": "time_s is the card's, from the beginning of the test; interruptions are left out",
         "date": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
@@ -417,5 +419,5 @@ def _header(checked: Checked) -> dict[str, Any]:
     }
 
 
-def _source(checked: Checked, folder: Path) -> str:
+def _source(checked: CheckedTest, folder: Path) -> str:
     return f"{checked.rig} rig: {checked.test.name}, {header_of(folder)[0]['date']}"

@@ -19,7 +19,7 @@ _HOUR = 3600.0  # s
 
 
 @dataclass(frozen=True)
-class VirtualRig:
+class SimulatedIsobaricTest:
     r"""The paper's stretching device with a muscle in it.
 
     At a plateau the muscle has the true pressure :math:`p` = set pressure + regulator offset, its law the
@@ -72,7 +72,7 @@ class VirtualRig:
     >>> from mckibben import catalog
     >>> from mckibben.rig import IsobaricProtocol
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-    >>> VirtualRig(muscle).run(IsobaricProtocol(pressures=[2 * bar, 6 * bar], repeats=1), seed=1)
+    >>> SimulatedIsobaricTest(muscle).run(IsobaricProtocol(pressures=[2 * bar, 6 * bar], repeats=1), seed=1)
     <IsobaricDataset 'MAS-10-180N-AA-MC-O': 126 points (10 slack), 2 pressures 2..6 bar, contraction
     -3..24.78 %, loading and unloading, repeats 0, 1000 samples a point>
     """

@@ -9,7 +9,7 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellCreep, MaxwellSlip, Muscle, forces
-from mckibben.rig.twin.machine import Grip, force_table
+from mckibben.rig.simulated.machine import Grip, force_table
 from mckibben.units import bar, percent
 
 SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")

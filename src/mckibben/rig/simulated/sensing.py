@@ -13,14 +13,13 @@ from mckibben.errors import RigError
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.rig.backend import Block
 from mckibben.rig.calibration import Calibration
-from mckibben.rig.twin.faults import Delaying, Dropping, Fault, Silent, Unplugged
-from mckibben.rig.twin.machine import Knots
-from mckibben.rig.twin.stretcher import Motor
+from mckibben.rig.simulated.faults import Fault, SamplesDelayed, SamplesDropped, SamplesStopped, SensorDisconnected
+from mckibben.rig.simulated.machine import Knots
+from mckibben.rig.simulated.stretcher import Motor
 from mckibben.units import N, bar, kPa
 
 _HOUR = 3600.0
 _WANDER = 10.0  # s: between two drawn points of a wandering zero
-_MAINS = 50.0  # Hz
 
 FORCE = Calibration(
     name="force",
@@ -80,10 +79,10 @@ class Sensor:
 
 
 FORCE_SENSOR = Sensor(calibration=FORCE, noise=0.5 * N)
-"""The noise is ours, 0.03 % of the sensor, as that of `VirtualRig`."""
+"""The noise is ours, 0.03 % of the sensor, as that of `SimulatedIsobaricTest`."""
 
 PRESSURE_SENSOR = Sensor(calibration=PRESSURE, noise=0.5 * kPa)
-"""The noise is ours, 0.05 % of the sensor, as that of `VirtualRig`."""
+"""The noise is ours, 0.05 % of the sensor, as that of `SimulatedIsobaricTest`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +122,7 @@ class Converter:
         return np.clip(volts, self.low, self.high, out=volts)
 
 
-class Reading:
+class SensorChannel:
     """A sensor over time: its zero, and whether it is plugged in.
 
     Parameters
@@ -142,21 +141,14 @@ class Reading:
         self._per_volt = 1 / calibration.gain
         self._zero = calibration.tare / calibration.gain + calibration.offset
         self.noise = sensor.noise / abs(calibration.gain)
-        self._unplugged: float | None = None
-        self._floating = False
-
-    def unplug(self, volts: float | None) -> None:
-        """From now on it reads so many volts [V]; none, and it floats."""
-        self._unplugged, self._floating = volts or 0.0, volts is None
+        self.disconnected: SensorDisconnected | None = None
 
     def volts(
         self, time: NDArray[np.float64], truth: NDArray[np.float64], noise: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """What it gives [V] at times [s], of a true value; its noise [V] is taken as given."""
-        if self._floating:
-            return 1.0 + 2.0 * np.sin(2 * math.pi * _MAINS * time) + noise
-        if self._unplugged is not None:
-            return np.full(len(time), self._unplugged)
+        if self.disconnected is not None:
+            return self.disconnected.volts_at(time) + (noise if self.disconnected.volts is None else 0.0)
         sensor = self._sensor
         volts = truth * self._per_volt
         volts += noise
@@ -215,7 +207,7 @@ class Sampling:
         self._converter = converter
         self._noise = noise
         self._readings = {
-            name: Reading(sensor, wander) for (name, sensor), wander in zip(sensors.items(), wanders, strict=True)
+            name: SensorChannel(sensor, wander) for (name, sensor), wander in zip(sensors.items(), wanders, strict=True)
         }
         self._sigma = np.array([reading.noise for reading in self._readings.values()])
         self._began = 0.0
@@ -300,13 +292,13 @@ class Sampling:
     def damage(self, fault: Fault) -> None:
         """What a fault does to sensors and card; another does nothing."""
         match fault:
-            case Unplugged(sensor=sensor, volts=volts):
-                self._readings[sensor].unplug(volts)
-            case Silent():
+            case SensorDisconnected():
+                self._readings[fault.sensor].disconnected = fault
+            case SamplesStopped():
                 self._silent = True
-            case Delaying(delay=delay):
+            case SamplesDelayed(delay=delay):
                 self.delay += delay
-            case Dropping(samples=samples):
+            case SamplesDropped(samples=samples):
                 self.next = max(self.next, self._taken + samples)
                 self._waiting = []
             case _:

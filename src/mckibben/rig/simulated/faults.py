@@ -1,17 +1,23 @@
-"""What can go wrong with a rig, each at a time of its own."""
+"""Faults of the simulated rig and the simulated joint, each at a given time."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 from mckibben.numerics.checks import check_positive
-from mckibben.rig.twin.air import L_PER_S_BAR
+from mckibben.rig.simulated.air import L_PER_S_BAR
+
+_MAINS = 50.0  # Hz
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that happens to a virtual rig.
+    """A fault of simulated hardware.
 
     Parameters
     ----------
@@ -43,25 +49,31 @@ class ValveStuck(Fault):
 
 
 @dataclass(frozen=True)
-class Unplugged(Fault):
-    """A sensor's plug comes off.
+class SensorDisconnected(Fault):
+    """The cable of a sensor is disconnected.
 
     Parameters
     ----------
     sensor
-        "force" or "pressure".
+        Name of the input.
     volts
-        What the open input then reads [V]: a rail, to which a resistor pulls it, 10 V. None: it floats, and picks up
-        the mains.
+        Reading of the open input [V]: 10 V, the rail to which a resistor pulls it. None: it floats, with mains hum.
     """
 
     sensor: str = "force"
     volts: float | None = 10.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.sensor not in ("force", "pressure"):
-            raise RangeError(f"Unplugged: no sensor {self.sensor!r}", value=self.sensor, remedy="force or pressure")
+    def volts_at(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Readings [V] at times [s]."""
+        if self.volts is None:
+            return 1.0 + 2.0 * np.sin(2 * np.pi * _MAINS * time)
+        return np.full(len(time), self.volts)
+
+    def check(self, sensors: Sequence[str]) -> None:
+        """Raise `RangeError` unless the rig has that sensor."""
+        if self.sensor not in sensors:
+            message = f"SensorDisconnected: no sensor {self.sensor!r}"
+            raise RangeError(message, value=self.sensor, remedy=f"choose one of {', '.join(sensors)}")
 
 
 @dataclass(frozen=True)
@@ -97,12 +109,12 @@ class HostDelayed(Fault):
 
 
 @dataclass(frozen=True)
-class Silent(Fault):
+class SamplesStopped(Fault):
     """No more samples come."""
 
 
 @dataclass(frozen=True)
-class Dropping(Fault):
+class SamplesDropped(Fault):
     """Samples are lost: the next so many, and again each so many seconds [s] where a period is given.
 
     What was waiting to be read at that time goes with them.
@@ -114,17 +126,17 @@ class Dropping(Fault):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.samples < 1:
-            raise RangeError(f"Dropping: {self.samples} samples", value=self.samples, lower=1)
+            raise RangeError(f"SamplesDropped: {self.samples} samples", value=self.samples, lower=1)
         if self.every is not None:
-            check_positive("Dropping", "s", every=self.every)
+            check_positive("SamplesDropped", "s", every=self.every)
 
 
 @dataclass(frozen=True)
-class Delaying(Fault):
+class SamplesDelayed(Fault):
     """Samples come so much later [s] than they were taken."""
 
     delay: float = 0.2
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_positive("Delaying", "s", delay=self.delay)
+        check_positive("SamplesDelayed", "s", delay=self.delay)

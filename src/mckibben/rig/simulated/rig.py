@@ -13,29 +13,29 @@ import numpy as np
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
 from mckibben.numerics.checks import check_positive
-from mckibben.rig.backend import Block, Channel, Drive
+from mckibben.rig.backend import AnalogChannel, Block, Drive
 from mckibben.rig.calibration import Calibration
-from mckibben.rig.twin.air import Regulator
-from mckibben.rig.twin.faults import Dropping, Fault, HostDelayed
-from mckibben.rig.twin.machine import INSTANT, Machine, Truth
-from mckibben.rig.twin.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Converter, Sampling, Sensor
-from mckibben.rig.twin.stretcher import Stretcher
+from mckibben.rig.simulated.air import Regulator
+from mckibben.rig.simulated.faults import Fault, HostDelayed, SamplesDropped, SensorDisconnected
+from mckibben.rig.simulated.machine import INSTANT, Machine, Truth
+from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Converter, Sampling, Sensor
+from mckibben.rig.simulated.stretcher import Stretcher
 from mckibben.units import Hz, s
 
 
-class TwinRig:
+class SimulatedRig:
     """The paper's stretching device with a muscle in it, as a `MovingBackend` of two inputs and one output.
 
-    Its time is its own: `read` lets as much go by as the samples take, other calls take none; `Paced` makes it real
+    Simulated time advances only in `read`, by the duration of the samples; `RealTimeRig` paces it in real
     time. The same seed and the same calls give the same samples. Samples are noise on a truth that is integrated in
     steps that suit it: the slow hours of a test cost little.
 
     - The muscle pulls as its law (a table of it, see `error` in `described`), and with its own friction and creep; it
       has none unless given. What contracts further than the specimen may by 3 % of its length pulls as at that end.
     - Its air follows ISO 6358 and the ideal gas at room temperature, in the volume of the braid between the clamps.
-    - After `vent`, or a missed beat, a spring opens the way out whatever the regulator does: from 8 bar, at any
+    - After `vent`, or a missed heartbeat, a spring opens the way out whatever the regulator does: from 8 bar, at any
       contraction, the true pressure is below 0.2 bar within 1 s (tested), whatever else is broken.
-    - `vent` holds until `press` gives a signal above 0 again. A missed beat holds until the rig is opened anew.
+    - `vent` holds until `set_valves` gives a signal above 0 again. A missed heartbeat holds until it is reopened.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class TwinRig:
     rate
         Samples a second of each input [Hz].
     patience
-        How long it goes on without a beat [s].
+        How long it goes on without a heartbeat [s].
 
     Raises
     ------
@@ -64,12 +64,12 @@ class TwinRig:
     >>> from mckibben import catalog
     >>> from mckibben.units import bar
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-    >>> rig = TwinRig(muscle, seed=1)
+    >>> rig = SimulatedRig(muscle, seed=1)
     >>> rig.open()
-    >>> rig.press([float(rig.calibrations["valve"].volts(6 * bar))])
+    >>> rig.set_valves([float(rig.calibrations["valve"].volts(6 * bar))])
     >>> for _ in range(20):
     ...     block = rig.read(100)
-    ...     rig.beat()
+    ...     rig.heartbeat()
     >>> force, pressure = block.volts.mean(axis=0)
     >>> round(float(rig.calibrations["force"].si(force)))  # of Eq. 3: 585 N
     582
@@ -106,6 +106,9 @@ class TwinRig:
         self._stretcher = stretcher or Stretcher()
         self._converter = converter or Converter()
         self._sensors = {"force": force_sensor, "pressure": pressure_sensor}
+        for fault in self._faults:
+            if isinstance(fault, SensorDisconnected):
+                fault.check([*self._sensors])
         self._valve = valve
         noise, offsets, *wanders = np.random.default_rng(seed).spawn(4)
         self._offsets = offsets
@@ -114,7 +117,7 @@ class TwinRig:
         self._opened = 0.0  # by the machine's time [s]
         self._is_open = False
         self._tripped = False
-        self._beaten = 0.0
+        self._last_heartbeat = 0.0
         self._late = 0.0  # of the host [s]
         self._turn = itertools.count()
         self._schedule = [(fault.at, next(self._turn), fault) for fault in self._faults]
@@ -123,15 +126,15 @@ class TwinRig:
     # What it is
 
     @property
-    def inputs(self) -> Sequence[Channel]:
+    def inputs(self) -> Sequence[AnalogChannel]:
         """Force and pressure."""
         low, high = self._converter.low, self._converter.high
-        return tuple(Channel(name, low, high, f"virtual {name}") for name in self._sensors)
+        return tuple(AnalogChannel(name, low, high, f"virtual {name}") for name in self._sensors)
 
     @property
-    def outputs(self) -> Sequence[Channel]:
+    def outputs(self) -> Sequence[AnalogChannel]:
         """The valve."""
-        return (Channel("valve", -10.0, 10.0, "virtual regulator"),)
+        return (AnalogChannel("valve", -10.0, 10.0, "virtual regulator"),)
 
     @property
     def calibrations(self) -> Mapping[str, Calibration]:
@@ -144,7 +147,7 @@ class TwinRig:
         return self._stretcher.drive
 
     @property
-    def described(self) -> Mapping[str, str]:
+    def description(self) -> Mapping[str, str]:
         """What it is, for the record."""
         return {
             "kind": "virtual",
@@ -187,7 +190,7 @@ class TwinRig:
         self.vent()
         self.stop()
         self._is_open, self._tripped = True, False
-        self._opened = self._beaten = now = self._machine.now
+        self._opened = self._last_heartbeat = now = self._machine.now
         self._sampling.begin(now, int(self._machine.motor.counted(np.array([now]))[0]))
 
     def clock(self) -> float:
@@ -232,7 +235,7 @@ class TwinRig:
             self._go(machine.now + late)
         return sampling.take(count)
 
-    def press(self, volts: Sequence[float]) -> None:
+    def set_valves(self, volts: Sequence[float]) -> None:
         """Hold this signal at the valve [V]; one that means more than 0 bar ends a `vent`.
 
         Raises
@@ -249,9 +252,9 @@ class TwinRig:
             self._machine.tell(pressure, float(self._offsets.uniform(-most, most)))
         self._machine.hold()
 
-    def beat(self) -> None:
-        """Say that the host lives; after a missed beat it is too late."""
-        self._beaten = self._machine.now
+    def heartbeat(self) -> None:
+        """Reset the watchdog; no effect once it has tripped."""
+        self._last_heartbeat = self._machine.now
 
     def vent(self) -> None:
         """Let all air out. Never raises."""
@@ -295,15 +298,15 @@ class TwinRig:
         self._must_be_open()
         if self._tripped:
             raise RigError(
-                f"the rig vented and stopped by itself, without a beat for {self.patience:g} s",
-                remedy="open it anew, and beat in time",
+                f"the rig vented and stopped by itself, without a heartbeat for {self.patience:g} s",
+                remedy="open it anew, and send heartbeats in time",
             )
 
     def _go(self, to: float) -> None:
         """Let time go by until then, from event to event."""
         machine = self._machine
         while machine.now < to - INSTANT:
-            patient = self._beaten + self.patience if self._is_open and not self._tripped else math.inf
+            patient = self._last_heartbeat + self.patience if self._is_open and not self._tripped else math.inf
             fault = self._schedule[0][0] if self._schedule else math.inf
             event = min(patient, fault, machine.next_event())
             if event > machine.now:
@@ -321,7 +324,7 @@ class TwinRig:
     def _happen(self, fault: Fault) -> None:
         if isinstance(fault, HostDelayed):
             self._late += fault.duration
-        if isinstance(fault, Dropping) and fault.every is not None:
+        if isinstance(fault, SamplesDropped) and fault.every is not None:
             heapq.heappush(self._schedule, (self._machine.now + fault.every, next(self._turn), fault))
         self._machine.damage(fault)
         self._sampling.damage(fault)
@@ -330,8 +333,8 @@ class TwinRig:
 _SOON = 1e-6  # s: no sleep is shorter
 
 
-class Paced:
-    """A `TwinRig` whose time is that of the wall: what the host takes too long for goes by.
+class RealTimeRig:
+    """A `SimulatedRig` whose time is that of the wall: what the host takes too long for goes by.
 
     Parameters
     ----------
@@ -343,7 +346,7 @@ class Paced:
 
     def __init__(
         self,
-        rig: TwinRig,
+        rig: SimulatedRig,
         *,
         wall: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
@@ -354,19 +357,19 @@ class Paced:
         self._began = wall()
 
     @property
-    def inputs(self) -> Sequence[Channel]:
+    def inputs(self) -> Sequence[AnalogChannel]:
         """Those of the rig."""
         return self.rig.inputs
 
     @property
-    def outputs(self) -> Sequence[Channel]:
+    def outputs(self) -> Sequence[AnalogChannel]:
         """Those of the rig."""
         return self.rig.outputs
 
     @property
-    def described(self) -> Mapping[str, str]:
+    def description(self) -> Mapping[str, str]:
         """The rig, and that it is paced."""
-        return {**self.rig.described, "pace": "real time"}
+        return {**self.rig.description, "pace": "real time"}
 
     def open(self) -> None:
         """Open the rig; its time begins now."""
@@ -378,7 +381,7 @@ class Paced:
         return self._wall() - self._began
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for so many samples; as `TwinRig.read`."""
+        """Wait for so many samples; as `SimulatedRig.read`."""
         self._catch_up()
         most = count / self.rig.rate + timeout
         while _SOON < (left := self.rig.due(count) - self.clock()) <= most:  # what comes later still, the rig refuses
@@ -389,39 +392,39 @@ class Paced:
             if (ahead := self.rig.clock() - self.clock()) > _SOON:
                 self._sleep(ahead)
 
-    def press(self, volts: Sequence[float]) -> None:
-        """As `TwinRig.press`."""
+    def set_valves(self, volts: Sequence[float]) -> None:
+        """As `SimulatedRig.set_valves`."""
         self._catch_up()
-        self.rig.press(volts)
+        self.rig.set_valves(volts)
 
-    def beat(self) -> None:
-        """As `TwinRig.beat`."""
+    def heartbeat(self) -> None:
+        """As `SimulatedRig.heartbeat`."""
         self._catch_up()
-        self.rig.beat()
+        self.rig.heartbeat()
 
     def vent(self) -> None:
-        """As `TwinRig.vent`."""
+        """As `SimulatedRig.vent`."""
         self._catch_up()
         self.rig.vent()
 
     def close(self) -> None:
-        """As `TwinRig.close`."""
+        """As `SimulatedRig.close`."""
         self._catch_up()
         self.rig.close()
 
     def move(self, pulses: int, rate: float) -> None:
-        """As `TwinRig.move`."""
+        """As `SimulatedRig.move`."""
         self._catch_up()
         self.rig.move(pulses, rate)
 
     @property
     def moving(self) -> bool:
-        """As `TwinRig.moving`."""
+        """As `SimulatedRig.moving`."""
         self._catch_up()
         return self.rig.moving
 
     def stop(self) -> None:
-        """As `TwinRig.stop`."""
+        """As `SimulatedRig.stop`."""
         self._catch_up()
         self.rig.stop()
 

@@ -1,0 +1,44 @@
+"""A virtual rig behind the interface of a real one, with the faults of a real one."""
+
+from mckibben.rig.simulated.air import Regulator
+from mckibben.rig.simulated.faults import (
+    Burst,
+    Fault,
+    HostDelayed,
+    SamplesDelayed,
+    SamplesDropped,
+    SamplesStopped,
+    SensorDisconnected,
+    Slipped,
+    Stalled,
+    SupplyLost,
+    ValveStuck,
+)
+from mckibben.rig.simulated.machine import Truth
+from mckibben.rig.simulated.rig import RealTimeRig, SimulatedRig
+from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Converter, Sensor
+from mckibben.rig.simulated.stretcher import Stretcher
+
+__all__ = [
+    "FORCE_SENSOR",
+    "PRESSURE_SENSOR",
+    "VALVE",
+    "Burst",
+    "Converter",
+    "Fault",
+    "HostDelayed",
+    "RealTimeRig",
+    "Regulator",
+    "SamplesDelayed",
+    "SamplesDropped",
+    "SamplesStopped",
+    "Sensor",
+    "SensorDisconnected",
+    "SimulatedRig",
+    "Slipped",
+    "Stalled",
+    "Stretcher",
+    "SupplyLost",
+    "Truth",
+    "ValveStuck",
+]
