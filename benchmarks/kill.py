@@ -30,7 +30,7 @@ from mckibben.rig.bench import Bench
 from mckibben.rig.record import Event, assemble, passages, points, read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
-from mckibben.rig.safety import Limits
+from mckibben.rig.safety import RigLimits
 from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR, Regulator, SimulatedRig
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Vent, Walk
 from mckibben.units import bar, mm, percent
@@ -70,7 +70,7 @@ def rig(session: int) -> tuple[SimulatedRig, Bench]:
         of=MUSCLE,
         drive=twin.drive,
         calibrations=twin.calibrations,
-        limits=Limits(pressure=3 * bar, force=400.0, stretch=8 * mm, shorten=50 * mm),
+        limits=RigLimits(pressure=3 * bar, force=400.0, stretch=8 * mm, shorten=50 * mm),
         steady=0.2,
     )
     return twin, bench

@@ -20,7 +20,8 @@ from machine import describe, sentence
 
 from mckibben.realtime import JointRig, compute_in_this_thread, prepare
 from mckibben.realtime import loop as module
-from mckibben.realtime.loop import Percentiles, realtime_process_settings
+from mckibben.realtime.loop import realtime_process_settings
+from mckibben.realtime.record import Percentiles
 from mckibben.study.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -81,14 +82,14 @@ def spread(times):
 
 
 def main():
-    parser = argparse.ArgumentParser(description="Control in real time, on a virtual joint.")
+    parser = argparse.ArgumentParser(description="Control in real time, on a simulated joint.")
     parser.add_argument("--duration", type=float, default=60.0, help="of each run [s]")
     parser.add_argument("--period", type=float, default=1.0, help="of control [ms]")
     parser.add_argument("--ordinary", action="store_true", help="without real-time priority")
     asked = parser.parse_args()
     period = asked.period * 1e-3
     if asked.ordinary:
-        module._first = lambda: None
+        module._set_real_time_priority = lambda: None
     compute_in_this_thread()
     print(sentence(describe()) + "\n")
     print("| | missed | skipped | sample to loop [us] | loop to valves [us] | jitter [us] | others, ours [cores] |")
@@ -98,7 +99,7 @@ def main():
         with tempfile.TemporaryDirectory() as folder, Load() as load:
             ran = session.run(folder)
         timing = ran.timing
-        assert ran.ending.completed, ran.ending.text
+        assert ran.outcome.completed, ran.outcome.text
         cells = (
             f"{name}, {ran.priority} priority",
             f"{timing.missed} of {timing.periods}",

@@ -65,7 +65,7 @@ def test_a_stopped_test_says_why_and_how_to_go_on(cli, protocol):
     answer = cli("rig", "run", "p.yaml", "--out", "out")
     assert answer.code == 1
     assert "stopped: the force of 3" in answer.err and "beyond the limit of 300 N; the muscle is vented" in answer.err
-    assert "go on with: mckibben rig run p.yaml --out out --resume" in answer.err
+    assert "resume with: mckibben rig run p.yaml --out out --resume" in answer.err
 
 
 def test_check_shows_the_channels_and_what_stands_against_it(cli, protocol):

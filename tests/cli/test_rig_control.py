@@ -46,7 +46,7 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     assert Scenario.read(tmp_path / "run" / "scenario.yaml") == Scenario.read(tmp_path / "short.yaml")
     record = read_record(tmp_path / "run")
     assert Scenario.parse(record.header["scenario"]) == Scenario.read(tmp_path / "short.yaml")
-    assert set(record.header) >= {"backend", "calibrations", "limits", "course", "versions", "priority", "rig"}
+    assert set(record.header) >= {"backend", "calibrations", "limits", "plan", "versions", "priority", "rig"}
     assert [event.kind for event in record.events] == ["opened", "completed", "vented"]
 
     again = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced")
@@ -58,7 +58,7 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
     (tmp_path / "rig.yaml").write_text(rig.replace("lowest_angle: -30 deg", "lowest_angle: 10 deg"), encoding="utf-8")
     found = cli("rig", "control", "short.yaml", "--rig", "rig.yaml", "--out", "run", "--unpaced")
     assert found.code == 1
-    assert "stopped and vented: the angle of 9." in found.err and "10 to 45 deg" in found.err
+    assert "stopped: the angle of 9." in found.err and "10 to 45 deg" in found.err
     record = read_record(tmp_path / "run")
     assert "stopped" in [event.kind for event in record.events]
     assert json.loads((tmp_path / "run" / "results.json").read_text())["ended"] == "stopped"
@@ -67,7 +67,7 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("short.yaml",), "say where to keep it: --out DIR"),
+        (("short.yaml",), "add --out DIR"),
         (("nowhere.yaml", "--out", "run"), "nowhere.yaml: 1 problem"),
         (("short.yaml", "--out", "run", "--duration", "1.5 ms"), "no whole number of control periods"),
         (("short.yaml", "--out", "run", "--duration", "3 bar"), "--duration"),
@@ -102,7 +102,7 @@ def test_ctrl_c_vents_keeps_the_record_and_has_the_code_of_shells(cli, short, tm
     found = cli("rig", "control", "short.yaml", "--out", "run", "--duration", "60 s")
     pressing.join()
     assert found.code == 128 + signal.SIGINT
-    assert "stopped and vented: stopped by SIGINT (Ctrl-C)" in found.err
+    assert "stopped: stopped by SIGINT (Ctrl-C); both muscles were below 0.2 bar" in found.err
     kept = read_record(tmp_path / "run")
     assert [event.kind for event in kept.events] == ["opened", "signal", "vented"]
     sample = kept.columns["sample"]

@@ -75,18 +75,18 @@ class Knee(NamedTuple):
         start = None if vented else self.start
         return SimulatedJoint(self.plant, period=PERIOD, start=start, sensing=sensing, program=self.moved, **changes)
 
-    def course(self, periods=100, raising=0, settling=0, wish=None):
+    def plan(self, periods=100, raising=0, settling=0, reference=None):
         times = np.arange(periods) * PERIOD
-        angle = 10 * deg * np.sin(np.pi * times) if wish is None else np.full(periods, wish)
-        wishes = np.stack([angle, np.full(periods, 13.0)], axis=1)
+        angle = 10 * deg * np.sin(np.pi * times) if reference is None else np.full(periods, reference)
+        references = np.stack([angle, np.full(periods, 13.0)], axis=1)
         pressures = float(self.start.pressure1), float(self.start.pressure2)
-        return RunPlan(wishes, PERIOD, raising, settling, pressures, ((0.0, 8 * bar), (0.0, 8 * bar)))
+        return RunPlan(references, PERIOD, raising, settling, pressures, ((0.0, 8 * bar), (0.0, 8 * bar)))
 
-    def run(self, joint=None, *, course=None, limits=None, recorder=None, **options):
+    def run(self, joint=None, *, plan=None, limits=None, recorder=None, **options):
         kept = Kept() if recorder is None else recorder
         joint = joint or self.joint()
-        ending = control(joint, self.control, course or self.course(), limits or LIMITS, kept, **options)
-        return ending, kept
+        outcome = control(joint, self.control, plan or self.plan(), limits or LIMITS, kept, **options)
+        return outcome, kept
 
 
 LIMITS = JointLimits(lowest_angle=-30 * deg, highest_angle=45 * deg, pressure=8.4 * bar)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RangeError, RigError
-from mckibben.rig.backend import AnalogChannel, Drive
+from mckibben.rig.backend import AnalogChannel
+from mckibben.rig.bench import Drive
 from mckibben.rig.calibration import Calibration, calibrate
 from mckibben.units import bar, mm
 

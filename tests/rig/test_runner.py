@@ -18,14 +18,14 @@ from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_o
 from mckibben.rig.record import assemble, read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
-from mckibben.rig.safety import Limits
+from mckibben.rig.safety import RigLimits
 from mckibben.rig.simulated import Regulator, SimulatedRig, SupplyLost
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Walk
 from mckibben.units import bar, mm, percent
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-LIMITS = Limits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
+LIMITS = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
 EXACT = Regulator(hysteresis=0.0, repeatability=0.0)
 QUICK = {"dwell": 0.2, "acquisition": 0.1, "samples": 100, "speed": 4 * mm}
 

@@ -9,17 +9,16 @@ from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.muscle import Muscle
 from mckibben.rig import IsobaricProtocol
-from mckibben.rig.backend import Drive
-from mckibben.rig.bench import Bench
+from mckibben.rig.bench import Bench, Drive
 from mckibben.rig.dry_run import dry_run
 from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_of
-from mckibben.rig.safety import Limits
+from mckibben.rig.safety import RigLimits
 from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
 from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Vent, Walk, describe_steps
 from mckibben.units import bar, mm, percent
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-LIMITS = Limits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
+LIMITS = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
 BENCH = Bench(
     of=MUSCLE, drive=Drive(), calibrations={"force": FORCE, "pressure": PRESSURE, "valve": VALVE}, limits=LIMITS
 )

@@ -13,13 +13,13 @@ from mckibben.rig.bench import Bench
 from mckibben.rig.record import read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
-from mckibben.rig.safety import Limits
+from mckibben.rig.safety import RigLimits
 from mckibben.rig.simulated import Regulator, SamplesStopped, SimulatedRig, SupplyLost
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Walk
 from mckibben.units import bar, mm, percent
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-LIMITS = Limits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
+LIMITS = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
 UNDER_PRESSURE = [Pressurise(pressure=2 * bar), Dwell(duration=5.0)]
 
 
@@ -128,7 +128,7 @@ def test_readings_from_before_the_stop_do_not_tell_that_it_is_vented(tmp_path):
 
     went = []
     rig = twin()
-    with pytest.raises(StoppedError, match=r"readings are .* old;.*; the muscle is vented"):
+    with pytest.raises(StoppedError, match=r"newest sample is .* old;.*; the muscle is vented"):
         start(tmp_path, rig, UNDER_PRESSURE, report=away)
     assert rig.truth.pressure < 0.2 * bar
     record = read_record(tmp_path)
@@ -144,7 +144,7 @@ def test_readings_that_come_twice_or_go_back_stop_it(tmp_path, back):
         return Block(block.first - past, block.time - past / 1e3, block.volts, block.pulses)
 
     rig = Around(twin(), 20, read=same)
-    with pytest.raises(StoppedError, match="the readings go back in time"):
+    with pytest.raises(StoppedError, match="the time of the samples goes back"):
         start(tmp_path, rig, UNDER_PRESSURE)
     assert empty(rig)
 

@@ -1,11 +1,12 @@
-"""The joint rig: the controllers of the simulation on a joint that is there, or on one that runs as if it were."""
+"""The joint rig: controllers in real time on a physical or a simulated joint."""
 
 from mckibben.realtime.compiled_step import ControlProgram, compute_in_this_thread
 from mckibben.realtime.config import JointRig, Wiring
-from mckibben.realtime.limits import JointLimits, RunOutcome, RunPlan, RunProgress
-from mckibben.realtime.loop import Timing
-from mckibben.realtime.session import JointRunResult, JointSession, control, prepare
+from mckibben.realtime.loop import RunOutcome, RunPlan, RunProgress, control
+from mckibben.realtime.record import Timing
+from mckibben.realtime.session import JointRunResult, JointSession, prepare
 from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
+from mckibben.rig.safety import JointLimits
 
 __all__ = [
     "PERFECT",

@@ -13,7 +13,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from mckibben.config.fields import Part, Quantity, refuse
 from mckibben.config.reading import parsed, text_of
-from mckibben.errors import Problem, RigError, StoppedError
+from mckibben.errors import Problem, RigError
 from mckibben.rig.backend import AnalogChannel, Backend
 from mckibben.rig.calibration import Calibration
 from mckibben.study.rig.steps import JsonPath, Wait
@@ -115,29 +115,6 @@ class Connected:
     def picked(self, volts: Sequence[float]) -> list[float]:
         """Of the volts of all inputs those of angle and pressures, in this order."""
         return [volts[line.column] for line in self._lines]
-
-    def read(self, volts: Sequence[float]) -> JointReading:
-        """The reading of one sample, the volts of all inputs.
-
-        Raises
-        ------
-        StoppedError
-            If a sensor is lost.
-        """
-        values = []
-        for name, column, gain, offset, tare, low, high in self._lines:
-            signal = volts[column]
-            if not low < signal < high:  # NaN too
-                raise StoppedError(
-                    f"the sensor of {name} is lost: it gives {signal:.4g} V, a working one {low:.4g} to {high:.4g} V",
-                    value=signal,
-                    lower=low,
-                    upper=high,
-                    unit="V",
-                    remedy="check its plug and its supply",
-                )
-            values.append((signal - offset) * gain - tare)
-        return JointReading(*values)
 
     def seen(self, volts: Sequence[float]) -> JointReading:
         """The reading of one sample; NaN where a sensor is lost."""

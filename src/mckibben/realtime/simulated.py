@@ -14,7 +14,7 @@ from mckibben.numerics.checks import check_positive
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import PlantProgram, vented_angle
 from mckibben.realtime.config import Wiring
-from mckibben.rig.backend import AnalogChannel, Block
+from mckibben.rig.backend import AnalogChannel, Block, Watchdog
 from mckibben.rig.simulated.faults import (
     Fault,
     HostDelayed,
@@ -144,9 +144,9 @@ class SimulatedJoint:
         self._state, self._at = self._start, 0.0  # the plant, integrated up to here
         self._held = self._held_at_start
         self._coming: deque[tuple[float, tuple[float, float]]] = deque()  # commands, and when they reach the valves
-        self._now = self._last_heartbeat = 0.0
+        self._now = 0.0
         self._next = 0  # sample
-        self._vented_itself = False
+        self._watchdog = Watchdog(self.patience)
         self._random = np.random.default_rng(self._seed)
         self._noise: list[list[float]] = []
         self._happened: set[Fault] = set()
@@ -175,8 +175,8 @@ class SimulatedJoint:
     def heartbeat(self) -> None:
         """Reset the watchdog."""
         now = self.clock()
-        self._look_whether_host_lives(now)
-        self._last_heartbeat = now
+        self._check_watchdog(now)
+        self._watchdog.reset(now)
 
     def set_valves(self, volts: Sequence[float]) -> None:
         """Hold these signals at the valves [V].
@@ -188,11 +188,11 @@ class SimulatedJoint:
         """
         self._check_open()
         now = self.clock()
-        self._look_whether_host_lives(now)
-        if self._vented_itself:
+        self._check_watchdog(now)
+        if self._watchdog.has_expired:
             raise RigError(
-                f"the joint vented itself: there was no heartbeat for {self.patience:g} s",
-                remedy="find out what kept the host busy, and open it anew",
+                f"the joint vented by itself: there was no heartbeat for {self.patience:g} s",
+                remedy="find out what kept the host busy, and reopen it",
             )
         commands = []
         for signal, valve, channel, (low, high) in zip(
@@ -234,7 +234,7 @@ class SimulatedJoint:
                 raise SilentError(
                     f"no sample for {timeout:g} s after it was due", remedy="check the device and its cable"
                 )
-            self._look_whether_host_lives(due)
+            self._check_watchdog(due)
             self._advance(due)
             rows.append(self._sensed(due))
             times.append(due)
@@ -247,7 +247,7 @@ class SimulatedJoint:
         """Let time go by without a host [s]; unpaced."""
         self._now += duration
         if self.is_open:
-            self._look_whether_host_lives(self._now)
+            self._check_watchdog(self._now)
         self._advance(self._now)
 
     @property
@@ -263,11 +263,10 @@ class SimulatedJoint:
     def _command(self, at: float, commands: tuple[float, float]) -> None:
         self._coming.append((max(at, self._at), commands))
 
-    def _look_whether_host_lives(self, now: float) -> None:
-        """Vent when nobody has called for too long; at the time when patience ended, not when it is found."""
-        if now - self._last_heartbeat > self.patience and not self._vented_itself:
-            self._vented_itself = True
-            self._command(self._last_heartbeat + self.patience, (0.0, 0.0))
+    def _check_watchdog(self, now: float) -> None:
+        """Vent at the time at which the watchdog expired, which may be before now [s]."""
+        if self._watchdog.expires(now):
+            self._command(self._watchdog.deadline, (0.0, 0.0))
 
     def _advance(self, until: float) -> None:
         """Integrate the plant, each command from when it reached the valves."""

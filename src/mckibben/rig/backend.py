@@ -1,19 +1,12 @@
-"""The interface of a rig's hardware, and the motor of its stretching device."""
+"""Interface of the hardware of a rig."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from fractions import Fraction
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
 from numpy import float64, int64
-from numpy.typing import ArrayLike, NDArray
-
-from mckibben.errors import RangeError
-from mckibben.numerics.checks import check_positive
-from mckibben.units import mm
+from numpy.typing import NDArray
 
 
 class AnalogChannel(NamedTuple):
@@ -154,95 +147,37 @@ class MovingBackend(Backend, Protocol):
         ...
 
 
-_WHOLE = 1e-6  # pulses
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drive:
-    """A step motor, a reducer and a lead screw.
+class Watchdog:
+    """Watchdog of a rig: expires where it is not reset within a timeout, and stays so until it is started again.
 
     Parameters
     ----------
-    steps
-        Pulses a revolution of the motor: 200 (ours; the usual motor, full steps).
-    reduction
-        Revolutions of the motor for one of the screw: 10 (the paper, "Experimental system").
-    lead
-        Way [m] of one revolution of the screw: 5 mm (the paper).
-    fastest
-        Pulses a second [Hz] that it follows: 2000 (ours), which is 5 mm/s.
-
-    Raises
-    ------
-    RangeError
-        If a number has no meaning.
-
-    Examples
-    --------
-    >>> drive = Drive()
-    >>> drive.pulses_per_metre, drive.pulses(1 * mm), drive.rate(0.2 * mm)
-    (400000.0, 400, 80.0)
-    >>> drive.pulses(1.001 * mm)
-    Traceback (most recent call last):
-        ...
-    mckibben.errors.RangeError: 1.001 mm are 400.4 pulses; take a multiple of 0.0025 mm
+    timeout
+        [s].
     """
 
-    steps: int = 200
-    reduction: float = 10.0
-    lead: float = 5 * mm
-    fastest: float = 2000.0
-
-    def __post_init__(self) -> None:
-        check_positive("drive", steps=float(self.steps), reduction=self.reduction)
-        check_positive("drive", "m", lead=self.lead)
-        check_positive("drive", "Hz", fastest=self.fastest)
+    def __init__(self, timeout: float) -> None:
+        self.timeout = timeout
+        self.has_expired = False
+        self._reset_at = 0.0
 
     @property
-    def pulses_per_metre(self) -> float:
-        """Pulses for a way of a metre [1/m]; exact in the decimals that were given."""
-        return float(self.steps * Fraction(str(self.reduction)) / Fraction(str(self.lead)))
+    def deadline(self) -> float:
+        """Time at which it expires [s]."""
+        return self._reset_at + self.timeout
 
-    def pulses(self, way: float) -> int:
-        """Pulses for a way [m].
+    def start(self, now: float) -> None:
+        """Start at a time [s]."""
+        self.has_expired, self._reset_at = False, now
 
-        Raises
-        ------
-        RangeError
-            If it is no whole number of them.
-        """
-        exact = way * self.pulses_per_metre
-        if not np.isfinite(exact) or abs(exact - round(exact)) > _WHOLE:
-            one = 1 / self.pulses_per_metre / mm
-            raise RangeError(
-                f"{way / mm:g} mm are {exact:g} pulses", value=way, unit="m", remedy=f"take a multiple of {one:g} mm"
-            )
-        return round(exact)
+    def reset(self, now: float) -> None:
+        """Take a heartbeat at a time [s]; no effect once it has expired."""
+        if not self.has_expired:
+            self._reset_at = now
 
-    def nearest(self, way: float) -> int:
-        """Pulses that come nearest to a way [m]."""
-        return round(way * self.pulses_per_metre)
-
-    def way(self, pulses: ArrayLike) -> NDArray[np.float64]:
-        """The way [m] of so many pulses, of any shape."""
-        return np.asarray(pulses, np.float64) / self.pulses_per_metre
-
-    def rate(self, speed: float) -> float:
-        """Pulses a second [Hz] for a speed [m/s].
-
-        Raises
-        ------
-        RangeError
-            If the motor is not that fast.
-        """
-        rate = abs(speed) * self.pulses_per_metre
-        if not 0 < rate <= self.fastest:
-            raise RangeError(
-                f"{speed / mm:g} mm/s are {rate:g} pulses a second; the motor does {self.fastest:g} at most",
-                value=rate,
-                lower=0.0,
-                upper=self.fastest,
-                unit="Hz",
-                remedy=f"move at up to {self.fastest / self.pulses_per_metre / mm:g} mm/s",
-            )
-        return rate
+    def expires(self, now: float) -> bool:
+        """Whether it expires just now [s]: True once."""
+        if self.has_expired or not now > self.deadline:
+            return False
+        self.has_expired = True
+        return True

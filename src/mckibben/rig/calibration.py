@@ -110,16 +110,22 @@ class Calibration:
         number. The span is the sensor's own: a tare does not move it.
         """
         volts = np.asarray(volts, np.float64)
-        lowest, highest = self.limits
-        lost = ~((volts >= lowest) & (volts <= highest))
-        return lost if channel is None else lost | (volts <= channel.low) | (volts >= channel.high)
+        lowest, highest = self.working_volts(channel)
+        return ~((volts >= lowest) & (volts <= highest))
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The lowest and highest volts [V] of a working sensor: its span and the margin."""
+        """Lowest and highest volts [V] of a working sensor: its span and the margin."""
         beyond = self.margin * (self.high - self.low)
         ends = sorted(end / self.gain + self.offset for end in (self.low - beyond, self.high + beyond))
         return ends[0], ends[1]
+
+    def working_volts(self, channel: AnalogChannel | None) -> tuple[float, float]:
+        """Lowest and highest volts [V] of a working sensor; the ends of the converter's range are excluded."""
+        low, high = self.limits
+        if channel is None:
+            return low, high
+        return max(low, math.nextafter(channel.low, math.inf)), min(high, math.nextafter(channel.high, -math.inf))
 
     def check(self, low: float, high: float, channel: AnalogChannel | None = None) -> list[Problem]:
         """What stands against measuring (or giving) values from low to high, in the unit.

@@ -12,7 +12,7 @@ from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench
 from mckibben.rig.record import PLACE, POINT, Column, Point
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.session import Report, RigSession
+from mckibben.rig.session import ProgressCallback, RigSession
 from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Step, Vent, Walk
 from mckibben.units import bar, mm, percent
 
@@ -85,7 +85,7 @@ class Runner:
         done: Sequence[Point] = (),
         origin: int = 0,
         since: float = 0.0,
-        report: Report | None = None,
+        report: ProgressCallback | None = None,
     ) -> None:
         self.backend = backend
         self.bench = bench
@@ -123,17 +123,14 @@ class Runner:
             backend.close()
             raise
         try:
-            self._rig.begin()
-            if self._live:  # the steps begin where the muscle was mounted
-                self._rig.move_to(0, self._speed)
-            self._do(steps)
-            self._vent()
-            self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self._rig.pulses)
+            with self._rig.monitor.guard():
+                self._rig.begin()
+                if self._live:  # the steps begin where the muscle was mounted
+                    self._rig.move_to(0, self._speed)
+                self._do(steps)
+                self._vent()
+                self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self._rig.pulses)
         except BaseException as error:
-            try:
-                backend.vent()  # before anything else
-            finally:
-                backend.stop()
             raise self._rig.record_stop(error) from error
         finally:
             try:

@@ -9,7 +9,8 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
-from mckibben.rig.backend import Drive, MovingBackend
+from mckibben.rig.backend import MovingBackend
+from mckibben.rig.bench import Drive
 from mckibben.rig.simulated import (
     FORCE_SENSOR,
     PRESSURE_SENSOR,

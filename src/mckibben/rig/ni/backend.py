@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RangeError, RigError
 from mckibben.numerics.checks import check_positive
-from mckibben.rig.backend import AnalogChannel, Block
+from mckibben.rig.backend import AnalogChannel, Block, Watchdog
 from mckibben.rig.ni.driver import Driver, Terminals
 
 _BUFFER = 10.0  # s of samples that the driver keeps for us
@@ -58,8 +58,7 @@ class NiBackend:
         self._switch: Any = None
         self._lines: dict[str, bool] = {}
         self._taken = 0
-        self._last_heartbeat = 0.0
-        self._tripped = False
+        self._watchdog = Watchdog(self.patience)
         self._facts: dict[str, str] = {}
 
     @property
@@ -165,7 +164,7 @@ class NiBackend:
             return
         with driver.translated("the heartbeat"):
             self._set(heartbeat=not self._lines["heartbeat"])
-        self._last_heartbeat = time.monotonic()
+        self._watchdog.reset(time.monotonic())
 
     def vent(self) -> None:
         """Let all air out: cut the spring valve's current, then bring the signals to rest. Never raises."""
@@ -188,8 +187,8 @@ class NiBackend:
     def _take_hold(self, driver: Driver) -> None:
         self._take_hold_of_outputs(driver)
         self._take_hold_of_inputs(driver)
-        self._taken, self._tripped = 0, False
-        self._last_heartbeat = time.monotonic()
+        self._taken = 0
+        self._watchdog.start(time.monotonic())
 
     def _take_hold_of_outputs(self, driver: Driver) -> None:
         """Lines first: they vent."""
@@ -269,10 +268,13 @@ class NiBackend:
         return driver
 
     def _missed(self) -> bool:
-        if not self._tripped and time.monotonic() - self._last_heartbeat > self.patience:
-            self._tripped = True
-            self.vent()
-        return self._tripped
+        """Whether the watchdog has expired; the first time, vent."""
+        if self._watchdog.expires(time.monotonic()):
+            self._on_expiry()
+        return self._watchdog.has_expired
+
+    def _on_expiry(self) -> None:
+        self.vent()
 
     def _set(self, **lines: bool) -> None:
         """Write the digital lines, all at once."""
@@ -383,11 +385,9 @@ class NiRig(NiBackend):
         self.stop()
         super().close()
 
-    def _missed(self) -> bool:
-        before, missed = self._tripped, super()._missed()
-        if missed and not before:
-            self.stop()
-        return missed
+    def _on_expiry(self) -> None:
+        super()._on_expiry()
+        self.stop()
 
     def _end(self, sent: int) -> None:
         """No move goes on; so many pulses of the last were sent."""

@@ -13,7 +13,8 @@ import numpy as np
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
 from mckibben.numerics.checks import check_positive
-from mckibben.rig.backend import AnalogChannel, Block, Drive
+from mckibben.rig.backend import AnalogChannel, Block, Watchdog
+from mckibben.rig.bench import Drive
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.simulated.air import Regulator
 from mckibben.rig.simulated.faults import Fault, HostDelayed, SamplesDropped, SensorDisconnected
@@ -116,8 +117,7 @@ class SimulatedRig:
         self._machine = Machine(muscle, mounted_at, self._regulator, self._stretcher)
         self._opened = 0.0  # by the machine's time [s]
         self._is_open = False
-        self._tripped = False
-        self._last_heartbeat = 0.0
+        self._watchdog = Watchdog(self.patience)
         self._late = 0.0  # of the host [s]
         self._turn = itertools.count()
         self._schedule = [(fault.at, next(self._turn), fault) for fault in self._faults]
@@ -189,8 +189,9 @@ class SimulatedRig:
             raise RigError("the virtual rig is open already", remedy="close it first")
         self.vent()
         self.stop()
-        self._is_open, self._tripped = True, False
-        self._opened = self._last_heartbeat = now = self._machine.now
+        self._is_open = True
+        self._opened = now = self._machine.now
+        self._watchdog.start(now)
         self._sampling.begin(now, int(self._machine.motor.counted(np.array([now]))[0]))
 
     def clock(self) -> float:
@@ -254,7 +255,7 @@ class SimulatedRig:
 
     def heartbeat(self) -> None:
         """Reset the watchdog; no effect once it has tripped."""
-        self._last_heartbeat = self._machine.now
+        self._watchdog.reset(self._machine.now)
 
     def vent(self) -> None:
         """Let all air out. Never raises."""
@@ -296,7 +297,7 @@ class SimulatedRig:
 
     def _must_go(self) -> None:
         self._must_be_open()
-        if self._tripped:
+        if self._watchdog.has_expired:
             raise RigError(
                 f"the rig vented and stopped by itself, without a heartbeat for {self.patience:g} s",
                 remedy="open it anew, and send heartbeats in time",
@@ -306,15 +307,15 @@ class SimulatedRig:
         """Let time go by until then, from event to event."""
         machine = self._machine
         while machine.now < to - INSTANT:
-            patient = self._last_heartbeat + self.patience if self._is_open and not self._tripped else math.inf
+            armed = self._is_open and not self._watchdog.has_expired
+            expiry = self._watchdog.deadline if armed else math.inf
             fault = self._schedule[0][0] if self._schedule else math.inf
-            event = min(patient, fault, machine.next_event())
+            event = min(expiry, fault, machine.next_event())
             if event > machine.now:
                 knots = machine.pass_until(min(to, event))
                 if self._is_open:
                     self._sampling.sample(knots, machine.motor)
-            if machine.now >= patient - INSTANT:
-                self._tripped = True
+            if armed and self._watchdog.expires(machine.now + 2 * INSTANT):
                 machine.cut()
                 self.stop()
             machine.settle()

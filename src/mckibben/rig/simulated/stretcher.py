@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RigError
 from mckibben.numerics.checks import check_positive
-from mckibben.rig.backend import Drive
+from mckibben.rig.bench import Drive
 from mckibben.units import N, mm
 
 _ROUNDING = 1e-6  # pulses

@@ -11,12 +11,12 @@ from mckibben import catalog
 from mckibben.config.fields import given_fields
 from mckibben.errors import Problem, ScenarioError
 from mckibben.muscle import ChouLaw, ForceLaw, Muscle, Specimen
-from mckibben.rig.backend import Drive, MovingBackend
-from mckibben.rig.bench import Bench
+from mckibben.rig.backend import MovingBackend
+from mckibben.rig.bench import Bench, Drive
 from mckibben.rig.calibration import Calibration, calibrations_in, content_of
 from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, Procedure, steps_of
 from mckibben.rig.protocol import IsobaricProtocol
-from mckibben.rig.safety import Limits
+from mckibben.rig.safety import RigLimits
 from mckibben.rig.steps import Step
 from mckibben.study.rig.document import CardSpec, RigTest, VirtualSpec
 from mckibben.study.rig.steps import ProtocolSpec, steps
@@ -59,7 +59,7 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         assert test.rig.nidaqmx is not None  # the model of the rig sees to it
         backend, calibrations, drive = _card(test.rig.nidaqmx)
     specimen = of.specimen if isinstance(of, Muscle) else of
-    limits = Limits(**{"force": float(specimen.rated_force), **given_fields(test.limits)})
+    limits = RigLimits(**{"force": float(specimen.rated_force), **given_fields(test.limits)})
     bench = Bench(
         of=of,
         mounted_at=test.muscle.mounted_at,

@@ -105,7 +105,7 @@ class RigSpec(Part):
 
 
 class LimitsSpec(Part):
-    """What may not be exceeded, see `Limits`; the force is the rated one unless given."""
+    """What may not be exceeded, see `RigLimits`; the force is the rated one unless given."""
 
     pressure: Pressure
     force: Tension | None = None

@@ -24,7 +24,7 @@ from mckibben.rig.dry_run import DryRunReport, dry_run
 from mckibben.rig.record import Event, Point, assemble, header_of, passages, points, read_header, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
-from mckibben.rig.session import VENTED, Report
+from mckibben.rig.session import VENTED, ProgressCallback
 from mckibben.rig.steps import Step, describe_steps
 from mckibben.storage.files import alone, check_free
 from mckibben.storage.files import folder as made
@@ -253,7 +253,7 @@ def run_test(
     *,
     resume: bool = False,
     standing_at: float | None = None,
-    report: Report | None = None,
+    report: ProgressCallback | None = None,
 ) -> IsobaricDataset:
     """Run a test that was checked, record it in a folder, and make the dataset of the record.
 
@@ -340,7 +340,9 @@ def _assembled(checked: CheckedTest, folder: Path) -> IsobaricDataset:
     return data
 
 
-def _go_on(checked: CheckedTest, folder: Path, past: _Past, standing_at: float | None, report: Report | None) -> None:
+def _go_on(
+    checked: CheckedTest, folder: Path, past: _Past, standing_at: float | None, report: ProgressCallback | None
+) -> None:
     bench, backend = checked.setup.bench, checked.setup.backend
     origin = _origin(checked, folder, past, standing_at)
     columns = columns_of([channel.name for channel in backend.inputs])
