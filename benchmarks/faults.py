@@ -23,11 +23,10 @@ from mckibben import catalog
 from mckibben.errors import StoppedError
 from mckibben.muscle import MaxwellSlip, Muscle
 from mckibben.rig.backend import Block
-from mckibben.rig.bench import Bench
+from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
-from mckibben.rig.safety import RigLimits
 from mckibben.rig.session import STOPPED
 from mckibben.rig.simulated import (
     Burst,

@@ -26,11 +26,10 @@ import numpy as np
 from mckibben import catalog
 from mckibben.muscle import Muscle
 from mckibben.rig import recorder
-from mckibben.rig.bench import Bench
+from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import Event, assemble, passages, points, read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
-from mckibben.rig.safety import RigLimits
 from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR, Regulator, SimulatedRig
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Vent, Walk
 from mckibben.units import bar, mm, percent

@@ -7,11 +7,10 @@ import pytest
 
 from mckibben import catalog
 from mckibben.errors import DatasetError
-from mckibben.rig.bench import Bench, Drive
+from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.record import PLACE, POINT, Event, Point, assemble, points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import columns_of
-from mckibben.rig.safety import RigLimits
 from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
 
 BENCH = Bench(

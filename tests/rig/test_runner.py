@@ -13,12 +13,11 @@ from mckibben import catalog
 from mckibben.errors import SignalledError, StoppedError
 from mckibben.muscle import MaxwellSlip, Muscle, forces
 from mckibben.rig import IsobaricProtocol
-from mckibben.rig.bench import Bench
+from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_of
 from mckibben.rig.record import assemble, read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
-from mckibben.rig.safety import RigLimits
 from mckibben.rig.simulated import Regulator, SimulatedRig, SupplyLost
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Walk
 from mckibben.units import bar, mm, percent
@@ -185,7 +184,7 @@ def test_a_fault_of_ours_vents_and_is_told(tmp_path):
 def test_a_muscle_that_does_not_pull_as_its_law_tells_stops(tmp_path):
     other = Muscle(MUSCLE.specimen, MUSCLE.law, MaxwellSlip(30.0, 0.5e-3))
     steps = [Pressurise(pressure=3 * bar), Move(to=5 * percent, speed=4 * mm), Acquire(samples=100, duration=0.1)]
-    with pytest.raises(StoppedError, match=r"the muscle pulls [\d.]+ N at 5 % and [\d.]+ bar, and by its law [\d.]+ N"):
+    with pytest.raises(StoppedError, match=r"force of [\d.]+ N at 5 % and [\d.]+ bar deviates from the law, [\d.]+ N"):
         run(tmp_path, steps, muscle=other, limits=replace(LIMITS, deviation=20.0))
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from mckibben.errors import RangeError, StoppedError
 from mckibben.rig.backend import AnalogChannel, Block
-from mckibben.rig.bench import Drive
-from mckibben.rig.safety import RigLimits, RigMonitor
+from mckibben.rig.bench import Drive, RigLimits
+from mckibben.rig.safety import RigMonitor
 from mckibben.rig.simulated.sensing import FORCE, PRESSURE
 from mckibben.units import bar, mm
 

@@ -9,10 +9,9 @@ from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.muscle import Muscle
 from mckibben.rig import IsobaricProtocol
-from mckibben.rig.bench import Bench, Drive
+from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.dry_run import dry_run
 from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_of
-from mckibben.rig.safety import RigLimits
 from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
 from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Vent, Walk, describe_steps
 from mckibben.units import bar, mm, percent
@@ -96,8 +95,8 @@ def test_every_limit_is_held_against_the_steps():
         "[0].move.speed: 6 mm/s are 2400 pulses a second; the motor does 2000 at most; move at up to 5 mm/s",
         "[1].pressurise.pressure: 7 bar is outside 0..6 bar of MAS-10-180N-AA-MC-O; stay inside",
         "[1].pressurise.pressure: 7 bar is above the limit of 6.5 bar; lower it, or raise limits.pressure",
-        "[2].move: by its law the muscle pulls 982 N at -3 % and 7 bar, above the limit of 630 N; stay on the short "
-        "side there, or lower the pressure",
+        "[2].move: the force by the law is 982 N at -3 % and 7 bar, above the limit of 630 N; stay at higher "
+        "contractions, or lower the pressure",
         "[3].walk.step: 1.001 mm are 400.4 pulses; take a multiple of 0.0025 mm",
         "[3].walk.acquire.samples: 700 samples in 1 s are no whole part of 1000 Hz; take 1000, or a whole part of it",
     }
@@ -126,7 +125,7 @@ def test_limits_beyond_muscle_and_sensors_are_refused():
 
 def test_a_force_that_cannot_be_held_is_refused():
     (said,) = problems(Pressurise(pressure=1 * bar), HoldForce(force=500.0))
-    assert said.startswith("[1].hold_force: at 1 bar the muscle pulls 0 to") and "500 N are to be held" in said
+    assert said.startswith("[1].hold_force: at 1 bar the force is 0 to") and "500 N are to be held" in said
 
 
 def test_the_cycle_has_to_fit_into_the_patience():

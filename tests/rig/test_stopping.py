@@ -9,11 +9,10 @@ from mckibben import catalog
 from mckibben.errors import RigError, SignalledError, SilentError, StoppedError
 from mckibben.muscle import Muscle
 from mckibben.rig.backend import Block
-from mckibben.rig.bench import Bench
+from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
-from mckibben.rig.safety import RigLimits
 from mckibben.rig.simulated import Regulator, SamplesStopped, SimulatedRig, SupplyLost
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Walk
 from mckibben.units import bar, mm, percent

@@ -6,7 +6,7 @@ from mckibben.realtime.loop import RunOutcome, RunPlan, RunProgress, control
 from mckibben.realtime.record import Timing
 from mckibben.realtime.session import JointRunResult, JointSession, prepare
 from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
-from mckibben.rig.safety import JointLimits
+from mckibben.rig.bench import JointLimits
 
 __all__ = [
     "PERFECT",

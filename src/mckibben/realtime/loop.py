@@ -21,8 +21,9 @@ from mckibben.realtime.compiled_step import ControlProgram
 from mckibben.realtime.config import Connected, JointReading, Wiring
 from mckibben.realtime.record import Phase, RowBuffer
 from mckibben.rig.backend import Backend, Block
+from mckibben.rig.bench import JointLimits
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.safety import JointLimits, JointMonitor
+from mckibben.rig.safety import JointMonitor
 from mckibben.storage.interruption import heeded
 from mckibben.units import bar
 

@@ -29,10 +29,10 @@ from mckibben.realtime.loop import (
 from mckibben.realtime.record import Timing, columns, measured_result
 from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
 from mckibben.rig.backend import Backend
+from mckibben.rig.bench import JointLimits
 from mckibben.rig.calibration import calibrations_in, content_of
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
-from mckibben.rig.safety import JointLimits
 from mckibben.simulation import Reach, Result, check_reference, sampled
 from mckibben.storage.files import alone
 from mckibben.storage.files import folder as made

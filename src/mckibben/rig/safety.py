@@ -6,123 +6,19 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from mckibben.errors import RangeError, StoppedError
+from mckibben.errors import StoppedError
 from mckibben.rig.backend import AnalogChannel, Backend, Block, MovingBackend
+from mckibben.rig.bench import JointLimits, RigLimits
 from mckibben.rig.calibration import Calibration
-from mckibben.units import bar, deg, mm, ms, s
+from mckibben.units import bar, deg, mm, ms
 
 _BUSY = "find out what kept the device or the host busy"
 _PLUG = "check its plug and its supply"
 _SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
-
-
-@dataclass(frozen=True, kw_only=True)
-class RigLimits:
-    """Limits of a test rig; a single sample beyond one of them stops the test.
-
-    Parameters
-    ----------
-    pressure
-        Highest pressure [Pa, gauge].
-    force
-        Highest force [N].
-    stretch, shorten
-        Travel of the rig from where the muscle was mounted [m], either way.
-    pressure_rate
-        Highest rate of change of the pressure [Pa/s], between the means of two cycles: 50 bar/s. Not checked during
-        venting.
-    pressure_error
-        Highest deviation from the set pressure [Pa] after `settling`: 0.3 bar.
-    settling
-        Settling time of the pressure [s]: 10 s.
-    gap
-        Highest age of the newest sample, and longest time without one [s]: 0.5 s.
-    frozen
-        Longest time for which a sensor may read the same volts [s]; no limit unless given. For sensors with noise.
-    deviation
-        Highest deviation of a point's mean force from the law [N]; no limit unless given.
-
-    Raises
-    ------
-    RangeError
-        If one is not above 0, or not finite where it has to be.
-    """
-
-    pressure: float
-    force: float
-    stretch: float
-    shorten: float
-    pressure_rate: float = 50 * bar / s
-    pressure_error: float = 0.3 * bar
-    settling: float = 10 * s
-    gap: float = 500 * ms
-    frozen: float = math.inf
-    deviation: float = math.inf
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if not value > 0 or (value == math.inf and name not in ("frozen", "deviation")):
-                raise RangeError(f"limits: {name} is {value:g}", value=value, remedy="it has to be finite and above 0")
-
-
-@dataclass(frozen=True, kw_only=True)
-class JointLimits:
-    """Limits of a joint rig; a single sample beyond one of them stops the run and vents both muscles.
-
-    Parameters
-    ----------
-    lowest_angle, highest_angle
-        [rad].
-    pressure
-        Highest pressure in either muscle [Pa, gauge].
-    angle_rate
-        Highest angular velocity [rad/s], between the means over two consecutive windows: 720 deg/s.
-    pressure_rate
-        Highest rate of change of a pressure [Pa/s], in the same way; no limit unless given.
-    window
-        Duration of a window [s].
-    pressure_error
-        Highest deviation of a pressure from its command [Pa], low-pass filtered with `following`: 1 bar. Finds a lost
-        supply, a stuck valve, and a sensor that hangs.
-    following
-        Time constant of that filter [s].
-    silence
-        Timeout of a sample after it was due [s].
-    late
-        Highest age of the newest sample, and longest time without one [s].
-
-    Raises
-    ------
-    RangeError
-        If one is not finite and above 0, or the angles are in the wrong order.
-    """
-
-    lowest_angle: float
-    highest_angle: float
-    pressure: float
-    angle_rate: float = 720 * deg
-    pressure_rate: float = math.inf
-    window: float = 10 * ms
-    pressure_error: float = 1 * bar
-    following: float = 250 * ms
-    silence: float = 20 * ms
-    late: float = 50 * ms
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            unlimited = name == "pressure_rate" and value == math.inf
-            if not (math.isfinite(value) or unlimited) or (not name.endswith("angle") and value <= 0):
-                raise RangeError(f"limits: {name} is {value:g}", value=value, remedy="it has to be finite and above 0")
-        if not self.lowest_angle < self.highest_angle:
-            raise RangeError(
-                f"limits: the angle may be {self.lowest_angle / deg:g}..{self.highest_angle / deg:g} deg",
-                remedy="give the lower one first",
-            )
 
 
 class SignalLimits(NamedTuple):

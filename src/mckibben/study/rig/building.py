@@ -12,11 +12,10 @@ from mckibben.config.fields import given_fields
 from mckibben.errors import Problem, ScenarioError
 from mckibben.muscle import ChouLaw, ForceLaw, Muscle, Specimen
 from mckibben.rig.backend import MovingBackend
-from mckibben.rig.bench import Bench, Drive
+from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.calibration import Calibration, calibrations_in, content_of
 from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, Procedure, steps_of
 from mckibben.rig.protocol import IsobaricProtocol
-from mckibben.rig.safety import RigLimits
 from mckibben.rig.steps import Step
 from mckibben.study.rig.document import CardSpec, RigTest, VirtualSpec
 from mckibben.study.rig.steps import ProtocolSpec, steps

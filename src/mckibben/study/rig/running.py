@@ -20,7 +20,7 @@ import mckibben
 from mckibben.config.document import Document, Place, dotted
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, RangeError, RigError, ScenarioError
-from mckibben.rig.dry_run import DryRunReport, dry_run
+from mckibben.rig.dry_run import DryRun, dry_run
 from mckibben.rig.record import Event, Point, assemble, header_of, passages, points, read_header, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
@@ -120,7 +120,7 @@ class CheckedTest:
     test: RigTest
     setup: Setup
     steps: tuple[Step, ...]
-    dry_run: DryRunReport
+    dry_run: DryRun
     room: int
 
     def describe(self) -> str:
