@@ -14,12 +14,21 @@ from mckibben.errors import SignalledError, StoppedError
 from mckibben.muscle import MaxwellSlip, Muscle, forces
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_of
 from mckibben.rig.record import assemble, read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.simulated import Regulator, SimulatedRig, SupplyLost
-from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Walk
+from mckibben.rig.steps import (
+    Acquire,
+    Dwell,
+    IsometricProtocol,
+    IsotonicProtocol,
+    Move,
+    Pressurise,
+    Repeat,
+    Walk,
+    steps_of,
+)
 from mckibben.units import bar, mm, percent
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

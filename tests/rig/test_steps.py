@@ -11,9 +11,21 @@ from mckibben.muscle import Muscle
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.dry_run import dry_run
-from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_of
 from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
-from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Vent, Walk, describe_steps
+from mckibben.rig.steps import (
+    Acquire,
+    Dwell,
+    HoldForce,
+    IsometricProtocol,
+    IsotonicProtocol,
+    Move,
+    Pressurise,
+    Repeat,
+    Vent,
+    Walk,
+    describe_steps,
+    steps_of,
+)
 from mckibben.units import bar, mm, percent
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))

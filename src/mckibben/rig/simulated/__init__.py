@@ -1,6 +1,5 @@
 """A virtual rig behind the interface of a real one, with the faults of a real one."""
 
-from mckibben.rig.simulated.air import Regulator
 from mckibben.rig.simulated.faults import (
     Burst,
     Fault,
@@ -15,9 +14,9 @@ from mckibben.rig.simulated.faults import (
     ValveStuck,
 )
 from mckibben.rig.simulated.machine import Truth
+from mckibben.rig.simulated.parts import Regulator, Stretcher
 from mckibben.rig.simulated.rig import RealTimeRig, SimulatedRig
 from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Converter, Sensor
-from mckibben.rig.simulated.stretcher import Stretcher
 
 __all__ = [
     "FORCE_SENSOR",

@@ -13,9 +13,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
-from mckibben.rig.simulated.air import Chamber, Regulator
 from mckibben.rig.simulated.faults import Burst, Fault, Slipped, Stalled, SupplyLost, ValveStuck
-from mckibben.rig.simulated.stretcher import Carriage, Motor, Stretcher
+from mckibben.rig.simulated.parts import Carriage, Chamber, Motor, Regulator, Stretcher
 from mckibben.units import bar, ms, percent
 
 _BEYOND = 3 * percent  # of contraction, on both sides of what the specimen may be put through

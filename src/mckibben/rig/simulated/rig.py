@@ -16,11 +16,10 @@ from mckibben.numerics.checks import check_positive
 from mckibben.rig.backend import AnalogChannel, Block, Watchdog
 from mckibben.rig.bench import Drive
 from mckibben.rig.calibration import Calibration
-from mckibben.rig.simulated.air import Regulator
 from mckibben.rig.simulated.faults import Fault, HostDelayed, SamplesDropped, SensorDisconnected
 from mckibben.rig.simulated.machine import INSTANT, Machine, Truth
+from mckibben.rig.simulated.parts import Regulator, Stretcher
 from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Converter, Sampling, Sensor
-from mckibben.rig.simulated.stretcher import Stretcher
 from mckibben.units import Hz, s
 
 

@@ -15,7 +15,7 @@ from mckibben.rig.backend import Block
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.simulated.faults import Fault, SamplesDelayed, SamplesDropped, SamplesStopped, SensorDisconnected
 from mckibben.rig.simulated.machine import Knots
-from mckibben.rig.simulated.stretcher import Motor
+from mckibben.rig.simulated.parts import Motor
 from mckibben.units import N, bar, kPa
 
 _HOUR = 3600.0

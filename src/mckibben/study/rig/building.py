@@ -14,9 +14,8 @@ from mckibben.muscle import ChouLaw, ForceLaw, Muscle, Specimen
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.calibration import Calibration, calibrations_in, content_of
-from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, Procedure, steps_of
 from mckibben.rig.protocol import IsobaricProtocol
-from mckibben.rig.steps import Step
+from mckibben.rig.steps import IsometricProtocol, IsotonicProtocol, Procedure, Step, steps_of
 from mckibben.study.rig.document import CardSpec, RigTest, VirtualSpec
 from mckibben.study.rig.steps import ProtocolSpec, steps
 from mckibben.study.scenario.building import build_creep, build_friction

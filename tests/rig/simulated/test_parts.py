@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mckibben.rig.simulated.air import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR, Chamber, Regulator, mass_flow
+from mckibben.rig.simulated.parts import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR, Chamber, Regulator, mass_flow
 from mckibben.units import bar
 
 VOLUME = 20e-6
