@@ -1,4 +1,4 @@
-"""Breaks the virtual rig at random instants, and sees that it vents and that no recorded sample is lost or changed.
+"""Faults of the simulated rig at random instants: it has to vent, and no recorded sample may be lost or changed.
 
     python benchmarks/faults.py [INSTANTS]
 

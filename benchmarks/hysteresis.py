@@ -1,4 +1,4 @@
-"""How well hysteresis and static law are found on the virtual rig, whose truth is known.
+"""How well hysteresis and static law are found on the simulated rig, whose truth is known.
 
     python benchmarks/hysteresis.py [--seeds 12]
 
@@ -32,7 +32,7 @@ def off(law):
 
 
 def main():
-    parser = argparse.ArgumentParser(description="Hysteresis and law found on the virtual rig.")
+    parser = argparse.ArgumentParser(description="Hysteresis and law found on the simulated rig.")
     parser.add_argument("--seeds", type=int, default=12)
     seeds = range(parser.parse_args().seeds)
     rows = (

@@ -1,4 +1,4 @@
-"""Kills a test on the virtual rig at random instants, and sees what is left: every recorded sample, in a whole dataset.
+"""Kills a test on the simulated rig at random instants: every recorded sample has to be left, in a whole dataset.
 
     python benchmarks/kill.py [KILLS]
 
@@ -57,7 +57,7 @@ _REPORT = struct.Struct("<Q")
 
 
 def rig(session: int) -> tuple[SimulatedRig, Bench]:
-    """The virtual rig of a session, and what stands on it; the regulator gives what it is told."""
+    """The simulated rig of a session, and what stands on it; the regulator gives what it is told."""
     twin = SimulatedRig(
         MUSCLE,
         seed=session,

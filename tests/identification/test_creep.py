@@ -1,4 +1,4 @@
-"""Creep from the samples of plateaus of the virtual rig, whose truth is known."""
+"""Creep from the samples of plateaus of the simulated rig, whose truth is known."""
 
 import dataclasses
 import math

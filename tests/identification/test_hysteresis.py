@@ -1,4 +1,4 @@
-"""Friction, law and drift from loading and unloading curves of the virtual rig, whose truth is known."""
+"""Friction, law and drift from loading and unloading curves of the simulated rig, whose truth is known."""
 
 import dataclasses
 

@@ -42,7 +42,7 @@ class StiffJoint:
     def state(self, state):
         return np.array([0.0, 0.0, float(state.pressure1), float(state.pressure2)])
 
-    def over(self, state, command1, command2, time):
+    def advance(self, state, command1, command2, time):
         angle, velocity, pressure1, pressure2 = state.tolist()
         share = 1 - math.exp(-time / 0.02)
         pressure1, pressure2 = pressure1 + share * (command1 - pressure1), pressure2 + share * (command2 - pressure2)

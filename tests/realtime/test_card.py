@@ -1,4 +1,4 @@
-"""The joint on a card: the real `nidaqmx`, which talks to a card in this process with a virtual joint behind it."""
+"""The joint on a card: the real `nidaqmx`, which talks to a card in this process with a simulated joint behind it."""
 
 import importlib.util
 import sys

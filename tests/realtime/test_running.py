@@ -209,15 +209,17 @@ def test_there_is_no_heartbeat_after_the_vent(stiff):
 def test_a_command_between_samples_counts_from_when_it_came(stiff):
     """In real time: the pressure has had the rest of the period, and no more."""
     joint = stiff.joint(paced=True)
-    joint.open()
-    joint.read(1)
-    while joint.clock() < 0.6 * PERIOD:
-        pass
-    before = joint.clock()
-    joint.set_valves([0.0, 10.0])
-    after = joint.clock()
-    volts = joint.read(1).volts[0]
-    joint.close()
+    after = math.inf
+    while after > 0.9 * PERIOD:  # another process may take the rest of a period
+        joint.open()
+        joint.read(1)
+        while joint.clock() < 0.6 * PERIOD:
+            pass
+        before = joint.clock()
+        joint.set_valves([0.0, 10.0])
+        after = joint.clock()
+        volts = joint.read(1).volts[0]
+        joint.close()
     least, most = (8 * bar - 5 * bar * np.exp(-(PERIOD - at) / 0.02) for at in (after, before))
     assert least - 1 <= (volts[2] - 1.0) * 2.5 * bar <= most + 1
 

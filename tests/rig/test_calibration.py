@@ -111,7 +111,7 @@ def test_drive_is_that_of_the_paper():
     drive = Drive()
     # 200 steps, reduced 10 times, make 5 mm; the pulses of 1 mm at 0.2 mm/s take the paper's 5 s.
     assert drive.pulses(5 * mm) == 200 * 10 and drive.pulses(-1 * mm) / drive.rate(0.2 * mm) == -5.0
-    assert drive.way(drive.pulses(0.007)) == 0.007
+    assert drive.travel(drive.pulses(0.007)) == 0.007
     for way in (0.1 * mm / 3, np.nan):
         with pytest.raises(RangeError):
             drive.pulses(way)

@@ -1,4 +1,4 @@
-"""Creep on the virtual rig: what the sensor reads at each sample, move by move."""
+"""Creep on the simulated rig: what the sensor reads at each sample, move by move."""
 
 import dataclasses
 import math

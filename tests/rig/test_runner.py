@@ -1,4 +1,4 @@
-"""A test on the virtual rig: it does the steps, records them whole, goes on where it was stopped, and always vents."""
+"""A test on the simulated rig: steps, record, resuming, venting."""
 
 import importlib
 import signal

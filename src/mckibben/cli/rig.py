@@ -234,7 +234,7 @@ def run(
     from mckibben.rig.record import segments
     from mckibben.study.reporting import to_json
     from mckibben.study.rig.document import read_test
-    from mckibben.study.rig.running import check, check_room
+    from mckibben.study.rig.running import check, check_disk_space
 
     standing = quantity_or_none("--standing-at", standing_at, "1")
     if standing is not None and not resume:
@@ -243,7 +243,7 @@ def run(
     checked = check(test, document, source=str(protocol), session=len(segments(out)) if out else 0)
     if dry_run:
         if out:
-            check_room(out, checked.room)
+            check_disk_space(out, checked.disk_space)
         typer.echo(to_json(_numbers(checked)) if json else checked.describe())
         return
     if out is None:
@@ -252,7 +252,7 @@ def run(
 
     begun = time.monotonic()
     try:
-        with _shown(checked, quiet=json) as report:
+        with _progress_line(checked, quiet=json) as report:
             data = run_test(checked, out, resume=resume, standing_at=standing, report=report)
     except StoppedError as error:
         typer.echo(str(error), err=True)
@@ -306,13 +306,13 @@ def _numbers(checked: CheckedTest) -> dict[str, object]:
         "points": found.plateaus,
         "samples": found.samples,
         "pulses": found.pulses,
-        "disk_bytes": checked.room,
+        "disk_bytes": checked.disk_space,
         "highest_force_N": found.force,
     }
 
 
 @contextmanager
-def _shown(checked: CheckedTest, *, quiet: bool) -> Iterator[ProgressCallback | None]:
+def _progress_line(checked: CheckedTest, *, quiet: bool) -> Iterator[ProgressCallback | None]:
     """Progress line on the terminal."""
     from mckibben.units import bar, percent
 

@@ -81,7 +81,7 @@ def _closer_than_chou(identification: Identification) -> Claim:
         all(law < chou for law, chou in found.values()),
         "RMSE on a second test, Eq. 2 against Chou: "
         + ", ".join(f"{law:.1f} against {chou:.1f} N at {p / bar:g} bar" for p, (law, chou) in found.items())
-        + " (on the virtual rig, whose muscle follows Eq. 3 with friction; for real muscles see our question below)",
+        + " (on the simulated rig, whose muscle follows Eq. 3 with friction; for real muscles see our question below)",
     )
 
 

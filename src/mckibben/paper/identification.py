@@ -30,14 +30,14 @@ RIG, MARTENS, FESTO = "virtual-rig", "dmsp-10-250-martens2017", "festo-tool-10mm
 
 @dataclass(frozen=True)
 class RigTest:
-    """The isobaric test of the paper on the virtual rig.
+    """The isobaric test of the paper on the simulated rig.
 
     Attributes
     ----------
     muscle
         What the rig tests: the paper's specimen, following Eq. 3.
     rig, protocol
-        The virtual rig, and what it ran.
+        The simulated rig, and what it ran.
     test
         Plateau means of the whole test (Fig. 3).
     settled
@@ -64,7 +64,7 @@ class Identification:
     Attributes
     ----------
     rig
-        The test on the virtual rig.
+        The test on the simulated rig.
     data
         The points behind each fit, by dataset.
     fits

@@ -155,7 +155,7 @@ _Turning = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e5, open_lower=True)]
 
 
 class BenchSpec(Part):
-    """The virtual joint: how well it is measured, see `Sensing`. It is the scenario's own plant."""
+    """The simulated joint: how well it is measured, see `Sensing`. It is the scenario's own plant."""
 
     angle_step: _Step | None = None
     pressure_noise: _Noise | None = None
@@ -180,7 +180,7 @@ class JointCardSpec(Part):
 class JointLimitsSpec(Part):
     """What may not be exceeded, see `JointLimits`.
 
-    Unless given, the angle may go 10 deg beyond the wishes, the start, and where the joint hangs without air; the
+    Unless given, the angle may go 10 deg beyond the references, the start, and where the joint hangs without air; the
     pressure 5 % beyond what the specimens are rated for.
     """
 
@@ -200,7 +200,7 @@ class ApproachSpec(Part):
     """How the joint is brought to its start.
 
     In `raising` the pressures go to those of the start along a straight line; in `settling` the controller holds the
-    first wish.
+    first reference.
     """
 
     raising: Wait = 2.0
@@ -230,7 +230,7 @@ class JointRig(Part):
     (2.0, 0.1)
     """
 
-    name: Title = Field("virtual joint", examples=["knee on the bench"])
+    name: Title = Field("simulated joint", examples=["knee on the bench"])
     virtual: BenchSpec | None = None
     nidaqmx: JointCardSpec | None = Field(None, validate_default=True)
     limits: JointLimitsSpec = JointLimitsSpec()

@@ -176,7 +176,7 @@ def prepare(
     """
     rig = rig or JointRig.model_validate({"virtual": {}})
     if ideal and rig.virtual is None:
-        raise ScenarioError(rig.name, [Problem("is no virtual joint", remedy="leave --ideal out")])
+        raise ScenarioError(rig.name, [Problem("is no simulated joint", remedy="leave --ideal out")])
     with _building(source or scenario.name, "joint, load or valve"):
         plant = scenario.plant()
         hanging = vented_angle(plant)

@@ -26,22 +26,22 @@ from mckibben.rig.simulated.faults import (
 )
 from mckibben.units import deg, kPa, ms
 
-_SPIN = 80e-6  # s: a sleep ends late by up to so much, and the rest is waited for awake
-_DRAWN = 1024  # samples whose noise is drawn at once
+_SPIN = 80e-6  # s of spinning, by which a sleep may end late
+_DRAWN = 1024  # samples of noise drawn at once
 
 
 @dataclass(frozen=True)
 class Sensing:
-    """How well a virtual joint is measured.
+    """Sensors of a simulated joint.
 
     Parameters
     ----------
     angle_step
-        Of the encoder [rad]; 0 for none. 0.022 deg are 14 bits a turn.
+        Resolution of the encoder [rad]; 0 for none. 0.022 deg are 14 bits per revolution.
     pressure_noise
         Standard deviation [Pa] of each sample.
     volts_step
-        Of the converter [V]; 0 for none. 16 bits over 20 V are 0.31 mV.
+        Resolution of the converter [V]; 0 for none. 16 bits over 20 V are 0.31 mV.
     """
 
     angle_step: float = 0.022 * deg
@@ -55,50 +55,49 @@ class Sensing:
 
 
 PERFECT = Sensing(0.0, 0.0, 0.0)
-"""Without noise and steps: what a simulation has."""
+"""Ideal sensors, as in a simulation."""
 
 
 class SimulatedJoint:
-    """The plant of a scenario as a `Backend`: angle and two pressures in, two valves out, all in volts.
+    """The plant of a scenario as a `Backend`: angle and two pressures in, two valves out, in volts.
 
-    Samples are taken at whole multiples of the sample period, the first when it is opened. Signals reach the valves
-    when they are pressed, in between. Unpaced, its clock stands still but for `read`; paced it is that of the wall, and
-    `read` waits: first asleep, then awake.
+    Samples are taken at multiples of the sampling period, the first when it is opened. Signals reach the valves when
+    they are set, in between. Unpaced, its time advances only in `read`; paced, it is real time, and `read` sleeps, then
+    spins.
 
     Parameters
     ----------
     plant
         Joint, load and valves.
     period
-        Between samples [s].
+        Sampling period [s].
     substeps
-        Runge-Kutta steps a sample.
+        Runge-Kutta steps per sample.
     start
-        The state when it is opened. Unless given, it is as a `Backend` has to be: vented, and at rest where the load
-        and the empty muscles leave it. A state of a simulation may have pressure; it is as if held there until then.
+        Initial state, at constant pressures until then; unless given, vented and at rest.
     wiring
-        What its volts mean.
+        Calibrations.
     sensing
-        How well it is measured.
+        Sensors.
     patience
-        How long it goes on without a heartbeat [s].
+        Timeout of the watchdog [s].
     paced
-        Whether its time is that of the wall.
+        Whether it runs in real time.
     seed
-        Of the noise.
+        Seed of the noise.
     faults
         Faults at times since it was opened, of `rig.simulated.faults`: `SensorDisconnected`,
         ``SupplyLost``, ``HostDelayed``, ``SamplesStopped``, ``SamplesDropped`` (once) and ``SamplesDelayed``.
     program
-        Of this plant and number of steps, where it has been compiled before.
+        Compiled program of this plant and number of steps, if there is one.
 
     Raises
     ------
     RigError
-        If it knows no such fault.
+        If a fault is not supported.
     """
 
-    outputs = (AnalogChannel("valve1", 0.0, 10.0, "virtual"), AnalogChannel("valve2", 0.0, 10.0, "virtual"))
+    outputs = (AnalogChannel("valve1", 0.0, 10.0, "simulated"), AnalogChannel("valve2", 0.0, 10.0, "simulated"))
     inputs = tuple(AnalogChannel(name, -10.0, 10.0, "simulated") for name in ("angle", "pressure1", "pressure2"))
 
     def __init__(
@@ -117,15 +116,15 @@ class SimulatedJoint:
         program: PlantProgram | None = None,
     ) -> None:
         check_positive("SimulatedJoint", "s", period=period, patience=patience)
-        known = (SensorDisconnected, SupplyLost, HostDelayed, SamplesStopped, SamplesDropped, SamplesDelayed)
+        supported = (SensorDisconnected, SupplyLost, HostDelayed, SamplesStopped, SamplesDropped, SamplesDelayed)
         for fault in faults:
             if isinstance(fault, SensorDisconnected):
                 fault.check([channel.name for channel in self.inputs])
-        strange = [type(fault).__name__ for fault in faults if not isinstance(fault, known)]
-        if strange:
+        unsupported = [type(fault).__name__ for fault in faults if not isinstance(fault, supported)]
+        if unsupported:
             raise RigError(
-                f"a virtual joint knows no {', '.join(strange)}",
-                remedy=f"choose of {', '.join(one.__name__ for one in known)}",
+                f"a simulated joint does not support {', '.join(unsupported)}",
+                remedy=f"choose one of {', '.join(one.__name__ for one in supported)}",
             )
         self.rate, self.patience, self.paced = 1 / period, patience, paced
         self._period, self._seed, self._faults = period, seed, tuple(faults)
@@ -133,7 +132,7 @@ class SimulatedJoint:
         self._program = program or PlantProgram(plant, substeps)
         state = plant.still(vented_angle(plant), (0.0, 0.0)) if start is None else plant.remembering(start)
         self._start = self._program.state(state)
-        self._held_at_start = (0.0, 0.0) if start is None else (float(start.pressure1), float(start.pressure2))
+        self._initial_commands = (0.0, 0.0) if start is None else (float(start.pressure1), float(start.pressure2))
         rated = plant.joint.muscle1.specimen.domain, plant.joint.muscle2.specimen.domain
         self._rated = tuple((float(domain.pressure_min), float(domain.pressure_max)) for domain in rated)
         self._volts_of = tuple((c.gain, c.offset, c.tare) for c in self._wiring.sensors)
@@ -141,9 +140,9 @@ class SimulatedJoint:
         self._reset()
 
     def _reset(self) -> None:
-        self._state, self._at = self._start, 0.0  # the plant, integrated up to here
-        self._held = self._held_at_start
-        self._coming: deque[tuple[float, tuple[float, float]]] = deque()  # commands, and when they reach the valves
+        self._state, self._at = self._start, 0.0  # state of the plant, and its time
+        self._commands = self._initial_commands
+        self._pending: deque[tuple[float, tuple[float, float]]] = deque()  # times and commands
         self._now = 0.0
         self._next = 0  # sample
         self._watchdog = Watchdog(self.patience)
@@ -154,9 +153,9 @@ class SimulatedJoint:
 
     @property
     def description(self) -> Mapping[str, str]:
-        """What it is."""
+        """Description for the record."""
         return {
-            "kind": "virtual joint",
+            "kind": "simulated joint",
             "paced": "yes" if self.paced else "no",
             "seed": str(self._seed),
             "sensing": str(self._sensing),
@@ -164,12 +163,12 @@ class SimulatedJoint:
         }
 
     def open(self) -> None:
-        """Begin at the start, the clock at 0."""
+        """Open it at the initial state, the clock at 0."""
         self._reset()
         self.is_open = True
 
     def clock(self) -> float:
-        """Since it was opened [s]."""
+        """Time since it was opened [s]."""
         return time.perf_counter() - self._origin if self.paced else self._now
 
     def heartbeat(self) -> None:
@@ -179,12 +178,12 @@ class SimulatedJoint:
         self._watchdog.reset(now)
 
     def set_valves(self, volts: Sequence[float]) -> None:
-        """Hold these signals at the valves [V].
+        """Set the signals of the valves [V].
 
         Raises
         ------
         RigError
-            If it has vented itself, or is not open.
+            If its watchdog has expired, or it is not open.
         """
         self._check_open()
         now = self.clock()
@@ -203,22 +202,22 @@ class SimulatedJoint:
         self._command(now, (commands[0], commands[1]))
 
     def vent(self) -> None:
-        """Let all air out, at once."""
+        """Vent at once."""
         self._command(self.clock(), (0.0, 0.0))
 
     def close(self) -> None:
-        """Vent, and let go."""
+        """Vent and close."""
         if self.is_open:
             self.vent()
         self.is_open = False
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for so many samples, and take them.
+        """Wait for a number of samples, and return them.
 
         Raises
         ------
         SilentError
-            If they do not come.
+            If they time out.
         RigError
             If it is not open.
         """
@@ -244,7 +243,7 @@ class SimulatedJoint:
         return block
 
     def pass_time(self, duration: float) -> None:
-        """Let time go by without a host [s]; unpaced."""
+        """Advance the time [s] without a host; unpaced."""
         self._now += duration
         if self.is_open:
             self._check_watchdog(self._now)
@@ -252,16 +251,16 @@ class SimulatedJoint:
 
     @property
     def truth(self) -> tuple[float, float, float, float]:
-        """Angle [rad], velocity [rad/s] and pressures [Pa], where the plant was last looked at."""
+        """True angle [rad], velocity [rad/s] and pressures [Pa], as last computed."""
         angle, velocity, pressure1, pressure2 = map(float, self._state[:4])
         return angle, velocity, pressure1, pressure2
 
     def _check_open(self) -> None:
         if not self.is_open:
-            raise RigError("the virtual joint is not open", remedy="open it")
+            raise RigError("the simulated joint is not open", remedy="open it")
 
     def _command(self, at: float, commands: tuple[float, float]) -> None:
-        self._coming.append((max(at, self._at), commands))
+        self._pending.append((max(at, self._at), commands))
 
     def _check_watchdog(self, now: float) -> None:
         """Vent at the time at which the watchdog expired, which may be before now [s]."""
@@ -269,25 +268,25 @@ class SimulatedJoint:
             self._command(self._watchdog.deadline, (0.0, 0.0))
 
     def _advance(self, until: float) -> None:
-        """Integrate the plant, each command from when it reached the valves."""
-        while self._coming and self._coming[0][0] <= until:
-            at, commands = self._coming.popleft()
+        """Integrate the plant, each command from its time."""
+        while self._pending and self._pending[0][0] <= until:
+            at, commands = self._pending.popleft()
             self._integrate(at)
-            self._held = commands
+            self._commands = commands
         self._integrate(until)
 
     def _integrate(self, until: float) -> None:
-        """Under the commands in force, in whole sample periods and what is left of one."""
+        """Integrate under the present commands, in sampling periods and the rest of one."""
         little = 1e-9 * self._period
         while (stretch := until - self._at) > little:
             step = self._period if stretch > self._period - little else stretch
             supplied = not any(isinstance(fault, SupplyLost) and fault.at <= self._at for fault in self._faults)
-            command1, command2 = self._held if supplied else (0.0, 0.0)
-            self._state = self._program.over(self._state, command1, command2, step)
+            command1, command2 = self._commands if supplied else (0.0, 0.0)
+            self._state = self._program.advance(self._state, command1, command2, step)
             self._at = until if stretch - step <= little else self._at + step
 
     def _sensed(self, due: float) -> list[float]:
-        """The volts of the sensors."""
+        """Volts of the sensors."""
         angle, _, pressure1, pressure2 = self._state[:4].tolist()
         sensing = self._sensing
         if sensing.angle_step:
@@ -314,7 +313,7 @@ class SimulatedJoint:
         return any(isinstance(fault, SamplesStopped) and fault.at <= due for fault in self._faults)
 
     def _drop(self) -> None:
-        """Lose the samples that a fault takes."""
+        """Drop the samples of a fault."""
         for fault in self._faults:
             due = self._next * self._period
             if isinstance(fault, SamplesDropped) and fault.at <= due and fault not in self._happened:
@@ -322,7 +321,7 @@ class SimulatedJoint:
                 self._next += fault.samples
 
     def _arriving(self, due: float) -> float:
-        """When a sample reaches the host [s], and the host comes to take it."""
+        """Time at which the host reads a sample [s]."""
         arriving = due
         for fault in self._faults:
             if isinstance(fault, SamplesDelayed) and fault.at <= due:

@@ -67,7 +67,7 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "fig3-isobaric-curves",
         "identification",
         "Fig. 3: isobaric characteristic curves",
-        f"The paper's test on the virtual rig: {levels} pressures, {rig.protocol.repeats} repeats, "
+        f"The paper's test on the simulated rig: {levels} pressures, {rig.protocol.repeats} repeats, "
         f"{rig.samples:,} raw samples behind {len(rig.test)} plateau means. Each pressure has two curves: the upper "
         f"(solid) while the muscle is stretched, the lower (dashed) while it shortens; the gap is the rig's friction "
         f"of ±{rig.rig.hysteresis:g} N. The curves of high pressure start late because the rig stays below the rated "
@@ -84,8 +84,8 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "A second test, which no law has seen, at the paper's four pressures, in the paper's colours: loading data "
         "blue, unloading data orange, the law identified from the first test purple, Chou's law of the specimen green. "
         "The experimental law runs between the two directions; Chou's knows neither the rubber nor the ends of the "
-        "muscle. The errors of both are in the panels. The muscle of the virtual rig follows Eq. 3, so this shows the "
-        "method at work; the next figure has muscles that were measured.",
+        "muscle. The errors of both are in the panels. The muscle of the simulated rig follows Eq. 3, so this shows "
+        "the method at work; the next figure has muscles that were measured.",
         "Panels of force over contraction, one a pressure, with points of both directions and the curves of both laws.",
         law_comparison(rig.retest, laws, found.retested),
     )

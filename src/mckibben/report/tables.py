@@ -27,7 +27,7 @@ from mckibben.plant import FirstOrderValve
 from mckibben.units import bar, deg, factor, mm, ms, percent
 
 NAMES = {
-    RIG: "virtual rig (follows Eq. 3, with friction)",
+    RIG: "simulated rig (follows Eq. 3, with friction)",
     MARTENS: "DMSP-10-250, measured",
     FESTO: "10 mm muscle, maker's chart",
 }
@@ -136,7 +136,7 @@ def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
         ),
         Decision(
             "The muscle of the test",
-            "There is no raw data of the paper. A virtual rig runs its protocol on a muscle that follows Eq. 3, with "
+            "There is no raw data of the paper. A simulated rig runs its protocol on a muscle that follows Eq. 3, with "
             f"friction of ±{rig.rig.hysteresis:g} N (taken from the literature on 10 mm muscles), sensor noise and "
             "regulator offsets. What is found from it tests the method; the measured datasets test the law.",
         ),
@@ -255,7 +255,7 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
     ]  # a pressure, or one in one direction
     pressures = sorted(rows, key=lambda place: float(place.split()[0]))
     by_pressure = Table(
-        "Virtual rig, RMSE [N] at the paper's four pressures: on a second test with other noise and offsets, and at "
+        "Simulated rig, RMSE [N] at the paper's four pressures: on a second test with other noise and offsets, and at "
         "points that were kept from the fit. The second test has all its points, fits and held-out points are those "
         "away from the turns of the stroke: the two do not compare. Half of the friction band is in every one of them, "
         "since a law has one curve for both directions.",

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 
 class AnalogChannel(NamedTuple):
-    """One input or output of a rig, in volts; what the volts mean is the calibration's to say.
+    """Analog input or output of a rig, in volts.
 
     Attributes
     ----------
     name
         "force", "pressure", "angle", "pressure1" ... of an input; "valve", "valve1", "valve2" of an output.
     low, high
-        What the converter can tell or give [V].
+        Range of the converter [V].
     where
-        What it is connected to, in words or as an address: "Dev1/ai0".
+        Terminal, such as "Dev1/ai0".
     """
 
     name: str
@@ -29,20 +29,19 @@ class AnalogChannel(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Samples in a row, all channels at once.
+    """Consecutive samples of all channels.
 
     Attributes
     ----------
     first
-        Number of the first sample since the backend was opened. One that is more than the number expected tells of
-        samples that were dropped.
+        Number of the first sample since the backend was opened; above the expected number if samples were dropped.
     time
-        By the clock of the backend, since it was opened [s], shape (samples,).
+        Time since the backend was opened [s], by its clock, shape (samples,).
     volts
         Shape (samples, channels), in the order of `Backend.inputs`.
     pulses
-        Where the motor stood, in pulses since it was opened, positive = stretching, shape (samples,). Zeros where there
-        is no motor.
+        Position of the motor in pulses since it was opened, positive = stretching, shape (samples,); zeros without a
+        motor.
     """
 
     first: int
@@ -53,61 +52,61 @@ class Block(NamedTuple):
 
 @runtime_checkable
 class Backend(Protocol):
-    """Sensors and valves. What every rig has, virtual or real; all of it in volts.
+    """Sensors and valves of a rig, simulated or physical, in volts.
 
-    A backend is vented and at rest when it is opened, and whenever the host has not called `heartbeat` for `patience`
-    seconds (by its own clock): then it vents and stops without being told, and stays so until it is opened anew.
+    A backend is vented and at rest when it is opened. Its watchdog expires when `heartbeat` was not called for
+    `patience` seconds (by its own clock): then it vents and stops by itself, until it is reopened.
     """
 
     rate: float
-    """Samples a second [Hz] of each input."""
+    """Sampling rate of each input [Hz]."""
 
     patience: float
-    """How long [s] it goes on without a heartbeat."""
+    """Timeout of the watchdog [s]."""
 
     @property
     def inputs(self) -> Sequence[AnalogChannel]:
-        """What is measured, in the order of the columns of a block."""
+        """Inputs, in the order of the columns of a block."""
         ...
 
     @property
     def outputs(self) -> Sequence[AnalogChannel]:
-        """The valves, in the order of the values that `set_valves` takes."""
+        """Valves, in the order of the values of `set_valves`."""
         ...
 
     @property
     def description(self) -> Mapping[str, str]:
-        """What it is, for the record: kind, devices, serial numbers, driver and versions, seed."""
+        """Description for the record: kind, devices, serial numbers, driver and versions, seed."""
         ...
 
     def open(self) -> None:
-        """Take hold of the devices; vented, at rest, the clock at 0.
+        """Open the devices; vented, at rest, the clock at 0.
 
         Raises
         ------
         RigError
-            If a driver or a device is missing; it says which, and what to do.
+            If a driver or a device is missing.
         """
         ...
 
     def clock(self) -> float:
-        """Since it was opened [s]."""
+        """Time since it was opened [s]."""
         ...
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for so many samples, and take them.
+        """Wait for a number of samples, and return them.
 
         Raises
         ------
         SilentError
-            If they have not come after the timeout [s] beyond the time that they take.
+            If they have not come within the timeout [s] after their duration.
         RigError
             If the device is lost.
         """
         ...
 
     def set_valves(self, volts: Sequence[float]) -> None:
-        """Hold these signals at the valves [V], one an output."""
+        """Set the signals of the valves [V], one per output."""
         ...
 
     def heartbeat(self) -> None:
@@ -115,11 +114,11 @@ class Backend(Protocol):
         ...
 
     def vent(self) -> None:
-        """Let all air out, at once. May be called at any time and as often as one likes; never raises."""
+        """Vent at once. May be called at any time, repeatedly; never raises."""
         ...
 
     def close(self) -> None:
-        """Vent, stop, and let go of the devices. Never raises."""
+        """Vent, stop, and close the devices. Never raises."""
         ...
 
 
@@ -128,22 +127,22 @@ class MovingBackend(Backend, Protocol):
     """A backend with a motor that stretches the muscle."""
 
     def move(self, pulses: int, rate: float) -> None:
-        """Begin to move by so many pulses, positive = stretching, at so many a second; returns at once.
+        """Begin a move by a number of pulses, positive = stretching, at a rate [Hz]; returns at once.
 
         Raises
         ------
         RigError
-            If it is still moving, or the motor cannot go at that rate.
+            If it is moving, or the rate is too high.
         """
         ...
 
     @property
     def moving(self) -> bool:
-        """Whether it still is."""
+        """Whether the motor is moving."""
         ...
 
     def stop(self) -> None:
-        """Stand still, at once. Never raises."""
+        """Stop the motor at once. Never raises."""
         ...
 
 

@@ -22,23 +22,23 @@ _WHOLE = 1e-6  # pulses
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """A step motor, a reducer and a lead screw.
+    """Stepper motor, reducer and lead screw.
 
     Parameters
     ----------
     steps
-        Pulses a revolution of the motor: 200 (ours; the usual motor, full steps).
+        Pulses per revolution of the motor: 200 (ours; the usual motor, full steps).
     reduction
-        Revolutions of the motor for one of the screw: 10 (the paper, "Experimental system").
+        Revolutions of the motor per revolution of the screw: 10 (the paper, "Experimental system").
     lead
-        Way [m] of one revolution of the screw: 5 mm (the paper).
+        Travel per revolution of the screw [m]: 5 mm (the paper).
     fastest
-        Pulses a second [Hz] that it follows: 2000 (ours), which is 5 mm/s.
+        Highest pulse rate [Hz]: 2000 (ours), which is 5 mm/s.
 
     Raises
     ------
     RangeError
-        If a number has no meaning.
+        If a number is not positive.
 
     Examples
     --------
@@ -63,40 +63,43 @@ class Drive:
 
     @property
     def pulses_per_metre(self) -> float:
-        """Pulses for a way of a metre [1/m]; exact in the decimals that were given."""
+        """Pulses per metre of travel [1/m]; exact in the given decimals."""
         return float(self.steps * Fraction(str(self.reduction)) / Fraction(str(self.lead)))
 
-    def pulses(self, way: float) -> int:
-        """Pulses for a way [m].
+    def pulses(self, travel: float) -> int:
+        """Pulses for a travel [m].
 
         Raises
         ------
         RangeError
-            If it is no whole number of them.
+            If that is no whole number.
         """
-        exact = way * self.pulses_per_metre
+        exact = travel * self.pulses_per_metre
         if not np.isfinite(exact) or abs(exact - round(exact)) > _WHOLE:
             one = 1 / self.pulses_per_metre / mm
             raise RangeError(
-                f"{way / mm:g} mm are {exact:g} pulses", value=way, unit="m", remedy=f"take a multiple of {one:g} mm"
+                f"{travel / mm:g} mm are {exact:g} pulses",
+                value=travel,
+                unit="m",
+                remedy=f"take a multiple of {one:g} mm",
             )
         return round(exact)
 
-    def nearest(self, way: float) -> int:
-        """Pulses that come nearest to a way [m]."""
-        return round(way * self.pulses_per_metre)
+    def nearest(self, travel: float) -> int:
+        """Nearest number of pulses for a travel [m]."""
+        return round(travel * self.pulses_per_metre)
 
-    def way(self, pulses: ArrayLike) -> NDArray[np.float64]:
-        """The way [m] of so many pulses, of any shape."""
+    def travel(self, pulses: ArrayLike) -> NDArray[np.float64]:
+        """Travel of pulses [m], any shape."""
         return np.asarray(pulses, np.float64) / self.pulses_per_metre
 
     def rate(self, speed: float) -> float:
-        """Pulses a second [Hz] for a speed [m/s].
+        """Pulse rate [Hz] for a speed [m/s].
 
         Raises
         ------
         RangeError
-            If the motor is not that fast.
+            If it is above that of the motor.
         """
         rate = abs(speed) * self.pulses_per_metre
         if not 0 < rate <= self.fastest:
@@ -217,35 +220,35 @@ class JointLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """What a test is run on.
+    """Test bench: the muscle, how it is mounted, the motor, calibrations, limits and recording.
 
     Parameters
     ----------
     of
-        The muscle, or the specimen where its law is not known.
+        The muscle, or the specimen if its law is not known.
     mounted_at
-        Contraction [-] at which the muscle was mounted: where the motor stands when the backend is opened anew.
+        Contraction [-] at which the muscle was mounted, the origin of the motor.
     drive
         The motor.
     calibrations
         Of "force", "pressure" (inputs) and "valve" (output).
     limits
-        What may not be exceeded.
+        Safety limits.
     rate
-        Samples a second of the backend [Hz].
+        Sampling rate of the backend [Hz].
     cycle
-        How often readings are taken and looked at [s]: 100 ms.
+        Period at which samples are read and checked [s]: 100 ms.
     between
-        Samples a second that are recorded between plateaus [Hz]: 10 Hz. All are watched; those of a block that stopped
-        the test, and those after it, are all recorded.
+        Rate of the record between plateaus [Hz]: 10 Hz. All samples are checked; all samples of a block that stopped
+        the test, and those after it, are recorded.
     settled
-        How near to the set pressure the mean of a cycle has to be [Pa] before it counts as reached: 0.1 bar.
+        Tolerance of the set pressure, for the mean of a cycle [Pa]: 0.1 bar.
     vented
-        Below this pressure [Pa] the muscle is vented: 0.1 bar.
+        Pressure below which the muscle is vented [Pa]: 0.1 bar.
     steady
-        How long it has to be so [s], either of them: 1 s.
+        Time for which the pressure has to be settled or vented [s]: 1 s.
     slack_force
-        Up to this mean force [N] a point is one of a slack muscle: 1 N, by which a sensor's zero may be off.
+        Highest mean force of a slack muscle [N]: 1 N, for the zero error of a sensor.
     """
 
     of: Muscle | Specimen
@@ -271,19 +274,19 @@ class Bench:
         return specimen_of(self.of)
 
     @property
-    def samples_a_cycle(self) -> int:
-        """Of each input."""
+    def samples_per_cycle(self) -> int:
+        """Samples of each input per cycle."""
         return max(1, round(self.rate * self.cycle))
 
     @property
-    def every(self) -> int:
-        """Of the samples between plateaus each so manyth is recorded."""
+    def decimation(self) -> int:
+        """Decimation factor of the record between plateaus."""
         return max(1, round(self.rate / self.between))
 
     def pulses_at(self, contraction: float) -> int:
-        """Where the motor stands at a contraction [-], from where the muscle was mounted; the nearest pulse."""
+        """Position of the motor at a contraction [-], from where the muscle was mounted; the nearest pulse."""
         return self.drive.nearest((self.mounted_at - contraction) * float(self.specimen.initial_length))
 
     def contraction_at(self, pulses: float) -> float:
-        """The contraction [-] where the motor stands."""
+        """Contraction [-] at a position of the motor."""
         return self.mounted_at - pulses / self.drive.pulses_per_metre / float(self.specimen.initial_length)

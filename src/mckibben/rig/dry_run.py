@@ -108,7 +108,7 @@ class DryRun(StepInterpreter):
 
     def _rest(self, duration: float) -> None:
         self.duration += duration
-        self.rows += math.ceil(duration * self.bench.rate / self.bench.every) + 1
+        self.rows += math.ceil(duration * self.bench.rate / self.bench.decimation) + 1
 
     def _pressurise(self, pressure: float, rate: float | None, holding: float | None) -> None:
         self._rest(_SETTLING + (0.0 if rate is None else abs(pressure - self._set_pressure) / rate))

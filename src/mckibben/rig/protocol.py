@@ -1,4 +1,4 @@
-"""How far a muscle is stretched and let go at each pressure of a test."""
+"""Isobaric protocol: pressures, stroke and plateaus of the paper's test."""
 
 from __future__ import annotations
 
@@ -87,12 +87,12 @@ def positions(of: Muscle | Specimen, protocol: IsobaricProtocol) -> NDArray[np.f
 
 
 def specimen_of(of: Muscle | Specimen) -> Specimen:
-    """What is tested, without its law."""
+    """Specimen of a muscle, or the specimen itself."""
     return of.specimen if isinstance(of, Muscle) else of
 
 
 def _after_last(where: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Per row, the column after the last one that is true; 0 where none is."""
+    """Column after the last true one of each row; 0 if there is none."""
     count = where.shape[1]
     return np.where(where.any(axis=1), count - np.argmax(where[:, ::-1], axis=1), 0).astype(np.int64)
 
@@ -101,21 +101,20 @@ PAPER_PRESSURES = tuple(0.5 * level * bar for level in range(13))
 
 
 class Plateaus(NamedTuple):
-    """The plateaus of a test in their order, one row each.
+    """Plateaus of a test in order, one row each.
 
     Attributes
     ----------
     level
-        Which of the protocol's pressures, from 0.
+        Index of the pressure in the protocol.
     repeat
-        From 0.
+        Number of the repeat, from 0.
     stretching
         Whether the plateau belongs to the loading pass.
     contraction
         Contraction [-].
     travel
-        Signed way [m] driven to get there from the plateau before, positive = stretching; 0 on the first of a
-        pass.
+        Travel from the plateau before [m], positive = stretching; 0 on the first of a pass.
     time
         Start of the acquisition [s] after the start of the test.
     """
@@ -229,7 +228,7 @@ class IsobaricProtocol:
         _refuse("isobaric protocol", problems)
 
     def stroke(self, of: Muscle | Specimen) -> tuple[float, float]:
-        """First and last contraction [-] before any cut: as given, or the range of the muscle or specimen."""
+        """First and last contraction [-] before the boundaries: as given, or the range of the muscle or specimen."""
         low, high = self.contraction_min, self.contraction_max
         return (
             float(of.domain.contraction_min) if low is None else low,
@@ -237,7 +236,7 @@ class IsobaricProtocol:
         )
 
     def check(self, of: Muscle | Specimen) -> None:
-        """Raise unless the muscle or specimen may be put through this test.
+        """Check that the test suits the muscle or specimen.
 
         Raises
         ------
@@ -284,7 +283,7 @@ class IsobaricProtocol:
         _refuse(f"the isobaric protocol does not suit {name}", problems)
 
     def plateaus(self, of: Muscle | Specimen) -> Plateaus:
-        """All plateaus in their order, within the `boundaries`.
+        """Plateaus in order, within the `boundaries`.
 
         Raises
         ------
@@ -312,7 +311,7 @@ class IsobaricProtocol:
         )
 
     def describe(self, of: Muscle | Specimen) -> str:
-        """The test in words: plateaus, samples, duration.
+        """Text of plateaus, samples and duration.
 
         Of a muscle, whose law tells the boundaries; of a specimen alone, with the whole stroke at every
         pressure. The time to adjust the device and to set the pressures comes on top.

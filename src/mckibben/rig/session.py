@@ -114,7 +114,7 @@ class RigSession:
         sums: NDArray[np.float64] = np.zeros(len(self._names))
         begun, left, self._points = None, count, plateau
         while left:
-            block = self._cycle(min(left, self.bench.samples_a_cycle), plateau=plateau)
+            block = self._cycle(min(left, self.bench.samples_per_cycle), plateau=plateau)
             sums += self.monitor.sums
             begun = float(block.time[0]) if begun is None else begun
             left -= len(block.time)
@@ -138,11 +138,11 @@ class RigSession:
         while self.backend.moving:
             # shorter cycles near the end, so that no time is lost
             left = math.ceil((abs(pulses - self.pulses) / rate) * self.bench.rate) + 1
-            self._cycle(min(self.bench.samples_a_cycle, max(left, 1)))
+            self._cycle(min(self.bench.samples_per_cycle, max(left, 1)))
             if self.now > deadline:
                 raise StoppedError("the motor does not finish its move", remedy="check its driver")
         while self.pulses != pulses:
-            self._cycle(max(1, self.bench.samples_a_cycle // 10))
+            self._cycle(max(1, self.bench.samples_per_cycle // 10))
             if self.now > deadline:
                 raise StoppedError(
                     f"the motor is {abs(self.pulses - pulses)} pulses away from its target",
@@ -165,7 +165,7 @@ class RigSession:
         """Wait for a duration [s]."""
         left = round(duration * self.bench.rate)
         while left > 0:
-            left -= len(self._cycle(min(left, self.bench.samples_a_cycle)).time)
+            left -= len(self._cycle(min(left, self.bench.samples_per_cycle)).time)
 
     def set_pressure(self, before: float, pressure: float, rate: float | None, holding: float | None) -> None:
         """Change the pressure [Pa], at once or at a rate [Pa/s], at constant length or at a force [N]; wait for it."""
@@ -247,7 +247,7 @@ class RigSession:
         bench, monitor, block = self.bench, self.monitor, None
         try:
             with monitor.guard():
-                block = self.backend.read(count or bench.samples_a_cycle, timeout=bench.cycle)
+                block = self.backend.read(count or bench.samples_per_cycle, timeout=bench.cycle)
                 self._latest = latest = monitor.check_block(block, self.backend.clock())
                 monitor.heartbeat()
         except BaseException:
@@ -256,7 +256,7 @@ class RigSession:
                     self._record(block, 1, plateau)
             raise
         self.pulses = int(block.pulses[-1]) + self._origin
-        self._record(block, 1 if plateau >= 0 else bench.every, plateau)
+        self._record(block, 1 if plateau >= 0 else bench.decimation, plateau)
         if self._signal is not None:
             raise _interrupted(*self._signal)
         if self._report is not None:
@@ -294,7 +294,7 @@ class RigSession:
             lambda block: self._note(lambda: self._record(block, 1, -1), said),
             threshold=bench.vented,
             duration=_OBSERVED,
-            samples=bench.samples_a_cycle,
+            samples=bench.samples_per_cycle,
             timeout=bench.cycle,
         )
         if found.pressure is None:

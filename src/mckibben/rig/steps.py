@@ -18,17 +18,17 @@ DIRECTIONS = ("", "loading", "unloading")
 PHASES = ("", "filling", "venting")
 
 SPEED = 0.2 * mm / s
-"""The paper's: a step of 1 mm takes 5 s."""
+"""Speed of the paper [m/s]: a step of 1 mm takes 5 s."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Move:
-    """Stretch the muscle or let it shorten.
+    """Move of the motor.
 
     Parameters
     ----------
     to
-        Contraction [-] at the end.
+        Target contraction [-].
     speed
         [m/s].
     """
@@ -40,7 +40,7 @@ class Move:
         _refuse("move", _contraction("to", self.to), _positive("speed", self.speed, "m/s"))
 
     def describe(self) -> str:
-        """In words."""
+        """Description as text."""
         return f"move to {self.to / percent:.4g} % contraction at {self.speed / mm:g} mm/s"
 
 
@@ -54,22 +54,22 @@ class Dwell:
         _refuse("dwell", _positive("duration", self.duration, "s", zero=True))
 
     def describe(self) -> str:
-        """In words."""
+        """Description as text."""
         return f"wait {self.duration:g} s"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pressurise:
-    """Set a pressure, and wait until the muscle has it.
+    """Change of the set pressure, until the muscle has it.
 
     Parameters
     ----------
     pressure
         [Pa, gauge].
     rate
-        How fast the set pressure gets there [Pa/s]; at once unless given.
+        Rate of the set pressure [Pa/s]; a step unless given.
     holding
-        A force [N] that is held meanwhile by moving, see `HoldForce`; the position is held unless given.
+        Force [N] held meanwhile by moving, see `HoldForce`; constant length unless given.
     """
 
     pressure: float
@@ -85,7 +85,7 @@ class Pressurise:
         )
 
     def describe(self) -> str:
-        """In words."""
+        """Description as text."""
         rate = f" at {self.rate / bar:g} bar/s" if self.rate is not None else ""
         return f"pressurise to {self.pressure / bar:g} bar{rate}" + (
             f", holding {self.holding:g} N" if self.holding is not None else ""
@@ -94,18 +94,18 @@ class Pressurise:
 
 @dataclass(frozen=True, kw_only=True)
 class HoldForce:
-    """Move until the muscle pulls with a force, and stays so.
+    """Move until the muscle has a force, by feedback of the force.
 
     Parameters
     ----------
     force
         [N].
     tolerance
-        How far the mean over a cycle may be off [N].
+        Tolerance of the mean over a cycle [N].
     speed
-        The highest [m/s].
+        Highest speed [m/s].
     longest
-        After so long [s] without success the test is stopped.
+        Timeout [s], after which the test is stopped.
     """
 
     force: float
@@ -123,24 +123,24 @@ class HoldForce:
         )
 
     def describe(self) -> str:
-        """In words."""
-        return f"move until it pulls {self.force:g} N +- {self.tolerance:g} N"
+        """Description as text."""
+        return f"move until the force is {self.force:g} N +- {self.tolerance:g} N"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Acquire:
-    """Take a point: the samples of a plateau.
+    """Acquire a point: the samples of a plateau.
 
     Parameters
     ----------
     samples, duration
-        So many, evenly, within so long [s]: 1000 within 1 s.
+        Number of samples, and their duration [s]: 1000 in 1 s.
     direction
-        "loading" or "unloading", where the point belongs to a pass.
+        "loading" or "unloading", if the point belongs to a pass.
     phase
-        "filling" or "venting", where it belongs to a change of pressure.
+        "filling" or "venting", if it belongs to a change of pressure.
     keep
-        Whether it is a point of the data; one that only finds a boundary is not.
+        Whether it is a point of the dataset; a point that only finds a boundary is not.
     """
 
     samples: int = 1000
@@ -159,28 +159,28 @@ class Acquire:
         )
 
     def describe(self) -> str:
-        """In words."""
-        return f"take {self.samples} samples in {self.duration:g} s"
+        """Description as text."""
+        return f"acquire {self.samples} samples in {self.duration:g} s"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Walk:
-    """Plateau after plateau: take a point where it stands, then again and again move a step, wait, take one.
+    """Pass from plateau to plateau: acquire a point, then repeatedly move a step, wait, and acquire.
 
     Parameters
     ----------
     to
-        Contraction [-] up to which it goes; None is back to where the walk before began.
+        Contraction [-] at the end; None for the start of the walk before.
     step
-        Way between two plateaus [m].
+        Travel between two plateaus [m].
     speed, dwell
-        Of each move [m/s], and the wait after it [s].
+        Speed of each move [m/s], and the wait after it [s].
     acquire
-        What is taken at each.
+        Samples of each plateau.
     force
-        It ends before a step that, by the last two points, would take the force above this [N].
+        It ends before a step that is predicted to take the force above this [N].
     slack, slack_force
-        It ends so many plateaus after the last one at which the force was above `slack_force` [N].
+        It ends this number of plateaus after the last one with a force above `slack_force` [N].
     """
 
     to: float | None
@@ -205,29 +205,30 @@ class Walk:
         )
 
     def describe(self) -> str:
-        """In words."""
+        """Description as text."""
         to = "back" if self.to is None else f"to {self.to / percent:.4g} % contraction"
         ends = [f"until {self.force:g} N"] if self.force is not None else []
         ends += [f"until {self.slack} slack plateaus"] if self.slack is not None else []
         what = f" ({self.acquire.direction})" if self.acquire.direction else ""
+        each = self.acquire.describe().removeprefix("acquire ")
         return (
             f"walk {to} in steps of {self.step / mm:g} mm{what}{''.join(f', {end}' for end in ends)}; at each: "
-            f"{self.step / self.speed:g} s move, {self.dwell:g} s wait, {self.acquire.describe().removeprefix('take ')}"
+            f"{self.step / self.speed:g} s move, {self.dwell:g} s wait, {each}"
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Vent:
-    """Let the air out, and wait until it is."""
+    """Vent, and wait until the muscle is empty."""
 
     def describe(self) -> str:
-        """In words."""
+        """Description as text."""
         return "vent"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Repeat:
-    """Steps several times. The points inside carry the number of the innermost repeat, from 0."""
+    """Repeated steps. The points inside have the number of the innermost repeat, from 0."""
 
     times: int
     steps: tuple[Step, ...]
@@ -241,7 +242,7 @@ class Repeat:
         )
 
     def describe(self) -> str:
-        """In words, without its steps."""
+        """Description as text, without its steps."""
         return f"{self.times} times"
 
 
@@ -249,7 +250,7 @@ Step = Move | Dwell | Pressurise | HoldForce | Acquire | Walk | Vent | Repeat
 
 
 def describe_steps(steps: Sequence[Step], indent: int = 0) -> list[str]:
-    """Steps as lines of text, those of a repeat indented.
+    """Lines of text of steps, those of a repeat indented.
 
     >>> describe_steps([Repeat(times=2, steps=(Dwell(duration=1.0), Vent()))])
     ['2 times', '  wait 1 s', '  vent']
@@ -289,16 +290,16 @@ def _among(name: str, value: str, words: Sequence[str]) -> Problem | None:
     return None if value in words else Problem(f"{value!r} is none of {words}", field=name)
 
 
-_ADJUSTED = 5 * mm  # stretched on the way to the first plateau: after 2 mm 2 % of a loop would be left, some 0.5 N
+_ADJUSTED = 5 * mm  # stretch before the first plateau: after 2 mm 2 % of a loop would be left, some 0.5 N
 
 
 def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[Step, ...]:
-    """The paper's procedure as steps: adjust, find the boundary values, unloading test, loading test, vent.
+    """Steps of the paper's procedure: adjust, find the boundary values, unloading test, loading test, vent.
 
-    Of a muscle, whose law tells the boundaries, each pass goes from plateau to plateau between them. Of a specimen
-    alone they are found as it goes: at each pressure the rig starts where the muscle is shortest, and stretches it
-    step by step until one more would take the force above the rated one less the protocol's reserve; a pass of
-    unloading then ends `slack_steps` plateaus after the last taut one, and the loading goes back to where that began.
+    For a muscle the boundaries follow from its law. For a specimen alone they are found during the test: at each
+    pressure the rig starts where the muscle is shortest, and stretches it step by step until the next step would take
+    the force above the rated one less the protocol's reserve; an unloading pass then ends `slack_steps` plateaus after
+    the last taut one, and the loading pass returns to its start.
 
     Raises
     ------
@@ -351,24 +352,24 @@ def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[S
 
 
 def _short_of(low: float, protocol: IsobaricProtocol, of: Muscle) -> float:
-    """A place on the short side of the stretched end, so far that friction has changed sides when this is reached."""
+    """Contraction before the stretched end, far enough for the friction to change its direction until there."""
     return min(low + _ADJUSTED / float(of.specimen.initial_length), protocol.stroke(of)[1])
 
 
 @dataclass(frozen=True, kw_only=True)
 class IsometricProtocol:
-    """The length held, the pressure stepped up and down.
+    """Isometric test: constant length, the pressure stepped up and down.
 
     Parameters
     ----------
     contractions
-        At which it is done [-], in their order: -3, 0, 5, 10, 15, 20 % (ours).
+        Contractions [-], in order: -3, 0, 5, 10, 15, 20 % (ours).
     pressures
-        Set pressures [Pa, gauge], ascending; they are filled in this order and vented in the other.
+        Set pressures [Pa, gauge], ascending; vented in descending order.
     rate
-        How fast the set pressure goes from one to the next [Pa/s]: at once unless given.
+        Rate of the set pressure [Pa/s]; steps unless given.
     speed
-        Of the moves between lengths [m/s].
+        Speed of the moves between lengths [m/s].
     dwell, acquisition, samples, repeats
         As in the isobaric test.
     """
@@ -385,27 +386,27 @@ class IsometricProtocol:
     def __post_init__(self) -> None:
         for name in ("contractions", "pressures"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
-        _refuse_all("isometric protocol", _ascending(self.pressures), _given("contractions", self.contractions))
+        _refuse_all("isometric protocol", _ascending(self.pressures), _not_empty("contractions", self.contractions))
 
     def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
-        """The test as steps; what does not suit the muscle is found by `dry_run`.
+        """Steps of the test; `dry_run` checks them.
 
-        Where a law tells that a pressure would take the force above the rated one, it is left out at that length.
+        Pressures at which the force by the law exceeds the rated one are left out at that length.
         """
         steps: list[Step] = []
         for contraction in self.contractions:
-            pressures = _bearable(of, contraction, self.pressures)
+            pressures = _within_rating(of, contraction, self.pressures)
             steps += [
                 Vent(),
                 Move(to=contraction, speed=self.speed),
                 Repeat(
                     times=self.repeats,
-                    steps=(*self._passed(pressures, "filling"), *self._passed(pressures[::-1], "venting")),
+                    steps=(*self._pass(pressures, "filling"), *self._pass(pressures[::-1], "venting")),
                 ),
             ]
         return (*steps, Vent())
 
-    def _passed(self, pressures: Sequence[float], phase: str) -> list[Step]:
+    def _pass(self, pressures: Sequence[float], phase: str) -> list[Step]:
         acquire = Acquire(samples=self.samples, duration=self.acquisition, phase=phase)
         return [
             step
@@ -416,19 +417,19 @@ class IsometricProtocol:
 
 @dataclass(frozen=True, kw_only=True)
 class IsotonicProtocol:
-    """The tension held by moving, the pressure stepped up and down.
+    """Isotonic test: constant force, the pressure stepped up and down.
 
     Parameters
     ----------
     forces
-        Tensions held [N], in their order: 50, 100, 200 N (ours).
+        Constant forces [N], in order: 50, 100, 200 N (ours).
     pressures
         Set pressures [Pa, gauge], ascending, as in the isometric test: 2, 2.5, ... 6 bar (ours; with less than about
         2 bar the paper's muscle is not short enough to be held at 200 N by its length).
     rate
-        How fast the set pressure goes from one to the next [Pa/s]: 0.1 bar/s (ours), so slow that the motor follows.
+        Rate of the set pressure [Pa/s]: 0.1 bar/s (ours), slow enough for the motor.
     tolerance
-        How far the force may be off when a point is taken [N].
+        Tolerance of the force at a point [N].
     speed, dwell, acquisition, samples, repeats
         As in the isobaric test.
     """
@@ -446,12 +447,12 @@ class IsotonicProtocol:
     def __post_init__(self) -> None:
         for name in ("forces", "pressures"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
-        _refuse_all("isotonic protocol", _ascending(self.pressures), _given("forces", self.forces))
+        _refuse_all("isotonic protocol", _ascending(self.pressures), _not_empty("forces", self.forces))
 
     def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
-        """The test as steps; what does not suit the muscle is found by `dry_run`.
+        """Steps of the test; `dry_run` checks them.
 
-        It begins at the length at rest with no pressure, and stretches until the muscle pulls.
+        It begins vented at the initial length, and stretches the muscle until it has the force.
         """
         steps: list[Step] = []
         for force in self.forces:
@@ -475,11 +476,11 @@ Procedure = IsobaricProtocol | IsometricProtocol | IsotonicProtocol
 
 
 def steps_of(procedure: Procedure, of: Muscle | Specimen) -> tuple[Step, ...]:
-    """A whole test as steps, for a muscle or for a specimen whose law is not known."""
+    """Steps of a whole test, for a muscle or for a specimen without a law."""
     return isobaric_steps(procedure, of) if isinstance(procedure, IsobaricProtocol) else procedure.steps(of)
 
 
-def _bearable(of: Muscle | Specimen, contraction: float, pressures: Sequence[float]) -> list[float]:
+def _within_rating(of: Muscle | Specimen, contraction: float, pressures: Sequence[float]) -> list[float]:
     if not isinstance(of, Muscle):
         return list(pressures)
     there = forces(of, contraction, np.array(pressures))
@@ -490,10 +491,10 @@ def _ascending(pressures: Sequence[float]) -> Problem | None:
     rising = all(a < b for a, b in itertools.pairwise(pressures))
     if pressures and rising and all(map(math.isfinite, pressures)):
         return None
-    return Problem("do not rise", field="pressures", remedy="give at least one, ascending; they are vented backwards")
+    return Problem("do not rise", field="pressures", remedy="give at least one, ascending")
 
 
-def _given(name: str, values: Sequence[float]) -> Problem | None:
+def _not_empty(name: str, values: Sequence[float]) -> Problem | None:
     if values and all(map(math.isfinite, values)):
         return None
     return Problem("give at least one, all finite", field=name)

@@ -1,4 +1,4 @@
-"""A card in this process: the NI gRPC Device Server's calls for NI-DAQmx, in front of a virtual rig.
+"""A card in this process: the NI gRPC Device Server's calls for NI-DAQmx, in front of a simulated rig.
 
 The real `nidaqmx` package talks to it over gRPC, as it does to a card on another machine. It does what the driver's
 manual says of the calls that a rig needs, refuses in the driver's way what a card would refuse, and does nothing else:

@@ -143,7 +143,7 @@ def test_motor_makes_its_pulses_and_counts_them(bench):
     rig.stop()
     rig.heartbeat()
     assert rig.read(100).pulses.tolist() == [10] * 100 and not rig.moving
-    assert there.twin.truth.stretch == pytest.approx(there.twin.drive.way(10), abs=0.02 * mm)
+    assert there.twin.truth.stretch == pytest.approx(there.twin.drive.travel(10), abs=0.02 * mm)
     for pulses, rate in ((1, 0.0), (1, float("nan"))):
         with pytest.raises(RigError, match="cannot go"):
             rig.move(pulses, rate)
@@ -236,7 +236,7 @@ def test_card_that_is_gone_is_told_and_closes_without_an_error(bench):
         lambda: rig.set_valves([1.0]),
         lambda: rig.move(1, 80.0),
     ):
-        with pytest.raises(RigError, match="the device is gone"):
+        with pytest.raises(RigError, match="the device is disconnected"):
             what()
     rig.vent()
     rig.stop()
@@ -296,7 +296,7 @@ def test_what_is_present_is_shown_with_readings(bench):
     found = {row.name: row for row in channel_status(wiring, there.twin.calibrations, server=there.address)}
     assert found["driver"].reading == "NI-DAQmx 24.5.0" and found["device"].reading == "PCI-6281, serial 1234ABC"
     assert " N (noise" in found["force"].reading and not found["force"].problem
-    assert "no working sensor" in found["pressure"].problem
+    assert "the sensor is lost" in found["pressure"].problem
     assert "Dev1/ai7" in found["angle"].problem and "no device X" in found["valve"].problem
     assert not found["counter"].problem
     assert there.card.beats == 0 and there.twin.truth.vented  # nothing was touched

@@ -187,11 +187,11 @@ def test_numbers_without_meaning_are_refused_together():
             MUSCLE, hysteresis=-1, presliding_length=0, pressure_noise=float("nan"), force_drift=float("inf")
         )
     assert str(error.value).splitlines() == [
-        "virtual rig: 4 problems",
-        "  hysteresis: -1 N has no meaning; 0 switches it off",
-        "  presliding_length: 0 m has no meaning; take a tenth of the step for almost none",
-        "  pressure_noise: nan Pa has no meaning; 0 switches it off",
-        "  force_drift: inf N/h has no meaning; 0 switches it off",
+        "simulated isobaric test: 4 problems",
+        "  hysteresis: -1 N is out of range; 0 switches it off",
+        "  presliding_length: 0 m is out of range; take a tenth of the step for almost none",
+        "  pressure_noise: nan Pa is out of range; 0 switches it off",
+        "  force_drift: inf N/h is out of range; 0 switches it off",
     ]
 
 

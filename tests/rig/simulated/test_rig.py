@@ -91,7 +91,7 @@ def test_sensors_tell_the_truth_of_the_law():
     along = forces(PLAIN, -np.arange(0, 1) / 0.18, 0.0)
     assert force[0] == pytest.approx(along[0], abs=1e-3)
     middle = slice(2000, 9000, 500)
-    contraction = -rig.drive.way(pulses[middle]) / 0.18
+    contraction = -rig.drive.travel(pulses[middle]) / 0.18
     np.testing.assert_allclose(force[middle], forces(PLAIN, contraction, pressure[middle]), atol=0.3)
 
 
@@ -286,7 +286,7 @@ def test_missed_beat_vents_in_time_and_holds_until_opened_anew():
     pulses = rig.read(600).pulses  # the beat was at 2.0 s
     assert pulses[299] == -183 and (pulses[300:] == -184).all()
     rig.heartbeat()
-    with pytest.raises(RigError, match="open it anew"):
+    with pytest.raises(RigError, match="reopen it"):
         press(rig, 1 * bar)
     rig.close()
     rig.open()
@@ -348,7 +348,7 @@ def test_stalled_motor_counts_and_stands():
     rig = opened(faults=[Stalled(1.0)], stretcher=Stretcher(backlash=0.0), patience=1e9)
     rig.move(-160, 80.0)
     assert rig.read(2500).pulses[-1] == -160
-    assert rig.truth.stretch == pytest.approx(rig.drive.way(-80))
+    assert rig.truth.stretch == pytest.approx(rig.drive.travel(-80))
 
 
 def test_late_host_finds_its_samples_waiting():

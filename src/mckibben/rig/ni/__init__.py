@@ -1,4 +1,4 @@
-"""Rigs on cards of National Instruments; needs the extra `daq`, and the driver NI-DAQmx."""
+"""Rigs on cards of National Instruments; needs the extra `daq` and the driver NI-DAQmx."""
 
 from mckibben.rig.ni.backend import ChannelStatus, NiBackend, NiRig, channel_status
 from mckibben.rig.ni.driver import Terminals

@@ -1,4 +1,4 @@
-"""A virtual rig behind the interface of a real one, with the faults of a real one."""
+"""Simulated rig behind the interface of a physical one, with its faults."""
 
 from mckibben.rig.simulated.faults import (
     Burst,

@@ -22,7 +22,7 @@ class Fault:
     Parameters
     ----------
     at
-        When [s], counted from when the rig was first opened.
+        Time since the rig was first opened [s].
     """
 
     at: float
@@ -33,12 +33,12 @@ class Fault:
 
 @dataclass(frozen=True)
 class SupplyLost(Fault):
-    """The compressed air fails, and its line is empty; an open regulator lets the muscle's air flow back into it."""
+    """Loss of the supply; an open regulator lets the air of the muscle flow back."""
 
 
 @dataclass(frozen=True)
 class ValveStuck(Fault):
-    """The regulator stays as far open as it is told here, from -1 (out) to 1 (in), whatever its signal."""
+    """Regulator stuck at an opening, from -1 (exhaust) to 1 (supply), whatever its signal."""
 
     opening: float = 1.0
 
@@ -78,12 +78,12 @@ class SensorDisconnected(Fault):
 
 @dataclass(frozen=True)
 class Slipped(Fault):
-    """The muscle slips out of its clamp: it pulls at nothing, and goes to its shortest."""
+    """Muscle slips out of its clamp: no force, shortest length."""
 
 
 @dataclass(frozen=True)
 class Burst(Fault):
-    """The bladder tears: a hole of such a sonic conductance [m^3/(s*Pa)], 5 dm^3/(s*bar) unless given."""
+    """Burst bladder, of a sonic conductance [m^3/(s*Pa)], 5 dm^3/(s*bar) unless given."""
 
     conductance: float = 5 * L_PER_S_BAR
 
@@ -94,12 +94,12 @@ class Burst(Fault):
 
 @dataclass(frozen=True)
 class Stalled(Fault):
-    """The motor stands still; its pulses are counted as before."""
+    """Motor stalls; its pulses are counted all the same."""
 
 
 @dataclass(frozen=True)
 class HostDelayed(Fault):
-    """The host is busy with something else for so long [s]: its next read returns that much later."""
+    """Host is busy for a duration [s]: its next read returns that much later."""
 
     duration: float = 1.0
 
@@ -110,15 +110,12 @@ class HostDelayed(Fault):
 
 @dataclass(frozen=True)
 class SamplesStopped(Fault):
-    """No more samples come."""
+    """No more samples."""
 
 
 @dataclass(frozen=True)
 class SamplesDropped(Fault):
-    """Samples are lost: the next so many, and again each so many seconds [s] where a period is given.
-
-    What was waiting to be read at that time goes with them.
-    """
+    """Samples are lost: a number of them and all that wait to be read; again each period [s] `every`, if given."""
 
     samples: int = 10
     every: float | None = None
@@ -133,7 +130,7 @@ class SamplesDropped(Fault):
 
 @dataclass(frozen=True)
 class SamplesDelayed(Fault):
-    """Samples come so much later [s] than they were taken."""
+    """Samples come with a delay [s]."""
 
     delay: float = 0.2
 

@@ -15,28 +15,28 @@ from mckibben.rig.bench import Drive
 from mckibben.units import N, bar, kPa, mm, ms
 
 ATMOSPHERE = 1.01325e5
-"""Of the room [Pa, absolute]."""
+"""Atmospheric pressure [Pa, absolute]."""
 
 TEMPERATURE = 293.15
-"""Of the room and the air [K]; the chambers are small and slow enough to keep it."""
+"""Temperature of the room and the air [K]; changes are isothermal."""
 
 GAS_CONSTANT = 288.0
-"""Of air at 65 % relative humidity [J/(kg*K)], as ISO 6358 has it."""
+"""Gas constant of air at 65 % relative humidity [J/(kg*K)], from ISO 6358."""
 
 DENSITY = 1.185
-"""Of air in the reference state of ISO 8778 [kg/m^3]: 20 degrees C, 1 bar, 65 % relative humidity (ANR)."""
+"""Density of air in the reference state of ISO 8778 [kg/m^3]: 20 degrees C, 1 bar, 65 % relative humidity (ANR)."""
 
 ENERGY = GAS_CONSTANT * TEMPERATURE
-"""R T [J/kg]: pressure times volume of a kilogram."""
+"""R T [J/kg]: pressure times volume per mass."""
 
 L_PER_S_BAR = 1e-3 / bar
 """A sonic conductance of 1 dm^3/(s*bar), the unit of data sheets, in m^3/(s*Pa)."""
 
-_LAMINAR = 0.999  # beyond this ratio of pressures the flow is proportional to their difference, as the standard says
+_LAMINAR = 0.999  # ratio of pressures above which the flow is proportional to their difference (ISO 6358)
 
 
 def mass_flow(conductance: float, critical: float, upstream: float, downstream: float) -> float:
-    r"""The flow [kg/s] from one pressure to another [Pa, absolute]; negative where it goes backwards.
+    r"""Mass flow [kg/s] between two pressures [Pa, absolute]; negative for reverse flow.
 
     .. math::
 
@@ -48,7 +48,7 @@ def mass_flow(conductance: float, critical: float, upstream: float, downstream: 
     conductance
         C, sonic conductance [m^3/(s*Pa)].
     critical
-        b, the ratio of pressures at which the flow chokes [-].
+        b, critical ratio of pressures [-].
     upstream, downstream
         p1 and p2.
 
@@ -80,38 +80,37 @@ def mass_flow(conductance: float, critical: float, upstream: float, downstream: 
 
 @dataclass(frozen=True, kw_only=True)
 class Regulator:
-    """A proportional pressure regulator as SMC's ITV0050-3ML, and what it stands between.
+    """Proportional pressure regulator such as SMC's ITV0050-3ML, with supply, vent valve and tube.
 
-    Its command follows the signal with a play (hysteresis), an offset and a lag. Its opening is proportional to what
-    the pressure lacks, within a band; it fills from the supply or lets out into the room. After it comes a 3/2 valve
-    that is held by a magnet: without current a spring shuts the regulator off and opens the muscle to the room.
+    The command follows the signal with play (hysteresis), offset and lag. The opening is proportional to the pressure
+    error within a band, to the supply or to the exhaust. Behind it is a 3/2 valve: without current its spring shuts off
+    the regulator and vents the muscle.
 
-    Numbers "of the maker" are those of the ITV0000 series' data sheet as we remember it, unchecked.
+    Numbers "of the maker" are those of the data sheet of the ITV0000 series from memory, unchecked.
 
     Parameters
     ----------
     supply
         Gauge pressure [Pa] of the compressed air: 8 bar (ours; the maker allows 10).
     conductance, critical
-        C [m^3/(s*Pa)] and b [-] of the regulator wide open, either way: 0.0091 dm^3/(s*bar), with which it passes the
+        C [m^3/(s*Pa)] and b [-] of the fully open regulator, either way: 0.0091 dm^3/(s*bar), with which it passes the
         maker's 6 dm^3/min (ANR) at 10 bar, and 0.3 (ours).
     band
-        What the pressure has to lack for it to be wide open [Pa]: 0.1 bar (ours).
+        Pressure error at which it is fully open [Pa]: 0.1 bar (ours).
     lag
         Time constant of the command [s]: 30 ms (ours), a third of the maker's response of 0.1 s without a load.
     hysteresis
-        Width [Pa] of the command's play: 4.5 kPa, the maker's 0.5 % of 9 bar.
+        Width of the command's play [Pa]: 4.5 kPa, the maker's 0.5 % of 9 bar.
     repeatability
-        The largest offset [Pa]; drawn at each new command: 4.5 kPa, the maker's 0.5 % of 9 bar.
+        Largest offset [Pa], drawn at each new command: 4.5 kPa, the maker's 0.5 % of 9 bar.
     highest
-        The highest command [Pa] that it follows: 9 bar (the maker).
+        Highest command [Pa]: 9 bar (the maker).
     dead_volume
-        Of tube and fittings [m^3]: 5 cm^3 (ours; a metre of tube with 2.5 mm inside).
+        Volume of tube and fittings [m^3]: 5 cm^3 (ours; a metre of tube with 2.5 mm inside).
     exhaust, exhaust_delay
-        C [m^3/(s*Pa)] of the spring's way out, through the tube, 0.1 dm^3/(s*bar), and when it is open after the
-        current is cut [s], 20 ms; both ours.
+        C [m^3/(s*Pa)] of the vent valve with its tube, 0.1 dm^3/(s*bar), and its opening time [s], 20 ms; both ours.
     leak
-        C [m^3/(s*Pa)] of all that is not tight: 1e-5 dm^3/(s*bar) (ours).
+        C [m^3/(s*Pa)] of all leaks: 1e-5 dm^3/(s*bar) (ours).
     """
 
     supply: float = 8 * bar
@@ -140,22 +139,22 @@ class Regulator:
             raise RangeError("regulator: a supply below its band gives no pressure", remedy="raise the supply")
 
 
-_STEP = 2 * kPa  # the most by which the pressure changes in a step: within 0.2 kPa of much shorter ones
+_STEP = 2 * kPa  # largest change of pressure in a step: within 0.2 kPa of much shorter steps
 _SHORTEST = 1e-5  # s
-_REST = 0.05  # Pa: a command that is nearer to where it goes is there
-_STILL = 0.5  # Pa/s: a pressure that changes less is at rest
+_REST = 0.05  # Pa from the target of a settled command
+_STILL = 0.5  # Pa/s, highest rate of a pressure at rest
 _NUDGE = 1.0  # Pa
 
 
 class Chamber:
-    """The muscle's air, step by step. Its mass is its state; the pressure follows from the volume.
+    """Air of the muscle. Its mass is the state; the pressure follows from the volume.
 
     Parameters
     ----------
     regulator
-        What feeds it.
+        Its regulator.
     volume
-        Of the muscle [m^3], at the contraction where it stands at first.
+        Initial volume of the muscle [m^3].
     """
 
     def __init__(self, regulator: Regulator, volume: float) -> None:
@@ -172,15 +171,15 @@ class Chamber:
         self._signal = 0.0
         self._played = 0.0
         self._command = 0.0
-        self._last = _SHORTEST  # the step that the flow let us take
+        self._last = _SHORTEST  # length of the last adaptive step
 
     @property
     def signal(self) -> float:
-        """The pressure that it was told [Pa]."""
+        """Signal of the regulator, as a pressure [Pa]."""
         return self._signal
 
-    def tell(self, pressure: float, offset: float) -> None:
-        """A new signal, as a pressure [Pa], and what the regulator is off [Pa] at it."""
+    def set_signal(self, pressure: float, offset: float) -> None:
+        """Set a new signal, as a pressure [Pa], with the offset of the regulator [Pa]."""
         half = self.regulator.hysteresis / 2
         self._signal = min(max(pressure, 0.0), self.regulator.highest)
         self._played = min(max(self._played, self._signal - half), self._signal + half)
@@ -189,19 +188,11 @@ class Chamber:
 
     @property
     def target(self) -> float:
-        """Where the command goes [Pa]. At a signal of 0 it lets all air out."""
+        """Target of the command [Pa]; 0 at a signal of 0."""
         return self._played + self.offset if self._signal > 0 else 0.0
 
     def step(self, span: float, volume: Callable[[float], float]) -> float:
-        """Go on for a part of a time span [s] at most, and tell how far.
-
-        Parameters
-        ----------
-        span
-            What is left [s].
-        volume
-            Of the muscle [m^3], so many seconds from now.
-        """
+        """Integrate at most a time span [s], with the volume [m^3] as a function of time; return the step [s]."""
         dead = self.regulator.dead_volume
         decay = self.regulator.lag
         target, command = self.target, self._command
@@ -217,7 +208,7 @@ class Chamber:
             if abs(grown * per_mass) <= _STEP or h <= _SHORTEST:
                 break
             h = max(h * max(0.8 * _STEP / abs(grown * per_mass), 0.1), _SHORTEST)
-        self._last = h if h < span or h > self._last else self._last  # a short span is not the flow's doing
+        self._last = h if h < span or h > self._last else self._last  # not of a short span
         before = self.pressure
         self.mass += grown
         self.pressure = self.mass * ENERGY / (volume(h) + dead) - ATMOSPHERE
@@ -227,14 +218,14 @@ class Chamber:
         return h
 
     def widen(self, volume: float) -> None:
-        """The muscle's volume is another [m^3], at once; its air stays."""
+        """Change the volume of the muscle [m^3] at once, at constant mass."""
         self.pressure = self.mass * ENERGY / (volume + self.regulator.dead_volume) - ATMOSPHERE
         self.resting = False
 
     def _into(self, gauge: float, command: float) -> float:
-        """What flows in [kg/s] at a pressure and a command [Pa, gauge]."""
+        """Flow into the muscle [kg/s] at a pressure and a command [Pa, gauge]."""
         part, pressure = self.regulator, gauge + ATMOSPHERE
-        out = part.leak + self.hole  # all ways into the room are one
+        out = part.leak + self.hole  # leaks and hole in parallel
         if self.exhausting:
             return mass_flow(out + part.exhaust, part.critical, ATMOSPHERE, pressure)
         opening = min(max((command - gauge) / part.band, -1.0), 1.0) if self.stuck is None else self.stuck
@@ -245,7 +236,7 @@ class Chamber:
 
     @property
     def opening(self) -> float:
-        """How far the regulator is open, -1 (out) to 1 (in)."""
+        """Opening of the regulator, -1 (exhaust) to 1 (supply)."""
         if self.stuck is not None:
             return self.stuck
         return min(max((self._command - self.pressure) / self.regulator.band, -1.0), 1.0)
@@ -261,14 +252,14 @@ class Stretcher:
     Parameters
     ----------
     drive
-        Its pulses and their way.
+        Motor and lead screw.
     backlash
-        Play of the nut on its screw [m]: 0.02 mm (ours). A pull above the guide's friction takes it up: a taut muscle
-        stands where the screw is, a slack one where the carriage was left.
+        Backlash of the nut [m]: 0.02 mm (ours). A force above the friction of the guide takes it up: the carriage of a
+        taut muscle follows the screw, that of a slack one stays.
     guide_friction
-        What the guide rails hold the carriage with [N]: 5 N (ours).
+        Friction of the guide rails [N]: 5 N (ours).
     acceleration
-        Of the motor [Hz/s], pulses a second each second: infinite; at 80 pulses a second it needs no ramp.
+        Of the motor [Hz/s]: infinite; at 80 Hz it needs no ramp.
     """
 
     drive: Drive = field(default_factory=Drive)
@@ -285,7 +276,7 @@ class Stretcher:
 
 @dataclass(frozen=True)
 class _Move:
-    """Pulses that are sent from a time on: an even ramp up, an even rate, an even ramp down."""
+    """Trapezoidal profile of a move: ramp up, constant rate, ramp down."""
 
     begin: float
     first: int
@@ -299,7 +290,7 @@ class _Move:
         return self.begin + abs(self.pulses) / self.rate + ramp
 
     def sent(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Part of the way [pulses, not whole], never negative, at times [s]."""
+        """Distance [pulses, fractional], not negative, at times [s]."""
         total, since = abs(self.pulses), np.minimum(time, self.end) - self.begin
         if self.acceleration == math.inf:
             return np.clip(since * self.rate, 0.0, total)
@@ -311,21 +302,15 @@ class _Move:
 
 
 class Motor:
-    """Where the motor stands, over time.
-
-    Parameters
-    ----------
-    stretcher
-        What it drives.
-    """
+    """Position of the motor over time."""
 
     def __init__(self, stretcher: Stretcher) -> None:
         self._acceleration = stretcher.acceleration
         self._per_metre = stretcher.drive.pulses_per_metre
         self._fastest = stretcher.drive.fastest
         self._move: _Move | None = None
-        self._counted = 0  # where the last move ended
-        self._stalled: float | None = None  # where the shaft stands [pulses]
+        self._counted = 0  # end of the last move
+        self._stalled: float | None = None  # position of the blocked shaft [pulses]
 
     def move(self, now: float, pulses: int, rate: float) -> None:
         """Begin a move.
@@ -333,10 +318,10 @@ class Motor:
         Raises
         ------
         RigError
-            If it is still moving, or not that fast.
+            If it is moving, or the rate is too high.
         """
         if self.moving(now):
-            raise RigError("the motor is still moving", remedy="wait until it stands, or stop it")
+            raise RigError("the motor is still moving", remedy="wait until it stops, or stop it")
         if not 0 < rate <= self._fastest:
             raise RigError(
                 f"the motor cannot go at {rate:g} pulses a second",
@@ -352,32 +337,32 @@ class Motor:
             self._move = _Move(now, self._counted, int(pulses), rate, self._acceleration)
 
     def moving(self, now: float) -> bool:
-        """Whether a move goes on."""
+        """Whether it is moving."""
         return self._move is not None and now < self._move.end - 1e-9
 
     def next_end(self, now: float) -> float:
-        """When the move ends that goes on [s]; infinite if it stands."""
+        """End of the present move [s]; infinite without one."""
         return self._move.end if self._move is not None and now < self._move.end else math.inf
 
     def stop(self, now: float) -> None:
-        """Stand still."""
+        """Stop."""
         if self._move is not None:
             self._counted = int(self.counted(np.array([now]))[0])
             self._move = None
 
     def stall(self, now: float) -> None:
-        """From now on the shaft does not turn."""
+        """Block the shaft."""
         self._stalled = self._position(now)
 
     def counted(self, time: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Pulses that were sent until times [s], whole."""
+        """Whole pulses sent until times [s]."""
         if self._move is None:
             return np.full(len(time), self._counted, np.int64)
         sent = np.floor(self._move.sent(time) + _ROUNDING).astype(np.int64)
         return self._move.first + (sent if self._move.pulses > 0 else -sent)
 
-    def way(self, now: float) -> float:
-        """The way of the screw [m]."""
+    def travel(self, now: float) -> float:
+        """Travel of the screw [m]."""
         return (self._position(now) if self._stalled is None else self._stalled) / self._per_metre
 
     def _position(self, now: float) -> float:
@@ -392,13 +377,7 @@ class Motor:
 
 
 class Carriage:
-    """Where the muscle's end is [m], which the screw draws.
-
-    Parameters
-    ----------
-    stretcher
-        Its play and its friction.
-    """
+    """Position of the carriage [m], with backlash and friction."""
 
     def __init__(self, stretcher: Stretcher) -> None:
         self._play = stretcher.backlash
@@ -406,7 +385,7 @@ class Carriage:
         self.at = 0.0
 
     def follow(self, screw: float, pull: float) -> float:
-        """Go along with the screw [m], where the muscle pulls [N] towards its other end."""
+        """Follow the screw [m] at a force of the muscle [N]."""
         if pull > self._friction:
             self.at = screw
         else:

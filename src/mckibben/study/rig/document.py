@@ -41,7 +41,7 @@ class MuscleSpec(Part):
 
 
 class VirtualSpec(Part):
-    """The virtual rig, see `SimulatedRig`.
+    """The simulated rig, see `SimulatedRig`.
 
     What it has in its clamps follows `law` (by default the one of the `muscle`), with friction and creep where they are
     given. Its `parts` are real, with noise, offsets, play and steps, or ideal, without any of these.
