@@ -36,16 +36,16 @@ from mckibben.units import bar, factor, percent
 
 _SHOWN = 6  # laws whose residuals are drawn
 _LOOKS: dict[str, dict[str, Any]] = {
-    "seen": {"color": "#888888", "marker": "|", "label": "points fitted to"},
-    "pressure": {"color": BLUE, "marker": "o", "label": "unseen pressures"},
-    "direction": {"color": VERMILLION, "marker": "D", "label": "unseen direction"},
-    "repeat": {"color": GREEN, "marker": "s", "label": "unseen repeats"},
+    "seen": {"color": "#888888", "marker": "|", "label": "fitted points"},
+    "pressure": {"color": BLUE, "marker": "o", "label": "held-out pressures"},
+    "direction": {"color": VERMILLION, "marker": "D", "label": "held-out direction"},
+    "repeat": {"color": GREEN, "marker": "s", "label": "held-out repeats"},
 }
 
 
 @styled
 def ranking(found: Ranking) -> Figure:
-    """Errors of all laws above, residuals of the best ones below, coloured by pressure."""
+    """Cross-validation errors of all laws, and residuals of the best ones coloured by pressure."""
     fitted = [entry for entry in found.entries if entry.fit]
     shown = fitted[:_SHOWN]
     rows = -(-len(shown) // 3)
@@ -92,9 +92,9 @@ def _errors(axes: Axes, fitted: list[Ranked], found: Ranking) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("RMSE [N]")
     axes.grid(axis="x", which="both", alpha=0.3)
-    order = "the best at unseen points first" if found.blocks else "least AICc first (no block could be held out)"
+    order = "by cross-validation error" if found.blocks else "by AICc (no block could be held out)"
     letter(axes, "a", f"laws (number of parameters), {order}")
-    axes.legend(loc="lower left", framealpha=0.95)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), framealpha=0.95)
     if any(entry.flags for entry in fitted):
         beside(axes, "shaded: flagged, see the table")
 
@@ -133,16 +133,14 @@ _DIRECTIONS = {"loading": LOADING, "unloading": UNLOADING}
 
 @styled
 def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: Grouping | None = None) -> Figure:
-    """A fitted law with its force bands, a column a pressure: the curve above, measured minus fitted below.
-
-    The inner band holds the law, the outer one a further plateau mean, each with the given probability at a point.
+    """Fitted law with pointwise confidence band (inner) and prediction band of a plateau mean (outer), by pressure.
 
     Parameters
     ----------
     dataset
-        Measured points; of more than six pressures, six are shown that cover the range.
+        Measured points; at most six pressures are shown.
     fit
-        As `identify` returned it from them.
+        Fit to these points.
     level, by
         As for `Fit.force_band`.
     """
@@ -176,8 +174,8 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
     share = f"{100 * level:g} %"
     handles: list[Line2D | Patch] = [
         Line2D([], [], label="fitted law", **{k: v for k, v in _CURVE.items() if k != "zorder"}),
-        Patch(label=f"{share} band of the law", **{k: v for k, v in _MEAN.items() if k != "zorder"}),
-        Patch(label=f"{share} of further plateaus", color=BAND),
+        Patch(label=f"{share} confidence band", **{k: v for k, v in _MEAN.items() if k != "zorder"}),
+        Patch(label=f"{share} prediction band", color=BAND),
     ]
     handles += [
         Line2D([], [], linestyle="", markersize=3.5, label=str(d), **_DIRECTIONS[str(d)]) for d in taut.directions
@@ -188,14 +186,14 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
 
 @styled
 def profile_likelihood(profile: Profile, fit: Fit) -> Figure:
-    """The signed root of the profile over a shape parameter, its interval, and the straight line of standard errors.
+    """Signed root of the profile likelihood of a shape parameter, its interval, and the Wald approximation.
 
     Parameters
     ----------
     profile
-        Of a parameter of the fit.
+        Profile of a parameter of the fit.
     fit
-        The fit itself, for the unit in which the parameter is published.
+        The fit.
     """
     parameter = next(p for p in type(fit.law).shape_parameters if p.name == profile.name)
     scale = factor(parameter.shown)

@@ -45,5 +45,5 @@ def test_measured_and_modelled_go_back_on_each_side():
 
 def test_without_creep_it_says_so():
     figure = drawn(NoCreep())[2]
-    assert figure.axes[1].get_legend().get_title().get_text() == "no creep seen"
+    assert figure.axes[1].get_legend().get_title().get_text() == "no creep detected"
     assert not np.any(figure.axes[0].lines[1].get_ydata())

@@ -40,7 +40,7 @@ def test_a_column_a_pressure_with_the_law_the_points_and_two_bands(chart, fit):
     expected = at.force - np.asarray(fit.law.force(at.contraction, at.pressure))
     np.testing.assert_allclose(points.get_ydata(), expected, atol=1e-9)
     names = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert "95 % band of the law" in names
+    assert "95 % confidence band" in names
 
 
 def test_directions_are_told_apart(chart):
@@ -53,7 +53,7 @@ def test_directions_are_told_apart(chart):
     )
     figure = force_bands(both, identify(ExponentialLaw, both), level=0.9)
     names = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert names == ["fitted law", "90 % band of the law", "90 % of further plateaus", "loading", "unloading"]
+    assert names == ["fitted law", "90 % confidence band", "90 % prediction band", "loading", "unloading"]
 
 
 def test_a_profile_is_drawn_in_the_unit_of_publications(fit):
