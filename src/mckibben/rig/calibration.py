@@ -1,4 +1,4 @@
-"""What the volts of a channel mean: a straight line, found from known loads and kept with the data."""
+"""Linear calibrations of channels, fitted to known loads."""
 
 from __future__ import annotations
 

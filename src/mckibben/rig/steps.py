@@ -14,8 +14,7 @@ from mckibben.muscle import Muscle, Specimen, forces
 from mckibben.rig.protocol import PAPER_PRESSURES, IsobaricProtocol, boundaries, specimen_of
 from mckibben.units import N, bar, mm, percent, s
 
-DIRECTIONS = ("", "loading", "unloading")
-PHASES = ("", "filling", "venting")
+DIRECTIONS, PHASES = ("", "loading", "unloading"), ("", "filling", "venting")
 
 SPEED = 0.2 * mm / s
 """Speed of the paper [m/s]: a step of 1 mm takes 5 s."""
@@ -264,8 +263,8 @@ def describe_steps(steps: Sequence[Step], indent: int = 0) -> list[str]:
 
 
 def _refuse(what: str, *problems: Problem | None) -> None:
-    if there := [problem for problem in problems if problem is not None]:
-        raise RangeError("; ".join(f"{what}: {problem}" for problem in there))
+    if any(problems):
+        raise RangeError("; ".join(f"{what}: {problem}" for problem in problems if problem))
 
 
 def _positive(name: str, value: float, unit: str, *, zero: bool = False) -> Problem | None:
@@ -389,10 +388,7 @@ class IsometricProtocol:
         _refuse_all("isometric protocol", _ascending(self.pressures), _not_empty("contractions", self.contractions))
 
     def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
-        """Steps of the test; `dry_run` checks them.
-
-        Pressures at which the force by the law exceeds the rated one are left out at that length.
-        """
+        """Steps of the test, without pressures whose force by the law exceeds the rated one; `dry_run` checks them."""
         steps: list[Step] = []
         for contraction in self.contractions:
             pressures = _within_rating(of, contraction, self.pressures)
@@ -424,8 +420,7 @@ class IsotonicProtocol:
     forces
         Constant forces [N], in order: 50, 100, 200 N (ours).
     pressures
-        Set pressures [Pa, gauge], ascending, as in the isometric test: 2, 2.5, ... 6 bar (ours; with less than about
-        2 bar the paper's muscle is not short enough to be held at 200 N by its length).
+        Set pressures [Pa, gauge], ascending: 2, 2.5, ... 6 bar (ours; 200 N takes about 2 bar).
     rate
         Rate of the set pressure [Pa/s]: 0.1 bar/s (ours), slow enough for the motor.
     tolerance
@@ -450,17 +445,13 @@ class IsotonicProtocol:
         _refuse_all("isotonic protocol", _ascending(self.pressures), _not_empty("forces", self.forces))
 
     def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
-        """Steps of the test; `dry_run` checks them.
-
-        It begins vented at the initial length, and stretches the muscle until it has the force.
-        """
+        """Steps of the test, from the vented muscle at its initial length; `dry_run` checks them."""
         steps: list[Step] = []
         for force in self.forces:
             steps += [Vent(), Move(to=0.0, speed=self.speed)]
-            passed = [(pressure, "filling") for pressure in self.pressures]
-            passed += [(pressure, "venting") for pressure in self.pressures[::-1]]
             inside: list[Step] = []
-            for pressure, phase in passed:
+            up, down = ([(p, phase) for p in self.pressures] for phase in ("filling", "venting"))
+            for pressure, phase in up + down[::-1]:
                 inside += [
                     Pressurise(pressure=pressure, rate=self.rate, holding=force),
                     HoldForce(force=force, tolerance=self.tolerance, speed=self.speed),

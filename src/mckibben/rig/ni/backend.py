@@ -6,6 +6,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -237,7 +238,7 @@ class NiBackend:
             raise RigError(
                 f"the card cannot sample at {self.rate:g} Hz, the nearest is {actual:.9g} Hz", remedy="set that rate"
             )
-        self._facts = {"driver": f"NI-DAQmx {driver.version()}, nidaqmx {_version(package)}"}
+        self._facts = {"driver": f"NI-DAQmx {driver.version()}, nidaqmx {version(package.__name__)}"}
         devices = {where.split("/")[0] for where in [*wiring.inputs.values(), *wiring.outputs.values()]}
         self._facts["devices"] = ", ".join(
             f"{name} ({model}, serial {serial})"
@@ -287,12 +288,6 @@ class NiBackend:
 
     def _counted(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
         return np.zeros(len(times), np.int64)
-
-
-def _version(package: Any) -> str:
-    from importlib.metadata import version
-
-    return version(package.__name__)
 
 
 _ROUNDING = 1e-6  # pulses
