@@ -82,7 +82,7 @@ def test_a_signal_that_comes_again_while_it_stops_cuts_the_watching_short(tmp_pa
         raise KeyboardInterrupt
 
     rig = Around(twin(), 20, read=again)
-    with pytest.raises(SignalledError, match="no reading tells that it did"):
+    with pytest.raises(SignalledError, match="no sensor shows that it did"):
         start(tmp_path, rig, UNDER_PRESSURE, report=Signalling(20))
     assert empty(rig) and rig.closed
     assert [event.kind for event in read_record(tmp_path).events][-2:] == ["stopped", "vented"]

@@ -298,7 +298,7 @@ class RigSession:
             timeout=bench.cycle,
         )
         if found.pressure is None:
-            vented = "the valve was told to vent; no reading tells that it did"
+            vented = "the valve was told to vent, but no sensor shows that it did"
         elif found.duration is not None:
             vented = "the muscle is vented"
         else:

@@ -11,7 +11,7 @@ import numpy as np
 
 from mckibben.errors import Problem, RangeError
 from mckibben.muscle import Muscle, Specimen, forces
-from mckibben.rig.protocol import PAPER_PRESSURES, IsobaricProtocol, boundaries, specimen_of
+from mckibben.rig.protocol import PAPER_PRESSURES, IsobaricProtocol, boundaries, refuse_problems, specimen_of
 from mckibben.units import N, bar, mm, percent, s
 
 DIRECTIONS, PHASES = ("", "loading", "unloading"), ("", "filling", "venting")
@@ -385,7 +385,7 @@ class IsometricProtocol:
     def __post_init__(self) -> None:
         for name in ("contractions", "pressures"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
-        _refuse_all("isometric protocol", _ascending(self.pressures), _not_empty("contractions", self.contractions))
+        _check_lists("isometric protocol", self, "contractions")
 
     def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
         """Steps of the test, without pressures whose force by the law exceeds the rated one; `dry_run` checks them."""
@@ -442,7 +442,7 @@ class IsotonicProtocol:
     def __post_init__(self) -> None:
         for name in ("forces", "pressures"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
-        _refuse_all("isotonic protocol", _ascending(self.pressures), _not_empty("forces", self.forces))
+        _check_lists("isotonic protocol", self, "forces")
 
     def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
         """Steps of the test, from the vented muscle at its initial length; `dry_run` checks them."""
@@ -478,19 +478,11 @@ def _within_rating(of: Muscle | Specimen, contraction: float, pressures: Sequenc
     return [p for p, force in zip(pressures, there, strict=True) if force <= float(specimen_of(of).rated_force) * 0.95]
 
 
-def _ascending(pressures: Sequence[float]) -> Problem | None:
-    rising = all(a < b for a, b in itertools.pairwise(pressures))
-    if pressures and rising and all(map(math.isfinite, pressures)):
-        return None
-    return Problem("do not rise", field="pressures", remedy="give at least one, ascending")
-
-
-def _not_empty(name: str, values: Sequence[float]) -> Problem | None:
-    if values and all(map(math.isfinite, values)):
-        return None
-    return Problem("give at least one, all finite", field=name)
-
-
-def _refuse_all(what: str, *problems: Problem | None) -> None:
-    if there := [problem for problem in problems if problem is not None]:
-        raise RangeError("\n  ".join([f"{what}: {len(there)} problem(s)", *map(str, there)]))
+def _check_lists(what: str, protocol: IsometricProtocol | IsotonicProtocol, name: str) -> None:
+    pressures, values = protocol.pressures, getattr(protocol, name)
+    problems: list[Problem] = []
+    if not (pressures and all(map(math.isfinite, pressures)) and all(a < b for a, b in itertools.pairwise(pressures))):
+        problems.append(Problem("do not rise", field="pressures", remedy="give at least one, ascending"))
+    if not (values and all(map(math.isfinite, values))):
+        problems.append(Problem("give at least one, all finite", field=name))
+    refuse_problems(what, problems)
