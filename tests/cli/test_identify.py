@@ -43,7 +43,7 @@ def test_a_table_as_it_stands(cli):
     assert (found.code, found.err) == (0, "")
     assert "119 points used, 1 slack left out; 10 pressures 0..8 bar" in found.out
     assert "residuals: RMSE 2.76 N" in found.out
-    assert "leaving one pressure out: RMSE 3.42 N" in found.out
+    assert "leave-one-pressure-out: RMSE 3.42 N" in found.out
     assert re.search(r"^decay +0\.3398\d+ +0\.0067 +1/percent", found.out, re.MULTILINE)
 
 

@@ -164,7 +164,7 @@ def _tuned_scenarios(contest: Contest, out: Path) -> int:
     from mckibben.study.parameters import with_values
 
     kept = folder(out / "controllers")
-    wish = next(iter(contest.suite.wishes))
+    wish = next(iter(contest.suite.references))
     for name, values in contest.tuned.items():
         scenario = contest.suite.scenario(name, wish)
         (with_values(scenario, values) if values else scenario).to_yaml(kept / f"{filename(name)}.yaml")

@@ -25,7 +25,7 @@ from mckibben.storage.files import folder
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
-    from mckibben.identification import Ranked, Ranking
+    from mckibben.identification import RankedLaw, Ranking
 
 _ALL, _LEVEL = "all", 0.95
 
@@ -184,9 +184,12 @@ def _show(ranking: Ranking) -> None:
             _short(entry),
             str(entry.parameters),
             f"{entry.fit.rmse:.2f}" if entry.fit else "-",
-            *(f"{entry.unseen[name].rmse:.2f}" if name in entry.unseen else "-" for name in ranking.blocks),
+            *(
+                f"{entry.cross_validation[name].rmse:.2f}" if name in entry.cross_validation else "-"
+                for name in ranking.blocks
+            ),
             f"+{entry.aicc - least:.1f}" if entry.aicc == entry.aicc else "-",
-            (entry.structure.pattern if entry.structure else "") or "-",
+            (entry.residual_correlation.pattern if entry.residual_correlation else "") or "-",
         )
         for entry in fitted
     ]
@@ -202,11 +205,11 @@ def _show(ranking: Ranking) -> None:
         typer.echo(f"selected: {_short(best)}; {_short(first)} is flagged and not substantially better")
 
 
-def _remark(entry: Ranked) -> None:
+def _remark(entry: RankedLaw) -> None:
     for what, texts in (("not fitted", [entry.refused]), ("flagged", entry.flags), ("note on", entry.remarks)):
         if any(texts):
             typer.echo(f"{what} {_short(entry)}: {'; '.join(texts)}")
 
 
-def _short(entry: Ranked) -> str:
+def _short(entry: RankedLaw) -> str:
     return entry.law.removesuffix("Law")

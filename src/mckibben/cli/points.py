@@ -24,7 +24,7 @@ from mckibben.cli.options import (
 from mckibben.errors import DatasetError, Problem, UnitError
 
 if TYPE_CHECKING:
-    from mckibben.dataset import Points, Recording
+    from mckibben.dataset import ExtractedPoints, Recording
 
 _SHOWN = 40  # rows of the table
 _LEADING_NUMBER = re.compile(r"^[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
@@ -119,7 +119,7 @@ def points(
         notify(f"wrote {len(found.dataset)} points to {out}; fit a law with: mckibben identify {out}", json)
 
 
-def _show(read: Recording, found: Points, path: Path, json: bool) -> None:
+def _show(read: Recording, found: ExtractedPoints, path: Path, json: bool) -> None:
     from mckibben.study.reporting import to_json
 
     report_ignored_columns(read.table.attrs)
@@ -147,7 +147,7 @@ def _show(read: Recording, found: Points, path: Path, json: bool) -> None:
     typer.echo(found.describe())
 
 
-def _rows(found: Points) -> list[tuple[float, float, float, float, float, int, str]]:
+def _rows(found: ExtractedPoints) -> list[tuple[float, float, float, float, float, int, str]]:
     from mckibben.units import bar, percent
 
     data = found.dataset.table

@@ -1,4 +1,4 @@
-"""Session of a scenario on a joint rig, from the file to the recorded run."""
+"""JointSession of a scenario on a joint rig, from the file to the recorded run."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ def prepare(
         period=period,
         raising=0 if ideal else round(approach.raising / period),
         settling=0 if ideal else round(approach.settling / period),
-        pressures=(float(start.pressure1), float(start.pressure2)),
+        pressures=(float(start.pressures[0]), float(start.pressures[1])),
         command_limits=_rated(plant),
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
@@ -313,4 +313,4 @@ def _building(source: str, field: str) -> Iterator[None]:
     except FileError:
         raise  # names a file and a place itself
     except McKibbenError as error:
-        raise ScenarioError(source, [Problem(str(error), field=field)]) from error
+        raise ScenarioError(source, [Problem.of(error, field=field)]) from error

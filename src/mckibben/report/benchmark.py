@@ -66,7 +66,7 @@ def benchmark_references(contest: Contest, numbers: Mapping[str, Any]) -> Figure
     numbers
         Its `standing`.
     """
-    references = list(contest.suite.wishes)
+    references = list(contest.suite.references)
     figure = blank(DOUBLE, 0.9 + 0.42 * len(references))
     axes = figure.subplots(1, 2, sharey=True)
     looks = looks_of(contest.batches)

@@ -15,8 +15,8 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import RangeError
 from mckibben.identification.creep import CreepFit
 from mckibben.identification.hysteresis import HysteresisFit
-from mckibben.identification.loading_path import Strokes
-from mckibben.identification.relaxation import Courses
+from mckibben.identification.loading_path import LoadingPaths
+from mckibben.identification.relaxation import RelaxationCurves
 from mckibben.muscle import MaxwellCreep
 from mckibben.report.style import BLACK, DOUBLE, LOADING, UNLOADING, blank, letter, styled
 from mckibben.units import bar, percent
@@ -139,17 +139,17 @@ def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
     RangeError
         If the number of points differs, or there are no samples.
     """
-    if len(dataset) != len(found.relaxing) or "force_samples" not in dataset.table:
+    if len(dataset) != len(found.initial_force) or "force_samples" not in dataset.table:
         raise RangeError(
-            f"the creep is of the samples of {len(found.relaxing)} points, the dataset has {len(dataset)} points"
+            f"the creep is of the samples of {len(found.initial_force)} points, the dataset has {len(dataset)} points"
             + (" and no samples" if "force_samples" not in dataset.table else ""),
             remedy="use the dataset of the identification",
         )
     means = dataset.plateau_means()
-    measured = Courses.of(dataset.table["force_samples"].to_numpy(), found.interval)
-    modelled = Courses.of(found.course(measured.times), found.interval)
+    measured = RelaxationCurves.of(dataset.table["force_samples"].to_numpy(), found.interval)
+    modelled = RelaxationCurves.of(found.relaxation(measured.times), found.interval)
     taut = ~means.slack
-    side, moves = _since_turn(Strokes.of(means))
+    side, moves = _since_turn(LoadingPaths.of(means))
     figure = blank(DOUBLE, 2.7)
     courses, slopes = figure.subplots(1, 2)
     _courses(courses, measured, modelled, found, taut, side)
@@ -157,9 +157,9 @@ def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
     return figure
 
 
-def _since_turn(strokes: Strokes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _since_turn(strokes: LoadingPaths) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Sign of the last move, and number of consecutive moves of that sign; shape (rows,), 0 if none."""
-    sides = np.sign(np.where(np.abs(strokes.travel) > 1e-9, strokes.travel, 0.0))
+    sides = np.sign(np.where(np.abs(strokes.displacement) > 1e-9, strokes.displacement, 0.0))
     counts = np.zeros(sides.shape)
     rows, run = np.zeros(sides.shape[1]), np.zeros(sides.shape[1])
     for k, now in enumerate(sides):
@@ -171,8 +171,8 @@ def _since_turn(strokes: Strokes) -> tuple[NDArray[np.float64], NDArray[np.int64
 
 def _courses(
     axes: Axes,
-    measured: Courses,
-    modelled: Courses,
+    measured: RelaxationCurves,
+    modelled: RelaxationCurves,
     found: CreepFit,
     taut: NDArray[np.bool_],
     side: NDArray[np.float64],
@@ -192,8 +192,8 @@ def _courses(
 
 def _slopes(
     axes: Axes,
-    measured: Courses,
-    modelled: Courses,
+    measured: RelaxationCurves,
+    modelled: RelaxationCurves,
     found: CreepFit,
     taut: NDArray[np.bool_],
     side: NDArray[np.float64],

@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification import Fit, Grouping, Profile, Ranked, Ranking
+from mckibben.identification import Fit, Grouping, Profile, RankedLaw, Ranking
 from mckibben.report.style import (
     BAND,
     BLUE,
@@ -73,11 +73,13 @@ def ranking(found: Ranking) -> Figure:
     return figure
 
 
-def _errors(axes: Axes, fitted: list[Ranked], found: Ranking) -> None:
+def _errors(axes: Axes, fitted: list[RankedLaw], found: Ranking) -> None:
     places = np.arange(len(fitted))
     kinds = {"seen": [entry.fit.rmse if entry.fit else np.nan for entry in fitted]}
     for name in found.blocks:
-        kinds[name] = [entry.unseen[name].rmse if name in entry.unseen else np.nan for entry in fitted]
+        kinds[name] = [
+            entry.cross_validation[name].rmse if name in entry.cross_validation else np.nan for entry in fitted
+        ]
     for name, errors in kinds.items():
         size = 60 if name == "seen" else 26
         axes.scatter(errors, places, s=size, zorder=3 + (name != "seen"), **_LOOKS[name])
@@ -99,7 +101,7 @@ def _errors(axes: Axes, fitted: list[Ranked], found: Ranking) -> None:
         beside(axes, "shaded: flagged, see the table")
 
 
-def _residuals(axes: Axes, entry: Ranked, found: Ranking, scale: Normalize) -> None:
+def _residuals(axes: Axes, entry: RankedLaw, found: Ranking, scale: Normalize) -> None:
     assert entry.fit is not None
     residuals = entry.fit.residuals
     assert residuals is not None
@@ -117,7 +119,7 @@ def _residuals(axes: Axes, entry: Ranked, found: Ranking, scale: Normalize) -> N
     )
     largest = float(np.abs(residuals).max())
     axes.set_ylim(-1.15 * largest, 1.6 * largest)
-    pattern = entry.structure.pattern if entry.structure else ""
+    pattern = entry.residual_correlation.pattern if entry.residual_correlation else ""
     beside(axes, f"pattern: {pattern}" if pattern else "no pattern", fontsize=6.5)
 
 
@@ -142,7 +144,7 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
     fit
         Fit to these points.
     level, by
-        As for `Fit.force_band`.
+        As for `Fit.force_intervals`.
     """
     taut = dataset.plateau_means().taut
     levels = taut.pressures
@@ -156,16 +158,16 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
     for i, pressure in enumerate(levels):
         points = taut.at(float(pressure))
         along = np.linspace(first, min(last, float(points.contraction.max()) + 0.02), 200)
-        band = fit.force_band(along, float(pressure), level=level, by=by)
-        for axes, offset in ((grid[0, i], 0.0), (grid[1, i], band.mean.value)):
-            outer, inner = band.measurement, band.mean
+        band = fit.force_intervals(along, float(pressure), level=level, by=by)
+        for axes, offset in ((grid[0, i], 0.0), (grid[1, i], band.confidence.value)):
+            outer, inner = band.prediction, band.confidence
             axes.fill_between(along / percent, outer.lower - offset, outer.upper - offset, color=BAND, zorder=1)
             axes.fill_between(along / percent, inner.lower - offset, inner.upper - offset, **_MEAN)
-            axes.plot(along / percent, band.mean.value - offset, **_CURVE)
-        there = fit.force_band(points.contraction, points.pressure, level=level, by=by)
+            axes.plot(along / percent, band.confidence.value - offset, **_CURVE)
+        there = fit.force_intervals(points.contraction, points.pressure, level=level, by=by)
         _points(grid[0, i], points, points.force)
-        _points(grid[1, i], points, points.force - there.mean.value)
-        outside = np.mean((points.force < there.measurement.lower) | (points.force > there.measurement.upper))
+        _points(grid[1, i], points, points.force - there.confidence.value)
+        outside = np.mean((points.force < there.prediction.lower) | (points.force > there.prediction.upper))
         beside(grid[1, i], f"{100 * outside:.0f} % outside")
         letter(grid[0, i], "abcdef"[i], f"{pressure / bar:.3g} bar")
         grid[1, i].set(xlabel="contraction [%]")

@@ -93,7 +93,7 @@ class DryRun(StepInterpreter):
                 try:
                     bench.drive.pulses(step.step)
                 except McKibbenError as error:
-                    self._report(str(error).removesuffix(f"; {error.remedy}"), f"{place}.step", error.remedy)
+                    self._report(error.message, f"{place}.step", error.remedy)
                 self._check_reach(bench.contraction_at(self._walk_end(step)) if step.to is None else step.to)
                 self._check_sampling(step.acquire, f"{place}.acquire")
                 self.at_most |= step.force is not None or step.slack is not None
@@ -176,7 +176,7 @@ class DryRun(StepInterpreter):
         try:
             self.bench.drive.rate(speed)
         except McKibbenError as error:
-            self._report(str(error).removesuffix(f"; {error.remedy}"), f"{self._place}.speed", error.remedy)
+            self._report(error.message, f"{self._place}.speed", error.remedy)
 
     def _check_reach(self, contraction: float) -> None:
         bench, limits, domain = self.bench, self.bench.limits, self.bench.of.domain

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError
 from mckibben.muscle import Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
-from mckibben.muscle.friction import NARROWEST
+from mckibben.muscle.friction import MIN_HALF_WIDTH
 from mckibben.rig.protocol import IsobaricProtocol, Plateaus
 from mckibben.units import N, bar, kPa, mm, percent
 
@@ -110,7 +110,7 @@ class SimulatedIsobaricTest:
         """Friction of the muscle, or one of the hysteresis and the presliding length."""
         if not isinstance(self.muscle.friction, NoFriction):
             return self.muscle.friction
-        if self.hysteresis < NARROWEST:
+        if self.hysteresis < MIN_HALF_WIDTH:
             return NoFriction()
         return MaxwellSlip(self.hysteresis, self.presliding_length)
 
@@ -178,7 +178,7 @@ class SimulatedIsobaricTest:
         length = np.asarray(self.muscle.specimen.length_at(rows.contraction))
         starts = np.flatnonzero(np.diff(rows.level)) + 1
         travels = zip(*(np.split(column, starts) for column in (length, tension, pressure)), strict=True)
-        return np.concatenate([self.friction.along(*travel, side=1.0) for travel in travels])
+        return np.concatenate([self.friction.path_response(*travel, side=1.0) for travel in travels])
 
     def _creep(
         self, protocol: IsobaricProtocol, rows: Plateaus, tension: NDArray[np.float64], read: NDArray[np.float64]
@@ -189,7 +189,9 @@ class SimulatedIsobaricTest:
         starts = np.flatnonzero(np.diff(rows.level)) + 1
         travels = zip(*(np.split(column, starts) for column in (length, tension, moving)), strict=True)
         creep = self.muscle.creep
-        return np.concatenate([creep.along(*travel, moving=m, resting=resting, read=read) for *travel, m in travels])
+        return np.concatenate(
+            [creep.path_response(*travel, move_time=m, hold_time=resting, sample_times=read) for *travel, m in travels]
+        )
 
     def _drift(self, time: NDArray[np.float64], generator: np.random.Generator) -> NDArray[np.float64]:
         """Drift of the zero of the force sensor [N]."""

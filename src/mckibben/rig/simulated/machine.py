@@ -127,7 +127,7 @@ _LEAST = 1e-9  # N, least width of a friction band
 class Grip:
     """Force of the muscle, with the states of friction and creep.
 
-    Equal to `MaxwellSlip.along` and `MaxwellCreep.along`, as a recursion in time, in plain floats.
+    The same model as `MaxwellSlip` and `MaxwellCreep`, sample by sample in plain floats.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Session of a test on a rig, from the checks before it to the dataset."""
+"""JointSession of a test on a rig, from the checks before it to the dataset."""
 
 from __future__ import annotations
 
