@@ -2,7 +2,7 @@
 
     python benchmarks/realtime.py [--duration 60] [--period 1] [--ordinary]
 
-The knee of examples/, virtual and paced, under PID and under decoupling control, recorded to disk as `mckibben rig
+The knee of examples/, simulated in real time, under PID and under decoupling control, recorded to disk as `mckibben rig
 control` does. It prints how many deadlines were missed, how late samples were taken and commands given, and beside it
 what the machine itself does to a loop of the same period that only sleeps: a deadline that this one misses, no program
 could have met. The machine's load is printed with it.
@@ -95,7 +95,7 @@ def main():
     print("| | missed | skipped | sample to loop [us] | loop to valves [us] | jitter [us] | others, ours [cores] |")
     print("|---|---|---|---|---|---|---|", flush=True)
     for name, controller in (("PID", None), ("decoupling, 80 rad/s", DECOUPLING)):
-        session = prepare(scenario(asked.duration, period, controller), JointRig(virtual={}))
+        session = prepare(scenario(asked.duration, period, controller), JointRig(simulated={}))
         with tempfile.TemporaryDirectory() as folder, Load() as load:
             ran = session.run(folder)
         timing = ran.timing

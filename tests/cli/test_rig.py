@@ -4,7 +4,7 @@ import pytest
 
 TEXT = """name: a short test
 muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
-rig: {virtual: {seed: 1}}
+rig: {simulated: {seed: 1}}
 limits: {pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm}
 protocol:
   isobaric: {pressures: [3 bar, 4 bar, 6 bar], contraction_min: 2 %, contraction_max: 6 %, repeats: 2, speed: 4 mm/s,

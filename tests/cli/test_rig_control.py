@@ -71,14 +71,14 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
         (("short.yaml", "--out", "run", "--duration", "3 bar"), "--duration"),
         (
             ("short.yaml", "--out", "run", "--rig", "wrong.yaml"),
-            "line 2, virtual.angle_step: 'bar' is not a unit",
+            "line 2, simulated.angle_step: 'bar' is not a unit",
         ),
-        (("short.yaml", "--out", "run", "--rig", "both.yaml"), "has no rig; give one of virtual, nidaqmx"),
+        (("short.yaml", "--out", "run", "--rig", "both.yaml"), "has no rig; give one of simulated, nidaqmx"),
         (("short.yaml", "--out", "short.yaml"), "it is a file"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_moves(cli, short, tmp_path, arguments, text):
-    (tmp_path / "wrong.yaml").write_text("virtual:\n  angle_step: 5 bar\n", encoding="utf-8")
+    (tmp_path / "wrong.yaml").write_text("simulated:\n  angle_step: 5 bar\n", encoding="utf-8")
     (tmp_path / "both.yaml").write_text("name: none\n", encoding="utf-8")
     found = cli("rig", "control", *arguments)
     assert found.code == 2 and text in found.err, found.err

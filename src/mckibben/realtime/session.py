@@ -174,8 +174,8 @@ def prepare(
     ScenarioError
         If parts of the scenario make no sense together, or a calibration cannot be read.
     """
-    rig = rig or JointRig.model_validate({"virtual": {}})
-    if ideal and rig.virtual is None:
+    rig = rig or JointRig.model_validate({"simulated": {}})
+    if ideal and rig.simulated is None:
         raise ScenarioError(rig.name, [Problem("is no simulated joint", remedy="leave --ideal out")])
     with _building(source or scenario.name, "joint, load or valve"):
         plant = scenario.plant()
@@ -244,7 +244,7 @@ def _connected(
     period = scenario.control_period
     if rig.nidaqmx is not None:
         return _card(rig.nidaqmx, period, rig.patience)
-    spec = rig.virtual
+    spec = rig.simulated
     assert spec is not None  # the model of the rig sees to it
     given = {name: value for name, value in spec if value is not None and name != "seed"}
     wiring = Wiring()

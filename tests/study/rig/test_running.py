@@ -18,7 +18,7 @@ from mckibben.study.rig.running import check, gather, run_test
 
 TEXT = """name: a short test
 muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
-rig: {virtual: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}
+rig: {simulated: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}
 limits: {pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm}
 protocol:
   isobaric: {pressures: [3 bar, 4 bar], contraction_min: 2 %, contraction_max: 6 %, repeats: 1, speed: 4 mm/s,
@@ -168,9 +168,9 @@ def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path):
     path.write_bytes(path.read_bytes()[:-500])
     killed = running._past(tmp_path)
     assert not killed.certain
-    virtual = checked()
-    assert running._origin(virtual, tmp_path, killed, None) == 0
-    card = dataclasses.replace(virtual, test=virtual.test.model_copy(update={"rig": RigSpec.model_construct()}))
+    simulated = checked()
+    assert running._origin(simulated, tmp_path, killed, None) == 0
+    card = dataclasses.replace(simulated, test=simulated.test.model_copy(update={"rig": RigSpec.model_construct()}))
     assert running._origin(card, tmp_path, past, None) == past.position
     assert running._origin(card, tmp_path, killed, 0.05) == -0.05 * 180 * 400
     with pytest.raises(FileError, match=r"the position of the motor is not known .*--standing-at '5 %'"):

@@ -16,7 +16,7 @@ from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.calibration import Calibration, calibrations_in, content_of
 from mckibben.rig.protocol import IsobaricProtocol
 from mckibben.rig.steps import IsometricProtocol, IsotonicProtocol, Procedure, Step, steps_of
-from mckibben.study.rig.document import CardSpec, RigTest, VirtualSpec
+from mckibben.study.rig.document import CardSpec, RigTest, SimulatedRigSpec
 from mckibben.study.rig.steps import ProtocolSpec, steps
 from mckibben.study.scenario.building import build_creep, build_friction
 
@@ -51,8 +51,8 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         If a driver or a package is missing.
     """
     of = build_muscle(test)
-    if test.rig.virtual is not None:
-        backend, calibrations, drive = _virtual(test.rig.virtual, test, of, session)
+    if test.rig.simulated is not None:
+        backend, calibrations, drive = _simulated(test.rig.simulated, test, of, session)
     else:
         assert test.rig.nidaqmx is not None  # the model of the rig sees to it
         backend, calibrations, drive = _card(test.rig.nidaqmx)
@@ -89,8 +89,8 @@ def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ..
     return steps_of(_PROCEDURES[protocol.form](**explicit_fields(getattr(protocol, protocol.form))), of)
 
 
-def _virtual(
-    spec: VirtualSpec, test: RigTest, of: Muscle | Specimen, session: int
+def _simulated(
+    spec: SimulatedRigSpec, test: RigTest, of: Muscle | Specimen, session: int
 ) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
     from dataclasses import replace
 

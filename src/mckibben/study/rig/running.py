@@ -144,7 +144,7 @@ class CheckedTest:
     @property
     def rig(self) -> str:
         """Kind of the rig."""
-        return "simulated" if self.test.rig.virtual is not None else "nidaqmx"
+        return "simulated" if self.test.rig.simulated is not None else "nidaqmx"
 
 
 def check(
@@ -358,7 +358,7 @@ def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at
     bench = checked.setup.bench
     if standing_at is not None:
         return bench.pulses_at(standing_at)
-    if checked.test.rig.virtual is not None:
+    if checked.test.rig.simulated is not None:
         return 0
     if not past.certain:
         message = f"the position of the motor is not known (the record ends at {past.position} pulses)"
