@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import math
 from numbers import Real
 
@@ -12,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import sincos
+from mckibben.units import Distance, Length
 
 Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
 """Values of muscle 1 (antagonist: lengthens as the angle increases) and muscle 2 (agonist)."""
@@ -23,7 +25,24 @@ Pressures = tuple[ArrayLike, ArrayLike]
 _LONGEST = 10.0  # m: a longer joint is taken for one in millimetres
 
 
-class KneeGeometry(eqx.Module):
+class Geometry(eqx.Module):
+    """Path lengths of both muscles over the joint angle; moment arms follow by differentiation."""
+
+    @abc.abstractmethod
+    def path_lengths(self, angle: ArrayLike) -> Pair:
+        """Return the length [m] of each muscle with its series spring at an angle [rad]."""
+
+    def moment_arms(self, angle: ArrayLike) -> Pair:
+        """Return the moment arm [m] of each muscle, positive; muscle 2 acts in the direction of the angle."""
+        return self.paths_and_arms(angle)[1]
+
+    def paths_and_arms(self, angle: ArrayLike) -> tuple[Pair, Pair]:
+        """Return `path_lengths` and `moment_arms` from one pass."""
+        paths, (slope1, slope2) = value_and_derivative(self.path_lengths, angle)
+        return paths, (slope1, -slope2)
+
+
+class KneeGeometry(Geometry):
     r"""Two muscles on either side of a round joint.
 
     .. math::
@@ -52,9 +71,9 @@ class KneeGeometry(eqx.Module):
     [0.03, 0.03]
     """
 
-    joint_length: float
-    joint_radius: float
-    connector_length: float
+    joint_length: Length
+    joint_radius: Length
+    connector_length: Distance
 
     def __check_init__(self) -> None:
         check_positive("KneeGeometry", "m", joint_length=self.joint_length, joint_radius=self.joint_radius)
@@ -79,12 +98,3 @@ class KneeGeometry(eqx.Module):
             jnp.sqrt(common + difference) - self.connector_length,
             jnp.sqrt(common - difference) - self.connector_length,
         )
-
-    def moment_arms(self, angle: ArrayLike) -> Pair:
-        """Return the moment arm [m] of each muscle, positive; muscle 2 acts in the direction of the angle."""
-        return self.paths_and_arms(angle)[1]
-
-    def paths_and_arms(self, angle: ArrayLike) -> tuple[Pair, Pair]:
-        """Return `path_lengths` and `moment_arms` from one pass."""
-        paths, (slope1, slope2) = value_and_derivative(self.path_lengths, angle)
-        return paths, (slope1, -slope2)
