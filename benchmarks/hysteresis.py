@@ -1,4 +1,4 @@
-"""How well hysteresis and static law are found on the simulated rig, whose truth is known.
+"""Errors of hysteresis and static law identified on the simulated rig.
 
     python benchmarks/hysteresis.py [--seeds 12]
 

@@ -10,7 +10,7 @@ import pytest
 from mckibben.realtime.record import RowBuffer
 from mckibben.rig.record import read_record
 from mckibben.simulation import Result
-from mckibben.study.reporting import shown
+from mckibben.simulation.metrics import in_shown_units
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_scenario
 
@@ -31,7 +31,7 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     )
     numbers = json.loads(found.out)
     simulated = run_scenario(Scenario.read(tmp_path / "short.yaml")).result
-    expected = shown(simulated.metrics())
+    expected = in_shown_units(simulated.metrics())
     assert (numbers["ended"], numbers["outcome"], numbers["timing"]) == ("completed", "completed", None)
     assert numbers["vented_after_s"] < 0.1
     for name, value in numbers["metrics"].items():

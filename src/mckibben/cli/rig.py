@@ -92,10 +92,11 @@ def _with_duration(scenario: Scenario, duration: float | None) -> Scenario:
 
 def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: bool, json: bool) -> None:
     """Print and keep the results."""
-    from mckibben.study.reporting import METRICS, shown, to_json, write_json
+    from mckibben.simulation.metrics import METRICS, in_shown_units
+    from mckibben.storage.files import to_json, write_json
 
     result, timing, name = ran.result, ran.timing, session.scenario.name
-    metrics = shown(result.metrics()) if result is not None else {}
+    metrics = in_shown_units(result.metrics()) if result is not None else {}
     numbers = {
         "scenario": name,
         "ended": ran.outcome.kind,
@@ -232,7 +233,7 @@ def run(
     the signal's number (130 for Ctrl-C).
     """
     from mckibben.rig.record import segments
-    from mckibben.study.reporting import to_json
+    from mckibben.storage.files import to_json
     from mckibben.study.rig.document import read_test
     from mckibben.study.rig.running import check, check_disk_space
 

@@ -11,13 +11,13 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben.config.fields import Angle, BoundedInt, Duration, PositiveTime, Pressure, PressureRate, Quantity, Title
+from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.errors import Problem, RigError
 from mckibben.rig.backend import AnalogChannel, Backend
 from mckibben.rig.calibration import Calibration
 from mckibben.study.rig.steps import JsonPath, Wait
-from mckibben.units import bar, deg
+from mckibben.units import Angle, BoundedInt, Duration, PositiveTime, Pressure, PressureRate, Quantity, bar, deg
 
 
 class JointReading(NamedTuple):

@@ -215,7 +215,7 @@ def test_the_example_is_the_papers_test():
 
 def test_a_card_and_its_calibrations(tmp_path):
     from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
-    from mckibben.study.reporting import to_json
+    from mckibben.storage.files import to_json
 
     path = tmp_path / "calibration.json"
     path.write_text(to_json({one.name: one.to_json() for one in (FORCE, PRESSURE, VALVE)}))

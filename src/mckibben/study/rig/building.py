@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 from mckibben import catalog
 from mckibben.config.model import explicit_fields
 from mckibben.errors import Problem, ScenarioError
-from mckibben.muscle import ChouLaw, ForceLaw, Muscle, Specimen
+from mckibben.muscle import ChouLaw, ForceLaw, Muscle, NoCreep, NoFriction, Specimen
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.calibration import Calibration, calibrations_in, content_of
@@ -18,7 +18,6 @@ from mckibben.rig.protocol import IsobaricProtocol
 from mckibben.rig.steps import IsometricProtocol, IsotonicProtocol, Procedure, Step, steps_of
 from mckibben.study.rig.document import CardSpec, RigTest, SimulatedRigSpec
 from mckibben.study.rig.steps import ProtocolSpec, steps
-from mckibben.study.scenario.building import build_creep, build_friction
 
 if TYPE_CHECKING:
     from mckibben.rig.ni import Terminals
@@ -107,7 +106,9 @@ def _simulated(
     specimen = of.specimen if isinstance(of, Muscle) else of
     law = spec.law or test.muscle.law
     assert law is not None  # the model of the test sees to it
-    muscle = Muscle(specimen, _law(law, specimen), build_friction(spec.friction), build_creep(spec.creep))
+    friction = NoFriction() if spec.friction is None else spec.friction.build()
+    creep = NoCreep() if spec.creep is None else spec.creep.build()
+    muscle = Muscle(specimen, _law(law, specimen), friction, creep)
     parts: dict[str, Any] = {}
     if spec.parts == "ideal":
         parts = {

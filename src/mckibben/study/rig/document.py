@@ -9,11 +9,12 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field, ValidationInfo, field_validator
 
 from mckibben.config.document import Document, to_text
-from mckibben.config.fields import BoundedInt, Duration, Flag, Force, OneOf, PositiveTime, Pressure, PressureRate, Title
+from mckibben.config.fields import Flag, OneOf, Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.storage.files import whole
 from mckibben.study.rig.steps import Address, Contraction, Factor, JsonPath, ProtocolSpec, SampleRate, Tension, Way
 from mckibben.study.scenario.plant import CatalogName, CreepSpec, FrictionSpec, Law
+from mckibben.units import BoundedInt, Duration, Force, PositiveTime, Pressure, PressureRate
 
 
 class MuscleSpec(ConfigModel):
