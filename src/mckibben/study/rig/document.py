@@ -17,7 +17,7 @@ from mckibben.study.scenario.plant import CatalogName, CreepSpec, FrictionSpec, 
 from mckibben.units import BoundedInt, Duration, Force, PositiveTime, Pressure, PressureRate
 
 
-class MuscleSpec(ConfigModel):
+class TestedMuscleSpec(ConfigModel):
     """What is tested.
 
     With a `law` the boundaries of the test are known beforehand; without one they are found as it goes.
@@ -149,7 +149,7 @@ class RigTest(ConfigModel):
     """
 
     name: Title = Field(examples=["isobaric test of a new muscle"])
-    muscle: MuscleSpec
+    muscle: TestedMuscleSpec
     rig: RigSpec
     limits: LimitsSpec
     recording: RecordingSpec = RecordingSpec()
