@@ -11,7 +11,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit
 from mckibben.muscle import Muscle
-from mckibben.rig import IsobaricProtocol, VirtualRig
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, mm, percent
 
 TABLES = Path(__file__).parents[2] / "src" / "mckibben" / "catalog" / "tables"
@@ -250,7 +250,7 @@ def test_how_sure_a_fit_is(cli, tmp_path):
 def test_hysteresis_is_found_with_the_law(cli, tmp_path):
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     protocol = IsobaricProtocol(pressures=[2 * bar, 4 * bar, 6 * bar], step=2 * mm, repeats=2, samples=50)
-    VirtualRig(muscle, force_drift=0.5).run(protocol, seed=4).to_csv(tmp_path / "rig.csv")
+    SimulatedIsobaricTest(muscle, force_drift=0.5).run(protocol, seed=4).to_csv(tmp_path / "rig.csv")
     found = cli("identify", "rig.csv", "--hysteresis", "--json", "--out", "kept")
     assert found.code == 0
     numbers = json.loads(found.out)

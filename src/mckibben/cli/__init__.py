@@ -181,10 +181,20 @@ def specimens(json: Json = False) -> None:
 
 
 @app.callback(invoke_without_command=True)
-def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    extension: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE.py", help="Python file with classes of one's own; runs it. Repeat for several."),
+    ] = None,
+) -> None:
     if version:
         typer.echo(f"mckibben {mckibben.__version__}")
         raise typer.Exit
+    for path in extension or ():
+        from mckibben.config.schema import load_extension
+
+        load_extension(path)
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ from mckibben.muscle import ChouLaw, ExponentialLaw, ForceLaw, Muscle
 from mckibben.numerics.compiled import compiled
 from mckibben.paper.settings import SETTINGS, Setting, StiffnessReference, pid_scenario
 from mckibben.plant import JointPlant
-from mckibben.rig import IsobaricProtocol, VirtualRig, away_from_turns
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest, away_from_turns
 from mckibben.units import bar, deg
 
 TEST_PRESSURES = (2 * bar, 3 * bar, 4.5 * bar, 6 * bar)
@@ -29,7 +29,7 @@ RIG, MARTENS, FESTO = "virtual-rig", "dmsp-10-250-martens2017", "festo-tool-10mm
 
 
 @dataclass(frozen=True)
-class VirtualRigTest:
+class SimulatedRigTest:
     """Isobaric test of the paper on the simulated rig.
 
     Attributes
@@ -49,7 +49,7 @@ class VirtualRigTest:
     """
 
     muscle: Muscle
-    rig: VirtualRig
+    rig: SimulatedIsobaricTest
     protocol: IsobaricProtocol
     test: IsobaricDataset
     settled: IsobaricDataset
@@ -76,7 +76,7 @@ class Identification:
         diameter, and Eq. 3 as published.
     """
 
-    rig: VirtualRigTest
+    rig: SimulatedRigTest
     data: dict[str, IsobaricDataset]
     fits: dict[str, Fit]
     retested: Validation
@@ -139,15 +139,15 @@ def direction_gap(data: IsobaricDataset) -> tuple[float, float]:
     return float(np.mean(gaps)), float(taut.force.max())
 
 
-def _test(repeats: int) -> VirtualRigTest:
+def _test(repeats: int) -> SimulatedRigTest:
     law: ForceLaw = catalog.law("lei-mas-10-180n")
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), law)
-    rig, protocol = VirtualRig(muscle), IsobaricProtocol(repeats=repeats)
+    rig, protocol = SimulatedIsobaricTest(muscle), IsobaricProtocol(repeats=repeats)
     raw = rig.run(protocol, seed=1)
     test = raw.plateau_means()
     retest = rig.run(IsobaricProtocol(pressures=TEST_PRESSURES, repeats=1), seed=2).plateau_means()
     samples = raw.table["force_samples"].size
-    return VirtualRigTest(muscle, rig, protocol, test, away_from_turns(test), retest, samples)
+    return SimulatedRigTest(muscle, rig, protocol, test, away_from_turns(test), retest, samples)
 
 
 @dataclass(frozen=True)

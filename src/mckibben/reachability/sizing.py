@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.errors import ParameterError, UnitError
 from mckibben.experiment_design import parse_range
-from mckibben.joint import KneeGeometry, RigidTendon
+from mckibben.joint import Geometry, RigidTendon
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.calculus import derivative
@@ -232,7 +232,7 @@ def constraint_margins(
 
 
 def _unclipped_stiffness(
-    geometry: KneeGeometry, muscles: tuple[Muscle, Muscle], angle: Array, pressures: tuple[Array, Array]
+    geometry: Geometry, muscles: tuple[Muscle, Muscle], angle: Array, pressures: tuple[Array, Array]
 ) -> Array:
     """Stiffness of laws that may turn negative, smooth beyond the attainable set."""
 

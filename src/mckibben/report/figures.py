@@ -17,7 +17,6 @@ from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.tables import SECTIONS, name_of
 from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories
-from mckibben.study.scenario.building import build_loop
 from mckibben.units import deg
 
 
@@ -200,5 +199,5 @@ def gain_ratio(run: ControllerRun) -> float:
     """Largest gain ratio of the position loop of a BP run."""
     spec = run.scenario.controller.position
     assert spec is not None  # the paper has two loops
-    loop = build_loop(spec)
+    loop = spec.build()
     return float(loop.gain_ratio) if isinstance(loop, BackpropPID) else 1.0

@@ -108,13 +108,14 @@ def law_type_named(name: str) -> type[ForceLaw]:
     >>> law_type_named("exponential").__name__, law_type_named("tondu-lopez").__name__
     ('ExponentialLaw', 'TonduLopezLaw')
     """
-    from mckibben.muscle import LAWS
+    from mckibben.identification.storage import law_types
 
+    laws = law_types()
     plain = name.lower().replace("-", "").replace("_", "")
-    for known, law_type in LAWS.items():
+    for known, law_type in laws.items():
         if plain in (known.lower(), known.removesuffix("Law").lower()):
             return law_type
-    short = ", ".join(re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in LAWS)
+    short = ", ".join(re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws)
     raise NotInCatalogError(f"there is no law {name!r}", value=name, remedy=f"known are {short}")
 
 
