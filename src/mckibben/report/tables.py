@@ -91,8 +91,8 @@ def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
             f"static equilibrium exists from {first:.1f}° to {last:.1f}° only. The paper's remedy, a “mechanical "
             "stretch "
             f"structure”, is not described. Both variants are run: {AS_PRINTED.name} (connectors "
-            f"{printed.joint.geometry.connector_length / mm:g} mm) and {PRE_CONTRACTED.name} "
-            f"({contracted.joint.geometry.connector_length / mm:g} mm, {short:.3g} % contraction at 0°).",
+            f"{_connectors(printed) / mm:g} mm) and {PRE_CONTRACTED.name} "
+            f"({_connectors(contracted) / mm:g} mm, {short:.3g} % contraction at 0°).",
         ),
         Decision(
             "Sign of gravity",
