@@ -16,8 +16,19 @@ from mckibben.config.model import ConfigModel, fail_validation, parse_model, rea
 from mckibben.errors import Problem, RigError
 from mckibben.rig.backend import AnalogChannel, Backend
 from mckibben.rig.calibration import Calibration
-from mckibben.study.rig.steps import JsonPath, Wait
-from mckibben.units import Angle, BoundedInt, Duration, PositiveTime, Pressure, PressureRate, Quantity, bar, deg
+from mckibben.study.rig.steps import JsonPath
+from mckibben.units import (
+    Angle,
+    BoundedInt,
+    Duration,
+    PositiveTime,
+    Pressure,
+    PressureRate,
+    Quantity,
+    WaitTime,
+    bar,
+    deg,
+)
 
 
 class JointReading(NamedTuple):
@@ -197,8 +208,8 @@ class JointLimitsSpec(ConfigModel):
 class ApproachSpec(ConfigModel):
     """Approach: in `raising` the pressures are ramped to the start, in `settling` the first reference is held."""
 
-    raising: Wait = 2.0
-    settling: Wait = 2.0
+    raising: WaitTime = 2.0
+    settling: WaitTime = 2.0
 
 
 class JointRig(ConfigModel):

@@ -15,7 +15,7 @@ from mckibben.muscle import Muscle, Specimen
 from mckibben.numerics.checks import check_positive
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.protocol import specimen_of
-from mckibben.units import Hz, N, bar, deg, mm, ms, s
+from mckibben.units import Duration, Hz, N, PositiveTime, Pressure, PressureRate, Tension, Travel, bar, deg, mm, ms, s
 
 _WHOLE = 1e-6  # pulses
 
@@ -146,16 +146,16 @@ class RigLimits:
         If one is not above 0, or not finite where it has to be.
     """
 
-    pressure: float
-    force: float
-    stretch: float
-    shorten: float
-    pressure_rate: float = 50 * bar / s
-    pressure_error: float = 0.3 * bar
-    settling: float = 10 * s
-    gap: float = 500 * ms
-    frozen: float = math.inf
-    deviation: float = math.inf
+    pressure: Pressure
+    force: Tension
+    stretch: Travel
+    shorten: Travel
+    pressure_rate: PressureRate = 50 * bar / s
+    pressure_error: Pressure = 0.3 * bar
+    settling: Duration = 10 * s
+    gap: PositiveTime = 500 * ms
+    frozen: Duration = math.inf
+    deviation: Tension = math.inf
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():

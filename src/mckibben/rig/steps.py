@@ -6,13 +6,31 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from mckibben.errors import Problem, RangeError
 from mckibben.muscle import Muscle, Specimen, forces
 from mckibben.rig.protocol import PAPER_PRESSURES, IsobaricProtocol, boundaries, refuse_problems, specimen_of
-from mckibben.units import N, bar, mm, percent, s
+from mckibben.units import (
+    Contraction,
+    Duration,
+    Force,
+    N,
+    Pressure,
+    PressureRate,
+    Repeats,
+    Samples,
+    Speed,
+    Tension,
+    Travel,
+    WaitTime,
+    bar,
+    mm,
+    percent,
+    s,
+)
 
 DIRECTIONS, PHASES = ("", "loading", "unloading"), ("", "filling", "venting")
 
@@ -32,8 +50,8 @@ class Move:
         [m/s].
     """
 
-    to: float
-    speed: float = SPEED
+    to: Contraction
+    speed: Speed = SPEED
 
     def __post_init__(self) -> None:
         _refuse("move", _contraction("to", self.to), _positive("speed", self.speed, "m/s"))
@@ -47,7 +65,7 @@ class Move:
 class Dwell:
     """Wait for a duration [s]."""
 
-    duration: float
+    duration: WaitTime
 
     def __post_init__(self) -> None:
         _refuse("dwell", _positive("duration", self.duration, "s", zero=True))
@@ -71,9 +89,9 @@ class Pressurise:
         Force [N] held meanwhile by moving, see `HoldForce`; constant length unless given.
     """
 
-    pressure: float
-    rate: float | None = None
-    holding: float | None = None
+    pressure: Pressure
+    rate: PressureRate | None = None
+    holding: Tension | None = None
 
     def __post_init__(self) -> None:
         _refuse(
@@ -107,10 +125,10 @@ class HoldForce:
         Timeout [s], after which the test is stopped.
     """
 
-    force: float
-    tolerance: float = 2 * N
-    speed: float = SPEED
-    longest: float = 300 * s
+    force: Tension
+    tolerance: Tension = 2 * N
+    speed: Speed = SPEED
+    longest: Duration = 300 * s
 
     def __post_init__(self) -> None:
         _refuse(
@@ -142,10 +160,10 @@ class Acquire:
         Whether it is a point of the dataset; a point that only finds a boundary is not.
     """
 
-    samples: int = 1000
-    duration: float = 1 * s
-    direction: str = ""
-    phase: str = ""
+    samples: Samples = 1000
+    duration: Duration = 1 * s
+    direction: Literal["", "loading", "unloading"] = ""
+    phase: Literal["", "filling", "venting"] = ""
     keep: bool = True
 
     def __post_init__(self) -> None:
@@ -182,14 +200,14 @@ class Walk:
         It ends this number of plateaus after the last one with a force above `slack_force` [N].
     """
 
-    to: float | None
-    step: float = 1 * mm
-    speed: float = SPEED
-    dwell: float = 5 * s
+    to: Contraction | None
+    step: Travel = 1 * mm
+    speed: Speed = SPEED
+    dwell: WaitTime = 5 * s
     acquire: Acquire = field(default_factory=Acquire)
-    force: float | None = None
-    slack: int | None = None
-    slack_force: float = 1 * N
+    force: Tension | None = None
+    slack: Repeats | None = None
+    slack_force: Force = 1 * N
 
     def __post_init__(self) -> None:
         _refuse(
@@ -229,7 +247,7 @@ class Vent:
 class Repeat:
     """Repeated steps. The points inside have the number of the innermost repeat, from 0."""
 
-    times: int
+    times: Repeats
     steps: tuple[Step, ...]
 
     def __post_init__(self) -> None:
@@ -373,14 +391,14 @@ class IsometricProtocol:
         As in the isobaric test.
     """
 
-    contractions: Sequence[float] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))
-    pressures: Sequence[float] = PAPER_PRESSURES
-    rate: float | None = None
-    speed: float = SPEED
-    dwell: float = 5 * s
-    acquisition: float = 1 * s
-    samples: int = 1000
-    repeats: int = 1
+    contractions: Sequence[Contraction] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))
+    pressures: Sequence[Pressure] = PAPER_PRESSURES
+    rate: PressureRate | None = None
+    speed: Speed = SPEED
+    dwell: WaitTime = 5 * s
+    acquisition: Duration = 1 * s
+    samples: Samples = 1000
+    repeats: Repeats = 1
 
     def __post_init__(self) -> None:
         for name in ("contractions", "pressures"):
@@ -429,15 +447,15 @@ class IsotonicProtocol:
         As in the isobaric test.
     """
 
-    forces: Sequence[float] = (50.0, 100.0, 200.0)
-    pressures: Sequence[float] = tuple(0.5 * level * bar for level in range(4, 13))
-    rate: float = 0.1 * bar / s
-    tolerance: float = 2.0
-    speed: float = SPEED
-    dwell: float = 5 * s
-    acquisition: float = 1 * s
-    samples: int = 1000
-    repeats: int = 1
+    forces: Sequence[Tension] = (50.0, 100.0, 200.0)
+    pressures: Sequence[Pressure] = tuple(0.5 * level * bar for level in range(4, 13))
+    rate: PressureRate = 0.1 * bar / s
+    tolerance: Force = 2.0
+    speed: Speed = SPEED
+    dwell: WaitTime = 5 * s
+    acquisition: Duration = 1 * s
+    samples: Samples = 1000
+    repeats: Repeats = 1
 
     def __post_init__(self) -> None:
         for name in ("forces", "pressures"):

@@ -14,19 +14,12 @@ from mckibben.muscle import ChouLaw, ForceLaw, Muscle, NoCreep, NoFriction, Spec
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.calibration import Calibration, calibrations_in, content_of
-from mckibben.rig.protocol import IsobaricProtocol
-from mckibben.rig.steps import IsometricProtocol, IsotonicProtocol, Procedure, Step, steps_of
+from mckibben.rig.steps import Step, steps_of
 from mckibben.study.rig.document import CardSpec, RigTest, SimulatedRigSpec
 from mckibben.study.rig.steps import ProtocolSpec, steps
 
 if TYPE_CHECKING:
     from mckibben.rig.ni import Terminals
-
-_PROCEDURES: Mapping[str, type[Procedure]] = {
-    "isobaric": IsobaricProtocol,
-    "isometric": IsometricProtocol,
-    "isotonic": IsotonicProtocol,
-}
 
 _APART = 1_000_003  # between the seeds of sessions
 
@@ -85,7 +78,7 @@ def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ..
     """
     if protocol.steps is not None:
         return steps(protocol.steps)
-    return steps_of(_PROCEDURES[protocol.form](**explicit_fields(getattr(protocol, protocol.form))), of)
+    return steps_of(getattr(protocol, protocol.form).build(), of)
 
 
 def _simulated(

@@ -11,10 +11,21 @@ from pydantic import Field, ValidationInfo, field_validator
 from mckibben.config.document import Document, to_text
 from mckibben.config.fields import Flag, OneOf, Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
+from mckibben.config.schema import model_of
+from mckibben.rig.bench import RigLimits
 from mckibben.storage.files import whole
-from mckibben.study.rig.steps import Address, Contraction, Factor, JsonPath, ProtocolSpec, SampleRate, Tension, Way
+from mckibben.study.rig.steps import Address, JsonPath, ProtocolSpec
 from mckibben.study.scenario.plant import CatalogName, CreepSpec, FrictionSpec, Law
-from mckibben.units import BoundedInt, Duration, Force, PositiveTime, Pressure, PressureRate
+from mckibben.units import (
+    BoundedInt,
+    Contraction,
+    Factor,
+    Force,
+    PositiveTime,
+    SampleRate,
+    Tension,
+    Travel,
+)
 
 
 class TestedMuscleSpec(ConfigModel):
@@ -48,7 +59,7 @@ class DriveSpec(ConfigModel):
 
     steps: Annotated[int, BoundedInt(1, 1_000_000)] | None = None
     reduction: Factor | None = None
-    lead: Way | None = None
+    lead: Travel | None = None
     fastest: SampleRate | None = None
 
 
@@ -98,19 +109,10 @@ class RigSpec(ConfigModel):
         return value
 
 
-class LimitsSpec(ConfigModel):
-    """Safety limits, see `RigLimits`; the force is the rated one unless given."""
+class LimitsSpec(model_of(RigLimits)):
+    """Safety limits; the force is the rated one unless given."""
 
-    pressure: Pressure
     force: Tension | None = None
-    stretch: Way
-    shorten: Way
-    pressure_rate: PressureRate | None = None
-    pressure_error: Pressure | None = None
-    settling: Duration | None = None
-    gap: PositiveTime | None = None
-    frozen: Duration | None = None
-    deviation: Tension | None = None
 
 
 class RecordingSpec(ConfigModel):
