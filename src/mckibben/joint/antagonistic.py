@@ -14,6 +14,7 @@ from mckibben.joint import attainable
 from mckibben.joint.geometry import KneeGeometry, Pair
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import MaxwellSlip, Muscle, NoCreep, PressureAffineLaw
+from mckibben.numerics.batching import compute_once
 from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.checks import check_kind, check_within
 from mckibben.numerics.elementary import floating
@@ -133,6 +134,7 @@ class AntagonisticJoint(eqx.Module):
             self.tendon.contraction(self.muscle2, path2, pressure2),
         )
 
+    @compute_once
     def tensions(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
         """The pull [N] of each muscle, F1 and F2."""
         pressure1, pressure2 = pressure_pair(pressures)
@@ -157,6 +159,7 @@ class AntagonisticJoint(eqx.Module):
         """
         return self.torque_and_stiffness(angle, pressures)[1]
 
+    @compute_once
     def torque_and_stiffness(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
         """Both, from one pass."""
         pressure1, pressure2 = pressure_pair(pressures)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
@@ -24,6 +24,7 @@ from mckibben.errors import ParameterError
 
 Tree = TypeVar("Tree")
 R = TypeVar("R")
+P = ParamSpec("P")
 
 RANK = "rank"
 """Metadata of a field that holds arrays by nature, such as samples over time: their number of axes."""
@@ -261,6 +262,38 @@ def traced_for() -> tuple[bool, bool]:
 def rolled() -> bool:
     """Whether the stages of an integration step shall be a loop."""
     return _ROLLED.get()
+
+
+def compute_once(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator: in a program for many runs the function gets a branch of its own, so that it is computed once.
+
+    XLA otherwise repeats a producer in the fusion of each of its consumers. Arguments may be anything; the function is
+    pure, and its results are arrays.
+
+    Examples
+    --------
+    >>> with many_runs():
+    ...     float(compute_once(lambda x: 2 * x)(jnp.asarray(3.0)))
+    6.0
+    """
+
+    @functools.wraps(function)
+    def once(*args: P.args, **kwargs: P.kwargs) -> R:
+        if not _APART.get():
+            return function(*args, **kwargs)
+
+        def call() -> R:
+            token = _APART.set(False)  # one branch is enough
+            try:
+                return function(*args, **kwargs)
+            finally:
+                _APART.reset(token)
+
+        zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(call))
+        unknown = lax.optimization_barrier(jnp.asarray(1.0))  # to the compiler; else there would be no branch
+        return lax.cond(unknown > 0, call, lambda: zeros)
+
+    return once
 
 
 def apart(function: Callable[..., R], *args: object, witness: ArrayLike) -> R:

@@ -193,11 +193,11 @@ class JointPlant(eqx.Module):
         relaxing1, relaxing2 = state.relaxing
         if creep.has_creep(self.joint):
             relaxing1, relaxing2 = creep.rates(self.joint, state.relaxing, state.angle, state.velocity)
-        resisting = self.load.gravity_torque(state.angle) - self.load.damping * state.velocity
-        torque = self._torque(state) + resisting
+        torque = self._torque(state)
         if isinstance(state.around, Surroundings):
             torque = torque + state.around.push
-        return Motion(state.velocity, torque * (1 / self.load.total_inertia), relaxing1, relaxing2)
+        acceleration = self.load.acceleration(state.angle, state.velocity, torque)
+        return Motion(state.velocity, acceleration, relaxing1, relaxing2)
 
     def settled(self, state: PlantState) -> PlantState:
         """The state after a step of the integration: the muscles remember the way; no force changes by it."""

@@ -106,9 +106,7 @@ def _states(
     """Torque, static band, whether it can be held, and at each place (places, moments) stiffness and commands."""
     joint, load = plant.joint, plant.load
     angle, velocity, acceleration, jerk, places = map(floating, (angle, velocity, acceleration, jerk, places))
-    inertia, damping = load.total_inertia, load.damping
-    torque = inertia * acceleration + damping * velocity - load.gravity_torque(angle)
-    torque_rate = inertia * jerk + damping * acceleration + load.gravity_stiffness(angle) * velocity
+    torque, torque_rate = jax.jvp(load.required_torque, (angle, velocity, acceleration), (velocity, acceleration, jerk))
     segment = segment_of(joint, angle, torque, None, 0.0)
     tension = segment.first + (segment.last - segment.first) * places[:, None]
 
