@@ -22,7 +22,7 @@ from mckibben.control import (
     inverse_model,
 )
 from mckibben.control.backprop import Network
-from mckibben.control.inverse_model import Moved, Smoothed, Start
+from mckibben.control.inverse_model import FilteredSignal, InitialOffset, MeasuredMotion
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
@@ -194,11 +194,13 @@ def test_with_a_minimum_tension_no_muscle_goes_slack_where_one_did(run, plant, k
     assert least(modelled) > 2.5  # the joint moves on while a valve follows
 
 
-START = Start(*map(jnp.asarray, (14.0, 0.1e5, 1e5)))
+START = InitialOffset(*map(jnp.asarray, (14.0, 0.1e5, 1e5)))
 
 
 def moved(angle=0.05, stiffness=15.0, pressures=(4.0e5, 4.4e5), velocity=0.4):
-    return Moved(*(Smoothed(jnp.asarray(x), None) for x in (angle, stiffness, *pressures)), jnp.asarray(velocity))
+    return MeasuredMotion(
+        *(FilteredSignal(jnp.asarray(x), None) for x in (angle, stiffness, *pressures)), jnp.asarray(velocity)
+    )
 
 
 def network(seed=0, hidden=8):
@@ -208,7 +210,7 @@ def network(seed=0, hidden=8):
 
 @jax.jit
 def taught(control, network, moved, acceleration):
-    return numeric(control)._taught(network, moved, acceleration, START, PERIOD)
+    return numeric(control)._train(network, moved, acceleration, START, PERIOD)
 
 
 def test_it_steps_down_the_gradient_by_no_more_than_it_may(alone):
@@ -253,14 +255,14 @@ def test_motion_and_pressures_are_of_one_moment(alone):
     def angle(k):
         return 0.5 * 2.0 * (PERIOD * k) ** 2 - 0.05
 
-    still = [Smoothed(jnp.asarray(x), jnp.asarray(x)) for x in (angle(0), 14.95, 2e5, 3e5)]
+    still = [FilteredSignal(jnp.asarray(x), jnp.asarray(x)) for x in (angle(0), 14.95, 2e5, 3e5)]
 
     def one(state, k):
         now = Measurement(angle(k), (2e5 + 1e5 * angle(k), 3e5 - 1e5 * angle(k)))
-        return alone._moved(state, now, 15.0 + angle(k), PERIOD)
+        return alone._filter(state, now, 15.0 + angle(k), PERIOD)
 
     state, acceleration = jax.jit(lambda state: lax.scan(one, state, jnp.arange(1.0, 501.0)))(
-        Moved(*still, jnp.asarray(0.0))
+        MeasuredMotion(*still, jnp.asarray(0.0))
     )
     assert float(acceleration[-1]) == pytest.approx(2.0, rel=1e-6)
     delay = 2 / 60.0  # of two filters, but for half a period each
