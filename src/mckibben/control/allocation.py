@@ -125,7 +125,7 @@ def limit_commands(
     if minimum_tension is not None:
         limits = pressure_range(model, angle, minimum_tension)
         return prioritise_differential(differential, cocontraction, *limits)
-    return clip_commands(model, (cocontraction - differential, cocontraction + differential))
+    return clip_commands(model, (cocontraction - jnp.asarray(differential), cocontraction + jnp.asarray(differential)))
 
 
 def clip_commands(model: AntagonisticJoint, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Pair, Array]:

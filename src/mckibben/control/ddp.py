@@ -19,14 +19,14 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import value_and_derivative
 
 Scalar = Float[Array, ""]
-Pair = tuple[Scalar, Scalar]
 State = tuple[Scalar, Scalar, Scalar, Scalar]
 """Angle, velocity, acceleration and stiffness; of a reference, jerk in place of the stiffness."""
-Vector = tuple[Any, ...]
-Matrix = tuple[Vector, ...]
+Vector = Any
+Matrix = Any
 
 _SINGULAR = 1e-6  # least determinant of a 2x2 matrix over the product of its diagonal, for solving
 
@@ -37,6 +37,16 @@ _SINGULAR = 1e-6  # least determinant of a 2x2 matrix over the product of its di
 def add(a: Any, b: Any) -> Any:
     """Sum of two vectors or matrices."""
     return jax.tree.map(lambda x, y: x + y, a, b)
+
+
+def subtract(a: Any, b: Any) -> Any:
+    """Difference of two vectors or matrices."""
+    return jax.tree.map(lambda x, y: x - y, a, b)
+
+
+def where(condition: Array, a: Any, b: Any) -> Any:
+    """One of two vectors or matrices."""
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
 def scale(factor: Any, a: Any) -> Any:
@@ -65,13 +75,13 @@ def matmul(a: Matrix, b: Matrix) -> Matrix:
 
 
 def symmetric(size: int, entry: Callable[[int, int], Any]) -> Matrix:
-    """Symmetric matrix from its upper triangle."""
+    """Symmetric matrix from its upper triangle, which saves a fifth of the time of a full product."""
     upper = {(i, j): entry(i, j) for i in range(size) for j in range(i, size)}
     return tuple(tuple(upper[min(i, j), max(i, j)] for j in range(size)) for i in range(size))
 
 
 def quadratic_form(a: Matrix, m: Matrix) -> Matrix:
-    """A' m a, of a symmetric m."""
+    """Product a' m a of a symmetric m."""
     columns, products = transpose(a), transpose(matmul(m, a))
     return symmetric(len(columns), lambda i, j: dot(columns[i], products[j]))
 
@@ -293,11 +303,9 @@ def rollout(problem: HorizonProblem, state: State, pressures: Pair, policy: Poli
         end, speed = following[0] + angle, following[1] + velocity
 
         asked = add(policy.offset, matvec(policy.gain, x))
-        (limit, limit_angle), limit_previous = (
-            value_and_derivative(lambda at: problem.limits(at, previous), end),
-            problem.limits_previous(end, previous),
-        )
-        u = tuple(jnp.clip(p, low, high) for p, low, high in zip(asked, *limit, strict=True))
+        limit, limit_angle = value_and_derivative(lambda at: problem.limits(at, previous), end)
+        limit_previous = problem.limits_previous(end, previous)
+        u = jax.tree.map(jnp.clip, asked, *limit)
 
         (acceleration, stiffness), outputs_angle = value_and_derivative(lambda at: problem.outputs(at, speed, u), end)
         outputs_u = tuple(tuple(c(end) for c in each[1:]) for each in (problem.acceleration, problem.stiffness))
@@ -317,7 +325,7 @@ def rollout(problem: HorizonProblem, state: State, pressures: Pair, policy: Poli
 
 
 def _pressures_x(problem: HorizonProblem, outputs_angle: Pair, outputs_u: Matrix) -> Matrix:
-    """Derivative of the pressures with respect to the state that they give, by the implicit function theorem."""
+    """Derivative of the pressures with respect to the state at the same instant, by the implicit function theorem."""
     (a1, a2), (s1, s2) = outputs_u
     determinant = a1 * s2 - a2 * s1
     least = 1e-3 * (jnp.abs(a1 * s2) + jnp.abs(a2 * s1)) + 1e-12  # where pressures hardly change the stiffness
@@ -328,13 +336,19 @@ def _pressures_x(problem: HorizonProblem, outputs_angle: Pair, outputs_u: Matrix
 
 def expand(problem: HorizonProblem, at: Stage) -> StageExpansion:
     """Expansion about a stage of the nominal trajectory."""
-    h, (mu1, mu2), d, rho = problem.stage, problem.hold_weights, problem.damping, problem.bandwidth_ratio_sq
+    h, (mu1, mu2), d, rho = (
+        jnp.asarray(problem.stage),
+        problem.hold_weights,
+        problem.damping,
+        problem.bandwidth_ratio_sq,
+    )
     angle_x, velocity_x = (1.0, h, h**2 / 2, 0), (0, 1.0, h, 0)
     a_angle, s_angle = at.outputs_angle
-    acceleration_x = a_angle, a_angle * h - problem.drag, a_angle * h**2 / 2 - problem.drag * h, 0
+    drag = jnp.asarray(problem.drag)
+    acceleration_x = a_angle, a_angle * h - drag, a_angle * h**2 / 2 - drag * h, 0
     jump_x = *acceleration_x[:2], acceleration_x[2] - 1, 0
     acceleration_u, stiffness_u = at.outputs_u
-    between, rates = h * d * (d - 2), ((at.y[2] - at.x[2]) / h, rho * (at.y[3] - at.x[3]) / h)
+    between, rates = h * d * (jnp.asarray(d) - 2), ((at.y[2] - at.x[2]) / h, rho * (at.y[3] - at.x[3]) / h)
     return StageExpansion(
         f_x=(
             add(angle_x, scale(h**2 / 2 * mu2, jump_x)),
@@ -364,7 +378,7 @@ def _limits_x(angle_x: Vector, previous_x: Matrix, by_angle: Pair, by_previous: 
 def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, tuple[Pair, Bool[Array, " stages"]]]:
     """Improve the policy about a nominal trajectory, from its last stage to its first.
 
-    Returns the policy, and of each stage the inputs at the nominal states and whether a limit holds one.
+    Returns the policy, and of each stage the inputs at the nominal states and whether one is clamped.
     """
 
     def stage(value: ValueExpansion, at: Stage) -> tuple[ValueExpansion, tuple[Policy, tuple[Pair, Array]]]:
@@ -381,12 +395,9 @@ def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, t
             4, lambda i, j: l_xx[i][j] + dot(f_x_columns[i], v_yx_columns[j]) + dot(transpose(l_yx)[i], f_x_columns[j])
         )
 
-        lower, upper = (tuple(limit - u for limit, u in zip(each, at.u, strict=True)) for each in (at.lower, at.upper))
+        lower, upper = subtract(at.lower, at.u), subtract(at.upper, at.u)
         step, free = box_qp(q_uu, q_u, lower, upper)
-        limit_x = tuple(
-            tuple(jnp.where(step[i] <= lower[i], a, b) for a, b in zip(lower_x[i], upper_x[i], strict=True))
-            for i in range(2)
-        )
+        limit_x = tuple(where(step[i] <= lower[i], lower_x[i], upper_x[i]) for i in range(2))
         gain = feedback_gain(q_uu, q_ux, free, limit_x)
 
         gain_columns, q_ux_columns = transpose(gain), transpose(q_ux)
@@ -397,7 +408,7 @@ def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, t
             lambda i, j: q_xx[i][j] + dot(gain_columns[i], q_u_x_columns[j]) + dot(q_ux_columns[i], gain_columns[j]),
         )
         u = add(at.u, step)
-        offset = tuple(p - dot(row, at.x) for p, row in zip(u, gain, strict=True))
+        offset = subtract(u, matvec(gain, at.x))
         return ValueExpansion(gradient, hessian), (Policy(offset, gain), (u, ~(free[0] & free[1])))
 
     terminal = problem.terminal_hessian()
@@ -406,7 +417,7 @@ def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, t
 
 
 def box_qp(hessian: Matrix, gradient: Vector, lower: Pair, upper: Pair) -> tuple[Pair, tuple[Array, Array]]:
-    """Minimum of gradient' u + u' hessian u / 2 over a box in two dimensions; and which inputs no limit holds.
+    """Minimum of gradient' u + u' hessian u / 2 over a box in two dimensions; and which inputs are free.
 
     It lies inside, or on a side that the unconstrained minimum is beyond.
     """
@@ -425,26 +436,23 @@ def box_qp(hessian: Matrix, gradient: Vector, lower: Pair, upper: Pair) -> tuple
         return dot(gradient, u) + dot(u, matvec(hessian, u)) / 2
 
     a, b = clamped(0), clamped(1)
-    is_lower = cost(a[0]) <= cost(b[0])
-    return jax.tree.map(lambda x, y: jnp.where(is_lower, x, y), a, b)
+    return where(cost(a[0]) <= cost(b[0]), a, b)
 
 
 def feedback_gain(hessian: Matrix, cross: Matrix, free: tuple[Array, Array], limit_x: Matrix) -> Matrix:
-    """Derivative of the constrained minimum with respect to the state: along the limit for an input held by one."""
+    """Derivative of the constrained minimum with respect to the state: that of the limit for a clamped input."""
     both = solve_2x2(hessian, tuple(tuple(-c for c in row) for row in cross))
 
     def row(i: int) -> Vector:
         j, inverse = 1 - i, 1 / hessian[i][i]
         alone = tuple(-inverse * (c + hessian[i][j] * x) for c, x in zip(cross[i], limit_x[j], strict=True))
-        return tuple(
-            jnp.where(free[i], jnp.where(free[j], b, a), x) for a, b, x in zip(alone, both[i], limit_x[i], strict=True)
-        )
+        return where(free[i], where(free[j], both[i], alone), limit_x[i])
 
     return row(0), row(1)
 
 
 class FirstCommand(NamedTuple):
-    """Pressures at the end of the first stage, and whether a limit holds one."""
+    """Pressures at the end of the first stage, and whether one is clamped."""
 
     pressures: Pair
     saturated: Array

@@ -132,8 +132,8 @@ class DecouplingControl(ModelBasedControl):
 
         speed = (1 - exp(-jnp.asarray(period) / lag)) / self.valve_fraction(period)
         allocation = self._allocate(model, angle, pressures, torque, setpoint.stiffness, speed)
-        towards = (p + speed * (target - p) for p, target in zip(pressures, allocation.pressures, strict=True))
-        commands, _ = clip_commands(model, tuple(towards))  # rounding may exceed a limit
+        (p1, p2), (target1, target2) = pressures, allocation.pressures
+        commands, _ = clip_commands(self.model, (p1 + speed * (target1 - p1), p2 + speed * (target2 - p2)))  # rounding
 
         feedback = self.feedback.track(feedback, (torque - allocation.torque) / self.load.total_inertia, period)
         estimates = estimates._replace(commands=commands, saturated=allocation.saturated)
@@ -155,8 +155,12 @@ class DecouplingControl(ModelBasedControl):
         """Pressures [Pa] for a torque and a stiffness at an angle [rad], attainable with commands within limits."""
         lowest, highest = pressure_range(model, angle, self.minimum_tension)
         low, high = pressure_limits_of(model)
-        upper = [jnp.minimum(highest[i], pressures[i] + (high[i] - pressures[i]) / speed) for i in range(2)]
-        lower = [jnp.maximum(lowest[i], pressures[i] + (low[i] - pressures[i]) / speed) for i in range(2)]
-        lower = [jnp.minimum(low, high) for low, high in zip(lower, upper, strict=True)]
+
+        def window(i: int) -> tuple[Scalar, Scalar]:
+            """Lower and upper limit of a pressure, within the speed of its valve."""
+            upper = jnp.minimum(highest[i], pressures[i] + (high[i] - pressures[i]) / speed)
+            return jnp.minimum(jnp.maximum(lowest[i], pressures[i] + (low[i] - pressures[i]) / speed), upper), upper
+
+        (lower1, upper1), (lower2, upper2) = window(0), window(1)
         affine = linearise(model, angle, keep_taut(pressures, lowest))
-        return prioritise_torque(affine, torque, stiffness, tuple(lower), tuple(upper))
+        return prioritise_torque(affine, torque, stiffness, (lower1, lower2), (upper1, upper2))

@@ -187,7 +187,9 @@ class InverseModelControl(Controller):
             loops=self.loops.init_with(feedforward, measurement),
             reference=ReferenceDerivatives.init(angle),
             path=zero,
-            measured=MeasuredMotion(*map(constant, (angle, stiffness, pressure1, pressure2)), zero),
+            measured=MeasuredMotion(
+                constant(angle), constant(stiffness), constant(pressure1), constant(pressure2), zero
+            ),
             network=network,
             offset=InitialOffset(
                 floating(stiffness), feedforward.differential - differential, feedforward.cocontraction - cocontraction
@@ -276,10 +278,16 @@ class InverseModelControl(Controller):
             first = before.first + fraction * (now - before.first)
             return FilteredSignal(before.value + fraction * (first - before.value), first)
 
-        signals = measurement.angle, stiffness, *measurement.pressures
-        filtered = [one(before, now) for before, now in zip(last[:4], signals, strict=True)]
-        velocity = (filtered[0].value - last.angle.value) / period
-        return MeasuredMotion(*filtered, velocity), (velocity - last.velocity) / period
+        angle, (pressure1, pressure2) = one(last.angle, measurement.angle), measurement.pressures
+        velocity = (angle.value - last.angle.value) / period
+        filtered = MeasuredMotion(
+            angle,
+            one(last.stiffness, stiffness),
+            one(last.pressure1, pressure1),
+            one(last.pressure2, pressure2),
+            velocity,
+        )
+        return filtered, (velocity - last.velocity) / period
 
     def _train(
         self, network: Network, measured: MeasuredMotion, acceleration: Scalar, offset: InitialOffset, period: ArrayLike
@@ -296,7 +304,7 @@ class InverseModelControl(Controller):
             differential, cocontraction = differential - (second - first) / 2, cocontraction - (first + second) / 2
         targets = differential - offset.differential, cocontraction - offset.cocontraction
         outputs, (hidden, inputs) = self._network_output(network, x, offset)
-        error = tuple(jnp.where(is_taut, target - output, 0.0) for target, output in zip(targets, outputs, strict=True))
+        error = jax.tree.map(lambda target, output: jnp.where(is_taut, target - output, 0.0), targets, outputs)
         clipped = jnp.stack([jnp.clip(each / self.pressure_scale, -1.0, 1.0) for each in error])
 
         hidden_and_bias = jnp.concatenate([hidden, jnp.ones_like(hidden[:1])])

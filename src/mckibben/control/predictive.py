@@ -222,13 +222,13 @@ class PredictiveControl(ModelBasedControl):
         )
         per_torque = per_acceleration * derivative(lambda torque: self.load.acceleration(angle, zero, torque), zero)
         drag = -derivative(lambda velocity: self.load.acceleration(angle, velocity, zero), zero) / pole
-        offset, *by_pressure = (
+        offset, by_pressure1, by_pressure2 = (
             Quadratic(
                 per_torque * size * torque,
-                -per_torque * size * unit * stiffness,
+                -per_torque * size * unit * torque_stiffness,
                 -per_torque * size * unit**2 * stiffness_slope,
             )
-            for size, torque, stiffness, stiffness_slope in zip(
+            for size, torque, torque_stiffness, stiffness_slope in zip(
                 (1.0, bar, bar), local.torque, local.torque_stiffness, local.stiffness_slope, strict=True
             )
         )
@@ -238,7 +238,7 @@ class PredictiveControl(ModelBasedControl):
             offset.slope + per_acceleration * unit * gravity_slope,
             offset.curvature + per_acceleration * unit**2 * gravity_curvature,
         )
-        offset, *stiffness_by_pressure = (
+        offset, stiffness1, stiffness2 = (
             Quadratic(per_stiffness * size * value, per_stiffness * size * unit * slope)
             for size, value, slope in zip((1.0, bar, bar), local.stiffness, local.stiffness_slope, strict=True)
         )
@@ -260,8 +260,8 @@ class PredictiveControl(ModelBasedControl):
             valve_fraction=fraction,
             damping=jnp.asarray(self.damping),
             bandwidth_ratio_sq=(pole / self.stiffness_bandwidth) ** 2,
-            acceleration=(acceleration, *by_pressure),
-            stiffness=(stiffness_error, *stiffness_by_pressure),
+            acceleration=(acceleration, by_pressure1, by_pressure2),
+            stiffness=(stiffness_error, stiffness1, stiffness2),
             drag=drag,
             reference=(
                 (reference.angle - angle) / unit,
