@@ -10,9 +10,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.joint import AntagonisticJoint, Load, friction
+from mckibben.joint import AntagonisticJoint, Load
+from mckibben.joint.antagonistic import MuscleStates
 from mckibben.joint.geometry import Pair
-from mckibben.muscle import stronger
+from mckibben.muscle import scaled_law
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp, floating
@@ -44,8 +45,8 @@ class AdaptationState(NamedTuple):
         Each signal behind one, two and three lags.
     last
         Signals behind three lags one period ago, and the angle two periods ago.
-    friction_state
-        Friction state of the model's muscles along the measured angle.
+    muscles
+        Internal states of the model's muscles along the measured angle.
     age
         Time since the start, in time constants of the filter.
     """
@@ -57,7 +58,7 @@ class AdaptationState(NamedTuple):
     covariance: tuple[tuple[Scalar, ...], ...]
     filtered: tuple[tuple[Scalar, ...], ...]
     last: tuple[Scalar, ...]
-    friction_state: friction.Memories
+    muscles: MuscleStates
     age: Scalar
 
 
@@ -113,8 +114,8 @@ class LawAdaptation(eqx.Module):
     def init(self, model: AntagonisticJoint, load: Load, angle: ArrayLike, pressures: Pair) -> AdaptationState:
         """Prior, at rest at a measured angle [rad] and pressures [Pa]."""
         angle = floating(angle)
-        state = friction.unstressed(model, angle, pressures)
-        signals = self._signals(model, load, state, angle, pressures)
+        muscles = model.init_state(angle, pressures)
+        signals = self._signals(model, load, muscles, angle, pressures)
         zero, one = jnp.zeros_like(angle), jnp.ones_like(angle)
         count = len(signals) - 2
         return AdaptationState(
@@ -125,7 +126,7 @@ class LawAdaptation(eqx.Module):
             covariance=tuple(tuple(one if i == j else zero for j in range(count)) for i in range(count)),
             filtered=tuple((signal,) * _LAGS for signal in signals),
             last=(*signals, signals[0]),
-            friction_state=state,
+            muscles=muscles,
             age=zero,
         )
 
@@ -152,8 +153,8 @@ class LawAdaptation(eqx.Module):
             Control period [s].
         """
         angle = floating(angle)
-        friction_state = friction.settled(model, state.friction_state, angle, pressures)
-        signals = self._signals(model, load, friction_state, angle, pressures)
+        muscles = model.update_state(state.muscles, angle, pressures)
+        signals = self._signals(model, load, muscles, angle, pressures)
         fraction = 1 - exp(-jnp.asarray(self.bandwidth) * period)
         pairs = zip(state.filtered, signals, strict=True)
         filtered = tuple(_filter(lags, signal, fraction) for lags, signal in pairs)
@@ -189,12 +190,12 @@ class LawAdaptation(eqx.Module):
             covariance=covariance,
             filtered=filtered,
             last=(*now, middle),
-            friction_state=friction_state,
+            muscles=muscles,
             age=age,
         )
 
     def _signals(
-        self, model: AntagonisticJoint, load: Load, state: friction.Memories, angle: Scalar, pressures: Pair
+        self, model: AntagonisticJoint, load: Load, muscles: MuscleStates, angle: Scalar, pressures: Pair
     ) -> tuple[Scalar, ...]:
         """Angle [rad]; torques [N*m] of gravity, per kilogram of the second mass, of each muscle and of friction."""
         contraction1, contraction2 = model.contractions(angle, pressures)
@@ -202,9 +203,9 @@ class LawAdaptation(eqx.Module):
         torque1 = model.muscle1.tension(contraction1, pressures[0]) * arm1
         torque2 = model.muscle2.tension(contraction2, pressures[1]) * arm2
         signals = (angle, *_with_mass_derivative(load, lambda load: load.gravity_torque(angle)), torque1, torque2)
-        if not friction.has_friction(model):
+        if not model.has_friction:
             return signals
-        return (*signals, friction.friction_torque(model, state, angle, 0.0, pressures))
+        return (*signals, model.friction_torque(angle, 0.0, pressures, muscles))
 
 
 def _with_mass_derivative(load: Load, torque: Callable[[Load], Scalar]) -> tuple[Scalar, Scalar]:
@@ -215,7 +216,7 @@ def _with_mass_derivative(load: Load, torque: Callable[[Load], Scalar]) -> tuple
 def with_strengths(model: AntagonisticJoint, strengths: Pair) -> AntagonisticJoint:
     """Model whose muscles have given strengths relative to their laws."""
     muscle1, muscle2 = (
-        dataclasses.replace(muscle, law=stronger(muscle.law, strength))
+        dataclasses.replace(muscle, law=scaled_law(muscle.law, strength))
         for muscle, strength in zip((model.muscle1, model.muscle2), strengths, strict=True)
     )
     return dataclasses.replace(model, muscle1=muscle1, muscle2=muscle2)

@@ -11,7 +11,8 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.control.allocation import clip_commands, limit_commands
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.errors import RangeError
-from mckibben.joint import AntagonisticJoint, friction
+from mckibben.joint import AntagonisticJoint
+from mckibben.joint.antagonistic import MuscleStates
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_kind
 
@@ -19,10 +20,10 @@ Scalar = Float[Array, ""]
 
 
 class FrictionCompensationState(NamedTuple):
-    """State of the inner controller, friction state, friction torque [N*m], and whether a command met a limit."""
+    """States of inner controller and muscles, friction torque [N*m], and whether a command met a limit."""
 
     inner: Any
-    friction_state: friction.Memories
+    muscles: MuscleStates
     torque: Scalar
     saturated: Array
 
@@ -58,16 +59,16 @@ class FrictionCompensation(Controller):
             controller=(self.controller, Controller),
             model=(self.model, AntagonisticJoint),
         )
-        if not friction.has_friction(self.model):
+        if not self.model.has_friction:
             raise RangeError(
                 "FrictionCompensation: no muscle of its model has friction",
                 remedy="give the model's muscles a MaxwellSlip, or leave the compensation out",
             )
 
     def init(self, measurement: Measurement) -> FrictionCompensationState:
-        friction_state = friction.unstressed(self.model, measurement.angle, measurement.pressures)
+        muscles = self.model.init_state(measurement.angle, measurement.pressures)
         zero = jnp.zeros_like(measurement.angle)
-        return FrictionCompensationState(self.controller.init(measurement), friction_state, zero, jnp.asarray(False))
+        return FrictionCompensationState(self.controller.init(measurement), muscles, zero, jnp.asarray(False))
 
     def step(
         self,
@@ -78,8 +79,8 @@ class FrictionCompensation(Controller):
     ) -> tuple[FrictionCompensationState, tuple[Scalar, Scalar]]:
         inner, (command1, command2) = self.controller.step(state.inner, setpoint, measurement, period)
         pressures = measurement.pressures
-        friction_state = friction.settled(self.model, state.friction_state, setpoint.angle, pressures)
-        torque = friction.friction_torque(self.model, friction_state, setpoint.angle, 0.0, pressures)
+        muscles = self.model.update_state(state.muscles, setpoint.angle, pressures)
+        torque = self.model.friction_torque(setpoint.angle, 0.0, pressures, muscles)
         shift = -torque * self._pressure_per_torque(measurement)
 
         tension = getattr(self.controller, "minimum_tension", None)
@@ -88,7 +89,7 @@ class FrictionCompensation(Controller):
         else:
             differential, cocontraction = (command2 - command1) / 2 + shift, (command1 + command2) / 2
             shifted, saturated = limit_commands(self.model, tension, measurement.angle, differential, cocontraction)
-        return FrictionCompensationState(inner, friction_state, torque, saturated), shifted
+        return FrictionCompensationState(inner, muscles, torque, saturated), shifted
 
     def telemetry(self, state: FrictionCompensationState) -> dict[str, Scalar]:
         inner = self.controller.telemetry(state.inner)

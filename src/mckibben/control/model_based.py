@@ -14,7 +14,8 @@ from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.control.observer import MotionEstimate, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.errors import RangeError
-from mckibben.joint import AntagonisticJoint, Load, friction
+from mckibben.joint import AntagonisticJoint, Load
+from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.checks import check_kind, check_positive
 from mckibben.numerics.elementary import exp
@@ -31,8 +32,8 @@ class Estimates(NamedTuple):
         From the observers.
     reference
         Derivatives of the reference angle.
-    friction_state
-        Friction state of the model's muscles along the reference.
+    muscles
+        Internal states of the model's muscles along the reference.
     adaptation
         State of the adaptation; empty without.
     torque
@@ -50,7 +51,7 @@ class Estimates(NamedTuple):
     motion: MotionEstimate
     pressures: Pair
     reference: ReferenceDerivatives
-    friction_state: friction.Memories
+    muscles: MuscleStates
     adaptation: AdaptationState | tuple[()]
     torque: Scalar
     stiffness: Scalar
@@ -87,7 +88,7 @@ class ModelBasedControl(Controller):
             check_kind(name, adaptation=(self.adaptation, LawAdaptation))
         check_positive(name, "s", zero=True, valve_time_constant=self.valve_time_constant)
         check_positive(name, "N", zero=True, minimum_tension=self.minimum_tension)
-        if self.friction_compensation and not friction.has_friction(self.model):
+        if self.friction_compensation and not self.model.has_friction:
             raise RangeError(
                 f"{name}: no muscle of its model has friction to compensate",
                 remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
@@ -107,9 +108,7 @@ class ModelBasedControl(Controller):
             motion=self.observers[0].init(angle, self.load.acceleration(angle, zero, torque)),
             pressures=pressures,
             reference=ReferenceDerivatives.init(angle),
-            friction_state=friction.unstressed(self.model, angle, pressures)
-            if self.friction_compensation
-            else ((), ()),
+            muscles=self.model.init_state(angle, pressures) if self.friction_compensation else NO_STATES,
             adaptation=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
             torque=torque,
             stiffness=stiffness,
@@ -128,13 +127,13 @@ class ModelBasedControl(Controller):
         pressures = pressure_observer.step(last.pressures, last.commands, measurement.pressures, fraction, period)
         adaptation, model = self._adapt(last.adaptation, measurement, period)
         torque, stiffness = model.torque_and_stiffness(angle, pressures)
-        friction_state, friction_torque = self._friction(last.friction_state, setpoint.angle, pressures)
+        muscles, friction_torque = self._friction(last.muscles, setpoint.angle, pressures)
         known = self.load.acceleration(angle, last.motion.velocity, torque + friction_torque)
         estimates = last._replace(
             motion=observer.step(last.motion, angle, known, period),
             pressures=pressures,
             reference=last.reference.update(setpoint.angle, period),
-            friction_state=friction_state,
+            muscles=muscles,
             adaptation=adaptation,
             torque=torque,
             stiffness=stiffness,
@@ -170,11 +169,9 @@ class ModelBasedControl(Controller):
         state = self.adaptation.step(state, self.model, self.load, *measurement, period)
         return state, with_strengths(self.model, state.strengths)
 
-    def _friction(
-        self, state: friction.Memories, angle: ArrayLike, pressures: Pair
-    ) -> tuple[friction.Memories, Scalar]:
-        """Friction state of the model's muscles at a reference angle [rad], and its torque [N*m]."""
+    def _friction(self, muscles: MuscleStates, angle: ArrayLike, pressures: Pair) -> tuple[MuscleStates, Scalar]:
+        """Internal states of the model's muscles at a reference angle [rad], and their torque of friction [N*m]."""
         if not self.friction_compensation:
-            return state, jnp.zeros_like(pressures[0])
-        state = friction.settled(self.model, state, angle, pressures)
-        return state, friction.friction_torque(self.model, state, angle, 0.0, pressures)
+            return muscles, jnp.zeros_like(pressures[0])
+        muscles = self.model.update_state(muscles, angle, pressures)
+        return muscles, self.model.friction_torque(angle, 0.0, pressures, muscles)
