@@ -1,8 +1,6 @@
 """Control by inversion in closed loop: exact where the model is, and what is left where nothing is as it believes."""
 
-import ast
 import dataclasses
-import inspect
 import time
 
 import equinox as eqx
@@ -27,9 +25,6 @@ from mckibben.control import (
     SlidingMode,
     Step,
     VelocityObserver,
-    decoupling,
-    feedback,
-    observer,
 )
 from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellSlip
@@ -309,15 +304,3 @@ def test_arguments_that_are_swapped_are_named(knee, load):
         DecouplingControl(knee, load, ExtendedStateObserver(), PolePlacement())
     with pytest.raises(RangeError, match="minimum_tension is -1 N"):
         eso(knee, load, minimum_tension=-1.0)
-
-
-def test_no_module_of_it_knows_the_plant():
-    for module in (course, decoupling, feedback, inversion, observer, sliding):
-        tree = ast.parse(inspect.getsource(module))
-        names = {
-            f"{node.module}.{alias.name}"
-            for node in ast.walk(tree)
-            if isinstance(node, ast.ImportFrom)
-            for alias in node.names
-        }
-        assert not {n for n in names if n.startswith(("mckibben.plant", "mckibben.simulation"))}
