@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.batching import compute_once
+from mckibben.numerics.batching import computed_once
 
 Scalar = Float[Array, ""]
 
@@ -153,7 +153,7 @@ def linearise(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pair) -> To
     return TorqueStiffnessMap(*map(through, samples))
 
 
-@compute_once
+@computed_once
 def pressure_range(joint: AntagonisticJoint, angle: ArrayLike, minimum_tension: ArrayLike) -> tuple[Pair, Pair]:
     """Lowest and highest pressures [Pa] at an angle [rad].
 

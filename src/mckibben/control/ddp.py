@@ -336,19 +336,13 @@ def _pressures_x(problem: HorizonProblem, outputs_angle: Pair, outputs_u: Matrix
 
 def expand(problem: HorizonProblem, at: Stage) -> StageExpansion:
     """Expansion about a stage of the nominal trajectory."""
-    h, (mu1, mu2), d, rho = (
-        jnp.asarray(problem.stage),
-        problem.hold_weights,
-        problem.damping,
-        problem.bandwidth_ratio_sq,
-    )
+    h, d, rho, drag = map(jnp.asarray, (problem.stage, problem.damping, problem.bandwidth_ratio_sq, problem.drag))
+    (mu1, mu2), (a_angle, s_angle) = problem.hold_weights, at.outputs_angle
     angle_x, velocity_x = (1.0, h, h**2 / 2, 0), (0, 1.0, h, 0)
-    a_angle, s_angle = at.outputs_angle
-    drag = jnp.asarray(problem.drag)
     acceleration_x = a_angle, a_angle * h - drag, a_angle * h**2 / 2 - drag * h, 0
     jump_x = *acceleration_x[:2], acceleration_x[2] - 1, 0
     acceleration_u, stiffness_u = at.outputs_u
-    between, rates = h * d * (jnp.asarray(d) - 2), ((at.y[2] - at.x[2]) / h, rho * (at.y[3] - at.x[3]) / h)
+    between, rates = h * d * (d - 2), ((at.y[2] - at.x[2]) / h, rho * (at.y[3] - at.x[3]) / h)
     return StageExpansion(
         f_x=(
             add(angle_x, scale(h**2 / 2 * mu2, jump_x)),

@@ -22,7 +22,7 @@ from mckibben.control.observer import Observer, PressureObserver
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.batching import compute_once
+from mckibben.numerics.batching import computed_once
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.elementary import exp
 
@@ -142,7 +142,7 @@ class DecouplingControl(ModelBasedControl):
     def telemetry(self, state: DecouplingState) -> dict[str, Scalar]:
         return self.estimates_telemetry(state.estimates)
 
-    @compute_once
+    @computed_once
     def _allocate(
         self,
         model: AntagonisticJoint,

@@ -16,7 +16,7 @@ from mckibben.control.position_stiffness import Feedforward, PositionStiffnessCo
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.joint import Load
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.batching import compute_once
+from mckibben.numerics.batching import computed_once
 from mckibben.numerics.checks import check_kind, check_positive
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import (
@@ -249,7 +249,7 @@ class InverseModelControl(Controller):
         pressure1, pressure2 = self._limited_inverse(self.load, x, pressures)
         return (pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2
 
-    @compute_once
+    @computed_once
     def _limited_inverse(self, load: Load, x: InverseInput, pressures: Pair) -> Pair:
         """Pressures [Pa] of the model within limits."""
         tension = _TAUT if self.minimum_tension is None else self.minimum_tension
@@ -258,7 +258,7 @@ class InverseModelControl(Controller):
         torque = load.required_torque(x.angle, x.velocity, x.acceleration)
         return prioritise_torque(affine, torque, x.stiffness, lowest, highest).pressures
 
-    @compute_once
+    @computed_once
     def _unlimited_inverse(self, load: Load, x: InverseInput, pressures: Pair) -> Pair:
         """Pressures [Pa] of the model without limits."""
         torque = load.required_torque(x.angle, x.velocity, x.acceleration)

@@ -19,7 +19,7 @@ from mckibben.control.observer import ExtendedStateObserver, Observer, PressureO
 from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.batching import compute_once
+from mckibben.numerics.batching import computed_once
 from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp
@@ -316,7 +316,7 @@ class LocalModel(NamedTuple):
     highest_slope: Pair
 
 
-@compute_once
+@computed_once
 def local_model(model: AntagonisticJoint, angle: Scalar, pressures: Pair, *, minimum_tension: ArrayLike) -> LocalModel:
     """Local model about an angle [rad] and pressures [Pa], with limits that keep a tension [N]."""
 

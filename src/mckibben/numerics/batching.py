@@ -264,58 +264,42 @@ def rolled() -> bool:
     return _ROLLED.get()
 
 
-def compute_once(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator: in a program for many runs the function gets a branch of its own, so that it is computed once.
+def compute_once(function: Callable[..., R], *args: object) -> R:
+    """`function(*args)`; in a program for many runs in a branch, so that XLA does not repeat it in each use.
 
-    XLA otherwise repeats a producer in the fusion of each of its consumers. Arguments may be anything; the function is
-    pure, and its results are arrays.
+    The function is pure and its results are arrays. A constant behind a barrier is the condition, so that XLA cannot
+    remove the branch.
 
     Examples
     --------
     >>> with many_runs():
-    ...     float(compute_once(lambda x: 2 * x)(jnp.asarray(3.0)))
+    ...     float(compute_once(lambda x: 2 * x, jnp.asarray(3.0)))
     6.0
     """
+    if not _APART.get():
+        return function(*args)
+
+    def call() -> R:
+        token = _APART.set(False)  # one branch is enough
+        try:
+            return function(*args)
+        finally:
+            _APART.reset(token)
+
+    zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(call))
+    return lax.cond(lax.optimization_barrier(jnp.asarray(1.0)) > 0, call, lambda: zeros)
+
+
+def computed_once(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator for functions and methods that are always called by `compute_once`."""
 
     @functools.wraps(function)
     def once(*args: P.args, **kwargs: P.kwargs) -> R:
-        if not _APART.get():
-            return function(*args, **kwargs)
-
-        def call() -> R:
-            token = _APART.set(False)  # one branch is enough
-            try:
-                return function(*args, **kwargs)
-            finally:
-                _APART.reset(token)
-
-        zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(call))
-        unknown = lax.optimization_barrier(jnp.asarray(1.0))  # to the compiler; else there would be no branch
-        return lax.cond(unknown > 0, call, lambda: zeros)
+        return compute_once(lambda: function(*args, **kwargs))
 
     return once
 
 
 def apart(function: Callable[..., R], *args: object, witness: ArrayLike) -> R:
-    """`function(*args)`, where it is for many runs in a branch of its own, so that it is computed once.
-
-    Parameters
-    ----------
-    function
-        Pure; its answers are arrays.
-    args
-        Its arguments.
-    witness
-        A positive number, the same for all runs, that the compiler cannot know: without it there would be no branch.
-
-    Examples
-    --------
-    >>> with many_runs():
-    ...     float(apart(lambda x: 2 * x, jnp.asarray(3.0), witness=0.001))
-    6.0
-    """
-    if not _APART.get():
-        return function(*args)
-    shapes = jax.eval_shape(function, *args)
-    nothing = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
-    return lax.cond(jnp.asarray(witness) > 0, lambda *given: function(*given), lambda *_: nothing, *args)
+    """Former name of `compute_once`."""
+    return compute_once(function, *args)
