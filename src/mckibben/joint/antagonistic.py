@@ -15,6 +15,7 @@ from mckibben.joint.geometry import Geometry, Pair, Pressures
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw
 from mckibben.muscle.muscle import warn_outside
+from mckibben.numerics.batching import computed_once
 from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.checks import check_kind, check_within
 from mckibben.numerics.elementary import floating
@@ -169,6 +170,7 @@ class AntagonisticJoint(eqx.Module):
             self.tendon.contraction(self.muscle2, path2, pressure2, states[1]),
         )
 
+    @computed_once
     def tensions(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return the tension [N] of each muscle, F1 and F2."""
         _warn_outside(self, angle, pressures)
@@ -201,6 +203,7 @@ class AntagonisticJoint(eqx.Module):
         _warn_outside(self, angle, pressures)
         return self.evaluate(angle, pressures)
 
+    @computed_once
     def evaluate(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return `torque_and_stiffness` without a check of the domain."""
         pressure1, pressure2 = pressure_pair(pressures)

@@ -83,7 +83,7 @@ class Load(eqx.Module):
     def acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Float[Array, "..."]:
         """Angular acceleration [rad/s^2] under a torque [N*m] at an angle [rad] and a velocity [rad/s] (Eq. 6)."""
         resisting = self.gravity_torque(angle) - self.damping * velocity
-        return (torque + resisting) * (1 / self.total_inertia)
+        return (torque + resisting) * (1 / self.total_inertia)  # type: ignore
 
     def required_torque(self, angle: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Float[Array, "..."]:
         """Torque [N*m] for an acceleration [rad/s^2]: the inverse of `acceleration`."""

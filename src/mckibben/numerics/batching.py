@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
@@ -24,6 +24,7 @@ from mckibben.errors import ParameterError
 
 Tree = TypeVar("Tree")
 R = TypeVar("R")
+P = ParamSpec("P")
 
 RANK = "rank"
 """Metadata of a field that holds arrays by nature, such as samples over time: their number of axes."""
@@ -263,26 +264,42 @@ def rolled() -> bool:
     return _ROLLED.get()
 
 
-def apart(function: Callable[..., R], *args: object, witness: ArrayLike) -> R:
-    """`function(*args)`, where it is for many runs in a branch of its own, so that it is computed once.
+def compute_once(function: Callable[..., R], *args: object) -> R:
+    """`function(*args)`; in a program for many runs in a branch, so that XLA does not repeat it in each use.
 
-    Parameters
-    ----------
-    function
-        Pure; its answers are arrays.
-    args
-        Its arguments.
-    witness
-        A positive number, the same for all runs, that the compiler cannot know: without it there would be no branch.
+    The function is pure and its results are arrays. A constant behind a barrier is the condition, so that XLA cannot
+    remove the branch.
 
     Examples
     --------
     >>> with many_runs():
-    ...     float(apart(lambda x: 2 * x, jnp.asarray(3.0), witness=0.001))
+    ...     float(compute_once(lambda x: 2 * x, jnp.asarray(3.0)))
     6.0
     """
     if not _APART.get():
         return function(*args)
-    shapes = jax.eval_shape(function, *args)
-    nothing = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
-    return lax.cond(jnp.asarray(witness) > 0, lambda *given: function(*given), lambda *_: nothing, *args)
+
+    def call() -> R:
+        token = _APART.set(False)  # one branch is enough
+        try:
+            return function(*args)
+        finally:
+            _APART.reset(token)
+
+    zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(call))
+    return lax.cond(lax.optimization_barrier(jnp.asarray(1.0)) > 0, call, lambda: zeros)
+
+
+def computed_once(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator for functions and methods that are always called by `compute_once`."""
+
+    @functools.wraps(function)
+    def once(*args: P.args, **kwargs: P.kwargs) -> R:
+        return compute_once(lambda: function(*args, **kwargs))
+
+    return once
+
+
+def apart(function: Callable[..., R], *args: object, witness: ArrayLike) -> R:
+    """Former name of `compute_once`."""
+    return compute_once(function, *args)
