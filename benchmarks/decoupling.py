@@ -76,7 +76,7 @@ def learning():
         error = batch.table["angle"].to_numpy() - np.asarray(wish.angle(batch.table["time"].to_numpy()))
         by_cycle = np.sqrt(np.mean(error.reshape(len(error), -1, 200) ** 2, axis=2))
         cells = [f"{np.median(by_cycle[:, cycle - 1]) / deg:.2f}" for cycle in CYCLES]
-        assert not batch.lost.any(), f"{name} lost {batch.lost.sum()} runs"
+        assert not batch.failed.any(), f"{name} lost {batch.failed.sum()} runs"
         print(f"| {name} | " + " | ".join(cells) + " deg |", flush=True)
 
 

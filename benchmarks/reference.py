@@ -18,7 +18,7 @@ from mckibben import catalog
 from mckibben.control import PID, BackpropPID, Controller, PositionStiffnessControl, Reference, Setpoint, Sine, Step
 from mckibben.joint import AntagonisticJoint, KneeGeometry
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState
-from mckibben.simulation.loop import sampled
+from mckibben.simulation import sampled
 from mckibben.units import bar, deg, mm, ms
 
 PERIODS, PERIOD, SUBSTEPS = 10_000, 1 * ms, 4

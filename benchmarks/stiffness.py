@@ -125,7 +125,7 @@ def errors(seed, runs, name, excited, torque_error):
         every=10 * ms,
         substeps=2,
     )
-    assert not batch.lost.any()
+    assert not batch.failed.any()
     late = batch.table["time"].to_numpy() >= DURATION - SEEN
     error = (batch.table["stiffness"] - batch.table["desired_stiffness"]).to_numpy()[:, late]
     return np.sqrt(np.mean(error**2, axis=1))

@@ -90,7 +90,7 @@ def test_what_changes_from_start_to_start_is_not_in_the_name(on):
 def test_where_the_processor_cannot_be_told_nothing_is_kept(on, monkeypatch, tmp_path, said):
     assert on(said) is None
     monkeypatch.delenv("MCKIBBEN_PROGRAMS_DIR")
-    runtime.keep_programs()
+    runtime.use_program_cache()
     assert "MCKIBBEN_PROGRAMS_DIR" not in os.environ
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "asked for"))
     assert runtime.programs_folder() is None
@@ -101,7 +101,7 @@ def test_the_folder_is_one_for_each_kind_of_processor(on, monkeypatch, tmp_path)
     for more in ("", "avx2"):
         name = on(X86.format(mhz="1", more=more))
         monkeypatch.delenv("MCKIBBEN_PROGRAMS_DIR")
-        runtime.keep_programs()
+        runtime.use_program_cache()
         assert runtime.programs_folder() == tmp_path / "mckibben" / f"programs-{name}"
         folders.add(runtime.programs_folder())
     assert len(folders) == 2

@@ -66,16 +66,16 @@ def test_the_numbers_of_a_run_are_those_of_its_trajectory(results, reproduction)
     """Worked out here, in degrees, from the table."""
     for setting in SETTINGS:
         for wish in Wish:
-            table = reproduction.tracking.runs[setting.key, wish, PID].result.table
+            table = reproduction.tracking.runs[setting.key, wish, PID].result
             shown = results["tracking"][setting.key][wish.value][PID]
-            error = np.degrees((table["angle"] - table["desired_angle"]).to_numpy())
+            error = np.degrees(table["angle"] - table["desired_angle"])
             assert shown["angle_rmse_deg"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
             assert shown["angle_max_deg"] == pytest.approx(np.abs(error).max(), rel=1e-9)
-            stiffness = table["stiffness"].to_numpy()
-            off = stiffness - table["desired_stiffness"].to_numpy()
+            stiffness = table["stiffness"]
+            off = stiffness - table["desired_stiffness"]
             assert shown["stiffness_rmse"] == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-9)
             start = 5000 if wish is Wish.STEP else 0
-            band = 0.1 * abs(table["desired_stiffness"].to_numpy()[-1] - stiffness[start])
+            band = 0.1 * abs(table["desired_stiffness"][-1] - stiffness[start])
             outside = np.flatnonzero(np.abs(off[start:]) > band)
             assert shown["stiffness_settling_s"] == pytest.approx((outside[-1] + 1) * 1e-3)
 
@@ -89,7 +89,7 @@ def test_saved_files_read_back(folder, results, reproduction):
     rig = reproduction.identification.rig
     for name, data in (("test", rig.test), ("retest", rig.retest)):
         back = IsobaricDataset.from_netcdf(folder / "data" / f"virtual-rig-{name}.nc")
-        assert back.table.identical(data.table)
+        assert back.to_xarray().identical(data.to_xarray())
     assert {p.stem for p in (folder / "scenarios").iterdir()} == NAMES
     assert {p.stem for p in (folder / "trajectories").iterdir()} == NAMES
     assert not list(folder.rglob(".*.part"))
@@ -108,8 +108,8 @@ def test_a_scenario_run_alone_gives_its_trajectory_to_the_last_bit(folder, name)
     kept = Result.from_netcdf(folder / "trajectories" / f"{name}.nc")
     scenario = Scenario.read(folder / "scenarios" / f"{name}.yaml")
     again = run_scenario(scenario).result
-    assert again.table.identical(kept.table.assign_attrs(scenario=again.table.attrs["scenario"]))
-    assert Scenario.parse(kept.table.attrs["scenario"]) == scenario  # the trajectory carries what made it
+    assert again.to_xarray().identical(kept.to_xarray().assign_attrs(scenario=again.scenario))
+    assert Scenario.parse(kept.scenario) == scenario  # the trajectory carries what made it
 
 
 def test_reproduce_puts_the_parts_together(monkeypatch, identification, joint_maps, tracking):

@@ -82,7 +82,7 @@ def test_the_cost_of_the_tuning_is_that_of_the_runs_at_least(tracking, setting):
     total = dict.fromkeys((PID, TUNED_PID), 0.0)
     for name in total:
         for wish in Wish:
-            found = tracking.runs[setting.key, wish, name].result.metrics()
+            found = tracking.runs[setting.key, wish, name].result.metrics
             total[name] += found["angle_rmse"] / angle + found["stiffness_rmse"] / stiffness
     assert tuned.cost_before == pytest.approx(total[PID] / len(Wish), rel=1e-6)
     assert tuned.cost >= total[TUNED_PID] / len(Wish) * (1 - 1e-6)
@@ -91,7 +91,7 @@ def test_the_cost_of_the_tuning_is_that_of_the_runs_at_least(tracking, setting):
 @pytest.mark.parametrize(("key", "wish"), RUNS)
 def test_the_run_in_the_figures_is_that_of_the_first_seed(tracking, key, wish):
     run = tracking.runs[key, wish, BP]
-    own = run.result.metrics()
+    own = run.result.metrics
     for name in ("angle_rmse", "angle_max", "stiffness_rmse", "stiffness_settling"):
         assert float(getattr(run.seeds, name)[0]) == pytest.approx(own[name], rel=1e-6), name
     assert run.seeds.angle_rmse.shape == (2,)
@@ -109,7 +109,7 @@ def test_progress_rises_to_the_end(tracking, reported):
 def test_the_wishes_are_within_reach(setting, wish):
     scenario = pid_scenario(setting, wish)
     reach = check_reference(scenario.plant(), scenario.reference(), control_period=1e-2)
-    assert reach.reachable, reach.describe()
+    assert reach.feasible, reach.describe()
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
@@ -142,9 +142,9 @@ def test_gains_as_text_read_back_to_the_last_bit():
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
 def test_coupling_is_what_the_runs_show(tracking, setting):
     found = tracking.coupling[setting.key]
-    table = tracking.runs[setting.key, Wish.CONSTANT, PID].result.table
-    late = table["time"].to_numpy() >= 5.0 - 1e-9
-    error = (table["stiffness"] - table["desired_stiffness"]).to_numpy()[late]
+    table = tracking.runs[setting.key, Wish.CONSTANT, PID].result
+    late = table.times >= 5.0 - 1e-9
+    error = (table["stiffness"] - table["desired_stiffness"])[late]
     assert found.stiffness_by_motion == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
     assert found.stiffness_at_rest < 1e-3 * found.stiffness_by_motion
 
@@ -153,8 +153,8 @@ def test_coupling_is_what_the_runs_show(tracking, setting):
     assert level.start == scenario.start
     from mckibben.study.scenario.running import run_scenario
 
-    with_step = tracking.runs[setting.key, Wish.STEP, PID].result.table["angle"].to_numpy()
-    without = run_scenario(level).result.table
+    with_step = tracking.runs[setting.key, Wish.STEP, PID].result["angle"]
+    without = run_scenario(level).result
     assert np.ptp(without["desired_stiffness"].to_numpy()) == 0
     assert found.angle_by_step == pytest.approx(np.abs(with_step - without["angle"].to_numpy())[late].max(), rel=1e-6)
 

@@ -14,7 +14,7 @@ from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint,
 from mckibben.errors import RangeError
 from mckibben.joint import SeriesSpring, creep, friction
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, NoCreep
-from mckibben.numerics.batching import many_runs
+from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState
 from mckibben.plant.joint_plant import Motion
@@ -145,7 +145,7 @@ def test_many_runs_are_the_same_as_one(both, playback):
         return episode(plant, playback, held, start, PERIOD, 1)[0]
 
     stiffness = jnp.array([500.0, 1000.0, 4000.0])
-    with many_runs():
+    with batched_program():
         many = jax.jit(jax.vmap(final))(stiffness)
     one = jax.jit(final)
     for k in range(3):

@@ -38,15 +38,15 @@ def test_the_infeasible_wish_of_the_geometry_as_printed(printed):
     assert isinstance(angle.reference.angle, Sine) and angle.reference.angle.frequency == 0.5
     assert angle.reference.angle.amplitude / deg == pytest.approx(0.95 * 10.37, abs=0.03), "less a margin of 5 %"
     reach = check_reference(printed, angle.reference, **OPTIONS)
-    assert reach.reachable, "standing, too: by another check"
+    assert reach.feasible, "standing, too: by another check"
     room = np.minimum(reach.desired_stiffness - reach.lowest, reach.highest - reach.desired_stiffness)
     assert room.min() > 0.02
     assert angle.stiffness_change == pytest.approx(np.abs(reach.desired_stiffness - 72.5).max(), abs=0.1)
     stiffness = found[Kept.STIFFNESS]
     assert stiffness.reference.stiffness == Constant(72.5) and stiffness.stiffness_change == 0
-    assert check_reference(printed, stiffness.reference, **OPTIONS).reachable
+    assert check_reference(printed, stiffness.reference, **OPTIONS).feasible
     larger = dataclasses.replace(stiffness.reference.angle, amplitude=20 * deg * (stiffness.amplitude + 0.02))
-    assert not check_reference(printed, Reference(larger, 72.5), **OPTIONS).reachable
+    assert not check_reference(printed, Reference(larger, 72.5), **OPTIONS).feasible
     assert "0.1" in stiffness.describe() and "the stiffness as wished" in stiffness.describe()
     assert "by up to 31" in angle.describe()
 
@@ -79,7 +79,7 @@ def test_a_stiffness_out_of_reach_is_clipped_and_the_angle_kept(plant):
     reach = check_reference(plant, offer.reference, **OPTIONS)
     top = reach.highest - stiffness
     late = times > 1.2
-    assert reach.reachable and top[late].max() < 0.06 * (reach.highest - reach.lowest)[late].max()
+    assert reach.feasible and top[late].max() < 0.06 * (reach.highest - reach.lowest)[late].max()
 
 
 def test_margins_are_kept(plant):

@@ -11,7 +11,7 @@ from jax import lax
 from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint, Sine, Step
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import PlantState
-from mckibben.simulation.loop import compiled_episode, episode, sampled
+from mckibben.simulation import compiled_episode, episode, sampled
 
 PERIOD = 1e-3
 REFERENCE = Reference(angle=Sine(amplitude=0.17, frequency=0.5), stiffness=Step(before=13.0, after=17.0, at=5.0))

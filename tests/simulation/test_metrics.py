@@ -154,7 +154,7 @@ def coupled(difference: dict[float, float], at: float | None = 3.0) -> float:
         angle[round(when / PERIOD)] += size
     desired = np.full(6000, 15.0) if at is None else np.where(times < at - PERIOD / 2, 13.0, 17.0)
     undisturbed = np.full(6000, np.nan) if at is None else undisturbed
-    run = moved(6000, angle=angle, undisturbed_angle=undisturbed, desired_stiffness=desired)
+    run = moved(6000, angle=angle, angle_without_step=undisturbed, desired_stiffness=desired)
     return float(measure(run, PERIOD).coupling)
 
 

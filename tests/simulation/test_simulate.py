@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.control import PID, Constant, PositionStiffnessControl, Reference, Sine
+from mckibben.control import PID, Constant, Controller, PositionStiffnessControl, Reference, Sine
 from mckibben.errors import RangeError, ReachabilityWarning, SimulationError, UnreachableError
 from mckibben.muscle import Muscle
 from mckibben.plant import PlantState
@@ -62,7 +62,7 @@ def test_times_are_positive_and_finite(plant, control, name, bad):
 
 @pytest.mark.parametrize("substeps", [0, -3])
 def test_substeps_are_at_least_one(plant, control, substeps):
-    with pytest.raises(SimulationError, match=f"{substeps} integration steps") as caught:
+    with pytest.raises(SimulationError, match=f"substeps is {substeps}") as caught:
         simulate(plant, control, WISH, substeps=substeps)
     assert caught.value.value == substeps
 
@@ -79,21 +79,21 @@ def test_a_start_that_cannot_be_held_is_an_error(plant, control):
 def test_the_same_inputs_give_the_same_run_and_stay_as_they_were(plant, control):
     before = jax.tree.map(np.array, eqx.filter((plant, control, WISH), eqx.is_inexact_array_like))
     one, two = (simulate(plant, control, WISH, duration=0.2, scenario="this") for _ in range(2))
-    assert one.table.identical(two.table)
+    assert one.to_xarray().identical(two.to_xarray())
     after = jax.tree.map(np.array, eqx.filter((plant, control, WISH), eqx.is_inexact_array_like))
     jax.tree.map(np.testing.assert_array_equal, before, after)
-    assert one.table.attrs["scenario"] == "this"
-    assert one.table["time"].to_numpy() == pytest.approx(np.arange(200) * 1e-3)
+    assert one.to_xarray().attrs["scenario"] == "this"
+    assert one.times == pytest.approx(np.arange(200) * 1e-3)
 
 
 def test_it_starts_at_rest_on_the_wish_unless_told(plant, control):
     shifted = Reference(angle=Constant(5 * deg), stiffness=Constant(15.0))
-    table = simulate(plant, control, shifted, duration=0.2).table
+    table = simulate(plant, control, shifted, duration=0.2)
     assert float(table["angle"][0]) == pytest.approx(5 * deg)
     assert float(table["velocity"][0]) == 0.0
     low, high = float(table["lowest_stiffness"][0]), float(table["highest_stiffness"][0])
     assert float(table["stiffness"][0]) == pytest.approx((low + high) / 2, rel=1e-6)  # affine: amid the co-contractions
-    given = simulate(plant, control, shifted, duration=0.2, initial=PlantState(0.02, 0.3, 2e5, 2.5e5)).table
+    given = simulate(plant, control, shifted, duration=0.2, initial=PlantState(0.02, 0.3, 2e5, 2.5e5))
     for name, value in (("angle", 0.02), ("velocity", 0.3), ("pressure1", 2e5), ("pressure2", 2.5e5)):
         assert float(given[name][0]) == value
 
@@ -101,7 +101,7 @@ def test_it_starts_at_rest_on_the_wish_unless_told(plant, control):
 def test_a_start_in_whole_numbers_is_a_start(plant, control):
     whole = simulate(plant, control, WISH, duration=0.2, initial=PlantState(0, 0, 200_000, 200_000))
     real = simulate(plant, control, WISH, duration=0.2, initial=PlantState(0.0, 0.0, 2e5, 2e5))
-    assert whole.table.identical(real.table)
+    assert whole.to_xarray().identical(real.to_xarray())
 
 
 def test_out_of_reach_is_a_warning_in_words(as_printed, load, plant, control):
@@ -120,13 +120,11 @@ def test_a_true_model_estimates_truly_and_a_wrong_one_wrongly(plant, knee, other
         simulate(plant, control_of(model), WISH, duration=0.2, initial=PlantState(0.0, 0.0, 2.5e5, 2.5e5))
         for model in (knee, other_knee)
     )
-    assert true.metrics()["estimate_rmse"] < 1e-9
-    assert wrong.metrics()["estimate_rmse"] > 0.1
+    assert true.metrics["estimate_rmse"] < 1e-9
+    assert wrong.metrics["estimate_rmse"] > 0.1
     np.testing.assert_allclose(  # what it is wrong by is what the two models differ by
-        wrong.table["stiffness_estimate"],
-        other_knee.stiffness(
-            wrong.table["angle"].to_numpy(), (wrong.table["pressure1"].to_numpy(), wrong.table["pressure2"].to_numpy())
-        ),
+        wrong["stiffness_estimate"],
+        other_knee.stiffness(wrong["angle"], (wrong["pressure1"], wrong["pressure2"])),
         rtol=1e-9,
     )
 
@@ -134,8 +132,8 @@ def test_a_true_model_estimates_truly_and_a_wrong_one_wrongly(plant, knee, other
 def test_the_controller_does_not_see_the_plants_law(plant, control, other_knee):
     start = PlantState(0.01, 0.0, 2.5e5, 2.7e5)
     other = eqx.tree_at(lambda p: p.joint, plant, other_knee)
-    one = simulate(plant, control, WISH, duration=0.2, initial=start).table
-    two = simulate(other, control, WISH, duration=0.2, initial=start).table
+    one = simulate(plant, control, WISH, duration=0.2, initial=start)
+    two = simulate(other, control, WISH, duration=0.2, initial=start)
     for name in ("command1", "command2", "stiffness_estimate"):
         assert float(one[name][0]) == float(two[name][0]), name
     assert float(one["stiffness"][0]) != pytest.approx(float(two["stiffness"][0]), rel=1e-3)
@@ -151,3 +149,55 @@ def test_the_numbers_in_the_error_tell_the_two_apart(plant, control):
 def test_substeps_are_whole(plant, control):
     with pytest.raises(SimulationError):
         simulate(plant, control, WISH, duration=0.2, substeps=2.5)
+
+
+@pytest.mark.parametrize(
+    ("swap", "name", "hint"),
+    [
+        ({"plant": "controller", "controller": "plant"}, "plant", "the controller"),
+        ({"controller": "reference", "reference": "controller"}, "controller", "the reference"),
+    ],
+)
+def test_swapped_arguments_are_named(plant, control, swap, name, hint):
+    given = {"plant": plant, "controller": control, "reference": WISH}
+    given |= {one: given[other] for one, other in swap.items()}
+    with pytest.raises(SimulationError, match=f"^{name} is a .*{hint}: are arguments swapped"):
+        simulate(**given, duration=0.2)
+
+
+def test_an_initial_number_is_no_state(plant, control):
+    with pytest.raises(SimulationError, match=r"initial is 0\.05; give a PlantState or AtRest") as caught:
+        simulate(plant, control, WISH, duration=0.2, initial=0.05)
+    assert caught.value.value == 0.05
+
+
+def test_a_signal_of_numpy_is_referred_to_jax(plant, control):
+    for signal in (lambda t: 0.1 * np.sin(t), lambda t: 0.1 if t[0] > 1 else 0.0 * t):
+        with pytest.raises(SimulationError, match=r"jax\.numpy"):
+            simulate(plant, control, Reference(signal, 15.0), duration=0.2)
+
+
+def test_a_controller_needs_no_telemetry(plant, control):
+    class Silent(Controller):
+        loops: Controller
+
+        def init(self, measurement):
+            return self.loops.init(measurement)
+
+        def step(self, state, setpoint, measurement, period):
+            return self.loops.step(state, setpoint, measurement, period)
+
+        def telemetry(self, state):
+            return {}
+
+    silent, own = (simulate(plant, one, WISH, duration=0.2) for one in (Silent(control), control))
+    np.testing.assert_array_equal(silent["angle"], own["angle"])
+    assert np.isnan(silent["stiffness_estimate"]).all() and np.isnan(silent.metrics["estimate_rmse"])
+
+
+def test_in_32_bits_it_is_the_same_to_some_digits(plant, control):
+    single, double = (simulate(plant, control, WISH, duration=0.2, precision=bits) for bits in (32, 64))
+    assert single["torque"].dtype == np.float32
+    np.testing.assert_allclose(single["angle"], double["angle"], atol=1e-4)
+    with pytest.raises(SimulationError, match="give 32 or 64"):
+        simulate(plant, control, WISH, precision=16)

@@ -95,13 +95,13 @@ def simulate(
     from mckibben.study.scenario.running import run_scenario
 
     result, reach = run_scenario(read, source=str(scenario))
-    out_of_reach = "" if reach.reachable else reach.describe()
+    out_of_reach = "" if reach.feasible else reach.describe()
     numbers = {
         "scenario": read.name,
         "outcome": result.outcome.name.lower(),
         "described": result.describe(),
         "out_of_reach": out_of_reach,
-        "metrics": shown(result.metrics()),
+        "metrics": shown(result.metrics),
     }
     if json:
         typer.echo(to_json(numbers))
@@ -118,7 +118,7 @@ def simulate(
         _keep_run(out, read, result)
         write_json(out / "results.json", numbers)
         said(f"kept result.nc, results.json, scenario.yaml and tracking.png and .svg in {out}", json)
-    if result.outcome.lost:
+    if result.outcome.failed:
         raise typer.Exit(1)
 
 
@@ -188,9 +188,9 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
 def main() -> None:
     """Run the command line; errors of ours become one message and exit code 2, others exit code 1."""
-    from mckibben.numerics.runtime import keep_programs
+    from mckibben.numerics.runtime import use_program_cache
 
-    keep_programs()
+    use_program_cache()
     warnings.showwarning = _show_warning
     try:
         app()

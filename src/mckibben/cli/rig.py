@@ -66,7 +66,7 @@ def control(
         raise ParameterError("--unpaced is for the virtual joint", remedy="leave it out")
     check_free(folder(out), (*_KEPT, "record-0001.chunks"))
     session = prepared(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
-    if not session.reach.reachable:
+    if not session.reach.feasible:
         typer.echo(f"warning: {session.reach.describe()}", err=True)
     read.to_yaml(out / "scenario.yaml")
     with _line(quiet=json) as show:
@@ -76,7 +76,7 @@ def control(
     if error is not None:
         typer.echo(f"stopped and vented: {ran.ending.text}", err=True)
         raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1)
-    if ran.result is not None and ran.result.outcome.lost:
+    if ran.result is not None and ran.result.outcome.failed:
         raise typer.Exit(1)
 
 
@@ -84,7 +84,7 @@ def _lasting(scenario: Scenario, duration: float | None) -> Scenario:
     """The same for another time [s]."""
     if duration is None:
         return scenario
-    from mckibben.simulation.loop import sampling_times
+    from mckibben.simulation.problem import sampling_times
 
     sampling_times(duration, scenario.control_period)  # raises where they make no sense together
     return scenario.model_copy(update={"duration": duration})
@@ -95,14 +95,14 @@ def _report(ran: Ran, session: Session, out: Path, *, paced: bool, json: bool) -
     from mckibben.study.reporting import METRICS, shown, to_json, write_json
 
     result, timing, name = ran.result, ran.timing, session.scenario.name
-    metrics = shown(result.metrics()) if result is not None else {}
+    metrics = shown(result.metrics) if result is not None else {}
     numbers = {
         "scenario": name,
         "ended": ran.ending.kind,
         "described": ran.ending.text,
         "vented_after_s": ran.ending.vented_after,
         "outcome": result.outcome.name.lower() if result is not None else None,
-        "out_of_reach": "" if ran.reach.reachable else ran.reach.describe(),
+        "out_of_reach": "" if ran.reach.feasible else ran.reach.describe(),
         "metrics": metrics,
         "priority": ran.priority,
         "timing": timing.to_json() if paced else None,

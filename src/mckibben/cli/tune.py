@@ -149,7 +149,7 @@ def _measured(scenario: Scenario) -> dict[str, float]:
     from mckibben.study.scenario.running import run_scenario
 
     try:
-        return shown(run_scenario(scenario).result.metrics())
+        return shown(run_scenario(scenario).result.metrics)
     except McKibbenError:
         return dict.fromkeys(METRICS, float("nan"))
 

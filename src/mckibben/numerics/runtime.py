@@ -54,7 +54,7 @@ def with_loop_option(flags: str) -> str:
     return f"{flags} {_EXTRA_OPTIONS}{option}".strip()
 
 
-def keep_programs() -> None:
+def use_program_cache() -> None:
     """Keep finished programs in the user's cache folder, so that the next process need not make them again."""
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -66,7 +66,7 @@ def keep_programs() -> None:
 
 
 def programs_folder() -> Path | None:
-    """Where finished programs are kept between processes; None unless `keep_programs` was called.
+    """Where finished programs are kept between processes; None unless `use_program_cache` was called.
 
     None as well where JAX keeps a cache of its own: a program that it took from there cannot be kept again. And none
     where it is not known what the processor can do, which so far is known on Linux alone.

@@ -14,10 +14,8 @@ import numpy as np
 from mckibben.control import Setpoint
 from mckibben.paper.settings import BOUND, FREE, SETTINGS, Setting, Wish, bp_scenario, gains_of, pid_scenario
 from mckibben.simulation import (
-    SETTLING_PART,
     Metrics,
     Result,
-    compiled_measure,
     rms,
     run_episode,
     sampled,
@@ -60,7 +58,7 @@ class Run:
     @property
     def lost(self) -> int:
         """How many runs were lost: not finite, or worse than not moving at all (an RMSE above the RMS of the wish)."""
-        wish = float(rms(self.result.trajectory.desired_angle))
+        wish = float(rms(self.result["desired_angle"]))
         return int(np.sum(~(self._values("angle_rmse") < wish)))
 
     def _ranked(self, metric: str) -> np.ndarray:
@@ -70,7 +68,7 @@ class Run:
 
     def _values(self, metric: str) -> np.ndarray:
         if self.seeds is None:
-            return np.array([self.result.metrics()[metric]])
+            return np.array([self.result.metrics[metric]])
         return np.asarray(getattr(self.seeds, metric))
 
 
@@ -197,8 +195,8 @@ def _run_bp(scenario: Scenario, seeds: int) -> Run:
 
     def measured(seed: int) -> Metrics:
         seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, (seed, seed))
-        moved, _ = run_episode(plant, seeded, wishes, initial, scenario.control_period, scenario.substeps)
-        return compiled_measure(moved, scenario.control_period, settling_part=SETTLING_PART)
+        run = run_episode(plant, seeded, wishes, initial, scenario.control_period, scenario.substeps)
+        return Metrics(**run.metrics)  # type: ignore[arg-type]
 
     # One by one: the programs are those of the single run, and a batch would first have to be compiled.
     over_seeds = [measured(seed) for seed in range(seeds)]
@@ -214,12 +212,12 @@ def _coupling(setting: Setting, stepping: Run) -> Coupling:
     control, start = scenario.control(), scenario.initial(plant)
 
     def late_error(wishes: Setpoint) -> float:
-        moved, _ = run_episode(plant, control, wishes, start, scenario.control_period, scenario.substeps)
-        late = moved.angle.size // 2
-        return float(rms((moved.stiffness - moved.desired_stiffness)[late:]))
+        run = run_episode(plant, control, wishes, start, scenario.control_period, scenario.substeps)
+        late = run["angle"].size // 2
+        return float(rms((run["stiffness"] - run["desired_stiffness"])[late:]))
 
     return Coupling(
-        angle_by_step=stepping.result.metrics()["coupling"],
+        angle_by_step=stepping.result.metrics["coupling"],
         stiffness_by_motion=late_error(moving),
         stiffness_at_rest=late_error(held),
     )

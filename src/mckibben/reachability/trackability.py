@@ -13,7 +13,7 @@ from mckibben.joint.attainable import is_affine
 from mckibben.plant import JointPlant
 from mckibben.reachability.bands import Bands, Range, bands_along
 from mckibben.reachability.motion import Motion, Values, kinks, motion_of, near, rounded
-from mckibben.simulation.loop import sampling_times
+from mckibben.simulation.problem import sampling_times
 from mckibben.units import deg
 
 MOST_ROUNDING = 0.25

@@ -28,7 +28,7 @@ from mckibben.rig.backend import Backend
 from mckibben.rig.calibration import calibrations_in, content_of
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
-from mckibben.simulation import Reach, Result, check_reference, sampled
+from mckibben.simulation import Feasibility, Result, check_reference, sampled
 from mckibben.storage.files import alone
 from mckibben.storage.files import folder as made
 from mckibben.study.scenario import Scenario
@@ -169,7 +169,7 @@ class Ran(NamedTuple):
 
     ending: Ending
     result: Result | None
-    reach: Reach
+    reach: Feasibility
     timing: Timing
     priority: str
 
@@ -194,7 +194,7 @@ class Session:
 
     scenario: Scenario
     plant: JointPlant
-    reach: Reach
+    reach: Feasibility
     backend: Backend
     wiring: Wiring
     limits: JointLimits

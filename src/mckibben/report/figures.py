@@ -156,7 +156,7 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
     columns = {
         f"{wish.value} stiffness": {name: runs[setting.key, wish, name].result for name in (PID, BP)} for wish in Wish
     }
-    rmse = {name: runs[setting.key, Wish.CONSTANT, name].result.metrics()["angle_rmse"] / deg for name in (PID, BP)}
+    rmse = {name: runs[setting.key, Wish.CONSTANT, name].result.metrics["angle_rmse"] / deg for name in (PID, BP)}
     yield ReportFigure(
         f"fig8-errors-{key}",
         "tracking",

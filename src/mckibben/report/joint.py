@@ -162,8 +162,8 @@ def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.f
 
 def _path(result: Result, wish: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
     """The desired stiffness over the range of desired angles: a horizontal piece for each level that is asked for."""
-    angle = result.table["desired_angle"].to_numpy() / deg
-    stiffness = result.table["desired_stiffness"].to_numpy()
+    angle = result["desired_angle"] / deg
+    stiffness = result["desired_stiffness"]
     levels = np.unique(stiffness)
     if len(levels) > 4:
         return [(f"desired stiffness, {wish}", angle, stiffness)]

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from mckibben.control import Setpoint
 from mckibben.joint import AntagonisticJoint, SeriesSpring
-from mckibben.numerics.batching import many_runs
+from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import SETTLING_PART, Metrics, Trajectory, episode, measure, trajectory, without_last_change
-from mckibben.simulation.metrics import Tally, last_change, metrics_of, tally
-from mckibben.simulation.streaming import measured_episode
+from mckibben.simulation.loop import streaming_episode
+from mckibben.simulation.metrics import MetricAccumulator, last_change
 
 PERIOD = 1e-3
 FLAGS = ("saturated", "slack", "outside_domain", "overloaded")
@@ -33,13 +33,13 @@ def folded(moved: Trajectory) -> Metrics:
         total, at_change, air = carried
         index, moment = at
         at_change = jnp.where(index == change.at, moment.stiffness, at_change)
-        added = tally(moment, index, change, at_change, air, SETTLING_PART)
-        return (total.with_next(added), at_change, (moment.air1, moment.air2)), None
+        added = MetricAccumulator.of(moment, index, change, at_change, air, SETTLING_PART)
+        return (total.merge(added), at_change, (moment.air1, moment.air2)), None
 
     nothing = jnp.zeros_like(moved.angle[0])
-    begun = (Tally.nothing(nothing), nothing, (moved.air1[0], moved.air2[0]))
+    begun = (MetricAccumulator.empty(nothing), nothing, (moved.air1[0], moved.air2[0]))
     (total, _, _), _ = jax.lax.scan(following, begun, (jnp.arange(periods), moved))
-    return metrics_of(total, change, periods, PERIOD)
+    return total.metrics(change, periods, PERIOD)
 
 
 both_ways = jax.jit(lambda moved: (folded(moved), measure(moved, PERIOD)))
@@ -77,7 +77,7 @@ def trajectories(draw):
         found = np.array(draw(st.lists(values, min_size=size, max_size=size)))
         return np.abs(found) if name in NEVER_NEGATIVE else found
 
-    used = ("angle", "desired_angle", "undisturbed_angle", "desired_stiffness", "stiffness", "stiffness_estimate")
+    used = ("angle", "desired_angle", "angle_without_step", "desired_stiffness", "stiffness", "stiffness_estimate")
     return moved(size, **{name: column(name) for name in (*used, *FLAGS, *NEVER_NEGATIVE)})
 
 
@@ -90,7 +90,7 @@ def test_moment_by_moment_is_as_good_as_the_whole(run):
 def test_a_step_anywhere_is_found(at):
     desired = np.where(np.arange(12) < at, 13.0, 17.0)
     stiffness = 13.0 + 4 * (np.arange(12) >= min(at + 3, 11))
-    run = moved(12, desired_stiffness=desired, stiffness=stiffness, undisturbed_angle=np.linspace(0, 1, 12))
+    run = moved(12, desired_stiffness=desired, stiffness=stiffness, angle_without_step=np.linspace(0, 1, 12))
     found, expected = both_ways(run)
     same(found, expected)
     assert np.isfinite(found.coupling) == (0 < at < 11)
@@ -106,7 +106,7 @@ def test_what_is_in_the_band_only_at_the_end_has_never_settled_in_either_form():
     assert np.isnan(found.stiffness_settling)
 
 
-@pytest.mark.parametrize("name", ["angle", "stiffness", "force1", "force2", "excursion", "undisturbed_angle"])
+@pytest.mark.parametrize("name", ["angle", "stiffness", "force1", "force2", "excursion", "angle_without_step"])
 @pytest.mark.parametrize("place", [0, 5, 11])
 def test_one_moment_that_is_no_number_spoils_the_largest(name, place):
     column = np.ones(12)
@@ -114,7 +114,12 @@ def test_one_moment_that_is_no_number_spoils_the_largest(name, place):
     run = moved(12, desired_stiffness=np.where(np.arange(12) < 5, 13.0, 17.0), **{name: column})
     found, expected = both_ways(run)
     same(found, expected)
-    peak = {"force1": "force_max", "force2": "force_max", "excursion": "excursion_max", "undisturbed_angle": "coupling"}
+    peak = {
+        "force1": "force_max",
+        "force2": "force_max",
+        "excursion": "excursion_max",
+        "angle_without_step": "coupling",
+    }
     peak = peak.get(name, f"{name}_max")
     assert np.isnan(getattr(found, peak)) == (not (peak == "coupling" and place < 5))
 
@@ -145,14 +150,14 @@ def commands(*changes: tuple[int, float]) -> Setpoint:
     return Setpoint(3.2e5 + 3e4 * np.sin(np.arange(SIZE) / 9), wish)
 
 
-KEPT = ("angle", "undisturbed_angle", "command2", "slack")
+KEPT = ("angle", "angle_without_step", "command2", "slack")
 
 
 @pytest.fixture(scope="module")
 def on_the_way(plant, playback):
     @functools.partial(jax.jit, static_argnames=("keep", "every", "coupled"))
     def run(setpoints, split, *, keep=KEPT, every=1, coupled=True):
-        return measured_episode(
+        return streaming_episode(
             plant,
             playback,
             setpoints,
@@ -255,9 +260,9 @@ def test_in_reverse_derivatives_are_those_of_finite_differences(plant, playback)
         moved = eqx.tree_at(lambda p: (p.load.mass2, p.valve.time_constant), plant, (mass, delay))
         stepped = wish._replace(stiffness=3.3e5 + jnp.where(jnp.arange(SIZE) < 20, 0.0, step))
         start = START._replace(pressure1=pressure)
-        with many_runs():
+        with batched_program():
             run = (moved, playback, stepped, start, PERIOD, 1)
-            found = measured_episode(*run, change=change, split=20, checkpoint=checkpoint).metrics
+            found = streaming_episode(*run, change=change, split=20, checkpoint=checkpoint).metrics
         return jnp.stack([found.coupling, found.force_max])
 
     slopes = jax.jit(jax.jacrev(functools.partial(measures, checkpoint=True)))(jnp.ones(4))

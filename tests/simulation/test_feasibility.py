@@ -64,7 +64,7 @@ def test_it_is_the_joints_own_attainable_stiffness(plant):
 
 def test_as_printed_20_deg_cannot_be_held_and_it_says_when_and_by_how_much(printed_plant, paper):
     reach = check_reference(printed_plant, wish(20.0, 72.5))
-    assert not reach.reachable
+    assert not reach.feasible
     beyond = 10.4 * deg  # where one muscle is stretched past 3 %
     np.testing.assert_array_equal(np.isnan(reach.shortfall), np.isnan(reach.lowest))
     lost = np.isnan(reach.shortfall)
@@ -108,15 +108,15 @@ def test_from_below_as_well(plant):
 
 def test_pre_contracted_constant_15_is_within_reach(plant):
     reach = check_reference(plant, wish(10.0, 15.0))
-    assert reach.reachable
+    assert reach.feasible
     assert not reach.shortfall.any()
-    assert reach.describe() == "the reference is within reach throughout"
+    assert reach.describe() == "the reference is statically feasible throughout"
 
 
 def test_the_ends_of_the_band_are_within_reach(plant):
     low, high = (float(x) for x in attainable(plant, 0.0))
     for stiffness, reachable in ((low, True), (high, True), (low - 1e-3, False), (high + 1e-3, False)):
-        assert check_reference(plant, wish(0.0, stiffness), **GRID).reachable is reachable
+        assert check_reference(plant, wish(0.0, stiffness), **GRID).feasible is reachable
 
 
 @pytest.mark.parametrize("times", [{"duration": 0.0}, {"duration": -1.0}, {"duration": 1.0005}, {"control_period": 0}])
