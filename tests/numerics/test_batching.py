@@ -91,9 +91,9 @@ def test_leaves_inside_tuples_and_dictionaries_vary():
 @pytest.mark.parametrize(
     ("tree", "message"),
     [
-        (Pair(outer(np.ones(2)), np.ones(3)), "right has 3 values, left.first.size has 2; give one of each a run"),
-        (outer(np.ones((2, 2))), r"first.size has the shape \(2, 2\); give a number, or an array of one axis"),
-        (outer(np.ones(0)), "first.size holds no value; give one a run"),
+        (Pair(outer(np.ones(2)), np.ones(3)), "right has 3 values, left.first.size has 2"),
+        (outer(np.ones((2, 2))), r"first.size has the shape \(2, 2\)"),
+        (outer(np.ones(0)), "first.size is empty"),
     ],
 )
 def test_shapes_that_do_not_fit_are_named(tree, message):

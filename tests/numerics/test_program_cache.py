@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 import mckibben
 from mckibben.control import Constant, Sine
@@ -36,7 +37,11 @@ square.__module__ = "mckibben.pretended"  # what comes from elsewhere is not kep
 def folder(tmp_path, monkeypatch):
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)  # beside which nothing is kept
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "programs"))
-    return tmp_path / "programs"
+    jax.config.update("jax_enable_compilation_cache", False)  # a program that JAX took from its cache cannot be stored
+    compilation_cache.reset_cache()
+    yield tmp_path / "programs"
+    jax.config.update("jax_enable_compilation_cache", True)
+    compilation_cache.reset_cache()
 
 
 def asked(program, x=(1.0, 2.0, 3.0), power=2, offset=None):

@@ -153,10 +153,9 @@ def recheck(tree: Any) -> None:
     if isinstance(tree, eqx.Module):
         if check := getattr(type(tree), "__check_init__", None):
             check(tree)
-        for value in vars(tree).values():
-            recheck(value)
-    elif isinstance(tree, tuple | list):
-        for value in tree:
+        tree = vars(tree)
+    if isinstance(tree, dict | tuple | list):
+        for value in tree.values() if isinstance(tree, dict) else tree:
             recheck(value)
 
 
