@@ -54,7 +54,7 @@ RISC = "processor	: 0\nhart		: 0\nisa		: rv64imafdc{more}\n"
 @pytest.fixture
 def on(tmp_path, monkeypatch):
     """Ask, on a processor of which Linux says this, for its short name; None stands for a system that says nothing."""
-    caches = (runtime.processor, runtime._about_processor)
+    caches = (runtime.processor, runtime._cpuinfo)
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

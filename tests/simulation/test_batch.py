@@ -30,7 +30,7 @@ from mckibben.units import bar, deg, mm
 
 SHORT = {"duration": 0.1, "substeps": 2}
 PERIODS = 100
-WISH = Reference(angle=Sine(5 * deg, 2.0), stiffness=Step(13.0, 15.0, 0.05))
+REFERENCE = Reference(angle=Sine(5 * deg, 2.0), stiffness=Step(13.0, 15.0, 0.05))
 
 
 def control_of(model) -> PositionStiffnessControl:
@@ -168,7 +168,7 @@ def everything(parts):
     """A batch in which every number differs, with some of its trajectories."""
     return simulate_many(
         *parts,
-        WISH,
+        REFERENCE,
         over=columns(ROWS, NOMINAL),
         initial=AtRest(**columns(ROWS, AT_REST)),
         keep=Trajectory._fields,
@@ -185,7 +185,7 @@ def alone(parts):
     @functools.cache
     def run(row: int):
         values = ROWS[row]
-        of = lane_of((*parts, WISH), NOMINAL, [values[name] for name in NOMINAL])
+        of = lane_of((*parts, REFERENCE), NOMINAL, [values[name] for name in NOMINAL])
         return single(*of, initial=AtRest(values["angle"], values["stiffness"]), **SHORT)
 
     return run
@@ -283,7 +283,7 @@ def learner(model, seed) -> PositionStiffnessControl:
     )
 
 
-def sampled_wish(knots) -> Reference:
+def sampled_reference(knots) -> Reference:
     return Reference(angle=Multisine((3 * deg, 1 * deg), (2.0, 7.0), (0.0, 0.3)), stiffness=Samples(TIMES, knots))
 
 
@@ -297,7 +297,7 @@ def springy(knee, load, specimen):
 def test_springs_samples_and_learning_loops_with_seeds_are_the_single_runs(springy, knee):
     gravity = np.array([9.81, 9.7, 9.9, 9.81, 3.7])
     plant = put(springy, "load.gravity", gravity)
-    batch = simulate_many(plant, learner(knee, SEEDS), sampled_wish(KNOTS), initial=STATES, **SHORT)
+    batch = simulate_many(plant, learner(knee, SEEDS), sampled_reference(KNOTS), initial=STATES, **SHORT)
     assert batch.count == 5
     assert len({*batch.metrics["angle_rmse"]}) == 5
     assert np.isnan(batch.metrics["coupling"]).tolist() == [True, False, True, False, False]
@@ -305,7 +305,9 @@ def test_springs_samples_and_learning_loops_with_seeds_are_the_single_runs(sprin
     for row in range(5):
         state = PlantState(*(x if np.ndim(x) == 0 else x[row] for x in STATES[:4]))
         heavy = put(springy, "load.gravity", gravity[row])
-        alone.append(single(heavy, learner(knee, int(SEEDS[row])), sampled_wish(KNOTS[row]), initial=state, **SHORT))
+        alone.append(
+            single(heavy, learner(knee, int(SEEDS[row])), sampled_reference(KNOTS[row]), initial=state, **SHORT)
+        )
     assert_singles(batch, alone, rtol=1e-10)
 
 
@@ -321,7 +323,7 @@ def masses(parts):
 
     def run(count: int, **options):
         mass = np.linspace(0.3, 0.7, 300)[:count]
-        return simulate_many(*parts, WISH, over={"plant.load.mass2": mass}, metrics=FEW, **SHORT, **options)
+        return simulate_many(*parts, REFERENCE, over={"plant.load.mass2": mass}, metrics=FEW, **SHORT, **options)
 
     return run
 
@@ -361,7 +363,7 @@ def test_the_order_of_the_runs_is_that_of_their_values(most):
 def test_the_order_of_the_runs_does_not_matter(parts, most):
     mixed = np.random.default_rng(1).permutation(300)
     mass = np.linspace(0.3, 0.7, 300)[mixed]
-    batch = simulate_many(*parts, WISH, over={"plant.load.mass2": mass}, metrics=FEW, chunk=16, **SHORT)
+    batch = simulate_many(*parts, REFERENCE, over={"plant.load.mass2": mass}, metrics=FEW, chunk=16, **SHORT)
     for name in FEW:
         np.testing.assert_array_equal(batch.metrics[name], most.metrics[name][mixed])
 
@@ -387,14 +389,14 @@ def test_arrays_in_place_of_numbers_are_the_same_as_values_by_name(parts, masses
     plant, control = parts
     mass = np.linspace(0.3, 0.7, 300)[:16]
     plant = dataclasses.replace(plant, load=dataclasses.replace(plant.load, mass2=mass))
-    batch = simulate_many(plant, control, WISH, metrics=FEW, chunk=16, **SHORT)
+    batch = simulate_many(plant, control, REFERENCE, metrics=FEW, chunk=16, **SHORT)
     same_bits(batch, most)
     assert "plant.load.mass2" not in batch.table
 
 
 def test_whole_numbers_by_name_are_numbers(parts):
     whole, real = (
-        simulate_many(*parts, WISH, over={"plant.load.mass2": mass}, metrics=FEW, chunk=16, workers=1, **SHORT)
+        simulate_many(*parts, REFERENCE, over={"plant.load.mass2": mass}, metrics=FEW, chunk=16, workers=1, **SHORT)
         for mass in ([1, 0], [1.0, 0.0])
     )
     same_bits(whole, real)
@@ -402,7 +404,7 @@ def test_whole_numbers_by_name_are_numbers(parts):
 
 def test_one_value_for_all_runs_may_stand_beside_values_for_each(parts, most):
     over = {"plant.load.mass2": np.linspace(0.3, 0.7, 300)[:16], "plant.load.mass1": 0.5}
-    batch = simulate_many(*parts, WISH, over=over, metrics=FEW, chunk=16, **SHORT)
+    batch = simulate_many(*parts, REFERENCE, over=over, metrics=FEW, chunk=16, **SHORT)
     same_bits(batch, most)
     assert np.all(batch.table["plant.load.mass1"] == 0.5)
 
@@ -412,15 +414,15 @@ def test_samples_by_name_have_one_row_a_run_and_a_start_in_whole_numbers_is_a_st
     pressures = [320_000, 330_000, 320_000, 325_000, 320_000]
     start = PlantState(0, 0, np.array(pressures), 320_000)
     asked = {"initial": start, "metrics": FEW, "chunk": 16, **SHORT}
-    wish = Reference(angle=0.0, stiffness=Samples(TIMES, KNOTS[0]))
-    named = simulate_many(plant, control, wish, over={"reference.stiffness.values": KNOTS}, **asked)
-    wish = Reference(angle=0.0, stiffness=Samples(TIMES, KNOTS))
-    given = simulate_many(plant, control, wish, **asked)
+    reference = Reference(angle=0.0, stiffness=Samples(TIMES, KNOTS[0]))
+    named = simulate_many(plant, control, reference, over={"reference.stiffness.values": KNOTS}, **asked)
+    reference = Reference(angle=0.0, stiffness=Samples(TIMES, KNOTS))
+    given = simulate_many(plant, control, reference, **asked)
     same_bits(named, given)
     alone = []
     for knots, pressure in zip(KNOTS, pressures, strict=True):
-        wish = Reference(angle=0.0, stiffness=Samples(TIMES, knots))
-        alone.append(single(plant, control, wish, initial=PlantState(0, 0, pressure, 320_000), **SHORT))
+        reference = Reference(angle=0.0, stiffness=Samples(TIMES, knots))
+        alone.append(single(plant, control, reference, initial=PlantState(0, 0, pressure, 320_000), **SHORT))
     assert len({*named.metrics["stiffness_rmse"]}) == 5
     assert_singles(given, alone, rtol=1e-11)
 
@@ -453,7 +455,7 @@ def test_metrics_are_computed_as_asked(most, everything):
 )
 def test_what_makes_no_sense_is_refused(parts, asked, value):
     with pytest.raises(SimulationError) as caught:
-        simulate_many(*parts, WISH, over={"plant.load.mass2": [0.4, 0.5]}, **(SHORT | asked))
+        simulate_many(*parts, REFERENCE, over={"plant.load.mass2": [0.4, 0.5]}, **(SHORT | asked))
     np.testing.assert_equal(caught.value.value, value)
     assert caught.value.remedy
 
@@ -463,7 +465,7 @@ def test_what_makes_no_sense_is_refused(parts, asked, value):
 
 def refused(kind, message, parts, **options):
     with pytest.raises(kind, match=message):
-        simulate_many(*parts, WISH, **(SHORT | options))
+        simulate_many(*parts, REFERENCE, **(SHORT | options))
 
 
 def test_lengths_that_differ_are_named(parts):
@@ -484,8 +486,8 @@ def test_lengths_that_differ_are_named_where_one_object_holds_both(parts):
     ("over", "message"),
     [
         ({"plant.load.mass2": np.ones((2, 3))}, r"plant.load.mass2 has the shape \(2, 3\); give a number"),
-        ({"plant.load.mass2": np.ones(0)}, "plant.load.mass2 holds no value"),
-        ({}, "nothing differs from run to run; give an array"),
+        ({"plant.load.mass2": np.ones(0)}, "plant.load.mass2 is empty"),
+        ({}, "all runs are the same; give an array"),
         ({"plant.load.mas2": [1.0]}, "no parameter 'plant.load.mas2'; did you mean 'plant.load.mass2'"),
         ({"controller.position.xyz.qqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqq": [1.0]}, "no parameter"),
         ({"load.mass2": [1.0]}, "no parameter 'load.mass2'; did you mean 'plant.load.mass2'"),
@@ -511,9 +513,9 @@ def test_a_single_run_says_what_to_use_for_many(parts):
     plant, control = parts
     many = put(plant, "load.mass2", np.array([0.4, 0.5]))
     with pytest.raises(ParameterError, match=r"plant.load.mass2: an array in place of a number; use `simulate_many`"):
-        simulate(many, control, WISH, **SHORT)
+        simulate(many, control, REFERENCE, **SHORT)
     with pytest.raises(ParameterError, match=r"initial\.stiffness: an array.*simulate_many"):
-        simulate(plant, control, WISH, initial=AtRest(0.0, np.array([13.0, 14.0])), **SHORT)
+        simulate(plant, control, REFERENCE, initial=AtRest(0.0, np.array([13.0, 14.0])), **SHORT)
 
 
 # 32 bits
@@ -535,7 +537,7 @@ def rough(parts):
     """`everything` in 32 bits."""
     return simulate_many(
         *parts,
-        WISH,
+        REFERENCE,
         over=columns(ROWS, NOMINAL),
         initial=AtRest(**columns(ROWS, AT_REST)),
         keep=("angle", "saturated"),
@@ -553,7 +555,7 @@ def test_32_bits_give_the_same_to_a_part_in_a_thousand(rough, everything):
     assert rough.table["saturated"].dtype == bool
 
 
-def test_what_a_wish_is_does_not_hang_on_the_precision(rough, everything):
+def test_setpoints_do_not_depend_on_the_precision(rough, everything):
     """Whether and when it changes last is known before the run, in 64 bits."""
     for name in ("coupling", "stiffness_settling"):
         unknown, expected = (np.isnan(batch.metrics[name]) for batch in (rough, everything))
@@ -565,7 +567,7 @@ def test_learning_loops_run_in_32_bits_throughout(parts, knee, alone):
     plant, _ = parts
     control = put(learner(knee, 3), "position.learning_rate", np.array([0.0, 50.0]))
     control = put(control, "stiffness.learning_rate", 0.0)
-    batch = simulate_many(plant, control, WISH, metrics=FEW, keep=("angle",), chunk=2, precision=jnp.float32, **SHORT)
+    batch = simulate_many(plant, control, REFERENCE, metrics=FEW, keep=("angle",), chunk=2, precision=32, **SHORT)
     assert {values.dtype for values in batch.metrics.values()} == {np.dtype(np.float32)}
     assert batch.table["angle"].dtype == np.float32
     for name in FEW:  # without learning it is the PID

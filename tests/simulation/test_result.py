@@ -35,34 +35,34 @@ POSITION, STIFFNESS = PID(2 * bar, 60 * bar, 0.4 * bar), PID(0.08 * bar, 5 * bar
 
 @pytest.fixture(scope="module")
 def completed(plant, knee):
-    wish = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
+    reference = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
     return simulate(
-        plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), wish, duration=0.2, scenario="name: α\n"
+        plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), reference, duration=0.2, scenario="name: α\n"
     )
 
 
 @pytest.fixture(scope="module")
 def saturated(plant, knee):
-    wish = Reference(angle=Sine(0.0, 0.5), stiffness=Constant(30.0))  # no motion; the structure of the other wishes
+    reference = Reference(angle=Sine(0.0, 0.5), stiffness=Constant(30.0))  # no motion; same structure as the others
     with pytest.warns(ReachabilityWarning):
-        return simulate(plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), wish, duration=0.2)
+        return simulate(plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), reference, duration=0.2)
 
 
 @pytest.fixture(scope="module")
 def left_domain(as_printed, load, playback):
     """All pressure on one side, from rest: the joint swings over to where the other muscle is stretched too far."""
-    wish = Reference(angle=Constant(0.0), stiffness=Constant(6 * bar))  # playback: p1 = 0, p2 = 6 bar
+    reference = Reference(angle=Constant(0.0), stiffness=Constant(6 * bar))  # playback: p1 = 0, p2 = 6 bar
     with pytest.warns(ReachabilityWarning):
-        return simulate(JointPlant(as_printed, load, IdealValve()), playback, wish, duration=0.2)
+        return simulate(JointPlant(as_printed, load, IdealValve()), playback, reference, duration=0.2)
 
 
 @pytest.fixture(scope="module")
 def diverged(knee, load):
     """Damping with a time constant of under 1 ms, integrated in steps of 50 ms, at which Runge-Kutta is unstable."""
     stiff = JointPlant(knee, dataclasses.replace(load, damping=1000 * load.total_inertia), FirstOrderValve(0.02))
-    wish = Reference(angle=Sine(0.0, 0.5, offset=1 * deg), stiffness=Constant(15.0))
+    reference = Reference(angle=Sine(0.0, 0.5, offset=1 * deg), stiffness=Constant(15.0))
     control = PositionStiffnessControl(POSITION, STIFFNESS, model=knee)
-    return simulate(stiff, control, wish, duration=40.0, control_period=0.2)  # 200 periods, as in the other runs
+    return simulate(stiff, control, reference, duration=40.0, control_period=0.2)  # 200 periods, as in the other runs
 
 
 def said(text: str, what: str) -> tuple[float, float]:
@@ -136,9 +136,9 @@ def test_diverged(diverged):
 
 
 def test_slack_is_said_of_a_run_that_completed(plant, knee, playback):
-    wish = Reference(angle=Constant(0.0), stiffness=Constant(3e5))  # playback: p1 = 0, p2 = 3 bar
+    reference = Reference(angle=Constant(0.0), stiffness=Constant(3e5))  # playback: p1 = 0, p2 = 3 bar
     with pytest.warns(ReachabilityWarning):
-        result = simulate(plant, playback, wish, duration=0.2, initial=PlantState(0.0, 0.0, 0.0, 1e5))
+        result = simulate(plant, playback, reference, duration=0.2, initial=PlantState(0.0, 0.0, 0.0, 1e5))
     slack = (result["force1"] <= 0) | (result["force2"] <= 0)
     assert slack.any()
     np.testing.assert_array_equal(result["slack"], slack)
@@ -169,8 +169,8 @@ def test_what_a_learning_controller_reports_has_units_too(plant, knee):
     from mckibben.study.scenario import Scenario
 
     scenario = Scenario.read("examples/pre-contracted-step-backprop.yaml")
-    wish = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
-    table = simulate(scenario.plant(), scenario.control(), wish, duration=0.2).to_xarray()
+    reference = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
+    table = simulate(scenario.plant(), scenario.control(), reference, duration=0.2).to_xarray()
     assert "position_kp" in table
     assert all(table[name].attrs["units"] for name in table.variables)
 
@@ -284,15 +284,15 @@ def test_a_damaged_file_is_an_error_of_ours_whatever_the_damage(completed, tmp_p
 
 
 def test_a_run_that_never_was_finite_can_be_described(plant, knee, playback):
-    wish = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
-    result = simulate(plant, playback, wish, duration=0.2, initial=PlantState(np.nan, 0.0, 1e5, 1e5))
+    reference = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
+    result = simulate(plant, playback, reference, duration=0.2, initial=PlantState(np.nan, 0.0, 1e5, 1e5))
     assert result.outcome is Outcome.DIVERGED
     assert "diverged" in result.describe()
 
 
 def test_a_pressure_outside_the_domain_is_not_silent(plant, knee):
-    wish = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
+    reference = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
     control = PositionStiffnessControl(POSITION, STIFFNESS, model=knee)
-    result = simulate(plant, control, wish, duration=0.2, initial=PlantState(0.0, 0.0, 9 * bar, 9 * bar))
+    result = simulate(plant, control, reference, duration=0.2, initial=PlantState(0.0, 0.0, 9 * bar, 9 * bar))
     assert float(result["pressure1"][0]) > float(eqx.filter(knee, True).muscle1.domain.pressure_max)
     assert result.outcome is Outcome.LEFT_DOMAIN

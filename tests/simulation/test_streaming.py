@@ -62,7 +62,7 @@ numbers = st.one_of(
     st.floats(-20, 20),
     st.sampled_from([0.0, 1.0, 14.0, 1e-300, 1e150, -1e150, np.inf, -np.inf, np.nan]),
 )
-wishes = st.sampled_from([13.0, 13.0, 13.0, 14.0, 15.0])
+setpoints = st.sampled_from([13.0, 13.0, 13.0, 14.0, 15.0])
 
 
 @st.composite
@@ -73,7 +73,7 @@ def trajectories(draw):
     def column(name):
         if name in FLAGS:
             return draw(st.lists(st.booleans(), min_size=size, max_size=size))
-        values = wishes if name == "desired_stiffness" else draw(st.sampled_from([tame, numbers]))
+        values = setpoints if name == "desired_stiffness" else draw(st.sampled_from([tame, numbers]))
         found = np.array(draw(st.lists(values, min_size=size, max_size=size)))
         return np.abs(found) if name in NEVER_NEGATIVE else found
 
@@ -138,16 +138,16 @@ def test_no_error_has_no_slope():
     assert float(reverse(1.0)[0]) == pytest.approx(np.sqrt(np.mean(np.linspace(-1, 1, 12) ** 2)))
 
 
-# Whole episodes: the two halves of the wish are the commands of the muscles (see `Playback`).
+# Whole episodes: the two halves of the reference are the commands of the muscles (see `Playback`).
 SIZE = 60
 START = PlantState(*(jnp.asarray(x) for x in (0.0, 0.1, 3.2e5, 3.3e5)))
 
 
 def commands(*changes: tuple[int, float]) -> Setpoint:
-    wish = np.full(SIZE, 3.3e5)
+    reference = np.full(SIZE, 3.3e5)
     for at, value in changes:
-        wish[at:] = value
-    return Setpoint(3.2e5 + 3e4 * np.sin(np.arange(SIZE) / 9), wish)
+        reference[at:] = value
+    return Setpoint(3.2e5 + 3e4 * np.sin(np.arange(SIZE) / 9), reference)
 
 
 KEPT = ("angle", "angle_without_step", "command2", "slack")
@@ -203,11 +203,11 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_an_episode_measured_on_the_way_is_the_episode_measured_afterwards(on_the_way, afterwards, case):
-    wish = CASES[case]
-    change = last_change(wish.stiffness)
+    reference = CASES[case]
+    change = last_change(reference.stiffness)
     split = int(change.at) if change.ends else SIZE
-    final, _, expected = afterwards(wish)
-    found = on_the_way(wish, split)
+    final, _, expected = afterwards(reference)
+    found = on_the_way(reference, split)
     same(found.metrics, expected, rtol=1e-11)
     np.testing.assert_allclose(jax.tree.leaves(found.final), jax.tree.leaves(final), rtol=1e-12)
     assert bool(found.metrics.coupling > 0) == bool(change.ends)
@@ -215,15 +215,15 @@ def test_an_episode_measured_on_the_way_is_the_episode_measured_afterwards(on_th
 
 @pytest.mark.parametrize("earlier", [0, 1, 10, 19])
 def test_leaving_the_step_out_from_an_earlier_period_on_changes_nothing(on_the_way, earlier):
-    wish = CASES["one step"]
-    same(on_the_way(wish, earlier).metrics, on_the_way(wish, 20).metrics)
+    reference = CASES["one step"]
+    same(on_the_way(reference, earlier).metrics, on_the_way(reference, 20).metrics)
 
 
 def test_what_is_kept_is_the_trajectory(on_the_way, afterwards):
-    wish = CASES["two steps"]
-    _, expected, metrics = afterwards(wish)
+    reference = CASES["two steps"]
+    _, expected, metrics = afterwards(reference)
     for every in (1, 4, 60):
-        found = on_the_way(wish, 31, every=every)
+        found = on_the_way(reference, 31, every=every)
         assert {*found.kept} == {*KEPT}
         for name in KEPT:
             column = np.asarray(getattr(expected, name))[::every]
@@ -232,12 +232,13 @@ def test_what_is_kept_is_the_trajectory(on_the_way, afterwards):
 
 
 def test_without_coupling_the_second_run_is_not_computed(on_the_way):
-    wish = CASES["one step"]
-    with_it, without = on_the_way(wish, 20), on_the_way(wish, 20, coupled=False)
+    reference = CASES["one step"]
+    with_it, without = on_the_way(reference, 20), on_the_way(reference, 20, coupled=False)
     assert np.isnan(without.metrics.coupling)
     same(without.metrics, with_it.metrics._replace(coupling=jnp.asarray(np.nan)))
     text = {
-        coupled: str(jax.make_jaxpr(lambda c=coupled: on_the_way(wish, 20, coupled=c))()) for coupled in (True, False)
+        coupled: str(jax.make_jaxpr(lambda c=coupled: on_the_way(reference, 20, coupled=c))())
+        for coupled in (True, False)
     }
     assert "cond[" in text[True]
     assert "cond[" not in text[False]
@@ -252,13 +253,13 @@ def by_differences(function, size: int):
 
 def test_in_reverse_derivatives_are_those_of_finite_differences(plant, playback):
     """With the run beside for the coupling, and periods that are computed again on the way back."""
-    wish = CASES["one step"]
-    change = last_change(wish.stiffness)
+    reference = CASES["one step"]
+    change = last_change(reference.stiffness)
 
     def measures(by, checkpoint):
         mass, delay, pressure, step = jnp.array([0.5, 0.02, 3.2e5, 3e4]) * by
         moved = eqx.tree_at(lambda p: (p.load.mass2, p.valve.time_constant), plant, (mass, delay))
-        stepped = wish._replace(stiffness=3.3e5 + jnp.where(jnp.arange(SIZE) < 20, 0.0, step))
+        stepped = reference._replace(stiffness=3.3e5 + jnp.where(jnp.arange(SIZE) < 20, 0.0, step))
         start = START._replace(pressure1=pressure)
         with batched_program():
             run = (moved, playback, stepped, start, PERIOD, 1)

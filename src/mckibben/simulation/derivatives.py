@@ -112,9 +112,9 @@ def differentiate(
     >>> knee = catalog.joint("knee-table-2")
     >>> plant = JointPlant(knee, catalog.load("knee-table-2"), FirstOrderValve(0.02))
     >>> control = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=knee)
-    >>> wish = Reference(angle=Sine(0.03, 1.0), stiffness=72.5)
+    >>> reference = Reference(angle=Sine(0.03, 1.0), stiffness=72.5)
     >>> some = ["controller.position.ki", "plant.load.mass2", "plant.joint.muscle1.law.c1"]
-    >>> found = differentiate(plant, control, wish, some, duration=0.5)
+    >>> found = differentiate(plant, control, reference, some, duration=0.5)
     >>> bool(found.gradients["angle_rmse"]["controller.position.ki"] < 0)  # more integral action, less error
     True
     """
@@ -134,11 +134,10 @@ def differentiate(
     asked = _Asked(substeps, tuple(metrics), tuple(parameters), mode, count is not None)
     period = jnp.asarray(control_period, float)
     if count is None:
-        program = _alone if mode is Mode.REVERSE else _beside
-        return _in_order(asked, *jax.tree.map(np.asarray, program(lanes, shared, times, period, asked)))
+        return _in_order(asked, *jax.tree.map(np.asarray, _single(lanes, shared, times, period, asked)))
 
     def answers(piece: slice) -> Any:
-        found = _beside(pad_chunk(lanes, piece, _LANES), shared, times, period, asked)
+        found = _many(pad_chunk(lanes, piece, _LANES), shared, times, period, asked)
         return jax.tree.map(lambda column: np.asarray(column)[: piece.stop - piece.start], found)
 
     pieces = [answer for _, answer in map_chunks(answers, count, _LANES)]
@@ -193,13 +192,13 @@ def _derivatives(
     function = (lambda flat: jax.vmap(measured)(lanes, flat)) if asked.many else (lambda flat: measured(lanes, flat))
 
     if asked.mode is Mode.FORWARD:
-        # Each direction for all runs at once, so that runs stand side by side in a vector and share their values.
+        # Each direction for all runs at once: runs are side by side in a vector, and the values are shared.
         def along(direction: Array) -> tuple[dict[str, Array], dict[str, Array]]:
             return jax.jvp(function, (flat,), (jnp.broadcast_to(direction, flat.shape),))
 
         values, slopes = jax.vmap(along, out_axes=(None, -1))(jnp.eye(size, dtype=flat.dtype))
     else:
-        # All metrics at once: the way back is compiled, and computed again, once.
+        # All metrics at once: one backward program.
         values, back = jax.vjp(function, flat)
         ones = {
             name: jnp.stack([jnp.full_like(value, name == other) for other in asked.metrics])
@@ -211,7 +210,7 @@ def _derivatives(
     return values, {name: shaped(slope) for name, slope in slopes.items()}
 
 
-_beside, _alone = compiled_batch(_derivatives), compiled_as_given(_derivatives)
+_single, _many = compiled_as_given(_derivatives), compiled_batch(_derivatives)  # wide vectors slow a single run down
 
 
 def _metrics(run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked: _Asked) -> dict[str, Array]:
