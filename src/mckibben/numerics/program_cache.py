@@ -22,7 +22,7 @@ from typing import Any
 
 import equinox
 import jax
-import jaxlib
+import jaxlib.version
 import numpy as np
 
 from mckibben.numerics.runtime import processor
@@ -132,7 +132,7 @@ _SOURCE = _source_files()  # at import
 @functools.cache
 def _environment() -> str:
     """All that a program depends on beside its function and arguments."""
-    versions = jax.__version__, jaxlib.__version__, equinox.__version__, np.__version__, sys.version
+    versions = jax.__version__, jaxlib.version.__version__, equinox.__version__, np.__version__, sys.version
     flags = os.environ.get("XLA_FLAGS"), jax.config.jax_enable_x64  # type: ignore[attr-defined]
     return repr((_SOURCE, versions, flags, processor()))
 

@@ -174,7 +174,7 @@ def simulate_many(
     asked = _Asked(substeps, tuple(metrics), tuple(keep), stride, float_type(precision).name)
 
     lanes, shared, count = split_problem(plant, controller, reference, initial, over or {})
-    if count is None:
+    if lanes is None or count is None:
         raise ParameterError(
             "all runs are the same", remedy="give an array in place of a number, or use `simulate` for one run"
         )

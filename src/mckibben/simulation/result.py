@@ -43,7 +43,7 @@ class Outcome(enum.Enum):
         return self in (Outcome.SWUNG_OVER, Outcome.DIVERGED, Outcome.NO_START)
 
 
-BAND = ("lowest_stiffness", "highest_stiffness")
+BAND: tuple[str, str] = ("lowest_stiffness", "highest_stiffness")
 """Columns of the attainable stiffness."""
 
 OUTCOMES = tuple(Outcome)

@@ -143,8 +143,8 @@ def run_episode(
     substeps: int,
 ) -> Result:
     """The result of an episode from a start that exists, without the attainable stiffness."""
-    parts = numeric((plant, controller, setpoints, plant.remembering(start)))
-    return _episode_result(*parts, control_period, substeps)
+    plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.remembering(start)))
+    return _episode_result(plant, controller, setpoints, start, control_period, substeps)
 
 
 def _episode_result(
