@@ -41,7 +41,7 @@ def written(tmp_path):
 @pytest.fixture
 def undrawn(monkeypatch):
     """No figures: they take longer than all else."""
-    monkeypatch.setattr("mckibben.report.write_contest", lambda contest, numbers, out: out / "comparison.html")
+    monkeypatch.setattr("mckibben.report.write_benchmark", lambda contest, numbers, out: out / "comparison.html")
 
 
 def results(folder):
@@ -49,8 +49,8 @@ def results(folder):
 
 
 def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch):
-    drawn, draw = [], report.write_contest
-    monkeypatch.setattr(report, "write_contest", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest))
+    drawn, draw = [], report.write_benchmark
+    monkeypatch.setattr(report, "write_benchmark", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest))
     suite = written((DECOUPLING, ""))
     found = cli("compare", "suite.yaml", "--out", "kept")
     assert found.code == 0, found.err
@@ -74,7 +74,7 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
         (row,) = re.findall(rf"^\W*{name} .* [0-9]+\W*$", found.out, re.M)
         assert [row.split(name)[1].split()[0], row.split(name)[1].split()[2]] == medians
     assert f"{16 - numbers['not_begun']} unseen runs" in found.out
-    assert f"{numbers['not_begun']} runs could not begin" in found.out
+    assert f"{numbers['not_begun']} runs were infeasible" in found.out
     assert "medians against PID 3" in found.out
 
     with xr.open_dataset(kept / "runs.nc") as runs:
@@ -121,7 +121,7 @@ def test_json_fewer_runs_and_a_quick_look(cli, written, tmp_path):
     numbers = json.loads(found.out)
     assert numbers == results(tmp_path / "kept")
     assert numbers["runs"] == 20
-    assert "kept results.json" in found.err
+    assert "wrote results.json" in found.err
     kept = Suite.read(tmp_path / "kept" / "suite.yaml")
     assert (kept.unseen.runs, kept.tuning.generations, kept.tuning.starts) == (20, 2, 1)
     lines = (tmp_path / "kept" / "tuning" / "pid-3.jsonl").read_text(encoding="utf-8").splitlines()
@@ -181,7 +181,7 @@ def test_an_interrupted_search_is_gone_on_with(cli, written, tmp_path, monkeypat
         patch.setattr(History, "add", interrupted)
         found = cli("compare", "suite.yaml", "--out", "kept")
     assert found.code == 130
-    assert "go on with --resume" in found.err
+    assert "continue with --resume" in found.err
     assert not (tmp_path / "kept" / "results.json").exists()
     refused = cli("compare", "suite.yaml", "--out", "kept")
     assert refused.code == 2

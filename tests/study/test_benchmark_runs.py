@@ -139,8 +139,8 @@ def test_a_tuned_controller_is_put_into_the_run(runs):
 
 
 def test_a_run_in_which_nothing_differs_is_the_scenario_as_it_stands(suite):
-    wish = suite.wishes["both move"].model_copy(update={"over": ()})
-    bare = suite.model_copy(update={"sensors": None, "conditions": (), "wishes": {"both move": wish}})
+    wish = suite.references["both move"].model_copy(update={"over": ()})
+    bare = suite.model_copy(update={"sensors": None, "conditions": (), "references": {"both move": wish}})
     drawn = draw(bare, 4, 1)
     assert drawn.scenario("PID 3", 2) == bare.scenario("PID 3", "both move", drawn.joint[2])
 

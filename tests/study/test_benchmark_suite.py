@@ -47,7 +47,7 @@ def test_what_a_suite_says_comes_back(suite, tmp_path):
     example = Suite.read(ROOT / "examples" / "comparison" / "knee.yaml")
     again = Suite.parse(example.dumps(folder=tmp_path), folder=tmp_path)
     assert again == example
-    assert len(example.wishes) == 5
+    assert len(example.references) == 5
     assert example.unseen.runs >= 500
     assert Suite.parse(changed(("valve: {time_constant: 20 ms}", "valve: ideal"), *WITHOUT_LAG)).valve is None
 
@@ -105,7 +105,7 @@ SAMPLES = "angle: {samples: {times: [0 s], values: [1 deg]}}"
 MISTAKES = {
     "condition": (
         ("load.mass2=+-50 %", "controller.position.kp=1..2 bar/rad"),
-        ("conditions[0]", "load.mass2", "nothing of the plant"),
+        ("conditions[0]", "load.mass2", "not a parameter of the plant"),
     ),
     "condition unknown": (("load.mass2=+-50 %", "load.mas2=+-50 %"), ("conditions[0]", "load.mass2", "load.mas2")),
     "condition of the wish": (
@@ -118,18 +118,18 @@ MISTAKES = {
     ),
     "wish over": (
         ("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]"),
-        ("wishes.both move.over[0]", "2..6 Hz", "nothing of the wish"),
+        ("references.both move.over[0]", "2..6 Hz", "not a parameter of the reference"),
     ),
     "wish over twice": (
         (
             "[reference.stiffness.frequency=2..6 Hz log]",
             "[reference.stiffness.frequency=2..6 Hz log, reference.stiffness.frequency=2..3 Hz]",
         ),
-        ("wishes.both move.over", "2..6 Hz", "about the same number"),
+        ("references.both move.over", "2..6 Hz", "about the same number"),
     ),
     "samples": (
         ("angle: {multisine: {amplitudes: [3 deg, 1.5 deg], frequencies: [2 Hz, 5 Hz], offset: 1 deg}}", SAMPLES),
-        ("wishes.both move.reference.angle", "multisine", "samples cannot be compared on"),
+        ("references.both move.reference.angle", "multisine", "samples cannot be compared on"),
     ),
     "tuning over nobody": (
         ("untuned:", "over: {PID 4: [controller.position.kp]}, untuned:"),
@@ -137,7 +137,7 @@ MISTAKES = {
     ),
     "tuning over the plant": (
         ("untuned:", "over: {PID 3: [load.mass2=1..2 kg]}, untuned:"),
-        ("tuning.over.PID 3", "untuned:", "nothing of the controller"),
+        ("tuning.over.PID 3", "untuned:", "not a parameter of the controller"),
     ),
     "untuned nobody": (
         ("untuned: [as it is]", "untuned: [as it iss]"),
@@ -164,10 +164,10 @@ MISTAKES = {
         (KP, "{kp: 1.2 bar/rad, kd: 0.2 bar*s/rad}"),
         ("controllers.PID 3.position.pid.ki", KP, "is missing"),
     ),
-    "share": (("    share: 2\n", "    share: 0\n"), ("wishes.sine and step.share", "    share: 2", "")),
+    "share": (("    share: 2\n", "    share: 0\n"), ("references.sine and step.share", "    share: 2", "")),
     "names belong": (
         ("joint_share: 3", "joint_share: 3\nx: 1"),
-        ("x", "other_joints:", "is no key"),
+        ("x", "other_joints:", "is not a known key"),
     ),
     "period": (("control_period: 2 ms", "control_period: 7 ms"), ("control_period", "control_period:", "whole number")),
     "friction": (
@@ -209,7 +209,11 @@ def test_many_mistakes_are_told_at_once():
         ("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]"),
         ("untuned: [as it is]", "untuned: [as it was]"),
     )
-    assert [problem.field for problem in found] == ["conditions[0]", "wishes.both move.over[0]", "tuning.untuned[0]"]
+    assert [problem.field for problem in found] == [
+        "conditions[0]",
+        "references.both move.over[0]",
+        "tuning.untuned[0]",
+    ]
 
 
 def test_gains_that_are_all_zero_need_a_word():
@@ -237,9 +241,9 @@ def test_runs_have_to_differ():
 
 
 def test_parts_stand_where_parts_belong():
-    for key in ("wishes", "controllers"):
+    for key in ("references", "controllers"):
         rest = re.sub(rf"^{key}:\n(  .*\n)+", f"{key}: some\n", TEXT, flags=re.M)
-        with pytest.raises(ScenarioError, match="'some' stands where names and parts belong"):
+        with pytest.raises(ScenarioError, match="'some' stands where names and sections belong"):
             Suite.parse(rest)
         with pytest.raises(ScenarioError, match="is empty; give at least one"):
             Suite.parse(rest.replace("some", "{}"))
@@ -254,3 +258,10 @@ def test_a_suite_is_no_scenario_nor_the_other_way_round():
         Suite.read(ROOT / "examples" / "pre-contracted-step-pid.yaml")
     with pytest.raises(ScenarioError, match="give the path of a suite"):
         Suite.read("nowhere.yaml")
+
+
+def test_the_old_name_of_a_key_is_told_the_new_one():
+    with pytest.raises(ScenarioError) as caught:
+        Suite.parse(re.sub("^references:", "wishes:", TEXT, flags=re.M))
+    (problem,) = caught.value.problems
+    assert (problem.field, problem.remedy) == ("wishes", "it was renamed to 'references'")

@@ -12,11 +12,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
-from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.control.base import Controller, Setpoint
 from mckibben.numerics.batching import guarded
 from mckibben.numerics.compiled import compiled_as_given
 from mckibben.plant import JointPlant, PlantState
-from mckibben.plant.sensors import Reading
 from mckibben.simulation.metrics import (
     SETTLING_PART,
     Change,
@@ -43,11 +42,7 @@ LoopState = tuple[PlantState, Any]
 
 def initial_loop(plant: JointPlant, controller: Controller, initial: PlantState) -> LoopState:
     """The plant at its initial state, and the controller initialised from the first measurement."""
-    return initial, controller.init(_measured(plant.begun(initial, 0.0)[1]))
-
-
-def _measured(told: Reading) -> Measurement:
-    return Measurement(told.angle, (told.pressure1, told.pressure2))
+    return initial, controller.init(plant.sample(initial, 0.0)[1])
 
 
 def control_period(
@@ -60,9 +55,9 @@ def control_period(
 ) -> tuple[LoopState, Record]:
     """One control period: the controller's step, then the plant under the constant commands."""
     plant_state, controller_state = state
-    plant_state, told = plant.begun(plant_state, period)
-    controller_state, wanted = controller.step(controller_state, setpoint, _measured(told), period)
-    commands = plant.limited(wanted)
+    plant_state, measurement = plant.sample(plant_state, period)
+    controller_state, wanted = controller.step(controller_state, setpoint, measurement, period)
+    commands = plant.clip_commands(wanted)
     limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
     record = Record(plant_state, *commands, limited, controller.telemetry(controller_state))
     return (plant.advance(plant_state, commands, period, substeps), controller_state), record

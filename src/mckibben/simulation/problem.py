@@ -40,8 +40,8 @@ class SimulationProblem(NamedTuple):
     def start(self, setpoints: Setpoint) -> tuple[PlantState, Array]:
         """The initial state for setpoints of shape (periods,), and whether it exists."""
         if isinstance(self.initial, PlantState):
-            return self.plant.remembering(jax.tree.map(floating, self.initial)), jnp.asarray(True)
-        return self.plant.resting(*self.rest(setpoints))
+            return self.plant.complete_state(jax.tree.map(floating, self.initial)), jnp.asarray(True)
+        return self.plant.find_equilibrium(*self.rest(setpoints))
 
     def rest(self, setpoints: Setpoint) -> tuple[Array, Array]:
         """Angle [rad] and stiffness [N*m/rad] of the start at rest."""

@@ -13,9 +13,7 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, ReachabilityWarning, SimulationError
-from mckibben.joint.attainable import hold_and_range
-from mckibben.joint.creep import creep_torque, has_creep
-from mckibben.joint.friction import friction_torque, has_friction
+from mckibben.joint.attainable import solve_static_and_range
 from mckibben.numerics.batching import cast, named_leaves
 from mckibben.numerics.compiled import compiled, compiled_batch, numeric
 from mckibben.plant import JointPlant, PlantState
@@ -143,7 +141,7 @@ def run_episode(
     substeps: int,
 ) -> Result:
     """The result of an episode from a start that exists, without the attainable stiffness."""
-    plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.remembering(start)))
+    plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.complete_state(start)))
     return _episode_result(plant, controller, setpoints, start, control_period, substeps)
 
 
@@ -170,10 +168,13 @@ def _episode_result(
 
     record = run(setpoints)
     state, telemetry = record.state, dict(record.telemetry)
-    telemetry |= {"friction_torque": None} if has_friction(plant.joint) else {}
-    telemetry |= {"creep_torque": None} if has_creep(plant.joint) else {}
+    telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
+    telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
     immediate = {
-        **{name: getattr(state, name) for name in ("angle", "velocity", "pressure1", "pressure2")},
+        "angle": state.angle,
+        "velocity": state.velocity,
+        "pressure1": state.pressures[0],
+        "pressure2": state.pressures[1],
         "desired_angle": setpoints.angle,
         "desired_stiffness": setpoints.stiffness,
         "command1": record.command1,
@@ -219,25 +220,24 @@ def _check_start(problem: SimulationProblem, times: ArrayLike) -> _Checked:
     angle, stiffness = problem.rest(setpoints)
     angles = jnp.concatenate([angle[None], setpoints.angle])
     torques = -problem.plant.load.gravity_torque(angles)
-    found, (lowest, highest) = hold_and_range(problem.plant.joint, angles, torques, stiffness)
-    start = problem.plant.still(angle, found.pressures)
+    found, (lowest, highest) = solve_static_and_range(problem.plant.joint, angles, torques, stiffness)
+    start = problem.plant.init_state(angle, found.pressures)
     return _Checked(setpoints, start, found.exists, (lowest[1:], highest[1:]))
 
 
 @compiled
 def _friction_torque(plant: JointPlant, state: PlantState) -> Array:
-    motion = state.angle, state.velocity, state.pressures
-    return friction_torque(plant.joint, state.memories, *motion, state.relaxing)
+    return plant.joint.friction_torque(state.angle, state.velocity, state.pressures, state.muscles)
 
 
 @compiled
 def _creep_torque(plant: JointPlant, state: PlantState) -> Array:
-    return creep_torque(plant.joint, state.relaxing, state.angle, state.pressures)
+    return plant.joint.creep_torque(state.angle, state.pressures, state.muscles)
 
 
 def _raise_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:
-    """Raise the error of `JointPlant.at_rest` for an initial state that does not exist."""
+    """Raise the error of `JointPlant.equilibrium` for an initial state that does not exist."""
     angle, stiffness = map(np.asarray, initial if isinstance(initial, AtRest) else AtRest(first_angle))
     angle = first_angle if np.isnan(angle) else float(angle)
-    plant.at_rest(angle, stiffness=None if np.isnan(stiffness) else float(stiffness))
+    plant.equilibrium(angle, stiffness=None if np.isnan(stiffness) else float(stiffness))
     raise SimulationError(f"the joint cannot start at {angle:g} rad", value=angle, unit="rad")

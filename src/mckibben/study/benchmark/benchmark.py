@@ -172,7 +172,7 @@ class _Task:
     _scenario: Scenario = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_scenario", self.suite.scenario(self.controller, next(iter(self.suite.wishes))))
+        object.__setattr__(self, "_scenario", self.suite.scenario(self.controller, next(iter(self.suite.references))))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -292,7 +292,7 @@ def _tried(tried: Generations, task: _Task, past: History, values: Numbers) -> T
 
 def _controller(runs: Runs, controller: str, table: dict[str, Any]) -> Controller:
     """A controller with sets of numbers, each in all runs: arrays of shape (sets * runs,) where they are."""
-    scenario = runs.suite.scenario(controller, next(iter(runs.suite.wishes)))
+    scenario = runs.suite.scenario(controller, next(iter(runs.suite.references)))
     if not table:
         return scenario.control()
     columns = {name: np.repeat(np.asarray(column), runs.count) for name, column in table.items()}

@@ -90,7 +90,7 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
     shares = {name: share for name, (share, _) in suite.joints.items()}
     order = np.random.default_rng(seed).spawn(2)
     joint = _dealt(shares, count, order[0])
-    wish = _dealt({name: each.share for name, each in suite.wishes.items()}, count, order[1])
+    wish = _dealt({name: each.share for name, each in suite.references.items()}, count, order[1])
     conditions = dict(design(suite.conditions_over(), samples=count, seed=seed)) if suite.conditions else {}
     if suite.sensors is not None and "sensors.seed" not in conditions:
         conditions["sensors.seed"] = np.arange(count, dtype=np.int64) + (1000 * seed) % 2**30
@@ -101,8 +101,8 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
         scenario = suite.scenario(first, wish[rows[0]], name)
         taken = {key: column[rows] for key, column in conditions.items()}
         plants.append((rows, (lanes(scenario, taken) if taken else scenario).plant()))
-    most = max(_sines(suite, name) for name in suite.wishes)
-    for number, name in enumerate(suite.wishes):
+    most = max(_sines(suite, name) for name in suite.references)
+    for number, name in enumerate(suite.references):
         rows = _rows(wish, name)
         if rows.size == 0:
             wished[name] = {}
@@ -130,9 +130,9 @@ def _rows(names: Sequence[str], name: str) -> NDArray[np.int64]:
 
 def _wished(suite: Suite, name: str, count: int, seed: int) -> dict[str, Column]:
     """Values of what differs in a wish; sines of the angle as large as the suite allows at most."""
-    varied = suite.wish_over(name)
+    varied = suite.reference_over(name)
     table = dict(design(varied, samples=count, seed=seed)) if varied else {}
-    sine, most = suite.wishes[name].reference.angle.sine, suite.fastest
+    sine, most = suite.references[name].reference.angle.sine, suite.fastest
     if sine is None or most is None:
         return table
     amplitude = table.get("reference.angle.amplitude", np.full(count, sine.amplitude))
@@ -142,7 +142,7 @@ def _wished(suite: Suite, name: str, count: int, seed: int) -> dict[str, Column]
 
 
 def _sines(suite: Suite, name: str) -> int:
-    signals = suite.wishes[name].reference
+    signals = suite.references[name].reference
     several = [each.multisine for each in (signals.angle, signals.stiffness) if each.multisine is not None]
     return max([1, *(len(each.amplitudes) for each in several)])
 

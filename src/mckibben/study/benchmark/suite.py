@@ -6,23 +6,22 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import jax
 from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
 from mckibben.config.document import Document, dotted, to_text
-from mckibben.config.fields import Part, refuse, suggest
-from mckibben.config.reading import parsed, text_of
-from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError
+from mckibben.config.fields import AngularAcceleration, BoundedInt, Duration, PositiveTime, Title
+from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
+from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.study.parameters import Over, over, read_over, read_overs
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import build_signal
 from mckibben.study.scenario.controller import ControllerSpec
-from mckibben.study.scenario.fields import AngularAcceleration, Duration, PositiveTime, Title, Whole
 from mckibben.study.scenario.plant import DisturbanceSpec, JointSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
-from mckibben.study.scenario.scenario import dividing
+from mckibben.study.scenario.scenario import check_divides_duration
 from mckibben.study.tune import Cost, around_gains, read_cost, read_ranges
 
 _OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
@@ -54,9 +53,9 @@ def problems_of_suite(suite: Suite, document: Document, believed: str) -> list[P
         try:
             check()
         except McKibbenError as error:
-            found.append(Problem(str(error), document.line(place), dotted(place)))
+            found.append(Problem.of(error, document.line(place), dotted(place)))
 
-    for key, reserved in (("other_joints", believed), ("wishes", ""), ("controllers", "")):
+    for key, reserved in (("other_joints", believed), ("references", ""), ("controllers", "")):
         for name in getattr(suite, key):
             look((key, name), lambda name=name, reserved=reserved: _check_name(name, reserved))
     for name in suite.controllers:
@@ -69,15 +68,18 @@ def problems_of_suite(suite: Suite, document: Document, believed: str) -> list[P
         look(("conditions", i), lambda text=text: _about_plant(read_over(text, suite.example())))
     if not found:
         look(("conditions",), suite.conditions_over)
-    for name, wish in suite.wishes.items():
+    for name, case in suite.references.items():
         for key in ("angle", "stiffness"):
-            place = ("wishes", name, "reference", key)
-            look(place, lambda key=key, wish=wish: _plain(getattr(wish.reference, key)))
+            place = ("references", name, "reference", key)
+            look(place, lambda key=key, case=case: _plain(getattr(case.reference, key)))
         before = len(found)
-        for i, text in enumerate(wish.over):
-            look(("wishes", name, "over", i), lambda name=name, text=text: _about_wish(text, suite.example(name)))
+        for i, text in enumerate(case.over):
+            look(
+                ("references", name, "over", i),
+                lambda name=name, text=text: _about_reference(text, suite.example(name)),
+            )
         if len(found) == before:
-            look(("wishes", name, "over"), lambda name=name: suite.wish_over(name))
+            look(("references", name, "over"), lambda name=name: suite.reference_over(name))
     for key, names in (("over", list(suite.tuning.over)), ("untuned", suite.tuning.untuned)):
         for i, name in enumerate(names):
             place = ("tuning", key, name if key == "over" else i)
@@ -112,16 +114,16 @@ def _check_controller(suite: Suite, name: str) -> None:
 
 
 def _check_differs(suite: Suite) -> None:
-    wish, *others = suite.wishes.values()
-    if not (others or wish.over or suite.conditions or suite.sensors or suite.other_joints):
-        raise ParameterError("nothing differs from run to run", remedy="give conditions, or a wish `over` something")
+    first, *others = suite.references.values()
+    if not (others or first.over or suite.conditions or suite.sensors or suite.other_joints):
+        raise ParameterError("nothing differs from run to run", remedy="give conditions, or `over` of a reference")
 
 
 def _check_cost(suite: Suite) -> None:
     """A metric that a run has no number for would make it a lost one."""
-    steps = all(wish.reference.stiffness.step is not None for wish in suite.wishes.values())
+    steps = all(case.reference.stiffness.step is not None for case in suite.references.values())
     if "coupling" in suite.cost.metrics and not steps:
-        raise ParameterError("coupling is of steps of the stiffness", remedy="leave it out, or let all wishes step")
+        raise ParameterError("coupling is of steps of the stiffness", remedy="leave it out, or let all references step")
 
 
 def _check_joint(suite: Suite, name: str) -> None:
@@ -143,21 +145,21 @@ def _check_known(suite: Suite, name: str) -> None:
 def _about_plant(one: Over) -> None:
     if one.name.split(".")[0] not in _OF_PLANT:
         raise ParameterError(
-            f"{one.name} is nothing of the plant", remedy=f"a condition is a number of {', '.join(_OF_PLANT)}"
+            f"{one.name} is not a parameter of the plant", remedy=f"a condition is a number of {', '.join(_OF_PLANT)}"
         )
 
 
-def _about_wish(text: str, scenario: Scenario) -> None:
+def _about_reference(text: str, scenario: Scenario) -> None:
     one = read_over(text, scenario)
     if not one.name.startswith("reference."):
-        raise ParameterError(f"{one.name} is nothing of the wish", remedy="put it among the conditions")
+        raise ParameterError(f"{one.name} is not a parameter of the reference", remedy="put it among the conditions")
 
 
 def _about_controller(over: tuple[Over, ...]) -> None:
     for one in over:
         if not one.name.startswith("controller."):
             raise ParameterError(
-                f"{one.name} is nothing of the controller", remedy="tune numbers that begin with `controller.`"
+                f"{one.name} is not a parameter of the controller", remedy="tune numbers that begin with `controller.`"
             )
 
 
@@ -166,8 +168,8 @@ def _plain(signal: SignalSpec[Any]) -> None:
         raise ParameterError("samples cannot be compared on", remedy="give a constant, step, sine or multisine")
 
 
-_Share = Annotated[int, Whole(1, 1000)]
-_Seed = Annotated[int, Whole(0, 2**31 - 1)]
+_Share = Annotated[int, BoundedInt(1, 1000)]
+_Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
 _MOST = 1_000_000
 
 AS_BELIEVED = "as believed"
@@ -180,22 +182,22 @@ def start_of(reference: ReferenceSpec) -> StartSpec:
     return StartSpec() if samples else StartSpec(angle=float(build_signal(reference.angle, "angle")(0.0)))
 
 
-class PlantSpec(Part):
+class PlantSpec(ConfigModel):
     """A joint that is in place of the one that controllers believe in, in so many parts of the runs."""
 
     share: _Share = 1
     joint: JointSpec
 
 
-class WishSpec(Part):
-    """A reference, what of it differs from run to run, and in how many parts of the runs it is wished for."""
+class ReferenceCase(ConfigModel):
+    """A reference, its parameters that vary from run to run, and its share of the runs."""
 
     share: _Share = 1
     reference: ReferenceSpec
     over: tuple[str, ...] = ()
 
 
-class TuningSpec(Part):
+class TuningSpec(ConfigModel):
     """How each controller is tuned: the same search with the same budget for all.
 
     From each of `starts` points (the gains of the file, then places spread over the ranges) `generations` of
@@ -205,12 +207,12 @@ class TuningSpec(Part):
     """
 
     cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
-    runs: Annotated[int, Whole(1, _MOST)] = 32
+    runs: Annotated[int, BoundedInt(1, _MOST)] = 32
     seed: _Seed = 99
-    starts: Annotated[int, Whole(1, 1000)] = 2
-    generations: Annotated[int, Whole(1, 100_000)] = 40
-    population: Annotated[int, Whole(4, 10_000)] = 16
-    decades: Annotated[int, Whole(1, 6)] = 1
+    starts: Annotated[int, BoundedInt(1, 1000)] = 2
+    generations: Annotated[int, BoundedInt(1, 100_000)] = 40
+    population: Annotated[int, BoundedInt(4, 10_000)] = 16
+    decades: Annotated[int, BoundedInt(1, 6)] = 1
     over: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     untuned: tuple[str, ...] = ()
 
@@ -220,18 +222,18 @@ class TuningSpec(Part):
         try:
             read_cost(value)
         except McKibbenError as error:
-            refuse(str(error))
+            fail_validation(str(error))
         return value
 
 
-class UnseenSpec(Part):
+class UnseenSpec(ConfigModel):
     """The runs on which controllers are compared: how many, and their seed, which no tuning has."""
 
-    runs: Annotated[int, Whole(2, _MOST)] = 512
+    runs: Annotated[int, BoundedInt(2, _MOST)] = 512
     seed: _Seed = 1
 
 
-class Suite(Part):
+class Suite(ConfigModel):
     """What controllers are compared on, and they themselves; `read` and `dumps` know the units.
 
     Every controller believes in `joint`, `load` and `valve` as they stand here, whatever the plant of a run is: nothing
@@ -249,7 +251,7 @@ class Suite(Part):
         The share of `joint` itself beside them.
     conditions
         What differs from run to run, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.read_over`.
-    wishes
+    references
         References by name. One among them of which the stiffness steps is needed for the coupling.
     fastest
         The highest angular acceleration [rad/s^2] of a wish; larger sines are made smaller.
@@ -261,6 +263,8 @@ class Suite(Part):
         Of each run.
     """
 
+    renamed: ClassVar = {"wishes": "references"}
+
     name: Title
     joint: JointSpec
     joint_share: _Share = 1
@@ -270,14 +274,14 @@ class Suite(Part):
     sensors: SensorsSpec | None = None
     disturbance: DisturbanceSpec | None = None
     conditions: tuple[str, ...] = ()
-    wishes: dict[str, WishSpec] = Field(min_length=1)
+    references: dict[str, ReferenceCase] = Field(min_length=1)
     fastest: AngularAcceleration | None = None
     controllers: dict[str, ControllerSpec] = Field(min_length=1)
     tuning: TuningSpec = TuningSpec()
     unseen: UnseenSpec = UnseenSpec()
     duration: Duration
     control_period: PositiveTime
-    substeps: Annotated[int, Whole(1, 1000)] = 4
+    substeps: Annotated[int, BoundedInt(1, 1000)] = 4
 
     @field_validator("valve", mode="before")
     @classmethod
@@ -287,14 +291,14 @@ class Suite(Part):
     @field_validator("control_period", mode="after")
     @classmethod
     def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
-        return dividing(value, info.data.get("duration"))
+        return check_divides_duration(value, info.data.get("duration"))
 
     @field_validator("unseen", mode="after")
     @classmethod
     def _unseen(cls, value: UnseenSpec, info: ValidationInfo) -> UnseenSpec:
         tuning = info.data.get("tuning")
         if tuning is not None and tuning.seed == value.seed:
-            refuse("has the seed of the tuning", "give another: what was tuned on is not unseen")
+            fail_validation("has the seed of the tuning", "give another: what was tuned on is not unseen")
         return value
 
     @model_serializer(mode="wrap", when_used="json")
@@ -311,12 +315,12 @@ class Suite(Part):
         ScenarioError
             With every problem of the file: line, field, value, allowed range and remedy.
         """
-        return cls.parse(text_of(path, "a suite"), source=os.fspath(path), folder=Path(path).parent)
+        return cls.parse(read_text(path, "a suite"), source=os.fspath(path), folder=Path(path).parent)
 
     @classmethod
     def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Suite:
         """Read a suite from text; arguments and errors as for `Scenario.parse`."""
-        suite, document = parsed(cls, text, source=source, folder=folder)
+        suite, document = parse_model(cls, text, source=source, folder=folder)
         problems = problems_of_suite(suite, document, AS_BELIEVED)
         if problems:
             raise ScenarioError(source, problems)
@@ -337,19 +341,19 @@ class Suite(Part):
         others = {name: (other.share, other.joint) for name, other in self.other_joints.items()}
         return {AS_BELIEVED: (self.joint_share, self.joint), **others}
 
-    def scenario(self, controller: str, wish: str, joint: str = AS_BELIEVED) -> Scenario:
+    def scenario(self, controller: str, reference: str, joint: str = AS_BELIEVED) -> Scenario:
         """One run before its conditions: the controller believes in the suite's own joint, load and valve."""
-        reference = self.wishes[wish].reference
+        signals = self.references[reference].reference
         return Scenario(
-            name=f"{self.name}: {controller}, {wish}"[:200],
+            name=f"{self.name}: {controller}, {reference}"[:200],
             joint=self.joints[joint][1],
             load=self.load,
             valve=self.valve,
             sensors=self.sensors,
             disturbance=self.disturbance,
             controller=self.controllers[controller].with_model(self.joint, self.load, self.valve),
-            reference=reference,
-            start=start_of(reference),
+            reference=signals,
+            start=start_of(signals),
             duration=self.duration,
             control_period=self.control_period,
             substeps=self.substeps,
@@ -359,15 +363,15 @@ class Suite(Part):
         """What differs from run to run of the plant."""
         return read_overs(self.conditions, self.example())
 
-    def wish_over(self, wish: str) -> tuple[Over, ...]:
+    def reference_over(self, reference: str) -> tuple[Over, ...]:
         """What of a wish differs from run to run."""
-        return read_overs(self.wishes[wish].over, self.example(wish))
+        return read_overs(self.references[reference].over, self.example(reference))
 
     def tuned_over(self, controller: str) -> tuple[Over, ...]:
         """What of a controller is tuned, and over what range; nothing where it is taken as it is."""
         if controller in self.tuning.untuned:
             return ()
-        scenario = self.scenario(controller, next(iter(self.wishes)))
+        scenario = self.scenario(controller, next(iter(self.references)))
         if controller in self.tuning.over:
             return read_ranges(self.tuning.over[controller], scenario)
         gains = around_gains(scenario, float(self.tuning.decades))
@@ -377,6 +381,6 @@ class Suite(Part):
             )
         return over(scenario, gains)
 
-    def example(self, wish: str | None = None, joint: str = AS_BELIEVED) -> Scenario:
+    def example(self, reference: str | None = None, joint: str = AS_BELIEVED) -> Scenario:
         """A run of the first controller."""
-        return self.scenario(next(iter(self.controllers)), wish or next(iter(self.wishes)), joint)
+        return self.scenario(next(iter(self.controllers)), reference or next(iter(self.references)), joint)

@@ -3,83 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
 
+from mckibben.config.document import edit_yaml
 from mckibben.errors import ScenarioError
-from mckibben.study.parameters.addresses import Place, find_all
+from mckibben.study.parameters.addresses import find_all
 from mckibben.study.parameters.values import with_values
 from mckibben.study.scenario import Scenario
-
-
-@dataclass(frozen=True)
-class Span:
-    """Where something begins and ends in a text.
-
-    Attributes
-    ----------
-    start, end
-        Of a scalar its text, quotes included; of a mapping the first and the last thing in it.
-    mapping
-        Whether it is one.
-    flow
-        Whether it stands in braces, or is one in braces itself.
-    column
-        Of a mapping's first key.
-    """
-
-    start: int
-    end: int
-    mapping: bool
-    flow: bool
-    column: int = 0
-
-
-def spans(text: str) -> dict[Place, Span]:
-    """Where the mappings of a scenario's text are, and the scalars in them.
-
-    >>> found = spans("load: {from: knee-table-2, mass2: 0.8 kg}")
-    >>> found["load", "mass2"].start, found["load", "mass2"].end
-    (34, 40)
-    """
-    from ruamel.yaml import YAML
-    from ruamel.yaml import events as kinds
-
-    found: dict[Place, Span] = {}
-    events = YAML(typ="safe", pure=True).parse(text)
-    for event in events:
-        if isinstance(event, kinds.DocumentStartEvent):
-            _read(next(events), events, (), False, found)
-            break
-    return found
-
-
-def _read(event: Any, events: Iterator[Any], place: Place, flow: bool, found: dict[Place, Span]) -> int:
-    """Take in what begins here; where it ends."""
-    from ruamel.yaml import events as kinds
-
-    if isinstance(event, kinds.MappingStartEvent):
-        return _read_mapping(event, events, place, found)
-    if isinstance(event, kinds.SequenceStartEvent):
-        ends = event.end_mark.index
-        while not isinstance(following := next(events), kinds.SequenceEndEvent):
-            ends = _read(following, events, (*place, ""), flow, found)
-        return following.end_mark.index if event.flow_style else ends
-    found[place] = Span(event.start_mark.index, event.end_mark.index, mapping=False, flow=flow)
-    return event.end_mark.index
-
-
-def _read_mapping(event: Any, events: Iterator[Any], place: Place, found: dict[Place, Span]) -> int:
-    from ruamel.yaml import events as kinds
-
-    flow = bool(event.flow_style)
-    start = end = event.start_mark.index + 1 if flow else event.start_mark.index
-    column = event.start_mark.column
-    while not isinstance(key := next(events), kinds.MappingEndEvent):
-        end = _read(next(events), events, (*place, key.value), flow, found)
-    found[place] = Span(start, end, mapping=True, flow=flow, column=column)
-    return key.end_mark.index if flow else end
 
 
 def rewritten(text: str, values: Mapping[str, float | int], *, folder: str | os.PathLike[str] = ".") -> str:
@@ -123,40 +53,9 @@ def rewritten(text: str, values: Mapping[str, float | int], *, folder: str | os.
     """
     scenario = Scenario.parse(text, folder=folder)
     wanted = with_values(scenario, values)
-    changed = text
-    for address, value in zip(find_all(scenario, values), values.values(), strict=True):
-        changed = _changed(changed, address.place, address.write(value))
+    numbers = zip(find_all(scenario, values), values.values(), strict=True)
+    changed = edit_yaml(text, {address.place: address.write(value) for address, value in numbers})
     return changed if _reads_as(changed, wanted, folder) else wanted.dumps(folder=folder)
-
-
-def _changed(text: str, place: Place, written: str) -> str:
-    """The text with one number in it, in place of what stood there or added."""
-    found = spans(text)
-    *parent, key = place
-    here, around = found.get(place), found.get(tuple(parent))
-    if here is not None:
-        return text[: here.start] + written + text[here.end :]
-    if around is None:
-        return _changed(text, tuple(parent), f"{{{key}: {written}}}")
-    if around.mapping:
-        return _added(text, tuple(parent), f"{key}: {written}")
-    if key != "constant":  # the name alone stands for `from`
-        written = f"{{from: {text[around.start : around.end]}, {key}: {written}}}"
-    return text[: around.start] + written + text[around.end :]
-
-
-def _added(text: str, place: Place, entry: str) -> str:
-    """The text with another entry at the end of a mapping."""
-    mapping = spans(text)[place]
-    before, after = text[: mapping.end], text[mapping.end :]
-    if mapping.flow:
-        return f"{before}{entry if mapping.start == mapping.end else f', {entry}'}{after}"
-    line = f"{' ' * mapping.column}{entry}"
-    newline = "\r\n" if "\r\n" in text else "\n"
-    if before.endswith("\n"):  # a block of text ends with its line
-        return f"{before}{line}{newline}{after}"
-    rest, ends, following = after.partition(newline)
-    return f"{before}{rest}{newline}{line}{ends}{following}"
 
 
 def _reads_as(text: str, wanted: Scenario, folder: str | os.PathLike[str]) -> bool:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import PydanticCustomError
 
-from mckibben.config.fields import Quantity, quoted
-from mckibben.errors import ParameterError
+from mckibben.config.fields import Quantity
+from mckibben.errors import ParameterError, quoted
 from mckibben.study.parameters.addresses import Address, find, find_all
 from mckibben.study.parameters.distributions import MOST, LogUniform, Normal, Spread, Uniform, Values, Wholes
 from mckibben.study.scenario import Scenario
@@ -313,7 +313,7 @@ def _fail(message: str, remedy: str) -> NoReturn:
 
 def _about(text: str, error: ParameterError) -> ParameterError:
     """The same error, with the text that it is about."""
-    message = str(error).removesuffix(f"; {error.remedy}") if error.remedy else str(error)
+    message = error.message
     about = {"value": error.value, "lower": error.lower, "upper": error.upper, "unit": error.unit}
     return ParameterError(f"{quoted(text)}: {message}", remedy=error.remedy, **about)  # type: ignore[arg-type]
 
@@ -386,7 +386,7 @@ def _grid(over: Sequence[Over]) -> Table:
         try:
             axes.append(each.spread.grid())
         except ParameterError as error:
-            message = str(error).removesuffix(f"; {error.remedy}")
+            message = error.message
             raise ParameterError(f"{each.text}: {message}", remedy=error.remedy) from None
     rows = math.prod(len(axis) for axis in axes)
     if rows > MOST:

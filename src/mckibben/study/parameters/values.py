@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
 from mckibben.config.document import dotted
-from mckibben.config.fields import Part
+from mckibben.config.model import ConfigModel
 from mckibben.errors import ParameterError, RangeError
 from mckibben.study.parameters.addresses import Address, Place, fields_of, find_all
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.controller import BelievingSpec
+from mckibben.study.scenario.controller import ModelBasedSpec
 
-P = TypeVar("P", bound=Part)
+P = TypeVar("P", bound=ConfigModel)
 
 
 def validated(part: P, values: Mapping[Place, Any], place: Place = ()) -> P:
@@ -61,7 +61,7 @@ def replaced(part: P, values: Mapping[Place, Any]) -> P:
     return part.model_copy(update=update)
 
 
-def part_at(part: Part, place: Place) -> Part:
+def part_at(part: ConfigModel, place: Place) -> ConfigModel:
     """The part at a place within a part."""
     for key in place:
         part = next(value for name, _, value in fields_of(part) if name == key)
@@ -163,14 +163,14 @@ def _builder(place: Place) -> Callable[[Any], object]:
             return _nothing
 
 
-def _beliefs(spec: BelievingSpec) -> tuple[object, ...]:
+def _beliefs(spec: ModelBasedSpec) -> tuple[object, ...]:
     """What a controller by a model believes, and what corrects it."""
     from mckibben.study.scenario import building
 
     return spec.load and building.build_load(spec.load), building.build_adaptation(spec.adaptation)
 
 
-def _nothing(_: Part) -> None:
+def _nothing(_: ConfigModel) -> None:
     """A start is made by the plant."""
 
 

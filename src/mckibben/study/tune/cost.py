@@ -11,8 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.config.fields import quoted
-from mckibben.errors import ParameterError, UnitError
+from mckibben.errors import ParameterError, UnitError, quoted
 from mckibben.simulation import Metrics
 from mckibben.simulation.result import attributes
 from mckibben.study.parameters import Address, LogUniform, Over, addresses, find, read_over
