@@ -86,7 +86,7 @@ class Problem:
     @property
     def first(self) -> NDArray[np.float64]:
         """The state at the start: angle, velocity, p1, p2."""
-        return np.array([float(value) for value in self.start[:4]])
+        return np.array([float(value) for value in (self.start.angle, self.start.velocity, *self.start.pressures)])
 
     @property
     def numbers(self) -> Numbers:

@@ -183,7 +183,7 @@ class Columns(Mapping[str, np.ndarray]):
 
 
 class Result:
-    """A simulated run; ``result["angle"]`` is a column as an array.
+    """A simulated run; ``result["angle"]`` is a column as an array, ``result["time"]`` its times.
 
     Parameters
     ----------
@@ -239,6 +239,8 @@ class Result:
         return np.arange(self["angle"].size) * self.control_period
 
     def __getitem__(self, name: str) -> np.ndarray:
+        if name == "time":
+            return self.times
         if name not in self.columns:
             known = ", ".join(self.columns)
             raise SimulationError(f"there is no column {name!r}", value=name, remedy=f"there are {known}")
