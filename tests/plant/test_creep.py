@@ -14,12 +14,11 @@ from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint,
 from mckibben.errors import RangeError
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, MuscleState, NoCreep
-from mckibben.numerics.batching import many_runs
+from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState
 from mckibben.plant.joint_plant import Motion
-from mckibben.simulation import simulate
-from mckibben.simulation.loop import compiled_episode, episode
+from mckibben.simulation import compiled_episode, episode, simulate
 from mckibben.units import mm
 
 PERIODS, PERIOD = 1000, 1e-3
@@ -149,7 +148,7 @@ def test_many_runs_are_the_same_as_one(both, playback):
         return episode(plant, playback, held, start, PERIOD, 1)[0]
 
     stiffness = jnp.array([500.0, 1000.0, 4000.0])
-    with many_runs():
+    with batched_program():
         many = jax.jit(jax.vmap(final))(stiffness)
     one = jax.jit(final)
     for k in range(3):

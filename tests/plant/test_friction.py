@@ -15,10 +15,10 @@ from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import MaxwellSlip
-from mckibben.numerics.batching import many_runs
+from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.loop import compiled_episode, episode
+from mckibben.simulation import compiled_episode, episode
 from mckibben.units import bar, mm
 
 PERIODS, PERIOD = 1500, 1e-3
@@ -210,7 +210,7 @@ def test_a_derivative_is_that_of_a_small_change(with_slip, playback):
     def final(width):
         chosen = eqx.tree_at(lambda p: p.joint.muscle1.friction.half_width, with_slip, width)
         start = chosen.complete_state(PlantState(0.1, 0.8, (P1, P2)))
-        with many_runs():  # a smaller program
+        with batched_program():  # a smaller program
             return jax.jvp(
                 lambda w: (
                     episode(

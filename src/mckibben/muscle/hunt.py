@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import ForceLaw, Parameter
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.calculus import increasing_root
+from mckibben.numerics.calculus import bracketed_root
 from mckibben.numerics.checks import check_positive
 from mckibben.units import kPa, percent
 
@@ -86,7 +86,7 @@ class HuntLaw(ForceLaw):
         mild = self.shift + math.atan(10.0) / self.steepness
         lowest = jnp.minimum((pressure - self.p0 - 10.0 * self.c2) / self.c1, highest)
         lowest = jnp.minimum(lowest, (self.largest - contraction / mild) / self.softening) - 1.0
-        return increasing_root(lambda force: self._pressure(force, contraction) - pressure, lowest, highest)
+        return bracketed_root(lambda force: self._pressure(force, contraction) - pressure, lowest, highest)
 
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         force, contraction = jnp.asarray(force), jnp.asarray(contraction)
