@@ -420,7 +420,7 @@ class IsometricProtocol:
             ]
         return (*steps, Vent())
 
-    def _pass(self, pressures: Sequence[float], phase: str) -> list[Step]:
+    def _pass(self, pressures: Sequence[float], phase: Literal["filling", "venting"]) -> list[Step]:
         acquire = Acquire(samples=self.samples, duration=self.acquisition, phase=phase)
         return [
             step
