@@ -144,7 +144,7 @@ def linearise(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pair) -> To
         return joint.affine_map(angle)
     pressure1, pressure2 = (jnp.stack([p, p, p]) for p in pressures)
     pressure1, pressure2 = pressure1.at[1].add(_SECANT), pressure2.at[2].add(_SECANT)
-    samples = joint.torque_and_stiffness(jnp.broadcast_to(angle, (3,)), (pressure1, pressure2))
+    samples = joint.evaluate(jnp.broadcast_to(angle, (3,)), (pressure1, pressure2))
 
     def through(values: Array) -> AffineMap:
         slope1, slope2 = (values[1] - values[0]) / _SECANT, (values[2] - values[0]) / _SECANT

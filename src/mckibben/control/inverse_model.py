@@ -184,7 +184,7 @@ class InverseModelControl(Controller):
     def init(self, measurement: Measurement) -> InverseModelState:
         angle, pressures = measurement
         zero = jnp.zeros_like(floating(angle))
-        stiffness = self.loops.model.stiffness(angle, pressures)
+        stiffness = self.loops.model.evaluate(angle, pressures)[1]
         weights = jax.random.uniform(jax.random.key(self.seed), (self.hidden, 5), minval=-1.0, maxval=1.0)
         network = Network(weights.astype(zero.dtype), jnp.zeros((2, self.hidden + 1), zero.dtype))
         differential, cocontraction = self._model_inverse(InverseInput(angle, zero, zero, stiffness), pressures)
@@ -264,6 +264,12 @@ class InverseModelControl(Controller):
         torque = load.required_torque(x.angle, x.velocity, x.acceleration)
         return linearise(self.loops.model, x.angle, pressures).pressures_for(torque, x.stiffness)
 
+    @computed_once
+    def _is_taut(self, angle: Scalar, pressures: Pair) -> Array:
+        """Whether both muscles are taut by the model."""
+        tension1, tension2 = self.loops.model.tensions(angle, pressures)
+        return (tension1 > _TAUT) & (tension2 > _TAUT)
+
     def _network_output(
         self, network: Network, x: InverseInput, offset: InitialOffset
     ) -> tuple[Pair, tuple[Array, tuple[Scalar, ...]]]:
@@ -306,8 +312,7 @@ class InverseModelControl(Controller):
         """Weights after one step, and the error of the inverse [Pa]."""
         angle, stiffness, pressure1, pressure2 = (each.value for each in measured[:4])
         x, pressures = InverseInput(angle, measured.velocity, acceleration, stiffness), (pressure1, pressure2)
-        tension1, tension2 = self.loops.model.tensions(angle, pressures)
-        is_taut = (tension1 > _TAUT) & (tension2 > _TAUT)
+        is_taut = self._is_taut(angle, pressures)
 
         differential, cocontraction = (pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2
         if self.load is not None:

@@ -103,7 +103,7 @@ class ModelBasedControl(Controller):
     def init_estimates(self, measurement: Measurement) -> Estimates:
         """Estimates before the first step, at rest."""
         angle, pressures = measurement
-        torque, stiffness = self.model.torque_and_stiffness(angle, pressures)
+        torque, stiffness = self.model.evaluate(angle, pressures)
         zero = jnp.zeros_like(angle)
         return Estimates(
             motion=self.observers[0].init(angle, self.load.acceleration(angle, zero, torque)),
@@ -127,7 +127,7 @@ class ModelBasedControl(Controller):
         fraction = self.valve_fraction(period)
         pressures = pressure_observer.step(last.pressures, last.commands, measurement.pressures, fraction, period)
         adaptation, model = self._adapt(last.adaptation, measurement, period)
-        torque, stiffness = model.torque_and_stiffness(angle, pressures)
+        torque, stiffness = model.evaluate(angle, pressures)
         muscles, friction_torque = self._friction(last.muscles, setpoint.angle, pressures)
         known = self.load.acceleration(angle, last.motion.velocity, torque + friction_torque)
         estimates = last._replace(

@@ -89,7 +89,7 @@ class PositionStiffnessControl(Controller):
     def init_with(self, feedforward: Feedforward | None, measurement: Measurement) -> PositionStiffnessState:
         """Return the initial state beside a feedforward."""
         angle, (pressure1, pressure2) = measurement
-        estimate = self.model.stiffness(angle, measurement.pressures)
+        estimate = self.model.evaluate(angle, measurement.pressures)[1]
         differential, cocontraction = (pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2
         if feedforward is not None:
             differential = differential - feedforward.differential
@@ -112,7 +112,7 @@ class PositionStiffnessControl(Controller):
     ) -> tuple[PositionStiffnessState, Pair]:
         """Return the next state and the commands beside a feedforward."""
         angle, pressures = measurement
-        estimate = self.model.stiffness(angle, pressures)
+        estimate = self.model.evaluate(angle, pressures)[1]
         angle_gain, stiffness_gain = self._sensitivities(measurement, estimate)
         target, measured = setpoint.angle, angle
         if feedforward is not None:

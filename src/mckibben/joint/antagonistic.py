@@ -170,7 +170,6 @@ class AntagonisticJoint(eqx.Module):
             self.tendon.contraction(self.muscle2, path2, pressure2, states[1]),
         )
 
-    @computed_once
     def tensions(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return the tension [N] of each muscle, F1 and F2."""
         _warn_outside(self, angle, pressures)

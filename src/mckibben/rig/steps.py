@@ -468,7 +468,8 @@ class IsotonicProtocol:
         for force in self.forces:
             steps += [Vent(), Move(to=0.0, speed=self.speed)]
             inside: list[Step] = []
-            up, down = ([(p, phase) for p in self.pressures] for phase in ("filling", "venting"))
+            phases: tuple[Literal["filling", "venting"], ...] = ("filling", "venting")
+            up, down = ([(p, phase) for p in self.pressures] for phase in phases)
             for pressure, phase in up + down[::-1]:
                 inside += [
                     Pressurise(pressure=pressure, rate=self.rate, holding=force),
