@@ -87,11 +87,7 @@ class DesignTarget:
             )
 
     def describe(self) -> str:
-        """The target as text.
-
-        >>> DesignTarget((12.0, 18.0), (-20 * deg, 20 * deg)).describe()
-        'stiffness 12..18 N*m/rad over -20..20 deg'
-        """
+        """The target as text."""
         (low, high), (first, last) = self.stiffness, self.angles
         reserve = f", torque reserve {self.torque_reserve:g} N*m" if self.torque_reserve else ""
         return f"stiffness {low:g}..{high:g} N*m/rad over {first / deg:g}..{last / deg:g} deg{reserve}"
@@ -272,12 +268,10 @@ class Design:
 
     Attributes
     ----------
-    target
-        The target.
+    target, plant
+        The target, and the plant with the optimised lengths.
     lengths, initial
         Optimised and initial lengths [m], by name.
-    plant
-        The plant with these lengths.
     margin
         Smallest of the `constraint_margins`; the target is attained if it is not negative.
     active
