@@ -469,9 +469,9 @@ class IsotonicProtocol:
         for force in self.forces:
             steps += [Vent(), Move(to=0.0, speed=self.speed)]
             inside: list[Step] = []
-            phases: tuple[Phase, Phase] = ("filling", "venting")
-            up, down = ([(p, phase) for p in self.pressures] for phase in phases)
-            for pressure, phase in up + down[::-1]:
+            up: list[tuple[float, Phase]] = [(pressure, "filling") for pressure in self.pressures]
+            down: list[tuple[float, Phase]] = [(pressure, "venting") for pressure in self.pressures[::-1]]
+            for pressure, phase in up + down:
                 inside += [
                     Pressurise(pressure=pressure, rate=self.rate, holding=force),
                     HoldForce(force=force, tolerance=self.tolerance, speed=self.speed),
