@@ -13,17 +13,15 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
+from mckibben.config.schema import model_of
 from mckibben.errors import Problem, RigError
 from mckibben.rig.backend import AnalogChannel, Backend
+from mckibben.rig.bench import JointLimits
 from mckibben.rig.calibration import Calibration
 from mckibben.study.rig.steps import JsonPath
 from mckibben.units import (
-    Angle,
     BoundedInt,
     Duration,
-    PositiveTime,
-    Pressure,
-    PressureRate,
     Quantity,
     WaitTime,
     bar,
@@ -161,7 +159,6 @@ def _line(calibration: Calibration, column: int, inputs: Sequence[AnalogChannel]
 
 _Step = Annotated[float, Quantity("rad", "deg", 0, 10)]
 _Noise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3)]
-_Turning = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e5, open_lower=True)]
 
 
 class SimulatedJointSpec(ConfigModel):
@@ -187,22 +184,11 @@ class JointCardSpec(ConfigModel):
     calibration: JsonPath
 
 
-class JointLimitsSpec(ConfigModel):
-    """Safety limits, see `JointLimits`.
+class JointLimitsSpec(model_of(JointLimits, optional=True)):
+    """Safety limits.
 
     Defaults: angle 10 deg beyond the references, the start and the vented joint; pressure 5 % above the rated one.
     """
-
-    lowest_angle: Angle | None = None
-    highest_angle: Angle | None = None
-    pressure: Pressure | None = None
-    angle_rate: _Turning | None = None
-    pressure_rate: PressureRate | None = None
-    window: PositiveTime | None = None
-    pressure_error: Pressure | None = None
-    following: PositiveTime | None = None
-    silence: PositiveTime | None = None
-    late: PositiveTime | None = None
 
 
 class ApproachSpec(ConfigModel):

@@ -32,6 +32,7 @@ from mckibben.units import (
     s,
 )
 
+Phase = Literal["", "filling", "venting"]
 DIRECTIONS, PHASES = ("", "loading", "unloading"), ("", "filling", "venting")
 
 SPEED = 0.2 * mm / s
@@ -163,7 +164,7 @@ class Acquire:
     samples: Samples = 1000
     duration: Duration = 1 * s
     direction: Literal["", "loading", "unloading"] = ""
-    phase: Literal["", "filling", "venting"] = ""
+    phase: Phase = ""
     keep: bool = True
 
     def __post_init__(self) -> None:
@@ -420,7 +421,7 @@ class IsometricProtocol:
             ]
         return (*steps, Vent())
 
-    def _pass(self, pressures: Sequence[float], phase: Literal["filling", "venting"]) -> list[Step]:
+    def _pass(self, pressures: Sequence[float], phase: Phase) -> list[Step]:
         acquire = Acquire(samples=self.samples, duration=self.acquisition, phase=phase)
         return [
             step
@@ -468,9 +469,9 @@ class IsotonicProtocol:
         for force in self.forces:
             steps += [Vent(), Move(to=0.0, speed=self.speed)]
             inside: list[Step] = []
-            phases: tuple[Literal["filling", "venting"], ...] = ("filling", "venting")
-            up, down = ([(p, phase) for p in self.pressures] for phase in phases)
-            for pressure, phase in up + down[::-1]:
+            up: list[tuple[float, Phase]] = [(pressure, "filling") for pressure in self.pressures]
+            down: list[tuple[float, Phase]] = [(pressure, "venting") for pressure in self.pressures[::-1]]
+            for pressure, phase in up + down:
                 inside += [
                     Pressurise(pressure=pressure, rate=self.rate, holding=force),
                     HoldForce(force=force, tolerance=self.tolerance, speed=self.speed),

@@ -12,7 +12,7 @@ from mckibben.config.document import Document, to_text
 from mckibben.config.fields import Flag, OneOf, Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.config.schema import model_of
-from mckibben.rig.bench import RigLimits
+from mckibben.rig.bench import Bench, RigLimits
 from mckibben.storage.files import whole
 from mckibben.study.rig.steps import Address, JsonPath, ProtocolSpec
 from mckibben.study.scenario.plant import CatalogName, CreepSpec, FrictionSpec, Law
@@ -20,7 +20,6 @@ from mckibben.units import (
     BoundedInt,
     Contraction,
     Factor,
-    Force,
     PositiveTime,
     SampleRate,
     Tension,
@@ -29,9 +28,9 @@ from mckibben.units import (
 
 
 class TestedMuscleSpec(ConfigModel):
-    """What is tested.
+    """Specimen under test.
 
-    With a `law` the boundaries of the test are known beforehand; without one they are found as it goes.
+    With a `law` the boundaries of the test follow from it; without one the test finds them.
     """
 
     specimen: Annotated[str, CatalogName("specimens")]
@@ -42,8 +41,8 @@ class TestedMuscleSpec(ConfigModel):
 class SimulatedRigSpec(ConfigModel):
     """The simulated rig, see `SimulatedRig`.
 
-    What it has in its clamps follows `law` (by default the one of the `muscle`), with friction and creep where they are
-    given. Its `parts` are real, with noise, offsets, play and steps, or ideal, without any of these.
+    Its muscle follows `law` (default: that of `muscle`), with friction and creep where given. Its `parts` are real
+    (noise, offsets, backlash, resolution) or ideal.
     """
 
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
@@ -115,33 +114,27 @@ class LimitsSpec(model_of(RigLimits)):
     force: Tension | None = None
 
 
-class RecordingSpec(ConfigModel):
-    """Cycle of reading and checking, rate of the record between plateaus, and highest mean
-    force a point is one of a slack muscle.
-    """
-
-    cycle: PositiveTime | None = None
-    between: SampleRate | None = None
-    slack_force: Force | None = None
+class RecordingSpec(model_of(Bench, optional=True)):
+    """Cycle of the safety monitor, sample rate between plateaus, and force below which a point is slack."""
 
 
 class RigTest(ConfigModel):
-    """A test: what is tested, on which rig, within which limits, and how; in SI, `read` and `to_yaml` know the units.
+    """A test: specimen, rig, limits and protocol in SI; `read` and `to_yaml` know the units.
 
     Attributes
     ----------
     name
-        What it is about, in a few words.
+        One line of text.
     muscle
-        What is in the clamps.
+        Specimen and law.
     rig
-        Virtual, or a card.
+        Simulated rig, or a card.
     limits
-        What may not be exceeded.
+        Safety limits.
     recording
-        How often it is watched, and what is recorded between plateaus.
+        Cycle of the safety monitor, sample rate between plateaus.
     protocol
-        What is done.
+        Steps, or a whole test.
 
     Examples
     --------
@@ -203,7 +196,7 @@ class RigTest(ConfigModel):
 
 
 def read_test(path: str | os.PathLike[str]) -> tuple[RigTest, Document]:
-    """A protocol file, and the lines of what stands in it.
+    """A protocol file, and the lines of its values.
 
     Raises
     ------
