@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mckibben.simulation.metrics import METRICS
 from mckibben.study.parameters import addresses
-from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep import Sweep
 

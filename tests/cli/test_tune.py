@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from mckibben.study.reporting import METRICS
+from mckibben.simulation.metrics import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune.problem import TuningProblem
 

@@ -96,14 +96,14 @@ def test_sensors_without_faults_and_pushes_of_nothing_change_nothing(heard, plan
     sheltered = JointPlant(plant.joint, plant.load, plant.valve)
     state, told = sheltered.sample(START, PERIOD)
     assert sheltered.complete_state(START) == state == START
-    assert told == (START.angle, *START.pressures)
+    assert told == (START.angle, START.pressures)
 
 
 def test_a_run_that_goes_on_hears_and_feels_what_comes_next(heard, alone):
     _, _, final = alone
     record, seen, _ = heard(start=final)
     assert np.asarray(record.state.io.index).tolist() == list(range(PERIODS + 1, 2 * PERIODS + 1))
-    np.testing.assert_array_equal(seen[0], np.stack(final.io.sensors))
+    np.testing.assert_array_equal(seen[0], np.stack(jax.tree.leaves(final.io.sensors)))
     off = seen[1:, 1] - np.asarray(record.state.pressures[0])[:-1]
     before = alone[1][1:, 1] - np.asarray(alone[0].state.pressures[0])[:-1]
     assert np.abs(off - before).min() > 0  # the noise does not begin anew

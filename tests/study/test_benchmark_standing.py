@@ -9,10 +9,11 @@ import scipy.stats
 import xarray as xr
 
 from mckibben.simulation import Batch, Metrics, Outcome
+from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES
+from mckibben.storage.files import to_json
 from mckibben.study.benchmark import Contest, Suite, draw
 from mckibben.study.benchmark.benchmark import keep_table, standing
-from mckibben.study.reporting import METRICS, to_json
 from mckibben.study.tune.problem import LOST
 from mckibben.units import deg, litre
 

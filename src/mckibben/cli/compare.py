@@ -93,8 +93,8 @@ def _alone(out: Path, repeat: str) -> str:
 
 def _show(contest: Contest, out: Path, json: bool) -> None:
     from mckibben import report
+    from mckibben.storage.files import to_json, write_json
     from mckibben.study.benchmark.benchmark import keep_table, standing
-    from mckibben.study.reporting import to_json, write_json
 
     numbers = standing(contest)
     write_json(out / "results.json", numbers)  # before anything is drawn

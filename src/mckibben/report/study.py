@@ -28,7 +28,7 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
-from mckibben.study.reporting import METRICS
+from mckibben.simulation.metrics import METRICS
 from mckibben.study.sweep import Sweep
 from mckibben.study.sweep.result import main_metrics, spearman
 from mckibben.study.tune import Tuned

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from mckibben.control import Controller
 from mckibben.errors import ParameterError
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
+from mckibben.simulation.metrics import METRICS
 from mckibben.study.benchmark.runs import Runs, draw
 from mckibben.study.benchmark.suite import Suite, filename
 from mckibben.study.parameters import Over, allowed, lanes
-from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.result import spearman
 from mckibben.study.tune.cost import Numbers, as_written, at_bound, nominal_of, point_of, values_at

@@ -12,17 +12,17 @@ import jax
 from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
 from mckibben.config.document import Document, dotted, to_text
-from mckibben.config.fields import AngularAcceleration, BoundedInt, Duration, PositiveTime, Title
+from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.study.parameters import Over, over, read_over, read_overs
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import build_signal
-from mckibben.study.scenario.controller import ControllerSpec
-from mckibben.study.scenario.plant import DisturbanceSpec, JointSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
+from mckibben.study.scenario.controller import AnyController
+from mckibben.study.scenario.plant import AnyDisturbance, AnyLoad, AnySensors, AnyValve, JointSpec, StartSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
 from mckibben.study.scenario.scenario import check_divides_duration
 from mckibben.study.tune import Cost, around_gains, read_cost, read_ranges
+from mckibben.units import AngularAcceleration, BoundedInt, Duration, PositiveTime
 
 _OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
 _LONGEST_NAME = 80
@@ -38,7 +38,7 @@ def filename(name: str) -> str:
 
 
 def problems_of_suite(suite: Suite, document: Document, believed: str) -> list[Problem]:
-    """What is wrong with parts that have to do with one another.
+    """Check the parts of a suite against each other.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _about_controller(over: tuple[Over, ...]) -> None:
             )
 
 
-def _plain(signal: SignalSpec[Any]) -> None:
+def _plain(signal: SignalSpec) -> None:
     if signal.samples is not None:
         raise ParameterError("samples cannot be compared on", remedy="give a constant, step, sine or multisine")
 
@@ -173,17 +173,17 @@ _Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
 _MOST = 1_000_000
 
 AS_BELIEVED = "as believed"
-"""The joint that controllers believe in, as the plant of a run."""
+"""Name of the controllers' own model as the plant of a run."""
 
 
 def start_of(reference: ReferenceSpec) -> StartSpec:
-    """Where a run starts: at rest at the first angle of its wish, amid the attainable stiffness."""
+    """Initial equilibrium of a run: first angle of its reference, middle of the attainable stiffness."""
     samples = reference.angle.samples is not None  # which no suite may have; it says so itself
-    return StartSpec() if samples else StartSpec(angle=float(build_signal(reference.angle, "angle")(0.0)))
+    return StartSpec() if samples else StartSpec(angle=float(reference.angle.build()(0.0)))
 
 
 class PlantSpec(ConfigModel):
-    """A joint that is in place of the one that controllers believe in, in so many parts of the runs."""
+    """A joint that replaces the nominal one in a share of the runs."""
 
     share: _Share = 1
     joint: JointSpec
@@ -198,7 +198,7 @@ class ReferenceCase(ConfigModel):
 
 
 class TuningSpec(ConfigModel):
-    """How each controller is tuned: the same search with the same budget for all.
+    """Tuning of each controller: the same search with the same budget.
 
     From each of `starts` points (the gains of the file, then places spread over the ranges) `generations` of
     `population` points are tried by CMA-ES, each on the same `runs` runs. Gains are searched over `decades` powers of
@@ -234,27 +234,27 @@ class UnseenSpec(ConfigModel):
 
 
 class Suite(ConfigModel):
-    """What controllers are compared on, and they themselves; `read` and `dumps` know the units.
+    """Plants, references and conditions of a comparison, and its controllers; `read` and `dumps` know the units.
 
-    Every controller believes in `joint`, `load` and `valve` as they stand here, whatever the plant of a run is: nothing
-    of a run's own plant reaches it but what `sensors` tell.
+    The model of every controller is `joint`, `load` and `valve` as given here, whatever the plant of a run is: only
+    the measurements of `sensors` depend on the run's own plant.
 
     Attributes
     ----------
     name
-        What it is about, in a few words.
+        One line of text.
     joint, load, valve, sensors, disturbance
-        As in a scenario: what controllers believe, and the plant before its `conditions`.
+        As in a scenario: the controllers' model, and the plant before its `conditions`.
     other_joints
-        Joints that are in the place of that one in a share of the runs; of the same make, with the same kind of law.
+        Joints that replace it in a share of the runs; same specimens, same kind of law.
     joint_share
         The share of `joint` itself beside them.
     conditions
-        What differs from run to run, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.read_over`.
+        Parameters that vary from run to run, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.read_over`.
     references
         References by name. One among them of which the stiffness steps is needed for the coupling.
     fastest
-        The highest angular acceleration [rad/s^2] of a wish; larger sines are made smaller.
+        The highest angular acceleration [rad/s^2] of a reference; larger sines are scaled down.
     controllers
         By name. The first is what the others are compared with.
     tuning, unseen
@@ -269,14 +269,14 @@ class Suite(ConfigModel):
     joint: JointSpec
     joint_share: _Share = 1
     other_joints: dict[str, PlantSpec] = Field(default_factory=dict)
-    load: LoadSpec
-    valve: ValveSpec | None = None
-    sensors: SensorsSpec | None = None
-    disturbance: DisturbanceSpec | None = None
+    load: AnyLoad
+    valve: AnyValve | None = None
+    sensors: AnySensors | None = None
+    disturbance: AnyDisturbance | None = None
     conditions: tuple[str, ...] = ()
     references: dict[str, ReferenceCase] = Field(min_length=1)
     fastest: AngularAcceleration | None = None
-    controllers: dict[str, ControllerSpec] = Field(min_length=1)
+    controllers: dict[str, AnyController] = Field(min_length=1)
     tuning: TuningSpec = TuningSpec()
     unseen: UnseenSpec = UnseenSpec()
     duration: Duration
@@ -332,7 +332,7 @@ class Suite(ConfigModel):
 
     @property
     def cost(self) -> Cost:
-        """Of a run."""
+        """Cost of a run."""
         return read_cost(self.tuning.cost)
 
     @property
@@ -342,7 +342,7 @@ class Suite(ConfigModel):
         return {AS_BELIEVED: (self.joint_share, self.joint), **others}
 
     def scenario(self, controller: str, reference: str, joint: str = AS_BELIEVED) -> Scenario:
-        """One run before its conditions: the controller believes in the suite's own joint, load and valve."""
+        """One run before its conditions; the controller's model is the suite's own joint, load and valve."""
         signals = self.references[reference].reference
         return Scenario(
             name=f"{self.name}: {controller}, {reference}"[:200],
@@ -360,15 +360,15 @@ class Suite(ConfigModel):
         )
 
     def conditions_over(self) -> tuple[Over, ...]:
-        """What differs from run to run of the plant."""
+        """Parameters of the plant that vary from run to run."""
         return read_overs(self.conditions, self.example())
 
     def reference_over(self, reference: str) -> tuple[Over, ...]:
-        """What of a wish differs from run to run."""
+        """Parameters of a reference that vary from run to run."""
         return read_overs(self.references[reference].over, self.example(reference))
 
     def tuned_over(self, controller: str) -> tuple[Over, ...]:
-        """What of a controller is tuned, and over what range; nothing where it is taken as it is."""
+        """Tuned parameters of a controller with their ranges; empty if it is not tuned."""
         if controller in self.tuning.untuned:
             return ()
         scenario = self.scenario(controller, next(iter(self.references)))

@@ -11,13 +11,12 @@ from typing import Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic_core import PydanticCustomError
 
-from mckibben.config.fields import Quantity
-from mckibben.errors import ParameterError, quoted
+from mckibben.errors import ParameterError, RangeError, UnitError, quoted
 from mckibben.study.parameters.addresses import Address, find, find_all
 from mckibben.study.parameters.distributions import MOST, LogUniform, Normal, Spread, Uniform, Values, Wholes
 from mckibben.study.scenario import Scenario
+from mckibben.units import Quantity
 
 
 @dataclass(frozen=True)
@@ -287,12 +286,11 @@ def _read(mark: Any, said: str) -> Any:
         _fail("a value is missing", f"give {_FORMS}")
     try:
         return mark.read(said)
-    except PydanticCustomError as error:
-        context = error.context or {}
-        message, remedy = str(context.get("message", error)), str(context.get("remedy", ""))
+    except (UnitError, RangeError) as error:
+        remedy = error.remedy
         if not _ONE.fullmatch(said):  # more, or less, than a number and a unit: a range that is written otherwise?
             remedy = f"give {_FORMS}"
-        _fail(message, remedy or "give a finite one")
+        _fail(error.message, remedy or "give a finite one")
 
 
 def _with_unit_of(low: str, high: str) -> str:

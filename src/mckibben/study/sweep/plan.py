@@ -15,8 +15,8 @@ import numpy as np
 from mckibben.errors import ParameterError, Problem
 from mckibben.simulation import Metrics
 from mckibben.simulation.batch import CHUNK, ON_ACCELERATOR, VECTOR
+from mckibben.simulation.metrics import METRICS
 from mckibben.study.parameters import Known, Over, Spread, Table, design, known_names, lanes, over, read_overs
-from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.blocks import Job, software
 

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.simulation import Metrics, Outcome
+from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES, attributes
 from mckibben.storage.files import whole
 from mckibben.study.parameters import addresses, with_values
-from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.blocks import REACH, Columns
 from mckibben.study.sweep.plan import Plan

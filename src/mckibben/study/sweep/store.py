@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.errors import FileError, Problem
-from mckibben.storage.files import alone, check_free, folder, whole
-from mckibben.study.reporting import write_json
+from mckibben.storage.files import alone, check_free, folder, whole, write_json
 from mckibben.study.sweep.blocks import Columns
 from mckibben.study.sweep.plan import FORMAT, MANIFEST, Asked, Plan, differences
 
