@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mckibben.realtime import loop
-from mckibben.realtime.loop import Told
+from mckibben.realtime.loop import StopFlag
 from mckibben.realtime.simulated import Unplugged, VirtualJoint
 from mckibben.rig.twin.faults import Delaying, Dropping, HostDelayed, Silent, SupplyLost
 from mckibben.units import bar, ms
@@ -116,7 +116,7 @@ def test_air_that_fails_is_found_before_the_joint_has_gone_far(stiff, watched):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_at_any_time_vents_within_a_period(stiff, watched, number):
     for instant in INSTANTS:
-        told, joint = Told(), watched()
+        told, joint = StopFlag(), watched()
 
         def show(shown, told=told, instant=instant):
             if shown.time >= instant - PERIOD:

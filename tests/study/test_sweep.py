@@ -255,7 +255,7 @@ HOLDING = """
 import sys, time
 from pathlib import Path
 from mckibben.study.sweep.store import Store
-with Store(Path(sys.argv[1])).alone():
+with Store(Path(sys.argv[1])).lock():
     print("holding", flush=True)
     time.sleep(60)
 """
@@ -280,7 +280,7 @@ def test_two_processes_do_not_compute_the_same_sweep(kept, scenario, tmp_path):
 
 
 def test_a_complete_sweep_is_looked_up_though_someone_is_at_it(kept, scenario):
-    with Store(kept[1]).alone():
+    with Store(kept[1]).lock():
         assert sweep(scenario, out=kept[1], resume=True).computed == 0
 
 

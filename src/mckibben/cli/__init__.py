@@ -22,7 +22,7 @@ from mckibben.cli.rig import rig
 from mckibben.cli.sweep import sweep
 from mckibben.cli.tune import tune
 from mckibben.errors import McKibbenError, McKibbenWarning
-from mckibben.storage.files import folder
+from mckibben.storage.files import make_folder
 
 if TYPE_CHECKING:
     from mckibben.simulation import Result
@@ -46,7 +46,7 @@ def reproduce(
     json: Json = False,
 ) -> None:
     """Run the paper end to end: test, identification, knee, control; to a report with figures."""
-    folder(out)  # before the work, so that nothing is lost
+    make_folder(out)  # before the work, so that nothing is lost
     from mckibben.study.reporting import to_json
 
     with progress() as report:
@@ -87,7 +87,7 @@ def simulate(
 ) -> None:
     """Run a controller on a joint, from a scenario file."""
     if out:
-        folder(out)
+        make_folder(out)
     from mckibben.study.scenario import Scenario
 
     read = Scenario.read(scenario)

@@ -9,7 +9,7 @@ import typer
 
 from mckibben.cli.options import INTERRUPTED, Json, late_progress, metric, table
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.storage.files import folder, whole
+from mckibben.storage.files import atomic_write, make_folder
 
 if TYPE_CHECKING:
     from mckibben.study.benchmark import Contest, Suite
@@ -52,7 +52,7 @@ def compare(
             remedy = "go on with them (--resume), or choose another folder"
             raise FileError(str(searches), [Problem("there are histories of searches already", remedy=remedy)])
         check_free(out, _KEPT)
-    folder(out)
+    make_folder(out)
     try:
         with late_progress(quiet=json) as bar:
             contest = run(read, folder=searches, resume=resume, progress=bar)
@@ -104,7 +104,7 @@ def _show(contest: Contest, out: Path, json: bool) -> None:
     numbers = standing(contest)
     write_json(out / "results.json", numbers)  # before anything is drawn
     keep_table(contest, out / "runs.nc")
-    with whole(out / "suite.yaml") as part:
+    with atomic_write(out / "suite.yaml", overwrite=True) as part:
         part.write_text(contest.suite.dumps(folder=out), encoding="utf-8")
     kept = _tuned_scenarios(contest, out)
     page = report.write_contest(contest, numbers, out)
@@ -170,7 +170,7 @@ def _tuned_scenarios(contest: Contest, out: Path) -> int:
     from mckibben.study.benchmark.benchmark import filename
     from mckibben.study.parameters import with_values
 
-    kept = folder(out / "controllers")
+    kept = make_folder(out / "controllers")
     wish = next(iter(contest.suite.wishes))
     for name, values in contest.tuned.items():
         scenario = contest.suite.scenario(name, wish)

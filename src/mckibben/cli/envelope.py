@@ -9,7 +9,7 @@ import typer
 
 from mckibben.cli.options import Json, Out, quantity_of, quantity_or_none, said, table
 from mckibben.errors import ParameterError
-from mckibben.storage.files import folder
+from mckibben.storage.files import make_folder
 
 if TYPE_CHECKING:
     from mckibben.reachability import Design, Envelope
@@ -48,7 +48,7 @@ def envelope(
 ) -> None:
     """Show what a joint can hold, whether the reference can be followed, and the nearest that can; or design it."""
     if out:
-        folder(out)
+        make_folder(out)
     part = quantity_of("--margin", margin, "1")
     time = quantity_or_none("--rounding", rounding, "s")
     spare = quantity_of("--spare-torque", spare_torque, "N*m")

@@ -20,7 +20,7 @@ from mckibben.cli.options import (
     table,
 )
 from mckibben.errors import ParameterError, UnitError
-from mckibben.storage.files import folder
+from mckibben.storage.files import make_folder
 
 if TYPE_CHECKING:
     from mckibben.experiment_design import Plan
@@ -84,7 +84,7 @@ def plan(
 ) -> None:
     """Plan the next test: the points that shrink the uncertainty of a quantity most, and what is not seen so far."""
     if out:
-        folder(out)
+        make_folder(out)
     if directions not in _DIRECTIONS:
         raise ParameterError(
             f"{directions!r} is no direction", value=directions, remedy=f"choose of {', '.join(_DIRECTIONS)}"

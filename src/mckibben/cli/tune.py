@@ -10,7 +10,7 @@ import typer
 
 from mckibben.cli.options import INTERRUPTED, Json, late_progress, metric, table
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 
 if TYPE_CHECKING:
     from mckibben.study.scenario import Scenario
@@ -169,7 +169,7 @@ def _keep_scenarios(tuned: Tuned, paths: list[Path], out: Path) -> list[str]:
         if not same:  # a path in it is relative to where it stood
             scenario.to_yaml(out / name)
             continue
-        with whole(out / name) as part:
+        with atomic_write(out / name, overwrite=True) as part:
             part.write_text(text, encoding="utf-8")
     return names
 

@@ -16,7 +16,7 @@ from mckibben.experiment_design.candidates import States
 from mckibben.experiment_design.information import Spread
 from mckibben.experiment_design.quantities import Quantity, in_words, shown
 from mckibben.muscle import ForceLaw
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.units import bar, factor, percent
 
 _SAME = 0.1 * percent  # contractions that are nearer are one place
@@ -364,7 +364,7 @@ class Plan:
             p = self.points[i]
             numbers = f"{p.pressure / bar:.9g},{p.contraction / percent:.9g}"
             lines.append(f"{numbers},{p.direction or 'unknown'},{p.repeat},{p.force:.1f},{i + 1}")
-        with whole(Path(path)) as part:
+        with atomic_write(Path(path), overwrite=True) as part:
             part.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
     def _against_even(self) -> str:

@@ -20,7 +20,7 @@ from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.uncertainty import Grouping
 from mckibben.muscle import LAWS, Domain, ForceLaw, Parameter
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.units import factor, quantity, show
 
 
@@ -71,7 +71,7 @@ def write_fit(fit: Fit, path: Path) -> None:
         f"  pressures: {_numbers(fit.dataset.pressures)}",
         "  pressure_unit: Pa",
     ]
-    with whole(path) as sibling:
+    with atomic_write(path, overwrite=True) as sibling:
         sibling.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 

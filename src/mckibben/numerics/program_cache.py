@@ -23,7 +23,7 @@ import numpy as np
 
 from mckibben.numerics.batching import traced_for
 from mckibben.numerics.runtime import processor, programs_folder
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 
 _PACKAGES = ("jax", "jaxlib", "equinox", "numpy")
 _KNOWN = frozenset({"mckibben", "builtins", *_PACKAGES})
@@ -310,7 +310,7 @@ class _OneAtATime:
 def _write(path: Path, content: Any) -> None:
     """Keep something with a seal: native code that is damaged does not fail, it crashes."""
     pickled = pickle.dumps(content)
-    with whole(path) as part:
+    with atomic_write(path, overwrite=True) as part:
         part.write_bytes(_seal(path, pickled) + pickled)
 
 

@@ -20,7 +20,7 @@ from mckibben.reachability.bands import Bands, Range, holdable
 from mckibben.reachability.design import Design
 from mckibben.reachability.motion import Values, centre_of, kinks, rounded, rounded_values, scaled, slowed
 from mckibben.reachability.trackability import Following, Looking
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.study.parameters import with_values
 from mckibben.study.scenario import ReferenceSpec, Scenario, StartSpec
 from mckibben.units import deg
@@ -383,7 +383,7 @@ def _write_samples(path: Path, offer: Offer) -> None:
     ):
         if _is_sampled(signal):
             columns[title] = np.asarray(signal(times), float) / unit
-    with whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+    with atomic_write(path, overwrite=True) as part, part.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows([f"{value:.9g}" for value in row] for row in zip(*columns.values(), strict=True))

@@ -21,7 +21,7 @@ from mckibben.realtime.config import Connected, Reading
 from mckibben.realtime.limits import Course, Shown, Watch
 from mckibben.realtime.record import Phase, Rows
 from mckibben.rig.backend import Backend
-from mckibben.storage.interruption import heeded
+from mckibben.storage.interruption import handle_signals
 from mckibben.units import bar
 
 _PRIORITY = 20  # of 1 to 99: above what is ordinary, below what keeps the machine going
@@ -29,7 +29,7 @@ _TIMER_SLACK = 29  # PR_SET_TIMERSLACK of Linux
 _SWITCH = 1e-4  # s: how long another thread may keep the interpreter to itself
 
 
-class Told:
+class StopFlag:
     """The signal that has come, if one has: 0 for none. A loop looks at it once a period."""
 
     def __init__(self) -> None:
@@ -37,14 +37,14 @@ class Told:
 
 
 @contextlib.contextmanager
-def signals_told() -> Iterator[Told]:
-    """Note the signals that `heeded` tells of."""
-    told = Told()
+def signals_told() -> Iterator[StopFlag]:
+    """Note the signals that `handle_signals` tells of."""
+    told = StopFlag()
 
     def note(number: int) -> None:
         told.signal = number
 
-    with heeded(note):
+    with handle_signals(note):
         yield told
 
 
@@ -191,7 +191,7 @@ class Loop:
         watch: Watch,
         rows: Rows,
         connected: Connected,
-        told: Told,
+        told: StopFlag,
         show: Callable[[Shown], None] | None,
     ) -> None:
         self._backend, self._program, self._course, self._watch = backend, program, course, watch

@@ -21,7 +21,7 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import ControlProgram, vented_angle
 from mckibben.realtime.config import Connected, JointCardSpec, JointRig, Wiring
 from mckibben.realtime.limits import Course, Ending, JointLimits, Shown, Watch
-from mckibben.realtime.loop import Loop, Timing, Told, signals_told, undisturbed
+from mckibben.realtime.loop import Loop, StopFlag, Timing, signals_told, undisturbed
 from mckibben.realtime.record import Rows, columns, measured_result
 from mckibben.realtime.simulated import PERFECT, Sensing, VirtualJoint
 from mckibben.rig.backend import Backend
@@ -29,8 +29,7 @@ from mckibben.rig.calibration import calibrations_in, content_of
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
 from mckibben.simulation import Reach, Result, check_reference, sampled
-from mckibben.storage.files import alone
-from mckibben.storage.files import folder as made
+from mckibben.storage.files import file_lock, make_folder
 from mckibben.study.scenario import Scenario
 from mckibben.units import deg
 
@@ -43,7 +42,7 @@ def control(
     recorder: Recorder,
     *,
     wiring: Wiring | None = None,
-    told: Told | None = None,
+    told: StopFlag | None = None,
     show: Callable[[Shown], None] | None = None,
 ) -> Ending:
     """Open a backend, run a controller on it, vent it and close it; what happened is recorded.
@@ -80,7 +79,7 @@ def control(
     connected = (wiring or Wiring()).connected(backend)
     _check(backend, course, connected)
     rows = Rows(recorder, program.telemetry)
-    loop = Loop(backend, program, course, Watch(limits, course.period), rows, connected, told or Told(), show)
+    loop = Loop(backend, program, course, Watch(limits, course.period), rows, connected, told or StopFlag(), show)
     try:
         backend.open()
     except BaseException:
@@ -219,8 +218,8 @@ class Session:
         RigError
             If the rig is not there, or does not fit: before anything moves.
         """
-        folder = made(folder)
-        with alone(folder / "lock", "running a joint rig"), signals_told() as told, undisturbed() as priority:
+        folder = make_folder(folder)
+        with file_lock(folder / "lock", "running a joint rig"), signals_told() as told, undisturbed() as priority:
             header = {**self.header, "priority": priority}
             with Recorder.create(folder, header, columns(self.program.telemetry)) as recorder:
                 try:

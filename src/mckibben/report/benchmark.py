@@ -16,7 +16,7 @@ from mckibben.report.figures import ReportFigure
 from mckibben.report.page import EmbeddedFigure, address_of, style_sheet, template_of
 from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, save, styled
 from mckibben.report.tables import Table, number
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.study.benchmark import Contest
 from mckibben.units import deg
 
@@ -159,7 +159,7 @@ def write_contest(contest: Contest, numbers: Mapping[str, Any], folder: str | os
         tuned=_tuned(contest),
         text=contest.suite.dumps(folder=folder),
     )
-    with whole(page) as part:
+    with atomic_write(page, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
     return page
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import FileError, Problem
 from mckibben.simulation.metrics import SETTLING_PART, Trajectory, compiled_measure
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
@@ -227,7 +227,7 @@ class Result:
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write everything to a NetCDF file; an existing one is replaced only when the new one is whole."""
-        with whole(path) as part:
+        with atomic_write(path, overwrite=True) as part:
             self.to_xarray().to_netcdf(part, engine="h5netcdf")
 
     @classmethod

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.units import deg, factor, litre, percent
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def to_json(value: Any) -> str:
 def write_json(path: Path, value: Any) -> None:
     """To a file; an existing one is replaced only when the new one is whole."""
     text = to_json(value)
-    with whole(path) as part:
+    with atomic_write(path, overwrite=True) as part:
         part.write_text(text + "\n", encoding="utf-8")
 
 

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from mckibben.config.document import Document, to_text
 from mckibben.config.fields import Part, refuse
 from mckibben.config.reading import parsed, text_of
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.study.rig.steps import Address, Contraction, Factor, JsonPath, ProtocolSpec, SampleRate, Tension, Way
 from mckibben.study.scenario.fields import (
     Choice,
@@ -204,7 +204,7 @@ class RigTest(Part):
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write the test to a file that `read` reads back to the last bit."""
-        with whole(path) as part:
+        with atomic_write(path, overwrite=True) as part:
             part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
 
 

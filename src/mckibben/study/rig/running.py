@@ -26,9 +26,8 @@ from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.session import VENTED, Report
 from mckibben.rig.steps import Step, described
-from mckibben.storage.files import alone, check_free
-from mckibben.storage.files import folder as made
-from mckibben.storage.interruption import heeded
+from mckibben.storage.files import check_free, file_lock, make_folder
+from mckibben.storage.interruption import handle_signals
 from mckibben.study.rig.building import Setup, build_setup, build_steps
 from mckibben.study.rig.document import RigTest
 from mckibben.units import bar, mm, percent
@@ -286,8 +285,8 @@ def run_test(
             remedy = "go on with it (--resume), or choose another folder"
             raise FileError(str(folder), [Problem("holds a record already", remedy=remedy)])
         check_free(folder, [PROTOCOL, data_name(checked.test)])
-    made(folder)
-    with alone(folder / "lock", "running a test here"):
+    make_folder(folder)
+    with file_lock(folder / "lock", "running a test here"):
         if resume:
             _same(checked.test, folder)
         past = _past(folder) if resume else _Past()
@@ -317,7 +316,7 @@ def gather(folder: str | os.PathLike[str]) -> IsobaricDataset:
     if not (folder / PROTOCOL).exists():
         raise FileError(str(folder), [Problem("holds no test", remedy="give the folder of `rig run --out`")])
     checked = check(RigTest.read(folder / PROTOCOL))
-    with alone(folder / "lock", "running a test here"):
+    with file_lock(folder / "lock", "running a test here"):
         return _assembled(checked, folder)
 
 
@@ -345,7 +344,7 @@ def _go_on(checked: Checked, folder: Path, past: _Past, standing_at: float | Non
     begin = Recorder.resume if segments(folder) else Recorder.create
     with begin(folder, _header(checked), columns) as recorder:
         runner = Runner(backend, bench, recorder, done=past.done, origin=origin, since=past.since, report=report)
-        with heeded(lambda number: runner.interrupt(number, signal.Signals(number).name)):
+        with handle_signals(lambda number: runner.interrupt(number, signal.Signals(number).name)):
             runner.run(checked.steps)
 
 

@@ -12,7 +12,7 @@ from mckibben.config.document import to_text
 from mckibben.config.fields import Part, refuse
 from mckibben.config.reading import parsed, text_of
 from mckibben.numerics.checks import whole_periods
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.study.scenario.controller import ControllerSpec
 from mckibben.study.scenario.fields import Duration, PositiveTime, Title, Whole
 from mckibben.study.scenario.plant import DisturbanceSpec, JointSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
@@ -165,7 +165,7 @@ class Scenario(Part):
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write the scenario to a file that `read` reads back to the last bit."""
-        with whole(path) as part:
+        with atomic_write(path, overwrite=True) as part:
             part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
 
     def plant(self) -> JointPlant:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.result import OUTCOMES, attributes
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.study.parameters import addresses, with_values
 from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
@@ -127,7 +127,7 @@ class Sweep:
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write everything to a NetCDF file, the same bytes for the same sweep; it appears whole or not at all."""
         floats = [name for name, values in self.table.variables.items() if values.dtype.kind == "f"]
-        with whole(path) as part:
+        with atomic_write(path, overwrite=True) as part:
             self.table.to_netcdf(part, engine="h5netcdf", encoding={name: {"_FillValue": None} for name in floats})
 
     @classmethod

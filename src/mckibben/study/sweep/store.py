@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.errors import FileError, Problem
-from mckibben.storage.files import alone, check_free, folder, whole
+from mckibben.storage.files import atomic_write, check_free, file_lock, make_folder
 from mckibben.study.reporting import write_json
 from mckibben.study.sweep.blocks import Columns
 from mckibben.study.sweep.plan import FORMAT, MANIFEST, Asked, Plan, differences
@@ -82,7 +82,7 @@ class Store:
         check_free(self.path, [TABLE, *sorted(blocks)])
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
+    def lock(self) -> Iterator[None]:
         """Keep other processes out; the folder is made if need be.
 
         Raises
@@ -91,7 +91,7 @@ class Store:
             If another process is computing this sweep.
         """
         self._make()
-        with alone(self.path / _LOCK, "computing this sweep"):
+        with file_lock(self.path / _LOCK, "computing this sweep"):
             yield
 
     def begin(self, plan: Plan) -> None:
@@ -156,7 +156,7 @@ class Store:
         """
         content = io.BytesIO()
         np.savez(content, **columns)  # type: ignore[arg-type]  # names of ours, none of savez's own
-        with self.room(), whole(self._path(block)) as part:
+        with self.room(), atomic_write(self._path(block), overwrite=True) as part:
             part.write_bytes(self._seal(block, content.getvalue()) + content.getvalue())
         self.kept.add(block)
 
@@ -204,7 +204,7 @@ class Store:
 
     def _make(self) -> None:
         with self.room():
-            folder(folder(self.path) / BLOCKS)
+            make_folder(make_folder(self.path) / BLOCKS)
 
     def _path(self, block: int) -> Path:
         return self.path / BLOCKS / f"{block:06d}.block"

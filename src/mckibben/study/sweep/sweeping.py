@@ -107,7 +107,7 @@ def sweep(
         return _resumed(store, scenario, asked, (dask, workers, progress))
     store.check_free()
     plan = Plan.of(scenario, asked, folder=os.fspath(out), source=source)
-    with store.alone():
+    with store.lock():
         store.begin(plan)
         return _kept(store, dask, workers, progress)
 
@@ -122,7 +122,7 @@ def _resumed(store: Store, scenario: Scenario, asked: Asked, engine: tuple[Any, 
     there = _complete(store)
     if there is not None:  # and need not be written to
         return there
-    with store.alone():
+    with store.lock():
         there = _complete(store)  # by whoever was there until now
         if there is not None:
             return there

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.storage.files import alone, folder, whole
+from mckibben.storage.files import atomic_write, file_lock, make_folder
 from mckibben.study.parameters import Known, Over, Spread, with_values
 from mckibben.study.parameters import over as overs_of
 from mckibben.study.scenario import Scenario
@@ -76,7 +76,7 @@ class History:
             remedy = "go on with it (--resume), or choose another folder"
             raise FileError(str(path), [Problem("there is the history of a search already", remedy=remedy)])
         else:
-            with whole(path) as part:
+            with atomic_write(path, overwrite=True) as part:
                 part.write_text(json.dumps(about) + "\n", encoding="utf-8")
 
     @classmethod
@@ -97,8 +97,8 @@ class History:
         if resume:
             _check_there(path)
         else:
-            folder(path.parent)
-        with alone(path.with_name(f".{path.name}.lock"), "going on with this search"):
+            make_folder(path.parent)
+        with file_lock(path.with_name(f".{path.name}.lock"), "going on with this search"):
             yield cls(path, about, numbers=numbers, slopes=slopes, resume=resume)
 
     @property
