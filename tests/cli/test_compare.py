@@ -11,10 +11,10 @@ import xarray as xr
 from mckibben import report
 from mckibben.cli.options import metric
 from mckibben.study.benchmark import Suite
-from mckibben.study.benchmark.benchmark import standing
+from mckibben.study.benchmark.benchmark import statistics
 from mckibben.study.reporting import plain
 from mckibben.study.scenario import Scenario
-from mckibben.study.tune.tune import History
+from mckibben.study.tune.tune import TuningHistory
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
 DECOUPLING = TEXT[TEXT.index("  decoupling:\n") : TEXT.index("  as it is:")]
@@ -62,7 +62,7 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
     assert {path.stem for path in (kept / "tuning").iterdir()} == {"pid-3"}
     assert Suite.read(kept / "suite.yaml") == suite
     (contest,) = drawn
-    numbers = standing(contest)
+    numbers = statistics(contest)
     assert results(kept) == json.loads(json.dumps(plain(numbers)))
     for name in contest.tuned:
         scenario = Scenario.read(kept / "controllers" / f"{name.lower().replace(' ', '-')}.yaml")
@@ -169,7 +169,7 @@ def test_a_mistake_in_the_suite_names_its_line(cli, tmp_path):
 @pytest.mark.usefixtures("undrawn")
 def test_an_interrupted_search_is_gone_on_with(cli, written, tmp_path, monkeypatch):
     written((DECOUPLING, ""))
-    add, counted = History.add, []
+    add, counted = TuningHistory.add, []
 
     def interrupted(self, trials):
         add(self, trials)
@@ -178,7 +178,7 @@ def test_an_interrupted_search_is_gone_on_with(cli, written, tmp_path, monkeypat
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(History, "add", interrupted)
+        patch.setattr(TuningHistory, "add", interrupted)
         found = cli("compare", "suite.yaml", "--out", "kept")
     assert found.code == 130
     assert "go on with --resume" in found.err

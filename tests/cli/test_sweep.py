@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.study.parameters import addresses
+from mckibben.study.parameters import list_parameters
 from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
-from mckibben.study.sweep import Sweep
+from mckibben.study.sweep import SweepResult
 
 HOLDING = """
 import signal, threading, time
@@ -58,7 +58,7 @@ def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path):
     assert {path.name for path in kept.iterdir()} == {
         *("manifest.json", "blocks", "sweep.nc", "results.json", "sweep.png", "sweep.svg")
     }
-    swept = Sweep.from_netcdf(kept / "sweep.nc")
+    swept = SweepResult.from_netcdf(kept / "sweep.nc")
     assert (swept.count, swept.table.attrs["source"]) == (40, "s.yaml")
     assert swept.lost.sum() == 20
     numbers = json.loads((kept / "results.json").read_text(encoding="utf-8"))
@@ -107,7 +107,7 @@ def test_json_alone_goes_to_standard_output_and_nothing_is_shown_on_the_way(cli,
 def test_the_list_of_what_can_be_varied(cli, scenario):
     found = cli("sweep", "s.yaml", "--list")
     assert (found.code, found.err) == (0, "")
-    known = addresses(Scenario.read(scenario))
+    known = list_parameters(Scenario.read(scenario))
     for address in known:
         nominal = "-" if address.nominal is None else re.escape(address.show(address.nominal))
         assert re.search(rf"{re.escape(address.name)} +{nominal} +.*{re.escape(address.shown)}", found.out), address

@@ -1,4 +1,4 @@
-"""Controllers are tuned alike and judged on the same runs: each of which is, alone, what `simulate` gives."""
+"""Controllers are tuned alike and evaluate on the same runs: each of which is, alone, what `simulate` gives."""
 
 import json
 from pathlib import Path
@@ -9,11 +9,11 @@ import pytest
 
 from mckibben.errors import FileError, ParameterError
 from mckibben.simulation import Metrics
-from mckibben.study.benchmark import Contest, Suite, benchmark, compare, draw, judged
+from mckibben.study.benchmark import BenchmarkResult, Suite, benchmark, compare, draw, evaluate
 from mckibben.study.benchmark.benchmark import _controller
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_scenario
-from mckibben.study.tune.problem import LOST
+from mckibben.study.tune.problem import FAILED_COST
 from mckibben.units import deg
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -37,7 +37,9 @@ def suite():
 def simulated(suite):
     """The unseen runs of one controller, in earnest."""
     runs, values = draw(suite, 16, 1), {KP: 2e5}
-    return Contest(suite, runs, {"PID 3": values}, {}, {"PID 3": ()}, {"PID 3": judged(runs, "PID 3", values)})
+    return BenchmarkResult(
+        suite, runs, {"PID 3": values}, {}, {"PID 3": ()}, {"PID 3": evaluate(runs, "PID 3", values)}
+    )
 
 
 class TestRuns:
@@ -82,7 +84,7 @@ def mean_cost(runs, kp):
     for mass, lag, height in zip(runs.conditions["load.mass2"], lags, heights, strict=True):
         if lag <= 0.048:
             lost = height > 0 and kp > 8e5
-            costs.append(LOST if lost else (1 + abs(np.log10(kp / 3e5))) * mass / 0.5 / 0.1 + lag / 0.02 / 0.5)
+            costs.append(FAILED_COST if lost else (1 + abs(np.log10(kp / 3e5))) * mass / 0.5 / 0.1 + lag / 0.02 / 0.5)
     return np.mean(costs)
 
 
@@ -190,7 +192,7 @@ class TestTuning:
         assert np.array_equal(wild.lost("as it is"), lost)
         assert lost.any()
         assert np.array_equal(np.isnan(wild.metric("as it is", "angle_rmse")), lost)
-        assert set(wild.cost("as it is")[lost]) == {LOST}
+        assert set(wild.cost("as it is")[lost]) == {FAILED_COST}
         assert (wild.cost("as it is")[~lost] < 100).all()
 
     def test_when_no_run_can_begin_it_is_said(self):
@@ -208,7 +210,7 @@ def test_a_controller_does_not_differ_from_run_to_run(suite, controller):
     several = [draw(suite, 16, 1), draw(suite, 16, 7), draw(heavier, 16, 1)]
     plants = [jax.tree.leaves(runs.plant) for runs in several]
     assert any(not np.array_equal(a, b) for a, b in zip(plants[0], plants[1], strict=True))
-    for table in ({}, {each.name: [float(each.address.nominal)] for each in suite.tuned_over(controller)[:1]}):
+    for table in ({}, {each.name: [float(each.parameter.nominal)] for each in suite.tuned_over(controller)[:1]}):
         first, *others = (jax.tree.leaves(_controller(runs, controller, table)) for runs in several)
         varying = [leaf for leaf in first if np.ndim(leaf)]
         assert len(varying) == len(table)
@@ -226,7 +228,7 @@ def test_sets_of_numbers_lie_one_after_the_other(suite):
 def test_every_set_meets_every_run(suite, monkeypatch):
     """What `simulate_many` is given: all runs for the first set, then all for the second."""
     given = {}
-    monkeypatch.setattr(comparing, "simulate_many", lambda *parts, **options: given.update(parts=parts, **options))
+    monkeypatch.setattr(benchmark, "simulate_many", lambda *parts, **options: given.update(parts=parts, **options))
     runs = draw(suite, 4, 1)
     control = _controller(runs, "PID 3", {KP: np.array([1e5, 2e5, 3e5])})
     benchmark._simulated(runs, control, 3, ("air",))

@@ -8,7 +8,7 @@ import pytest
 
 from mckibben.control import Constant, Multisine, Sine, Step
 from mckibben.errors import ParameterError
-from mckibben.study.benchmark import AS_BELIEVED, Suite, draw
+from mckibben.study.benchmark import NOMINAL_JOINT, Suite, draw
 from mckibben.study.benchmark.runs import _in_one_form
 from mckibben.study.scenario import Scenario
 from mckibben.units import deg, ms
@@ -36,10 +36,10 @@ def counted(names):
 
 
 def test_joints_and_wishes_come_in_their_shares(suite, runs):
-    assert counted(runs.joint) == {AS_BELIEVED: 48, "longer": 16}  # 3 to 1
+    assert counted(runs.joint) == {NOMINAL_JOINT: 48, "longer": 16}  # 3 to 1
     assert counted(runs.wish) == {"angle step": 16, "both move": 16, "sine and step": 32}  # 1 to 1 to 2
     few = draw(suite, 6, 1)
-    assert counted(few.joint) == {AS_BELIEVED: 5, "longer": 1}
+    assert counted(few.joint) == {NOMINAL_JOINT: 5, "longer": 1}
     assert counted(few.wish) == {"angle step": 1, "both move": 1, "sine and step": 4}
     assert runs.count == 64
     assert len(set(zip(runs.joint, runs.wish, strict=True))) == 6, "one does not follow from the other"

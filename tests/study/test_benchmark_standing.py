@@ -10,10 +10,10 @@ import xarray as xr
 
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.result import OUTCOMES
-from mckibben.study.benchmark import Contest, Suite, draw
-from mckibben.study.benchmark.benchmark import keep_table, standing
+from mckibben.study.benchmark import BenchmarkResult, Suite, draw
+from mckibben.study.benchmark.benchmark import keep_table, statistics
 from mckibben.study.reporting import METRICS, to_json
-from mckibben.study.tune.problem import LOST
+from mckibben.study.tune.problem import FAILED_COST
 from mckibben.units import deg, litre
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -59,12 +59,12 @@ def contest(runs, columns):
         THIRD: batch(columns[THIRD], range(RUNS)),
     }
     tuned = {FIRST: {"controller.position.kp": 2e5}, SECOND: {}, THIRD: {}}
-    return Contest(runs.suite, runs, tuned, {FIRST: (3.0, 4.0)}, {FIRST: (), SECOND: (), THIRD: ()}, batches)
+    return BenchmarkResult(runs.suite, runs, tuned, {FIRST: (3.0, 4.0)}, {FIRST: (), SECOND: (), THIRD: ()}, batches)
 
 
 @pytest.fixture(scope="module")
 def numbers(contest):
-    return standing(contest)
+    return statistics(contest)
 
 
 def begun(values, *without):
@@ -102,10 +102,10 @@ def test_the_order_is_that_of_the_median_cost(contest, numbers, columns):
     for name in (FIRST, SECOND):
         cost = columns[name]["angle_rmse"] / (0.1 * deg) + columns[name]["stiffness_rmse"] / 0.5
         if name == SECOND:
-            cost[LOST_RUN] = LOST
+            cost[LOST_RUN] = FAILED_COST
         assert contest.cost(name) == pytest.approx(begun(cost))
         assert numbers["controllers"][name]["median_cost"] == pytest.approx(np.median(begun(cost)))
-    assert numbers["controllers"][THIRD]["median_cost"] == LOST
+    assert numbers["controllers"][THIRD]["median_cost"] == FAILED_COST
 
 
 def test_ratios_of_medians(numbers, columns):
@@ -137,7 +137,7 @@ def test_runs_are_resampled_in_pairs(contest, columns):
     spread = begun(columns[FIRST]["angle_rmse"])
     assert spread.max() / spread.min() > 5
     batches = {name: batch(columns[name]) for name in (FIRST, SECOND)}
-    found = standing(Contest(contest.suite, contest.runs, contest.tuned, {}, contest.at_bound, batches))
+    found = statistics(BenchmarkResult(contest.suite, contest.runs, contest.tuned, {}, contest.at_bound, batches))
     half = found["controllers"][SECOND]["against_first"]["angle_rmse_deg"]
     assert [half["ratio"], half["low"], half["high"]] == pytest.approx([0.5, 0.5, 0.5], rel=1e-12)
 
@@ -146,8 +146,8 @@ def test_a_controller_that_loses_everything(contest, numbers):
     against = numbers["controllers"][THIRD]["against_first"]["angle_rmse_deg"]
     assert against["ratio"] == against["low"] == against["high"] == np.inf
     assert json.loads(to_json(numbers))["controllers"][THIRD]["against_first"]["angle_rmse_deg"]["low"] is None
-    turned = standing(
-        Contest(
+    turned = statistics(
+        BenchmarkResult(
             contest.suite, contest.runs, contest.tuned, {}, contest.at_bound, dict(reversed(contest.batches.items()))
         )
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mckibben.errors import ScenarioError
-from mckibben.study.benchmark import AS_BELIEVED, Suite
+from mckibben.study.benchmark import NOMINAL_JOINT, Suite
 from mckibben.study.scenario import Scenario
 from mckibben.units import deg
 
@@ -89,7 +89,7 @@ def test_what_a_controller_says_it_believes_is_kept():
 
 def test_what_is_tuned(suite):
     gains = suite.tuned_over("PID 3")
-    shown = {each.name: tuple(round(end, 6) for end in each.spread.ends) for each in gains}
+    shown = {each.name: tuple(round(end, 6) for end in each.distribution.ends) for each in gains}
     assert shown["controller.position.kp"] == (0.12e5, 12e5)  # a decade down and up
     assert "controller.stiffness.kd" not in shown, "a gain of zero stays zero"
     assert len(shown) == 5
@@ -97,7 +97,7 @@ def test_what_is_tuned(suite):
     assert all(each.name.startswith("controller.") for each in suite.tuned_over("decoupling"))
     text = changed(("untuned:", "over: {PID 3: [controller.position.kp=1..2 bar/rad]}, untuned:"))
     (one,) = Suite.parse(text).tuned_over("PID 3")
-    assert one.spread.ends == pytest.approx((1e5, 2e5))
+    assert one.distribution.ends == pytest.approx((1e5, 2e5))
 
 
 KP = "{kp: 1.2 bar/rad, ki: 40 bar/(rad*s), kd: 0.2 bar*s/rad}"
@@ -176,7 +176,7 @@ MISTAKES = {
     ),
     "same file": (("  as it is:", "  pid-3:"), ("controllers.pid-3", "  as it is:", "the same file as 'PID 3'")),
     "reserved": (
-        ("  longer:", f"  {AS_BELIEVED}:"),
+        ("  longer:", f"  {NOMINAL_JOINT}:"),
         ("other_joints.as believed", "  longer:", "the suite's own joint"),
     ),
     "other kind of law": (

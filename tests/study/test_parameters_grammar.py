@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 
 from mckibben.errors import McKibbenError, ParameterError
 from mckibben.study.parameters import (
+    IntegerRange,
     LogUniform,
     Normal,
-    Over,
+    SweptParameter,
     Uniform,
     Values,
-    Wholes,
-    addresses,
-    find,
-    over,
-    read_over,
-    read_overs,
+    find_parameter,
+    list_parameters,
+    parse_sweep,
+    parse_sweeps,
+    sweep_parameters,
 )
 from mckibben.study.scenario import Scenario
 from mckibben.units import bar, deg
@@ -30,7 +30,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 PID = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml")
 BACKPROP = Scenario.read(EXAMPLES / "pre-contracted-step-backprop.yaml")
 PRINTED = Scenario.read(EXAMPLES / "as-printed-constant-pid.yaml")
-NUMBERS = [(scenario, address) for scenario in (PID, BACKPROP, PRINTED) for address in addresses(scenario)]
+NUMBERS = [(scenario, address) for scenario in (PID, BACKPROP, PRINTED) for address in list_parameters(scenario)]
 
 
 FORMS = "give a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal 10 %`"
@@ -49,13 +49,13 @@ FORMS = "give a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal
 )
 def test_what_is_written_otherwise_gets_a_remedy_that_helps(said, remedy):
     with pytest.raises(ParameterError) as refused:
-        read_over(f"load.mass2={said}", PID)
+        parse_sweep(f"load.mass2={said}", PID)
     assert str(refused.value).startswith(f"'load.mass2={said}': ")
     assert refused.value.remedy.startswith(remedy)
 
 
 def spread(text, scenario=BACKPROP):
-    return read_over(text, scenario).spread
+    return parse_sweep(text, scenario).distribution
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def spread(text, scenario=BACKPROP):
         ("controller.position.kp=1..100 bar/rad log", LogUniform(1 * bar, 100 * bar)),
         ("controller.position.kp=1..100 bar/rad log in 3", LogUniform(1 * bar, 100 * bar, 3)),
         ("controller.position.kp=-100 bar/rad..-1 bar/rad log", LogUniform(-100 * bar, -1 * bar)),
-        ("controller.position.seed=0..19", Wholes(0, 19)),
+        ("controller.position.seed=0..19", IntegerRange(0, 19)),
         ("controller.position.seed=3", Values((3,))),
         ("controller.position.seed=0,5, 1", Values((0, 5, 1))),
         ("controller.position.momentum=0..0.9", Uniform(0.0, 0.9)),
@@ -95,7 +95,7 @@ def test_texts_that_mean_something(text, expected):
 
 
 def test_a_range_around_a_negative_nominal_value_is_not_upside_down():
-    nominal = find(PRINTED, "controller.stiffness.kp").nominal
+    nominal = find_parameter(PRINTED, "controller.stiffness.kp").nominal
     assert spread("controller.stiffness.kp=+-10 %", PRINTED).ends == pytest.approx((1.1 * nominal, 0.9 * nominal))
 
 
@@ -161,7 +161,7 @@ def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
 )
 def test_texts_that_mean_nothing_are_told_what_to_do(text, parts):
     with pytest.raises(ParameterError) as caught:
-        read_over(text, BACKPROP)
+        parse_sweep(text, BACKPROP)
     message = str(caught.value)
     assert message.startswith(repr(text)[:70])
     for part in parts:
@@ -174,14 +174,14 @@ def test_an_amount_around_nothing_is_an_error():
         (EXAMPLES / "pre-contracted-step-pid.yaml").read_text().replace(", stiffness: 12 N*m/rad", "")
     )
     with pytest.raises(ParameterError, match="no nominal value in the scenario"):
-        read_over("start.stiffness=+-1 N*m/rad", scenario)
-    assert read_over("start.stiffness=12..14 N*m/rad", scenario).spread == Uniform(12.0, 14.0)
+        parse_sweep("start.stiffness=+-1 N*m/rad", scenario)
+    assert parse_sweep("start.stiffness=12..14 N*m/rad", scenario).distribution == Uniform(12.0, 14.0)
 
 
 def test_two_texts_about_one_number_are_an_error():
     with pytest.raises(ParameterError, match=r"'load\.m2=1 kg' and 'load.mass2=2 kg' are about the same number"):
-        read_overs(["load.m2=1 kg", "load.mass1=2 kg", "load.mass2=2 kg"], PID)
-    read = read_overs(["load.m2=1 kg", "load.mass1=2 kg"], PID)
+        parse_sweeps(["load.m2=1 kg", "load.mass1=2 kg", "load.mass2=2 kg"], PID)
+    read = parse_sweeps(["load.m2=1 kg", "load.mass1=2 kg"], PID)
     assert [each.name for each in read] == ["load.mass2", "load.mass1"]
 
 
@@ -233,12 +233,12 @@ PIECES += [
 def test_any_text_is_read_or_an_error_of_ours(said):
     for text in (said, f"load.mass2={said}", f"controller.position.seed={said}", f"start.angle={said}"):
         try:
-            read = read_over(text, BACKPROP)
+            read = parse_sweep(text, BACKPROP)
         except McKibbenError as error:
             assert isinstance(error, ParameterError)
             continue
-        values = read.spread.at([0.0, 0.3, 1.0])
-        assert np.all(read.address.holds(values))
+        values = read.distribution.at([0.0, 0.3, 1.0])
+        assert np.all(read.parameter.holds(values))
         assert np.all(np.isfinite(values))
 
 
@@ -248,7 +248,7 @@ def spreads(draw, address):
         if draw(st.booleans()):
             return Values(tuple(draw(st.lists(st.integers(0, 2**31 - 1), min_size=1, max_size=5, unique=True))))
         low, high = sorted(draw(st.lists(st.integers(0, 2**31 - 1), min_size=2, max_size=2, unique=True)))
-        return Wholes(low, high)
+        return IntegerRange(low, high)
     inside = st.floats(address.lower, address.upper, allow_subnormal=False).filter(address.holds)
     values = draw(st.lists(inside, min_size=2, max_size=5, unique=True))
     low, high = sorted(values[:2])
@@ -268,15 +268,15 @@ def spreads(draw, address):
 @given(st.data())
 def test_what_is_varied_prints_as_text_that_means_the_same(data):
     scenario, address = data.draw(st.sampled_from(NUMBERS))
-    said = Over(address, data.draw(spreads(address)))
-    assert read_over(said.text, scenario) == said
+    said = SweptParameter(address, data.draw(spreads(address)))
+    assert parse_sweep(said.text, scenario) == said
 
 
 @settings(max_examples=300)
 @given(st.data(), st.lists(st.floats(0, 1), min_size=1, max_size=20))
 def test_spreads_rise_stay_inside_and_know_where_a_value_lies(data, quantiles):
     _, address = data.draw(st.sampled_from(NUMBERS))
-    drawn = Over(address, data.draw(spreads(address))).spread
+    drawn = SweptParameter(address, data.draw(spreads(address))).distribution
     values = drawn.at(np.sort(quantiles))
     low, high = drawn.ends
     assert values.shape == (len(quantiles),)
@@ -321,7 +321,7 @@ def test_listed_values_and_whole_numbers_come_equally_often():
     quantiles = (np.arange(1200) + 0.5) / 1200
     values, counts = np.unique(Values((4.0, 1.0, 2.0)).at(quantiles), return_counts=True)
     assert (values.tolist(), counts.tolist()) == ([1.0, 2.0, 4.0], [400, 400, 400])
-    values, counts = np.unique(Wholes(-1, 2).at(quantiles), return_counts=True)
+    values, counts = np.unique(IntegerRange(-1, 2).at(quantiles), return_counts=True)
     assert (values.tolist(), counts.tolist()) == ([-1, 0, 1, 2], [300] * 4)
 
 
@@ -340,7 +340,7 @@ def test_listed_values_and_whole_numbers_come_equally_often():
         lambda: Values(()),
         lambda: Values((1.0, math.nan)),
         lambda: Values((1.0, 1.0)),
-        lambda: Wholes(2, 2),
+        lambda: IntegerRange(2, 2),
     ],
 )
 def test_spreads_that_are_none_are_refused(make):
@@ -351,22 +351,24 @@ def test_spreads_that_are_none_are_refused(make):
 @pytest.mark.parametrize(
     ("name", "spread", "why"),
     [
-        ("load.mass2", Wholes(0, 3), "no whole number"),
+        ("load.mass2", IntegerRange(0, 3), "no whole number"),
         ("load.mass2", Uniform(-1.0, 1.0), "reaches -1 kg"),
         ("load.mass2", Normal(-1.0, 1.0), "outside"),
         ("controller.position.seed", Uniform(0.0, 3.0), "is a whole number"),
         ("controller.position.seed", Values((0.5, 1.0)), "is a whole number"),
         ("controller.position.seed", Normal(3.0, 1.0), "is a whole number"),
-        ("controller.position.seed", Wholes(0, 2**31), "outside"),
+        ("controller.position.seed", IntegerRange(0, 2**31), "outside"),
         ("valve.time_constant", Uniform(0.0, 1.0), "outside above 0"),
     ],
 )
 def test_a_spread_has_to_go_with_its_number(name, spread, why):
     with pytest.raises(ParameterError, match=why):
-        over(BACKPROP, {name: spread})
+        sweep_parameters(BACKPROP, {name: spread})
 
 
 def test_values_are_of_the_kind_of_their_number():
-    seeds, masses = over(BACKPROP, {"controller.position.seed": Values((0.0, 2.0)), "load.m2": Values((1, 2))})
-    assert seeds.spread.grid().dtype == np.int64
-    assert masses.spread.grid().dtype == np.float64
+    seeds, masses = sweep_parameters(
+        BACKPROP, {"controller.position.seed": Values((0.0, 2.0)), "load.m2": Values((1, 2))}
+    )
+    assert seeds.distribution.grid().dtype == np.int64
+    assert masses.distribution.grid().dtype == np.float64

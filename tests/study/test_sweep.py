@@ -18,12 +18,12 @@ from mckibben.errors import FileError, McKibbenWarning, ParameterError, Simulati
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.feasibility import check_reference
 from mckibben.study import sweep as package
-from mckibben.study.parameters import Normal, Uniform, design, over, read_overs, with_values
+from mckibben.study.parameters import Normal, Uniform, parse_sweeps, sample, sweep_parameters, with_values
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_scenario
-from mckibben.study.sweep import InterruptedSweep, Sweep, sweep
+from mckibben.study.sweep import InterruptedSweep, SweepResult, sweep
 from mckibben.study.sweep.blocks import attainability
-from mckibben.study.sweep.plan import Asked, Plan, _sizes
+from mckibben.study.sweep.plan import Plan, SweepOptions, _sizes
 from mckibben.study.sweep.store import Store
 from mckibben.units import deg
 
@@ -81,7 +81,7 @@ def test_the_numbers_are_those_of_single_runs(kept, scenario):
 
 def test_the_table_says_what_made_it(kept, scenario):
     swept, folder = kept
-    again = Sweep.from_netcdf(folder / package.TABLE)
+    again = SweepResult.from_netcdf(folder / package.TABLE)
     assert again.table.identical(swept.table)
     mass = again.table["load.mass2"]
     assert mass.dims == ("run",)
@@ -116,7 +116,7 @@ def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp
 
 def test_the_values_are_those_of_the_design(kept, scenario):
     swept, _ = kept
-    for name, column in design(read_overs(OVER, scenario), "sobol", 72, 1).items():
+    for name, column in sample(parse_sweeps(OVER, scenario), "sobol", 72, 1).items():
         np.testing.assert_array_equal(swept.table[name], column)
 
 
@@ -216,7 +216,7 @@ def test_a_file_that_the_scenario_names_must_be_the_same(tmp_path):
     (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
     (tmp_path / "wish.csv").write_text("time_s,angle_deg\n0,0\n1,5\n", encoding="utf-8")
     out = tmp_path / "out"
-    plan = Plan.of(Scenario.read(tmp_path / "s.yaml"), Asked(OVER[:1]), folder=str(out))
+    plan = Plan.of(Scenario.read(tmp_path / "s.yaml"), SweepOptions(OVER[:1]), folder=str(out))
     Store(out).begin(plan)
     Store(out).go_on(plan, Store(out).begun())
     (tmp_path / "wish.csv").write_text("time_s,angle_deg\n0,0\n1,6\n", encoding="utf-8")
@@ -230,7 +230,7 @@ def test_other_software_is_not_mixed_in(kept, scenario, monkeypatch):
     with pytest.raises(FileError, match=r"mckibben: the sweep was begun with .*, not 9.9"):
         sweep(scenario, out=kept[1], resume=True)
     monkeypatch.undo()
-    job = Plan.of(scenario, Asked(OVER, **SOME)).job
+    job = Plan.of(scenario, SweepOptions(OVER, **SOME)).job
     monkeypatch.setattr(package.block, "software", lambda: {**job.software, "jax": "0.0"})
     with pytest.raises(SimulationError, match=r"a worker has .*jax 0\.0.*same environment"):
         job({})
@@ -366,7 +366,7 @@ def test_a_full_disk_loses_nothing(kept, scenario, tmp_path, monkeypatch):
 
 
 def test_a_grid_has_every_combination(scenario):
-    plan = Plan.of(scenario, Asked(["load.mass2=0.4 kg, 0.6 kg", "load.m1=0..1 kg in 3"], "grid"))
+    plan = Plan.of(scenario, SweepOptions(["load.mass2=0.4 kg, 0.6 kg", "load.m1=0..1 kg in 3"], "grid"))
     np.testing.assert_array_equal(plan.table["load.mass2"], [0.4, 0.4, 0.4, 0.6, 0.6, 0.6])
     np.testing.assert_array_equal(plan.table["load.mass1"], [0, 0.5, 1, 0, 0.5, 1])
     assert (plan.rows, plan.blocks, plan.manifest["samples"], plan.manifest["seed"]) == (6, 1, 6, 0)
@@ -374,14 +374,14 @@ def test_a_grid_has_every_combination(scenario):
 
 def test_random_values_and_spreads_made_in_python(scenario):
     spreads = {"load.m2": Uniform(0.3, 0.5), "load.damping": Normal(0.015, 0.001)}
-    plan = Plan.of(scenario, Asked(spreads, "random", 5, 3, "angle_rmse,coupling"))
+    plan = Plan.of(scenario, SweepOptions(spreads, "random", 5, 3, "angle_rmse,coupling"))
     assert plan.job.metrics == ("angle_rmse", "coupling")
-    for name, column in design(over(scenario, spreads), "random", 5, 3).items():
+    for name, column in sample(sweep_parameters(scenario, spreads), "random", 5, 3).items():
         np.testing.assert_array_equal(plan.table[name], column)
-    assert Plan.of(scenario, Asked(over(scenario, spreads), "random", 5, 3, "coupling_deg,angle_rmse")).identity == (
-        plan.identity
-    )
-    assert Plan.of(scenario, Asked(spreads, "random", 5, 4, "angle_rmse,coupling")).identity != plan.identity
+    assert Plan.of(
+        scenario, SweepOptions(sweep_parameters(scenario, spreads), "random", 5, 3, "coupling_deg,angle_rmse")
+    ).identity == (plan.identity)
+    assert Plan.of(scenario, SweepOptions(spreads, "random", 5, 4, "angle_rmse,coupling")).identity != plan.identity
 
 
 def test_half_the_precision_is_near_the_full_one(kept, scenario):
@@ -423,18 +423,18 @@ def test_the_program_depends_on_nothing_but_the_number_of_runs(monkeypatch):
 
 def test_a_file_that_is_no_sweep(tmp_path, kept):
     with pytest.raises(FileError, match="no such file"):
-        Sweep.from_netcdf(tmp_path / "nowhere.nc")
+        SweepResult.from_netcdf(tmp_path / "nowhere.nc")
     (tmp_path / "text.nc").write_text("text")
     with pytest.raises(FileError, match="cannot be read as NetCDF"):
-        Sweep.from_netcdf(tmp_path / "text.nc")
+        SweepResult.from_netcdf(tmp_path / "text.nc")
     xr.Dataset({"x": ("run", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
     with pytest.raises(FileError, match="it is no sweep"):
-        Sweep.from_netcdf(tmp_path / "other.nc")
+        SweepResult.from_netcdf(tmp_path / "other.nc")
     odd = kept[0].table.copy()
     odd["outcome"] = ("run", np.full(72, 99, np.int8))
     odd.to_netcdf(tmp_path / "odd.nc", engine="h5netcdf")
     with pytest.raises(FileError, match="outcomes are none of ours"):
-        Sweep.from_netcdf(tmp_path / "odd.nc")
+        SweepResult.from_netcdf(tmp_path / "odd.nc")
     with pytest.raises(ParameterError, match="there is no run 72; choose 0 to 71"):
         kept[0].scenario(72)
 

@@ -12,7 +12,7 @@ from mckibben import report
 from mckibben.simulation import Metrics
 from mckibben.simulation.result import OUTCOMES, Outcome
 from mckibben.study.reporting import METRICS, to_json
-from mckibben.study.sweep import Sweep, summary
+from mckibben.study.sweep import SweepResult, summary
 from mckibben.study.sweep.result import (
     correlation_rows,
     main_metrics,
@@ -69,7 +69,7 @@ def made_up(count=400, lost=0.1, inputs=5, seed=0, metrics=Metrics._fields):
         "shortfall_max": ("run", short),
         "unheld": ("run", np.where(np.arange(count) % 50 == 3, 0.5, 0.0)),
     }
-    return Sweep(xr.Dataset(table, attrs={"title": "made up"}))
+    return SweepResult(xr.Dataset(table, attrs={"title": "made up"}))
 
 
 def test_the_statistics_are_those_of_numpy():
@@ -99,7 +99,7 @@ def test_numbers_of_lost_runs_count_for_nothing():
     lively = swept.table.copy()
     for name in Metrics._fields:
         lively[name] = ("run", np.where(lost, 1e9, swept.table[name].to_numpy()))
-    assert summary(Sweep(lively)) == summary(swept)
+    assert summary(SweepResult(lively)) == summary(swept)
 
 
 def test_rank_correlations_are_those_of_scipy():

@@ -12,7 +12,7 @@ from mckibben.study.parameters import LogUniform, Uniform
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune import Cost, Method, tune
 from mckibben.study.tune.problem import TuningProblem
-from mckibben.study.tune.tune import History, Trial
+from mckibben.study.tune.tune import Trial, TuningHistory
 from mckibben.units import deg
 
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
@@ -71,7 +71,7 @@ def test_a_search_that_is_done_is_only_looked_up(method, whole, tmp_path, monkey
     undisturbed, complete = whole
     path = tmp_path / "history.jsonl"
     path.write_bytes(complete.read_bytes())
-    monkeypatch.setattr(History, "add", lambda *_: pytest.fail("something was tried again"))
+    monkeypatch.setattr(TuningHistory, "add", lambda *_: pytest.fail("something was tried again"))
     assert run(path, method=method, resume=True) == undisturbed
     assert path.read_bytes() == complete.read_bytes()
 
@@ -148,11 +148,11 @@ def test_it_does_not_matter_from_where_a_search_goes_on(tmp_path, monkeypatch):
 def test_an_existing_history_is_not_overwritten_and_a_missing_one_not_gone_on_with(tmp_path):
     path = tmp_path / "history.jsonl"
     with pytest.raises(FileError, match="no search to go on with; start it without --resume"):
-        History(path, ABOUT, **ONE, resume=True)
+        TuningHistory(path, ABOUT, **ONE, resume=True)
     assert not path.exists()
     path.write_text("my own notes", encoding="utf-8")
     with pytest.raises(FileError, match="history of a search already"):
-        History(path, ABOUT, **ONE)
+        TuningHistory(path, ABOUT, **ONE)
     assert path.read_text(encoding="utf-8") == "my own notes"
 
 
@@ -175,7 +175,7 @@ def test_what_is_no_history_is_refused_and_left_alone(tmp_path, content):
     path = tmp_path / "history.jsonl"
     path.write_bytes(content)
     with pytest.raises(FileError, match=r"no history of a search|it is a search with"):
-        History(path, ABOUT, **ONE, resume=True)
+        TuningHistory(path, ABOUT, **ONE, resume=True)
     assert path.read_bytes() == content
 
 
@@ -216,25 +216,25 @@ def test_a_line_that_is_no_trial_of_this_search_is_named(tmp_path, line, said, s
     with pytest.raises(
         FileError, match=f"line 3: it is no trial of this search: ({said}).*; remove the line"
     ) as refused:
-        History(path, ABOUT, numbers=1, slopes=slopes, resume=True)
+        TuningHistory(path, ABOUT, numbers=1, slopes=slopes, resume=True)
     assert [problem.line for problem in refused.value.problems] == [3, 5]
     assert path.read_text(encoding="utf-8") == content
     path.write_text(content.replace(f"\n{line}\n", "\n"), encoding="utf-8")
-    assert len(History(path, ABOUT, numbers=1, slopes=slopes, resume=True).trials) == 2
+    assert len(TuningHistory(path, ABOUT, numbers=1, slopes=slopes, resume=True).trials) == 2
 
 
 def test_a_search_that_another_process_goes_on_with_is_left_to_it(tmp_path):
     path = tmp_path / "deep" / "history.jsonl"
-    with History.kept(path, ABOUT, **ONE) as first:
+    with TuningHistory.kept(path, ABOUT, **ONE) as first:
         with (
             pytest.raises(
                 FileError, match=rf"another process \(pid {os.getpid()} on .*\) is going on with this search"
             ),
-            History.kept(path, ABOUT, **ONE, resume=True),
+            TuningHistory.kept(path, ABOUT, **ONE, resume=True),
         ):
             pytest.fail("two at once")
         first.add([Trial((0.5,), 1.0)])
-    with History.kept(path, ABOUT, **ONE, resume=True) as again:
+    with TuningHistory.kept(path, ABOUT, **ONE, resume=True) as again:
         assert len(again.trials) == 1
     assert [file.name for file in path.parent.iterdir()] == ["history.jsonl"]
 
@@ -243,11 +243,11 @@ def test_trials_come_back_to_the_last_bit(tmp_path):
     path, rng = tmp_path / "history.jsonl", np.random.default_rng(0)
     trials = [Trial(tuple(rng.random(3).tolist()), float(c), tuple(rng.normal(size=3))) for c in rng.random(20)]
     trials.append(Trial((0.0, 1.0, 0.1 + 0.2), 1e6, (0.0, 1e-300, -1e300)))
-    kept = History(path, ABOUT, numbers=3, slopes=True)
+    kept = TuningHistory(path, ABOUT, numbers=3, slopes=True)
     kept.add(trials[:7])
     kept.add(trials[5:])  # two of them again
     kept.add([])
-    again = History(path, ABOUT, numbers=3, slopes=True, resume=True)
+    again = TuningHistory(path, ABOUT, numbers=3, slopes=True, resume=True)
     assert again.trials == kept.trials == trials
     assert len(path.read_text().splitlines()) == 1 + len(trials)
     assert again.find(np.array(trials[3].point)) == trials[3]
@@ -259,20 +259,20 @@ def test_trials_come_back_to_the_last_bit(tmp_path):
 def test_of_equal_costs_the_best_does_not_depend_on_who_came_first():
     one, other = Trial((0.1, 0.9), 1.0), Trial((0.2, 0.1), 1.0)
     for order in ([one, other], [other, one]):
-        kept = History(None, ABOUT, numbers=2, slopes=False)
+        kept = TuningHistory(None, ABOUT, numbers=2, slopes=False)
         kept.add(order)
         assert kept.best == one
 
 
 def test_a_line_is_on_disk_before_the_search_goes_on(tmp_path, monkeypatch):
     path, seen = tmp_path / "history.jsonl", []
-    find = History.find
+    find = TuningHistory.find
 
     def looking(self, point):
         seen.append((len(path.read_text().splitlines()) - 1, len(self.trials)))
         return find(self, point)
 
-    monkeypatch.setattr(History, "find", looking)
+    monkeypatch.setattr(TuningHistory, "find", looking)
     run(path, iterations=2)
     assert all(on_disk == known for on_disk, known in seen)
     assert json.loads(path.read_text().splitlines()[0])["kind"] == "tuning"

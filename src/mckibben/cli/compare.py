@@ -12,7 +12,7 @@ from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.storage.files import atomic_write, make_folder
 
 if TYPE_CHECKING:
-    from mckibben.study.benchmark import Contest, Suite
+    from mckibben.study.benchmark import BenchmarkResult, Suite
 
 _KEPT = ("results.json", "runs.nc", "suite.yaml", "comparison.html")
 
@@ -96,12 +96,12 @@ def _alone(out: Path, repeat: str) -> str:
     return scenario.dumps()
 
 
-def _show(contest: Contest, out: Path, json: bool) -> None:
+def _show(contest: BenchmarkResult, out: Path, json: bool) -> None:
     from mckibben import report
-    from mckibben.study.benchmark.benchmark import keep_table, standing
+    from mckibben.study.benchmark.benchmark import keep_table, statistics
     from mckibben.study.reporting import to_json, write_json
 
-    numbers = standing(contest)
+    numbers = statistics(contest)
     write_json(out / "results.json", numbers)  # before anything is drawn
     keep_table(contest, out / "runs.nc")
     with atomic_write(out / "suite.yaml", overwrite=True) as part:
@@ -165,7 +165,7 @@ def _ratios(against: dict[str, dict[str, float]]) -> list[str]:
     ]
 
 
-def _tuned_scenarios(contest: Contest, out: Path) -> int:
+def _tuned_scenarios(contest: BenchmarkResult, out: Path) -> int:
     """Write each controller with its tuned numbers as a scenario of the plant as it believes it."""
     from mckibben.study.benchmark.benchmark import filename
     from mckibben.study.parameters import with_values

@@ -14,7 +14,7 @@ from mckibben.errors import ParameterError
 
 if TYPE_CHECKING:
     from mckibben.study.scenario import Scenario
-    from mckibben.study.sweep import Sweep
+    from mckibben.study.sweep import SweepResult
 
 
 def sweep(
@@ -98,7 +98,7 @@ def sweep(
         raise typer.Exit(INTERRUPTED) from None
 
 
-def _show(swept: Sweep, out: Path, json: bool) -> None:
+def _show(swept: SweepResult, out: Path, json: bool) -> None:
     """Keep and print the statistics and the figure."""
     from mckibben.study.reporting import to_json, write_json
     from mckibben.study.sweep import summary
@@ -129,10 +129,10 @@ def _show(swept: Sweep, out: Path, json: bool) -> None:
 def _list(path: Path, json: bool) -> None:
     from mckibben.study.reporting import to_json
     from mckibben.study.scenario import Scenario
-    from mckibben.study.sweep.result import listed
+    from mckibben.study.sweep.result import parameter_rows
 
     read: Scenario = Scenario.read(path)
-    numbers = listed(read)
+    numbers = parameter_rows(read)
     if json:
         typer.echo(to_json(numbers))
         return

@@ -14,7 +14,7 @@ from mckibben.storage.files import atomic_write
 
 if TYPE_CHECKING:
     from mckibben.study.scenario import Scenario
-    from mckibben.study.tune import Tuned
+    from mckibben.study.tune import TuningResult
 
 _METHODS = ("gradient", "evolution", "cma")
 
@@ -67,11 +67,11 @@ def tune(
     from mckibben.study.scenario import Scenario
 
     read = [Scenario.read(path) for path in scenarios]
-    from mckibben.study.tune import Method, read_cost, read_ranges
+    from mckibben.study.tune import Method, parse_cost, parse_ranges
     from mckibben.study.tune import tune as run
 
-    ranges = read_ranges(parameters or [], read[0])
-    asked = read_cost(cost, gain_margin=margin, worst=worst)
+    ranges = parse_ranges(parameters or [], read[0])
+    asked = parse_cost(cost, gain_margin=margin, worst=worst)
     history = out / "history.jsonl"
     if not resume and not history.exists():  # else `run` says what to do
         check_free(out, ("results.json", "tuning.png", "tuning.svg", *_tuned_names(scenarios)))
@@ -99,7 +99,7 @@ def tune(
     _show(tuned, read, scenarios, ranges, out, json)
 
 
-def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, out: Path, json: bool) -> None:
+def _show(tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges: Any, out: Path, json: bool) -> None:
     from mckibben import report
     from mckibben.study.reporting import METRICS, to_json, write_json
 
@@ -108,7 +108,7 @@ def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, 
         {"scenario": old.name, "before": _measured(old), "tuned": _measured(new)}
         for old, new in zip(before, tuned.scenarios, strict=True)
     ]
-    shown_values = {each.name: each.address.show(tuned.values[each.name]) for each in ranges}
+    shown_values = {each.name: each.parameter.show(tuned.values[each.name]) for each in ranges}
     numbers = {
         "cost_before": tuned.cost_before,
         "cost": tuned.cost,
@@ -123,7 +123,7 @@ def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, 
         typer.echo(to_json(numbers))
     else:
         rows = [
-            (each.name, each.address.show(each.address.nominal) if each.address.nominal is not None else "-", now)
+            (each.name, each.parameter.show(each.parameter.nominal) if each.parameter.nominal is not None else "-", now)
             for each, now in zip(ranges, shown_values.values(), strict=True)
         ]
         table(
@@ -154,14 +154,14 @@ def _measured(scenario: Scenario) -> dict[str, float]:
         return dict.fromkeys(METRICS, float("nan"))
 
 
-def _keep_scenarios(tuned: Tuned, paths: list[Path], out: Path) -> list[str]:
+def _keep_scenarios(tuned: TuningResult, paths: list[Path], out: Path) -> list[str]:
     """Write the tuned scenarios: the user's own text with other numbers, where it reads the same in its new place."""
-    from mckibben.study.parameters import rewritten
+    from mckibben.study.parameters import edit_yaml
     from mckibben.study.scenario import Scenario
 
     names = _tuned_names(paths)
     for name, scenario, path in zip(names, tuned.scenarios, paths, strict=True):
-        text = rewritten(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
+        text = edit_yaml(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
         try:
             same = Scenario.parse(text, folder=out) == scenario
         except ScenarioError:

@@ -24,7 +24,7 @@ from mckibben.simulation import (
 )
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_scenario
-from mckibben.study.tune import Cost, Method, Tuned, around_gains, tune
+from mckibben.study.tune import Cost, Method, TuningResult, gain_ranges, tune
 from mckibben.units import quantity
 
 PID, BP, TUNED_PID = "PID", "BP", "PID tuned"
@@ -110,7 +110,7 @@ class Tracking:
     """
 
     runs: dict[tuple[str, Wish, str], Run]
-    tuned: dict[str, Tuned]
+    tuned: dict[str, TuningResult]
     coupling: dict[str, Coupling]
     seeds: int
 
@@ -132,7 +132,7 @@ def run_tracking(
     # The runs on moderate gains do not wait for the tuning: what takes time in both is their compilation.
     with ThreadPoolExecutor(max_workers=1) as beside:
         moderate = beside.submit(_moderate_runs, seeds)
-        tuned: dict[str, Tuned] = {}
+        tuned: dict[str, TuningResult] = {}
         for i, setting in enumerate(SETTINGS):
 
             def report(part: float, start: float = i / len(SETTINGS)) -> None:
@@ -158,7 +158,7 @@ def _moderate_runs(seeds: int) -> dict[tuple[str, Wish, str], Run]:
     return runs
 
 
-def _tuned_runs(setting: Setting, tuned: Tuned, seeds: int) -> dict[tuple[str, Wish, str], Run]:
+def _tuned_runs(setting: Setting, tuned: TuningResult, seeds: int) -> dict[tuple[str, Wish, str], Run]:
     gains = gains_of(tuned.scenarios[0])
     runs: dict[tuple[str, Wish, str], Run] = {}
     for wish in Wish:
@@ -177,7 +177,7 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
     }
     return tune(
         scenarios,
-        around_gains(scenarios[0]),
+        gain_ranges(scenarios[0]),
         Cost.of(scales, gain_margin=_MARGIN),
         method=Method.EVOLUTION,
         iterations=generations,

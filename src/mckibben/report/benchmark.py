@@ -17,7 +17,7 @@ from mckibben.report.page import EmbeddedFigure, address_of, style_sheet, templa
 from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, save, styled
 from mckibben.report.tables import Table, number
 from mckibben.storage.files import atomic_write
-from mckibben.study.benchmark import Contest
+from mckibben.study.benchmark import BenchmarkResult
 from mckibben.units import deg
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
@@ -26,7 +26,7 @@ _NARROW = 3.0  # a range of less has too few ticks in the logarithm
 
 
 @styled
-def contest_errors(contest: Contest) -> Figure:
+def contest_errors(contest: BenchmarkResult) -> Figure:
     """In how many of the unseen runs the errors of angle and stiffness stay below a value, a line a controller.
 
     Parameters
@@ -56,7 +56,7 @@ def contest_errors(contest: Contest) -> Figure:
 
 
 @styled
-def contest_wishes(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
+def contest_wishes(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
     """Median errors by the kind of wish, a mark a controller.
 
     Parameters
@@ -93,7 +93,7 @@ def contest_wishes(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
 
 
 @styled
-def contest_air(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
+def contest_air(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
     """What the angle's error costs in air: medians, and the middle 90 % of the runs.
 
     Parameters
@@ -120,7 +120,7 @@ def contest_air(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def write_contest(contest: Contest, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
+def write_contest(contest: BenchmarkResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
     """Write `comparison.html`, and its figures as PNG and SVG in `figures/` beside it.
 
     Parameters
@@ -164,7 +164,7 @@ def write_contest(contest: Contest, numbers: Mapping[str, Any], folder: str | os
     return page
 
 
-def _figures(contest: Contest, numbers: Mapping[str, Any]) -> list[ReportFigure]:
+def _figures(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> list[ReportFigure]:
     runs = numbers["runs"] - numbers["not_begun"]
     said = (
         (
@@ -292,7 +292,7 @@ def _dependence(numbers: Mapping[str, Any]) -> Table:
     )
 
 
-def _tuned(contest: Contest) -> Table:
+def _tuned(contest: BenchmarkResult) -> Table:
     rows = []
     for name, values in contest.tuned.items():
         costs = contest.training_cost.get(name)

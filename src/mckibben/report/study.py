@@ -29,17 +29,17 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.study.reporting import METRICS
-from mckibben.study.sweep import Sweep
+from mckibben.study.sweep import SweepResult
 from mckibben.study.sweep.result import main_metrics, spearman
-from mckibben.study.tune import Tuned
-from mckibben.study.tune.problem import LOST
+from mckibben.study.tune import TuningResult
+from mckibben.study.tune.problem import FAILED_COST
 from mckibben.units import factor
 
 _FEW = 12  # numbers that still have room for their names
 
 
 @styled
-def tuning(tuned: Tuned) -> Figure:
+def tuning(tuned: TuningResult) -> Figure:
     """Draw a search.
 
     Parameters
@@ -50,7 +50,7 @@ def tuning(tuned: Tuned) -> Figure:
     figure = blank(DOUBLE, 2.9)
     costs_axes, places_axes = figure.subplots(1, 2, width_ratios=(1.35, 1))
     costs = np.array([trial.cost for trial in tuned.trials])
-    finite = costs < LOST
+    finite = costs < FAILED_COST
     tried = np.arange(1, costs.size + 1)
 
     letter(costs_axes, "a", "cost of what was tried")
@@ -115,7 +115,7 @@ class _Input(NamedTuple):
 
 
 @styled
-def sweep(swept: Sweep) -> Figure:
+def sweep(swept: SweepResult) -> Figure:
     """What the main metrics depend on: a row a metric, a column for each of the four inputs that matter most.
 
     Single runs are points, many runs hexagons, darker where there are more; the line is the median of the runs around,
@@ -162,7 +162,7 @@ def sweep(swept: Sweep) -> Figure:
     return figure
 
 
-def _strongest(swept: Sweep, metrics: tuple[str, ...]) -> list[_Input]:
+def _strongest(swept: SweepResult, metrics: tuple[str, ...]) -> list[_Input]:
     """The inputs with the largest rank correlations, in the order in which they were asked for."""
     lost = swept.lost
     strengths = {}
@@ -178,7 +178,7 @@ def _strongest(swept: Sweep, metrics: tuple[str, ...]) -> list[_Input]:
     return [_input(swept, name) for name in swept.inputs if name in chosen]
 
 
-def _input(swept: Sweep, name: str) -> _Input:
+def _input(swept: SweepResult, name: str) -> _Input:
     variable = swept.table[name]
     unit = variable.attrs.get("shown_units", "1")
     values = variable.to_numpy().astype(float) / factor(unit)
@@ -186,7 +186,7 @@ def _input(swept: Sweep, name: str) -> _Input:
     return _Input(name, unit, values, log)
 
 
-def _metric(axes: Axes, one: _Input, swept: Sweep, metric: str) -> None:
+def _metric(axes: Axes, one: _Input, swept: SweepResult, metric: str) -> None:
     values = swept.table[metric].to_numpy().astype(float) / _shown(metric)[1]
     there = ~swept.lost & np.isfinite(values)
     x, y = one.values[there], values[there]

@@ -20,14 +20,14 @@ from mckibben.errors import ParameterError
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
 from mckibben.study.benchmark.runs import Runs, draw
 from mckibben.study.benchmark.suite import Suite, filename
-from mckibben.study.parameters import Over, allowed, lanes
+from mckibben.study.parameters import SweptParameter, batched, valid_rows
 from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.result import spearman
 from mckibben.study.tune.cost import Numbers, as_written, at_bound, nominal_of, point_of, values_at
-from mckibben.study.tune.problem import LOST
+from mckibben.study.tune.problem import FAILED_COST
 from mckibben.study.tune.search import Method, by_cma, check_method
-from mckibben.study.tune.tune import Generations, History, Trial
+from mckibben.study.tune.tune import Generations, Trial, TuningHistory
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -37,7 +37,7 @@ _TUNING = 0.98  # of the time that a controller takes
 
 
 @dataclass(frozen=True, eq=False)
-class Contest:
+class BenchmarkResult:
     """What came of a suite.
 
     Attributes
@@ -81,7 +81,7 @@ class Contest:
         """The cost of each run that began; 1e6 where it was lost."""
         names = self.suite.cost.metrics
         cost = self.suite.cost({name: self.metric(controller, name) for name in names})
-        return np.where(np.isfinite(cost), cost, LOST)
+        return np.where(np.isfinite(cost), cost, FAILED_COST)
 
     def scenario(self, controller: str, run: int) -> Scenario:
         """A run alone, with the tuned controller."""
@@ -94,7 +94,7 @@ def compare(
     folder: Path | None = None,
     resume: bool = False,
     progress: Callable[[str, float], None] | None = None,
-) -> Contest:
+) -> BenchmarkResult:
     """Compare the controllers of a suite.
 
     Parameters
@@ -136,15 +136,15 @@ def compare(
         else:
             tuned[name], bounds[name] = {}, ()
         told("unseen runs", _TUNING)
-        batches[name] = judged(unseen, name, tuned[name])
+        batches[name] = evaluate(unseen, name, tuned[name])
         if not _began(batches[name]).any():
             raise _none_begins("unseen")
     if progress:
         progress("done", 1.0)
-    return Contest(suite, unseen, tuned, costs, bounds, batches)
+    return BenchmarkResult(suite, unseen, tuned, costs, bounds, batches)
 
 
-def judged(runs: Runs, controller: str, values: dict[str, float]) -> Batch:
+def evaluate(runs: Runs, controller: str, values: dict[str, float]) -> Batch:
     """What a controller with these numbers [SI] does in the runs."""
     return _simulated(runs, _controller(runs, controller, {name: [value] for name, value in values.items()}), 1)
 
@@ -167,7 +167,7 @@ class _Task:
 
     suite: Suite
     controller: str
-    over: tuple[Over, ...]
+    over: tuple[SweptParameter, ...]
     runs: Runs
     _scenario: Scenario = field(init=False)
 
@@ -181,7 +181,7 @@ class _Task:
     @property
     def nominal(self) -> Numbers:
         """The numbers [SI] of the file, or the middle of their ranges."""
-        return nominal_of(self.over, [each.address.nominal for each in self.over])
+        return nominal_of(self.over, [each.parameter.nominal for each in self.over])
 
     def values(self, points: Numbers) -> Numbers:
         """Numbers [SI] at points of the unit cube, shape (n, numbers)."""
@@ -194,20 +194,20 @@ class _Task:
     def costs(self, values: Numbers) -> Numbers:
         """The mean cost of rows of numbers [SI] over the training runs that can begin."""
         table = dict(zip(self.names, values.T, strict=True))
-        good = allowed(self._scenario, table)
+        good = valid_rows(self._scenario, table)
         if not good.any():
-            return np.full(len(values), LOST)
+            return np.full(len(values), FAILED_COST)
         table = {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
         control = _controller(self.runs, self.controller, table)
         batch = _simulated(self.runs, control, len(values), self.suite.cost.metrics)
         found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
-        found = np.where(np.isfinite(found) & ~batch.lost, np.minimum(found, LOST), LOST)
+        found = np.where(np.isfinite(found) & ~batch.lost, np.minimum(found, FAILED_COST), FAILED_COST)
         began = _began(batch)
         if not began.any():
             raise _none_begins("training")
         shape = (len(values), self.runs.count)
         total = np.sum(np.where(began, found, 0.0).reshape(shape), axis=1)
-        return np.where(good, total / began.reshape(shape).sum(axis=1), LOST)
+        return np.where(good, total / began.reshape(shape).sum(axis=1), FAILED_COST)
 
     def about(self) -> dict[str, Any]:
         """All that makes a trial what it is."""
@@ -237,7 +237,7 @@ def _searched(
     check_method(Method.CMA, numbers=max(len(task.over), 2), population=tuning.population)
     path = None if folder is None else folder / f"{filename(task.controller)}.jsonl"
     resumed = resume and path is not None and path.exists()
-    with History.kept(path, task.about(), numbers=len(task.over), slopes=False, resume=resumed) as past:
+    with TuningHistory.kept(path, task.about(), numbers=len(task.over), slopes=False, resume=resumed) as past:
         tried = Generations(task, past, tuning.population)
         first = task.point(task.nominal)
         tried(first[None])
@@ -252,7 +252,7 @@ def _searched(
                 lambda part, start=start: progress((start + part) / tuning.starts),
             )
         best = past.best
-        if best.cost >= LOST:
+        if best.cost >= FAILED_COST:
             raise ParameterError(
                 f"{task.controller}: none of the {len(past.trials)} points that were tried came through a run",
                 remedy="search other ranges, or begin with other gains",
@@ -282,7 +282,7 @@ def _cma(
     )
 
 
-def _tried(tried: Generations, task: _Task, past: History, values: Numbers) -> Trial:
+def _tried(tried: Generations, task: _Task, past: TuningHistory, values: Numbers) -> Trial:
     point = task.point(values)
     tried(point[None])
     found = past.find(point)
@@ -296,7 +296,7 @@ def _controller(runs: Runs, controller: str, table: dict[str, Any]) -> Controlle
     if not table:
         return scenario.control()
     columns = {name: np.repeat(np.asarray(column), runs.count) for name, column in table.items()}
-    return lanes(scenario, columns).control()
+    return batched(scenario, columns).control()
 
 
 def _simulated(runs: Runs, controller: Controller, sets: int, metrics: tuple[str, ...] = Metrics._fields) -> Batch:
@@ -324,7 +324,7 @@ _SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
 _UNIT = {metric: unit for metric, _, unit in METRICS.values()}
 
 
-def standing(contest: Contest) -> dict[str, Any]:
+def statistics(contest: BenchmarkResult) -> dict[str, Any]:
     """The statistics of a contest, as JSON has them.
 
     Parameters
@@ -356,7 +356,7 @@ def standing(contest: Contest) -> dict[str, Any]:
     }
 
 
-def table_of(contest: Contest) -> xr.Dataset:
+def table_of(contest: BenchmarkResult) -> xr.Dataset:
     """All runs of all controllers, along ``controller`` and ``run``: metrics and outcomes; along ``run`` the draws."""
     import xarray as xr
 
@@ -384,14 +384,14 @@ def table_of(contest: Contest) -> xr.Dataset:
     return found
 
 
-def keep_table(contest: Contest, path: Path) -> None:
+def keep_table(contest: BenchmarkResult, path: Path) -> None:
     """Write `table_of` to a NetCDF file, which appears whole or not at all."""
     from mckibben.dataset.schema import write_netcdf
 
     write_netcdf(table_of(contest), path)
 
 
-def _of(contest: Contest, name: str, median_cost: float) -> dict[str, Any]:
+def _of(contest: BenchmarkResult, name: str, median_cost: float) -> dict[str, Any]:
     first = next(iter(contest.batches))
     wishes, joints = (np.array(each)[contest.started] for each in (contest.runs.wish, contest.runs.joint))
     errors = {metric: contest.metric(name, metric) for metric in MAIN}

@@ -15,7 +15,7 @@ from mckibben.control import Constant, Multisine, Reference, Signal, Sine, Step,
 from mckibben.errors import ParameterError
 from mckibben.plant import JointPlant
 from mckibben.study.benchmark.suite import Suite, start_of
-from mckibben.study.parameters import design, lanes, with_values
+from mckibben.study.parameters import batched, sample, with_values
 from mckibben.study.scenario import Scenario
 
 Column = NDArray[Any]
@@ -91,7 +91,7 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
     order = np.random.default_rng(seed).spawn(2)
     joint = _dealt(shares, count, order[0])
     wish = _dealt({name: each.share for name, each in suite.wishes.items()}, count, order[1])
-    conditions = dict(design(suite.conditions_over(), samples=count, seed=seed)) if suite.conditions else {}
+    conditions = dict(sample(suite.conditions_over(), samples=count, seed=seed)) if suite.conditions else {}
     if suite.sensors is not None and "sensors.seed" not in conditions:
         conditions["sensors.seed"] = np.arange(count, dtype=np.int64) + (1000 * seed) % 2**30
     first = next(iter(suite.controllers))
@@ -100,7 +100,7 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
         rows = _rows(joint, name)
         scenario = suite.scenario(first, wish[rows[0]], name)
         taken = {key: column[rows] for key, column in conditions.items()}
-        plants.append((rows, (lanes(scenario, taken) if taken else scenario).plant()))
+        plants.append((rows, (batched(scenario, taken) if taken else scenario).plant()))
     most = max(_sines(suite, name) for name in suite.wishes)
     for number, name in enumerate(suite.wishes):
         rows = _rows(wish, name)
@@ -110,7 +110,7 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
         table = _wished(suite, name, rows.size, seed + 7919 * (number + 1))
         wished[name] = table
         scenario = suite.scenario(first, name)
-        found = (lanes(scenario, table) if table else scenario).reference()
+        found = (batched(scenario, table) if table else scenario).reference()
         references.append((rows, Reference(_in_one_form(found.angle, most), _in_one_form(found.stiffness, most))))
     return Runs(
         suite, joint, wish, conditions, wished, _merged(plants, count, "joints"), _merged(references, count, "wishes")
@@ -131,7 +131,7 @@ def _rows(names: Sequence[str], name: str) -> NDArray[np.int64]:
 def _wished(suite: Suite, name: str, count: int, seed: int) -> dict[str, Column]:
     """Values of what differs in a wish; sines of the angle as large as the suite allows at most."""
     varied = suite.wish_over(name)
-    table = dict(design(varied, samples=count, seed=seed)) if varied else {}
+    table = dict(sample(varied, samples=count, seed=seed)) if varied else {}
     sine, most = suite.wishes[name].reference.angle.sine, suite.fastest
     if sine is None or most is None:
         return table

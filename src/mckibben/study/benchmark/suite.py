@@ -15,7 +15,7 @@ from mckibben.config.document import Document, dotted, to_text
 from mckibben.config.fields import Part, refuse, suggest
 from mckibben.config.reading import parsed, text_of
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError
-from mckibben.study.parameters import Over, over, read_over, read_overs
+from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import build_signal
 from mckibben.study.scenario.controller import ControllerSpec
@@ -23,7 +23,7 @@ from mckibben.study.scenario.fields import AngularAcceleration, Duration, Positi
 from mckibben.study.scenario.plant import DisturbanceSpec, JointSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
 from mckibben.study.scenario.scenario import dividing
-from mckibben.study.tune import Cost, around_gains, read_cost, read_ranges
+from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
 
 _OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
 _LONGEST_NAME = 80
@@ -66,7 +66,7 @@ def problems_of_suite(suite: Suite, document: Document, believed: str) -> list[P
     look(("conditions",), lambda: _check_differs(suite))
     look(("tuning", "cost"), lambda: _check_cost(suite))
     for i, text in enumerate(suite.conditions):
-        look(("conditions", i), lambda text=text: _about_plant(read_over(text, suite.example())))
+        look(("conditions", i), lambda text=text: _about_plant(parse_sweep(text, suite.example())))
     if not found:
         look(("conditions",), suite.conditions_over)
     for name, wish in suite.wishes.items():
@@ -127,7 +127,7 @@ def _check_cost(suite: Suite) -> None:
 def _check_joint(suite: Suite, name: str) -> None:
     """Runs of all joints are computed together: the same conditions, specimens and kinds of law."""
     scenario, believed = suite.example(joint=name), suite.example()
-    read_overs(suite.conditions, scenario)
+    parse_sweeps(suite.conditions, scenario)
     if jax.tree.structure(scenario.plant()) != jax.tree.structure(believed.plant()):
         raise ParameterError(
             "differs from the suite's own joint in more than numbers",
@@ -140,7 +140,7 @@ def _check_known(suite: Suite, name: str) -> None:
         raise ParameterError(f"there is no controller {name!r}", remedy=suggest(name, list(suite.controllers)))
 
 
-def _about_plant(one: Over) -> None:
+def _about_plant(one: SweptParameter) -> None:
     if one.name.split(".")[0] not in _OF_PLANT:
         raise ParameterError(
             f"{one.name} is nothing of the plant", remedy=f"a condition is a number of {', '.join(_OF_PLANT)}"
@@ -148,12 +148,12 @@ def _about_plant(one: Over) -> None:
 
 
 def _about_wish(text: str, scenario: Scenario) -> None:
-    one = read_over(text, scenario)
+    one = parse_sweep(text, scenario)
     if not one.name.startswith("reference."):
         raise ParameterError(f"{one.name} is nothing of the wish", remedy="put it among the conditions")
 
 
-def _about_controller(over: tuple[Over, ...]) -> None:
+def _about_controller(over: tuple[SweptParameter, ...]) -> None:
     for one in over:
         if not one.name.startswith("controller."):
             raise ParameterError(
@@ -170,7 +170,7 @@ _Share = Annotated[int, Whole(1, 1000)]
 _Seed = Annotated[int, Whole(0, 2**31 - 1)]
 _MOST = 1_000_000
 
-AS_BELIEVED = "as believed"
+NOMINAL_JOINT = "as believed"
 """The joint that controllers believe in, as the plant of a run."""
 
 
@@ -218,7 +218,7 @@ class TuningSpec(Part):
     @classmethod
     def _readable(cls, value: str) -> str:
         try:
-            read_cost(value)
+            parse_cost(value)
         except McKibbenError as error:
             refuse(str(error))
         return value
@@ -248,7 +248,7 @@ class Suite(Part):
     joint_share
         The share of `joint` itself beside them.
     conditions
-        What differs from run to run, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.read_over`.
+        What differs from run to run, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.parse_sweep`.
     wishes
         References by name. One among them of which the stiffness steps is needed for the coupling.
     fastest
@@ -317,7 +317,7 @@ class Suite(Part):
     def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Suite:
         """Read a suite from text; arguments and errors as for `Scenario.parse`."""
         suite, document = parsed(cls, text, source=source, folder=folder)
-        problems = problems_of_suite(suite, document, AS_BELIEVED)
+        problems = problems_of_suite(suite, document, NOMINAL_JOINT)
         if problems:
             raise ScenarioError(source, problems)
         return suite
@@ -329,15 +329,15 @@ class Suite(Part):
     @property
     def cost(self) -> Cost:
         """Of a run."""
-        return read_cost(self.tuning.cost)
+        return parse_cost(self.tuning.cost)
 
     @property
     def joints(self) -> dict[str, tuple[int, JointSpec]]:
         """All joints that a plant may have, by name, each with its share; "as believed" comes first."""
         others = {name: (other.share, other.joint) for name, other in self.other_joints.items()}
-        return {AS_BELIEVED: (self.joint_share, self.joint), **others}
+        return {NOMINAL_JOINT: (self.joint_share, self.joint), **others}
 
-    def scenario(self, controller: str, wish: str, joint: str = AS_BELIEVED) -> Scenario:
+    def scenario(self, controller: str, wish: str, joint: str = NOMINAL_JOINT) -> Scenario:
         """One run before its conditions: the controller believes in the suite's own joint, load and valve."""
         reference = self.wishes[wish].reference
         return Scenario(
@@ -355,28 +355,28 @@ class Suite(Part):
             substeps=self.substeps,
         )
 
-    def conditions_over(self) -> tuple[Over, ...]:
+    def conditions_over(self) -> tuple[SweptParameter, ...]:
         """What differs from run to run of the plant."""
-        return read_overs(self.conditions, self.example())
+        return parse_sweeps(self.conditions, self.example())
 
-    def wish_over(self, wish: str) -> tuple[Over, ...]:
+    def wish_over(self, wish: str) -> tuple[SweptParameter, ...]:
         """What of a wish differs from run to run."""
-        return read_overs(self.wishes[wish].over, self.example(wish))
+        return parse_sweeps(self.wishes[wish].over, self.example(wish))
 
-    def tuned_over(self, controller: str) -> tuple[Over, ...]:
+    def tuned_over(self, controller: str) -> tuple[SweptParameter, ...]:
         """What of a controller is tuned, and over what range; nothing where it is taken as it is."""
         if controller in self.tuning.untuned:
             return ()
         scenario = self.scenario(controller, next(iter(self.wishes)))
         if controller in self.tuning.over:
-            return read_ranges(self.tuning.over[controller], scenario)
-        gains = around_gains(scenario, float(self.tuning.decades))
+            return parse_ranges(self.tuning.over[controller], scenario)
+        gains = gain_ranges(scenario, float(self.tuning.decades))
         if not gains:
             raise ParameterError(
                 f"{controller} has no gain that is not zero", remedy="name it in tuning.over or tuning.untuned"
             )
-        return over(scenario, gains)
+        return sweep_parameters(scenario, gains)
 
-    def example(self, wish: str | None = None, joint: str = AS_BELIEVED) -> Scenario:
+    def example(self, wish: str | None = None, joint: str = NOMINAL_JOINT) -> Scenario:
         """A run of the first controller."""
         return self.scenario(next(iter(self.controllers)), wish or next(iter(self.wishes)), joint)

@@ -17,7 +17,7 @@ MOST = 10_000_000
 _FINEST = 2.0**-54  # a quantile of 0 or 1 stands for this far inside: a normal distribution has no ends
 
 
-class Spread(abc.ABC):
+class Distribution(abc.ABC):
     """What a number may be, and how often.
 
     >>> Uniform(0.2, 1.0).at([0.0, 0.5])
@@ -49,7 +49,7 @@ class Spread(abc.ABC):
 
 
 @dataclass(frozen=True)
-class Uniform(Spread):
+class Uniform(Distribution):
     """Evenly between two values.
 
     Parameters
@@ -83,7 +83,7 @@ class Uniform(Spread):
 
 
 @dataclass(frozen=True)
-class LogUniform(Spread):
+class LogUniform(Distribution):
     """Evenly in the logarithm between two values of one sign.
 
     >>> LogUniform(1.0, 100.0, points=3).grid()
@@ -129,7 +129,7 @@ class LogUniform(Spread):
 
 
 @dataclass(frozen=True)
-class Normal(Spread):
+class Normal(Distribution):
     """A normal distribution, cut off at two values.
 
     What is cut off is shared out among the rest in proportion (it is as if drawn again until it lies inside), so the
@@ -190,7 +190,7 @@ class Normal(Spread):
 
 
 @dataclass(frozen=True)
-class Values(Spread):
+class Values(Distribution):
     """One of a few values, each as often; on a grid all of them, in the order given.
 
     >>> Values((1.0, 2.0, 4.0)).at([0.0, 0.5, 0.9])
@@ -222,10 +222,10 @@ class Values(Spread):
 
 
 @dataclass(frozen=True)
-class Wholes(Spread):
+class IntegerRange(Distribution):
     """All whole numbers from one to another, each as often.
 
-    >>> Wholes(0, 19).at([0.0, 0.5, 0.99])
+    >>> IntegerRange(0, 19).at([0.0, 0.5, 0.99])
     array([ 0, 10, 19])
     """
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mckibben.errors import ScenarioError
-from mckibben.study.parameters.addresses import Place, find_all
+from mckibben.study.parameters.parameter import Place, find_parameters
 from mckibben.study.parameters.values import with_values
 from mckibben.study.scenario import Scenario
 
@@ -82,7 +82,7 @@ def _read_mapping(event: Any, events: Iterator[Any], place: Place, found: dict[P
     return key.end_mark.index if flow else end
 
 
-def rewritten(text: str, values: Mapping[str, float | int], *, folder: str | os.PathLike[str] = ".") -> str:
+def edit_yaml(text: str, values: Mapping[str, float | int], *, folder: str | os.PathLike[str] = ".") -> str:
     """The text of a scenario with other numbers; comments, order and layout stay.
 
     A number that was not written is added to its mapping. Numbers come in the units of `Scenario.dumps`, with all the
@@ -114,7 +114,7 @@ def rewritten(text: str, values: Mapping[str, float | int], *, folder: str | os.
     --------
     >>> from pathlib import Path
     >>> text = Path("examples/pre-contracted-step-pid.yaml").read_text()
-    >>> changed = rewritten(text, {"load.damping": 0.1, "valve.time_constant": 0.03})
+    >>> changed = edit_yaml(text, {"load.damping": 0.1, "valve.time_constant": 0.03})
     >>> for before, after in zip(text.splitlines(), changed.splitlines()):
     ...     if before != after:
     ...         print(after)
@@ -124,7 +124,7 @@ def rewritten(text: str, values: Mapping[str, float | int], *, folder: str | os.
     scenario = Scenario.parse(text, folder=folder)
     wanted = with_values(scenario, values)
     changed = text
-    for address, value in zip(find_all(scenario, values), values.values(), strict=True):
+    for address, value in zip(find_parameters(scenario, values), values.values(), strict=True):
         changed = _changed(changed, address.place, address.write(value))
     return changed if _reads_as(changed, wanted, folder) else wanted.dumps(folder=folder)
 

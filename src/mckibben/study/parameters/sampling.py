@@ -15,13 +15,21 @@ from pydantic_core import PydanticCustomError
 
 from mckibben.config.fields import Quantity, quoted
 from mckibben.errors import ParameterError
-from mckibben.study.parameters.addresses import Address, find, find_all
-from mckibben.study.parameters.distributions import MOST, LogUniform, Normal, Spread, Uniform, Values, Wholes
+from mckibben.study.parameters.distributions import (
+    MOST,
+    Distribution,
+    IntegerRange,
+    LogUniform,
+    Normal,
+    Uniform,
+    Values,
+)
+from mckibben.study.parameters.parameter import ScenarioParameter, find_parameter, find_parameters
 from mckibben.study.scenario import Scenario
 
 
 @dataclass(frozen=True)
-class Over:
+class SweptParameter:
     """A number and its spread, which go together: values lie in the field's range, and are whole where they must be.
 
     Raises
@@ -30,12 +38,12 @@ class Over:
         If they do not go together.
     """
 
-    address: Address
-    spread: Spread
+    parameter: ScenarioParameter
+    distribution: Distribution
 
     def __post_init__(self) -> None:
-        address, spread = self.address, _of_its_kind(self.address, self.spread)
-        object.__setattr__(self, "spread", spread)
+        address, spread = self.parameter, _of_its_kind(self.parameter, self.distribution)
+        object.__setattr__(self, "distribution", spread)
         for end in spread.ends:
             if not address.holds(end):
                 raise ParameterError(
@@ -50,24 +58,24 @@ class Over:
     @property
     def name(self) -> str:
         """The canonical name of the number."""
-        return self.address.name
+        return self.parameter.name
 
     @property
     def text(self) -> str:
-        """What `read_over` reads back to the last bit; of a `Normal` the deviation alone is written.
+        """What `parse_sweep` reads back to the last bit; of a `Normal` the deviation alone is written.
 
-        >>> from mckibben.study.parameters import read_over
+        >>> from mckibben.study.parameters import parse_sweep
         >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-        >>> read_over("load.m2 = 200 g..1.0 kg in 9", scenario).text
+        >>> parse_sweep("load.m2 = 200 g..1.0 kg in 9", scenario).text
         'load.mass2=0.2 kg..1 kg in 9'
         """
-        write, spread = self.address.write, self.spread
+        write, spread = self.parameter.write, self.distribution
         match spread:
             case Uniform() | LogUniform():
                 log = " log" if isinstance(spread, LogUniform) else ""
                 points = "" if spread.points is None else f" in {spread.points}"
                 said = f"{write(spread.low)}..{write(spread.high)}{log}{points}"
-            case Wholes():
+            case IntegerRange():
                 said = f"{spread.low}..{spread.high}"
             case Values():
                 said = ", ".join(write(value) for value in spread.values)
@@ -78,7 +86,7 @@ class Over:
         return f"{self.name}={said}"
 
 
-def over(scenario: Scenario, spreads: Mapping[str, Spread]) -> tuple[Over, ...]:
+def sweep_parameters(scenario: Scenario, spreads: Mapping[str, Distribution]) -> tuple[SweptParameter, ...]:
     """What a study varies, said in Python.
 
     Parameters
@@ -96,27 +104,27 @@ def over(scenario: Scenario, spreads: Mapping[str, Spread]) -> tuple[Over, ...]:
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> [each.text for each in over(scenario, {"load.m2": Uniform(0.2, 1.0)})]
+    >>> [each.text for each in sweep_parameters(scenario, {"load.m2": Uniform(0.2, 1.0)})]
     ['load.mass2=0.2 kg..1 kg']
     """
-    found = find_all(scenario, spreads)
-    return tuple(Over(address, spread) for address, spread in zip(found, spreads.values(), strict=True))
+    found = find_parameters(scenario, spreads)
+    return tuple(SweptParameter(address, spread) for address, spread in zip(found, spreads.values(), strict=True))
 
 
-def _of_its_kind(address: Address, spread: Spread) -> Spread:
+def _of_its_kind(address: ScenarioParameter, spread: Distribution) -> Distribution:
     """The spread with whole numbers where they must be, and cut off at what the field may be."""
-    if isinstance(spread, Wholes) and not address.whole:
+    if isinstance(spread, IntegerRange) and not address.whole:
         raise ParameterError(f"{address.name} is no whole number", remedy="give a Uniform range or Values")
     if isinstance(spread, Values) and not address.whole:
         return Values(tuple(float(value) for value in spread.values))
     if isinstance(spread, Values) and all(float(value).is_integer() for value in spread.values):
         return Values(tuple(int(value) for value in spread.values))
-    if address.whole and not isinstance(spread, Wholes):
+    if address.whole and not isinstance(spread, IntegerRange):
         raise ParameterError(f"{address.name} is a whole number", remedy="give some, like `0..19` or `0, 1, 5`")
     return _cut_off(address, spread) if isinstance(spread, Normal) else spread
 
 
-def _cut_off(address: Address, spread: Normal) -> Normal:
+def _cut_off(address: ScenarioParameter, spread: Normal) -> Normal:
     """The distribution within what the field may be, open ends left out."""
     lower, upper = float(address.lower), float(address.upper)
     mark = address.mark
@@ -140,7 +148,7 @@ _ONE = re.compile(rf"{_NUMBER}\s*(?:[A-Za-z(/1][^%\s]*(?:\s+[^0-9+.\s-]\S*)*)?")
 _FORMS = "a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal 10 %`"
 
 
-def read_over(text: str, scenario: Scenario) -> Over:
+def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
     """Read what one number is varied over.
 
     Parameters
@@ -169,9 +177,9 @@ def read_over(text: str, scenario: Scenario) -> Over:
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> read_over("load.mass2=+-10 %", scenario).spread
+    >>> parse_sweep("load.mass2=+-10 %", scenario).distribution
     Uniform(low=0.45, high=0.55, points=None)
-    >>> read_over("load.mass2=1 kg..0.2 kg", scenario)
+    >>> parse_sweep("load.mass2=1 kg..0.2 kg", scenario)
     Traceback (most recent call last):
         ...
     mckibben.errors.ParameterError: 'load.mass2=1 kg..0.2 kg': the range is empty: 1 kg is not below
@@ -183,24 +191,24 @@ def read_over(text: str, scenario: Scenario) -> Over:
             _fail(f"is longer than {LONGEST} characters", "say less")
         if not equals:
             _fail("is no name and what it is varied over", "write it like 'load.mass2=0.2 kg..1.0 kg'")
-        address = find(scenario, name)
-        return Over(address, _spread(said.strip().replace("±", "+-"), address))
+        address = find_parameter(scenario, name)
+        return SweptParameter(address, _spread(said.strip().replace("±", "+-"), address))
     except ParameterError as error:
         raise _about(text, error) from None
 
 
-def read_overs(texts: Iterable[str], scenario: Scenario) -> tuple[Over, ...]:
+def parse_sweeps(texts: Iterable[str], scenario: Scenario) -> tuple[SweptParameter, ...]:
     """Read what several numbers are varied over.
 
     Raises
     ------
     ParameterError
-        As for `read_over`, and if two texts are about the same number, however it is spelt.
+        As for `parse_sweep`, and if two texts are about the same number, however it is spelt.
     """
     found: dict[str, str] = {}
     several = []
     for text in texts:
-        one = read_over(text, scenario)
+        one = parse_sweep(text, scenario)
         if one.name in found:
             _fail(f"{quoted(found[one.name])} and {quoted(text)} are about the same number", "keep one of them")
         found[one.name] = text
@@ -208,7 +216,7 @@ def read_overs(texts: Iterable[str], scenario: Scenario) -> tuple[Over, ...]:
     return tuple(several)
 
 
-def _spread(said: str, address: Address) -> Spread:
+def _spread(said: str, address: ScenarioParameter) -> Distribution:
     if not said:
         _fail("says nothing after '='", f"give {_FORMS}")
     if said.startswith("+-"):
@@ -222,7 +230,7 @@ def _spread(said: str, address: Address) -> Spread:
     return _range(said, address) if ".." in said else _values(said, address)
 
 
-def _range(said: str, address: Address) -> Spread:
+def _range(said: str, address: ScenarioParameter) -> Distribution:
     said, points = _without(_POINTS, said)
     said, log = _without(_LOG, said)
     low_text, _, high_text = said.partition("..")
@@ -233,7 +241,7 @@ def _range(said: str, address: Address) -> Spread:
     if address.whole:
         if log is not None or points is not None:
             _fail("a range of whole numbers is all of them", "leave `log` and `in ...` out, or list values")
-        return Wholes(int(low), int(high))
+        return IntegerRange(int(low), int(high))
     if points is not None and not re.fullmatch(r"[0-9]{1,9}", points):
         _fail(f"{quoted(points)} is no number of points", "write it like `in 9`")
     count = None if points is None else int(points)
@@ -247,13 +255,13 @@ def _range(said: str, address: Address) -> Spread:
     return LogUniform(low, high, count)
 
 
-def _values(said: str, address: Address) -> Values:
+def _values(said: str, address: ScenarioParameter) -> Values:
     if not address.whole and re.search(r"[0-9],[0-9]", said):
         _fail(f"{quoted(said)} has a comma between digits", "write decimals with a point, and lists like `1 kg, 2 kg`")
     return Values(tuple(_number(each, address) for each in said.split(",")))
 
 
-def _amount(said: str, address: Address) -> float:
+def _amount(said: str, address: ScenarioParameter) -> float:
     """How far from the nominal value, in SI."""
     said = said.strip()
     if address.whole or not isinstance(address.mark, Quantity):
@@ -277,7 +285,7 @@ def _amount(said: str, address: Address) -> float:
     return amount
 
 
-def _number(said: str, address: Address) -> Any:
+def _number(said: str, address: ScenarioParameter) -> Any:
     """A number of the field, in SI, with all that the field itself says of it."""
     return _read(address.mark, said.strip())
 
@@ -321,11 +329,11 @@ def _about(text: str, error: ParameterError) -> ParameterError:
 Table = dict[str, NDArray]
 """Values in SI by canonical name, float64 or int64, one row a run."""
 
-Kind = Literal["sobol", "random", "grid"]
+SamplingMethod = Literal["sobol", "random", "grid"]
 """How combinations are chosen."""
 
 
-def design(over: Sequence[Over], kind: Kind = "sobol", samples: int = 1024, seed: int = 0) -> Table:
+def sample(over: Sequence[SweptParameter], kind: SamplingMethod = "sobol", samples: int = 1024, seed: int = 0) -> Table:
     """Choose combinations of values.
 
     Parameters
@@ -352,11 +360,11 @@ def design(over: Sequence[Over], kind: Kind = "sobol", samples: int = 1024, seed
 
     Examples
     --------
-    >>> from mckibben.study.parameters import read_overs
+    >>> from mckibben.study.parameters import parse_sweeps
     >>> from mckibben.study.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> over = read_overs(["load.mass2=1..2 kg in 2", "load.mass1=0.1 kg, 0.2 kg, 0.4 kg"], scenario)
-    >>> for name, column in design(over, "grid").items():
+    >>> over = parse_sweeps(["load.mass2=1..2 kg in 2", "load.mass1=0.1 kg, 0.2 kg, 0.4 kg"], scenario)
+    >>> for name, column in sample(over, "grid").items():
     ...     print(name, column)
     load.mass2 [1. 1. 1. 2. 2. 2.]
     load.mass1 [0.1 0.2 0.4 0.1 0.2 0.4]
@@ -377,14 +385,14 @@ def design(over: Sequence[Over], kind: Kind = "sobol", samples: int = 1024, seed
         quantiles = _generator(seed).random((samples, len(over)))
     else:
         raise ParameterError(f"there is no design {kind!r}", remedy="choose sobol, random or grid")
-    return {each.name: each.spread.at(quantiles[:, i]) for i, each in enumerate(over)}
+    return {each.name: each.distribution.at(quantiles[:, i]) for i, each in enumerate(over)}
 
 
-def _grid(over: Sequence[Over]) -> Table:
+def _grid(over: Sequence[SweptParameter]) -> Table:
     axes = []
     for each in over:
         try:
-            axes.append(each.spread.grid())
+            axes.append(each.distribution.grid())
         except ParameterError as error:
             message = str(error).removesuffix(f"; {error.remedy}")
             raise ParameterError(f"{each.text}: {message}", remedy=error.remedy) from None

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from mckibben.config.document import dotted
 from mckibben.config.fields import Part
 from mckibben.errors import ParameterError, RangeError
-from mckibben.study.parameters.addresses import Address, Place, fields_of, find_all
+from mckibben.study.parameters.parameter import Place, ScenarioParameter, fields_of, find_parameters
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.controller import BelievingSpec
 
@@ -92,11 +92,11 @@ _Attempt = Callable[[Sequence[Any]], str | None]
 class Refusal(NamedTuple):
     """Why a row is not allowed, and the numbers whose values it is about."""
 
-    addresses: tuple[Address, ...]
+    addresses: tuple[ScenarioParameter, ...]
     reason: str
 
 
-def refusals(scenario: Scenario, columns: Mapping[Address, NDArray]) -> dict[int, Refusal]:
+def refusals(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray]) -> dict[int, Refusal]:
     """Why rows of a table are not allowed: by row, in order.
 
     Parameters
@@ -106,7 +106,7 @@ def refusals(scenario: Scenario, columns: Mapping[Address, NDArray]) -> dict[int
     columns
         Of one length, each in the range of its field.
     """
-    groups: dict[Place, list[Address]] = {}
+    groups: dict[Place, list[ScenarioParameter]] = {}
     for address in columns:
         groups.setdefault(_part_of(address.place), []).append(address)
     found: dict[int, Refusal] = {}
@@ -222,7 +222,7 @@ def with_values(scenario: Scenario, values: Mapping[str, float | int], *, known:
     values
         In SI, by name.
     known
-        As for `lanes`; all unless given, as in a file.
+        As for `batched`; all unless given, as in a file.
 
     Raises
     ------
@@ -242,7 +242,7 @@ def with_values(scenario: Scenario, values: Mapping[str, float | int], *, known:
     return validated(fixed, {address.place: value for address, value in numbers.items()})
 
 
-def lanes(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known = ()) -> Scenario:
+def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known = ()) -> Scenario:
     """Many scenarios in one: arrays stand in place of some of its numbers, one element a lane.
 
     What is built from it (`plant`, `control`, `reference`) has NumPy arrays of shape (n,) among its leaves where a
@@ -270,12 +270,12 @@ def lanes(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known = 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> load = lanes(scenario, {"load.mass2": [0.5, 0.8]}).plant().load
+    >>> load = batched(scenario, {"load.mass2": [0.5, 0.8]}).plant().load
     >>> load.mass2, load.mass1
     (array([0.5, 0.8]), 0.5)
     >>> load.total_inertia.round(6)
     array([0.045, 0.057])
-    >>> lanes(scenario, {"joint.connector_length": [0.2, 0.38]})
+    >>> batched(scenario, {"joint.connector_length": [0.2, 0.38]})
     Traceback (most recent call last):
         ...
     mckibben.errors.ParameterError: row 1: with joint.connector_length 380 mm: ...
@@ -294,7 +294,7 @@ def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tupl
     scenario
         Whose controller it is.
     known
-        As for `lanes`.
+        As for `batched`.
     varied
         Names of all numbers that vary.
 
@@ -309,10 +309,10 @@ def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tupl
     >>> known_names(scenario, "all", ["load.m2", "joint.connector_length"])
     ('joint.connector_length',)
     """
-    followed = {address.name: _follows(scenario, address) for address in find_all(scenario, varied)}
+    followed = {address.name: _follows(scenario, address) for address in find_parameters(scenario, varied)}
     if known == "all":
         return tuple(name for name, follows in followed.items() if follows)
-    names = tuple(address.name for address in find_all(scenario, known))
+    names = tuple(address.name for address in find_parameters(scenario, known))
     for name in names:
         if name not in followed:
             raise ParameterError(
@@ -324,8 +324,8 @@ def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tupl
     return names
 
 
-def allowed(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
-    """Which rows of a table `lanes` would take: those whose values keep to the rules among themselves.
+def valid_rows(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
+    """Which rows of a table `batched` would take: those whose values keep to the rules among themselves.
 
     Raises
     ------
@@ -335,7 +335,7 @@ def allowed(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np.bo
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> allowed(scenario, {"joint.connector_length": [0.2, 0.38]})
+    >>> valid_rows(scenario, {"joint.connector_length": [0.2, 0.38]})
     array([ True, False])
     """
     columns = _columns(scenario, table)
@@ -344,17 +344,17 @@ def allowed(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np.bo
     return mask
 
 
-def _with_fixed_model(scenario: Scenario, values: Mapping[Address, Any], known: Known) -> Scenario:
+def _with_fixed_model(scenario: Scenario, values: Mapping[ScenarioParameter, Any], known: Known) -> Scenario:
     """The scenario with the controller's model fixed, at these values where they are known and else at its own."""
     plant = {address: value for address, value in values.items() if address.place[0] in _PLANT}
-    names = [address.name for address in (plant if known == "all" else find_all(scenario, known))]
+    names = [address.name for address in (plant if known == "all" else find_parameters(scenario, known))]
     follows = {address.place: value for address, value in plant.items() if address.name in names}
     if len(follows) == len(plant):
         return scenario
     return replaced(scenario, follows).with_fixed_model()
 
 
-def _follows(scenario: Scenario, address: Address) -> bool:
+def _follows(scenario: Scenario, address: ScenarioParameter) -> bool:
     """Whether the controller takes a number from the plant."""
     if address.place[0] not in _PLANT:
         return False
@@ -362,13 +362,13 @@ def _follows(scenario: Scenario, address: Address) -> bool:
     return marked.with_fixed_model().controller != scenario.with_fixed_model().controller
 
 
-def _named(scenario: Scenario, values: Mapping[str, object]) -> tuple[list[Address], list]:
+def _named(scenario: Scenario, values: Mapping[str, object]) -> tuple[list[ScenarioParameter], list]:
     if not values:
         raise ParameterError("no values are given", remedy="give one for each number that is to change")
-    return find_all(scenario, values), list(values.values())
+    return find_parameters(scenario, values), list(values.values())
 
 
-def _columns(scenario: Scenario, table: Mapping[str, ArrayLike]) -> dict[Address, NDArray]:
+def _columns(scenario: Scenario, table: Mapping[str, ArrayLike]) -> dict[ScenarioParameter, NDArray]:
     columns = {address: _column(address, values) for address, values in zip(*_named(scenario, table), strict=True)}
     lengths = {address.name: len(column) for address, column in columns.items()}
     if len(set(lengths.values())) > 1:
@@ -377,7 +377,7 @@ def _columns(scenario: Scenario, table: Mapping[str, ArrayLike]) -> dict[Address
     return columns
 
 
-def _column(address: Address, values: ArrayLike) -> NDArray:
+def _column(address: ScenarioParameter, values: ArrayLike) -> NDArray:
     """The values of one number: one axis, float64 or int64, in the range of the field."""
     try:
         given = np.asarray(values)
@@ -402,7 +402,7 @@ def _column(address: Address, values: ArrayLike) -> NDArray:
     return given.astype(np.int64 if address.whole else float)
 
 
-def _check_rules(scenario: Scenario, columns: Mapping[Address, NDArray]) -> None:
+def _check_rules(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray]) -> None:
     for row, (addresses, reason) in refusals(scenario, columns).items():
         values = ", ".join(f"{address.name} {address.show(columns[address][row])}" for address in addresses)
         raise ParameterError(f"{_row(row, len(columns[addresses[0]]))}with {values}: {reason}")

@@ -11,14 +11,14 @@ import jax.numpy as jnp
 
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
-from mckibben.study.parameters import Known, Table, lanes
+from mckibben.study.parameters import Known, Table, batched
 from mckibben.study.scenario import Scenario
 
 
-def rest(scenario: Scenario) -> AtRest:
+def initial_state(scenario: Scenario) -> AtRest:
     """The rest to start from; its numbers may be arrays with one value a run.
 
-    >>> rest(Scenario.read("examples/pre-contracted-step-pid.yaml"))
+    >>> initial_state(Scenario.read("examples/pre-contracted-step-pid.yaml"))
     AtRest(angle=0.0, stiffness=12.0)
     """
     stiffness = scenario.start.stiffness
@@ -67,7 +67,7 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
             duration=scenario.duration,
             control_period=scenario.control_period,
             substeps=scenario.substeps,
-            initial=rest(scenario),
+            initial=initial_state(scenario),
             scenario=scenario.dumps(),
         )
 
@@ -107,7 +107,7 @@ def run_many(
     >>> run_many(scenario, {"load.mass2": [0.4, 0.5]}, metrics=["angle_rmse"]).count
     2
     """
-    many = lanes(scenario, table, known=known)
+    many = batched(scenario, table, known=known)
     return simulate_many(
         many.plant(),
         many.control(),
@@ -115,7 +115,7 @@ def run_many(
         duration=scenario.duration,
         control_period=scenario.control_period,
         substeps=scenario.substeps,
-        initial=rest(many),
+        initial=initial_state(many),
         metrics=metrics,
         precision=precision,
         chunk=chunk,

@@ -22,7 +22,7 @@ from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant
 from mckibben.simulation.feasibility import attainable_band
 from mckibben.simulation.loop import sampling_times, wishes_at
-from mckibben.study.parameters import Table, lanes
+from mckibben.study.parameters import Table, batched
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_many
 
@@ -62,7 +62,7 @@ def attainability(scenario: Scenario, table: Table, size: int) -> dict[str, NDAr
         ``shortfall_max`` [N*m/rad]: by how much the desired stiffness is out of reach at most, while the angle can be
         held; NaN where it never can. ``unheld``: the part of the time at which the angle itself cannot be held.
     """
-    many = lanes(scenario, table)
+    many = batched(scenario, table)
     wished = numeric(_Wished(many.plant(), many.reference()))
     times = sampling_times(scenario.duration, scenario.control_period)
     most = _MOMENTS if is_affine(wished.plant.joint) else _MOMENTS_WITH_SPRINGS
@@ -113,7 +113,7 @@ def software() -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Job:
+class BatchTask:
     """What all blocks of a sweep share; it travels to other processes.
 
     Attributes

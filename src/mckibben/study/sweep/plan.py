@@ -15,10 +15,20 @@ import numpy as np
 from mckibben.errors import ParameterError, Problem
 from mckibben.simulation import Metrics
 from mckibben.simulation.batch import CHUNK, ON_ACCELERATOR, VECTOR
-from mckibben.study.parameters import Known, Over, Spread, Table, design, known_names, lanes, over, read_overs
+from mckibben.study.parameters import (
+    Distribution,
+    Known,
+    SweptParameter,
+    Table,
+    batched,
+    known_names,
+    parse_sweeps,
+    sample,
+    sweep_parameters,
+)
 from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
-from mckibben.study.sweep.blocks import Job, software
+from mckibben.study.sweep.blocks import BatchTask, software
 
 _SAME = "give the same again, or choose another folder"
 _LEFT_OUT = "leave it out to take what the sweep was begun with, or choose another folder"
@@ -98,11 +108,11 @@ _MOST_FILES = 256
 _MOST_CHUNKS = 64  # in a block: so that little is lost with one
 
 
-Said = Sequence[str | Over] | Mapping[str, Spread]
-"""What is varied over what: texts as `read_over` takes them, or made in Python."""
+Said = Sequence[str | SweptParameter] | Mapping[str, Distribution]
+"""What is varied over what: texts as `parse_sweep` takes them, or made in Python."""
 
 
-class Asked(NamedTuple):
+class SweepOptions(NamedTuple):
     """What a caller wants of a sweep; None is left out."""
 
     over: Said | None = None
@@ -114,14 +124,14 @@ class Asked(NamedTuple):
     block: int | None = None
     known: Known | None = None
 
-    def filled(self, begun: Mapping[str, Any]) -> Asked:
+    def filled(self, begun: Mapping[str, Any]) -> SweepOptions:
         """With what a manifest says where something is left out."""
         kind = begun["design"] if self.design is None else self.design
         own = self._replace(samples=self.samples if kind != "grid" or self.samples is not None else None)
         said = {name: begun[name] for name in self._fields if name != "samples"}
         if kind != "grid":
             said["samples"] = begun["samples"]
-        return Asked(**{**said, **{name: value for name, value in own._asdict().items() if value is not None}})
+        return SweepOptions(**{**said, **{name: value for name, value in own._asdict().items() if value is not None}})
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,14 +152,14 @@ class Plan:
         All that determines the numbers, as JSON has it.
     """
 
-    job: Job
-    over: tuple[Over, ...]
+    job: BatchTask
+    over: tuple[SweptParameter, ...]
     table: Table
     block: int
     manifest: dict[str, Any]
 
     @classmethod
-    def of(cls, scenario: Scenario, asked: Asked, *, folder: str = ".", source: str = "") -> Plan:
+    def of(cls, scenario: Scenario, asked: SweepOptions, *, folder: str = ".", source: str = "") -> Plan:
         """Make the table, and check all of it.
 
         Parameters
@@ -177,12 +187,12 @@ class Plan:
         known = known_names(scenario, asked.known or (), [each.name for each in varied])
         samples = _SAMPLES if asked.samples is None else asked.samples
         seed = 0 if asked.seed is None or kind == "grid" else asked.seed
-        table = design(varied, kind, samples, seed)  # type: ignore[arg-type]  # it says itself what kinds there are
-        lanes(scenario, table)  # a combination that is not allowed is found before the work
+        table = sample(varied, kind, samples, seed)  # type: ignore[arg-type]  # it says itself what kinds there are
+        batched(scenario, table)  # a combination that is not allowed is found before the work
         rows = len(next(iter(table.values())))
         metrics, precision = metrics_named(asked.metrics), _precision(asked.precision)
         together, block = _sizes(rows, asked.block)
-        job = Job(scenario, metrics, precision, together, software(), known)
+        job = BatchTask(scenario, metrics, precision, together, software(), known)
         manifest = {
             "format": FORMAT,
             "scenario": scenario.dumps(folder=folder),
@@ -257,14 +267,14 @@ def _suggestion(name: str) -> str:
     return f"did you mean {close[0]!r}?" if close else f"choose some of {', '.join(Metrics._fields)}"
 
 
-def _overs(said: Said | None, scenario: Scenario) -> tuple[Over, ...]:
+def _overs(said: Said | None, scenario: Scenario) -> tuple[SweptParameter, ...]:
     if isinstance(said, str):
         said = [said]
     if isinstance(said, Mapping) and said:
-        return over(scenario, said)
+        return sweep_parameters(scenario, said)
     if not said:
         raise ParameterError("nothing is varied", remedy="say what, like --over 'load.mass2=0.2 kg..1.0 kg'")
-    read = iter(read_overs([one for one in said if isinstance(one, str)], scenario))
+    read = iter(parse_sweeps([one for one in said if isinstance(one, str)], scenario))
     return tuple(next(read) if isinstance(one, str) else one for one in said)  # type: ignore[misc]
 
 
@@ -301,7 +311,7 @@ def _digest_of_table(table: Table) -> str:
 
 def _digest_of_model(scenario: Scenario, table: Table, known: Known) -> str:
     """Of all numbers of the first run: files that the scenario names, and the catalog, are in it."""
-    first = lanes(scenario, {name: column[:1] for name, column in table.items()}, known=known)
+    first = batched(scenario, {name: column[:1] for name, column in table.items()}, known=known)
     leaves = jax.tree_util.tree_leaves_with_path((first.plant(), first.control(), first.reference()))
     digest = hashlib.sha256()
     for path, leaf in leaves:

@@ -16,7 +16,7 @@ from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.result import OUTCOMES, attributes
 from mckibben.storage.files import atomic_write
-from mckibben.study.parameters import addresses, with_values
+from mckibben.study.parameters import list_parameters, with_values
 from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.blocks import REACH, Columns
@@ -30,7 +30,7 @@ _KIND = "mckibben sweep"
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class SweepResult:
     """The answers of a sweep.
 
     Attributes
@@ -53,7 +53,7 @@ class Sweep:
 
         variables: dict[str, Any] = {}
         for over in plan.over:
-            address = over.address
+            address = over.parameter
             about = {"units": address.unit, "shown_units": address.shown, "long_name": address.name, "over": over.text}
             variables[over.name] = ("run", plan.table[over.name], {**about, "role": "input"})
         flags = {
@@ -164,7 +164,7 @@ _FEWEST = 3  # runs: with fewer every order is a perfect one
 _SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
 
 
-def summary(sweep: Sweep) -> dict[str, Any]:
+def summary(sweep: SweepResult) -> dict[str, Any]:
     """The statistics of a sweep, as JSON has them.
 
     Parameters
@@ -195,7 +195,7 @@ def summary(sweep: Sweep) -> dict[str, Any]:
     }
 
 
-def main_metrics(sweep: Sweep) -> tuple[str, ...]:
+def main_metrics(sweep: SweepResult) -> tuple[str, ...]:
     """Up to three metrics that have numbers: the main ones, and others where there is none of these."""
     alive = [name for name in sweep.metrics if np.isfinite(sweep.table[name].to_numpy()[~sweep.lost]).any()]
     main = [name for name in MAIN if name in alive]
@@ -216,7 +216,7 @@ def spearman(x: ArrayLike, y: ArrayLike) -> float:
     return float(np.sum(centred[0] * centred[1]) / size) if size > 0 else float("nan")
 
 
-def _spread(sweep: Sweep, name: str, of_use: NDArray[np.bool_]) -> dict[str, Any]:
+def _spread(sweep: SweepResult, name: str, of_use: NDArray[np.bool_]) -> dict[str, Any]:
     values = sweep.table[name].to_numpy().astype(float) / METRICS[_SHOWN[name]][2]
     there = of_use & np.isfinite(values)
     if not there.any():
@@ -234,7 +234,7 @@ def _spread(sweep: Sweep, name: str, of_use: NDArray[np.bool_]) -> dict[str, Any
     }
 
 
-def _correlations(sweep: Sweep, lost: NDArray[np.bool_]) -> list[dict[str, Any]]:
+def _correlations(sweep: SweepResult, lost: NDArray[np.bool_]) -> list[dict[str, Any]]:
     answers = {_SHOWN[name]: sweep.table[name].to_numpy() for name in main_metrics(sweep)}
     found = []
     for name in sweep.inputs:
@@ -249,7 +249,7 @@ def _correlations(sweep: Sweep, lost: NDArray[np.bool_]) -> list[dict[str, Any]]
     return sorted(found, key=lambda each: -abs(each["spearman"]))
 
 
-def _reach(sweep: Sweep) -> dict[str, Any]:
+def _reach(sweep: SweepResult) -> dict[str, Any]:
     short, unheld = sweep.table["shortfall_max"].to_numpy(), sweep.table["unheld"].to_numpy()
     out_of_reach = np.nan_to_num(short) > 0
     worst = int(np.argmax(np.nan_to_num(short)))
@@ -267,7 +267,7 @@ _MOST_CORRELATIONS = 10
 _WEAK = 0.05
 
 
-def listed(scenario: Scenario) -> list[dict[str, Any]]:
+def parameter_rows(scenario: Scenario) -> list[dict[str, Any]]:
     """All that can be varied: name, nominal value as text, what it may be, and the unit it is written in."""
     return [
         {
@@ -278,7 +278,7 @@ def listed(scenario: Scenario) -> list[dict[str, Any]]:
             "nominal_SI": each.nominal,
             "unit_SI": each.unit,
         }
-        for each in addresses(scenario)
+        for each in list_parameters(scenario)
     ]
 
 

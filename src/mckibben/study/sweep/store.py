@@ -19,7 +19,7 @@ from mckibben.errors import FileError, Problem
 from mckibben.storage.files import atomic_write, check_free, file_lock, make_folder
 from mckibben.study.reporting import write_json
 from mckibben.study.sweep.blocks import Columns
-from mckibben.study.sweep.plan import FORMAT, MANIFEST, Asked, Plan, differences
+from mckibben.study.sweep.plan import FORMAT, MANIFEST, Plan, SweepOptions, differences
 
 BLOCKS = "blocks"
 TABLE = "sweep.nc"
@@ -62,7 +62,7 @@ class Store:
                 raise ValueError  # of another time
             if not all(isinstance(each, str) for each in [manifest["scenario"], *manifest["over"]]):
                 raise TypeError
-            return {name: manifest[name] for name in (*Asked._fields, *manifest)}
+            return {name: manifest[name] for name in (*SweepOptions._fields, *manifest)}
         except (ValueError, KeyError, TypeError):
             remedy = "choose another folder, or remove this one"
             raise FileError(str(path), [Problem("it is no manifest of a sweep", remedy=remedy)]) from None

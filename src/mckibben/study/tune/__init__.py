@@ -1,7 +1,7 @@
 """Tuning: the numbers of scenarios that cost least, by gradient, by evolution, or by CMA-ES."""
 
-from mckibben.study.tune.cost import Cost, Term, around_gains, read_cost, read_ranges
+from mckibben.study.tune.cost import Cost, Term, gain_ranges, parse_cost, parse_ranges
 from mckibben.study.tune.search import Method
-from mckibben.study.tune.tune import Tuned, tune
+from mckibben.study.tune.tune import TuningResult, tune
 
-__all__ = ["Cost", "Method", "Term", "Tuned", "around_gains", "read_cost", "read_ranges", "tune"]
+__all__ = ["Cost", "Method", "Term", "TuningResult", "gain_ranges", "parse_cost", "parse_ranges", "tune"]

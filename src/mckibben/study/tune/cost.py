@@ -15,7 +15,14 @@ from mckibben.config.fields import quoted
 from mckibben.errors import ParameterError, UnitError
 from mckibben.simulation import Metrics
 from mckibben.simulation.result import attributes
-from mckibben.study.parameters import Address, LogUniform, Over, addresses, find, read_over
+from mckibben.study.parameters import (
+    LogUniform,
+    ScenarioParameter,
+    SweptParameter,
+    find_parameter,
+    list_parameters,
+    parse_sweep,
+)
 from mckibben.study.scenario import Scenario
 from mckibben.units import quantity
 
@@ -25,32 +32,32 @@ _DIGITS = 6  # of numbers that are written down
 _AT_BOUND = 0.01  # of the range
 
 
-def values_at(over: Sequence[Over], points: Numbers) -> Numbers:
+def values_at(over: Sequence[SweptParameter], points: Numbers) -> Numbers:
     """The numbers [SI] at points, both of shape (n, numbers)."""
-    return np.stack([each.spread.at(points[:, i]) for i, each in enumerate(over)], axis=1)
+    return np.stack([each.distribution.at(points[:, i]) for i, each in enumerate(over)], axis=1)
 
 
-def point_of(over: Sequence[Over], values: Numbers) -> Numbers:
+def point_of(over: Sequence[SweptParameter], values: Numbers) -> Numbers:
     """The point of numbers [SI] of shape (numbers,), moved into the ranges."""
-    return np.array([float(each.spread.quantile(value)) for each, value in zip(over, values, strict=True)])
+    return np.array([float(each.distribution.quantile(value)) for each, value in zip(over, values, strict=True)])
 
 
-def nominal_of(over: Sequence[Over], nominal: Sequence[float | int | None]) -> Numbers:
+def nominal_of(over: Sequence[SweptParameter], nominal: Sequence[float | int | None]) -> Numbers:
     """Numbers [SI] as they stand in a file; where one does not, the middle of its range."""
     middle = values_at(over, np.full((1, len(over)), 0.5))[0]
     return np.array([m if n is None else float(n) for n, m in zip(nominal, middle, strict=True)])
 
 
-def as_written(over: Sequence[Over], values: Numbers) -> Numbers:
+def as_written(over: Sequence[SweptParameter], values: Numbers) -> Numbers:
     """Numbers [SI] with as many digits as are written down, in the unit in which they are, within the ranges."""
     written = [
-        round(value) if each.address.whole else quantity(each.address.show(value, _DIGITS), each.address.unit)
+        round(value) if each.parameter.whole else quantity(each.parameter.show(value, _DIGITS), each.parameter.unit)
         for each, value in zip(over, values, strict=True)
     ]
-    return np.array(written).clip(*np.array([each.spread.ends for each in over]).T)
+    return np.array(written).clip(*np.array([each.distribution.ends for each in over]).T)
 
 
-def at_bound(over: Sequence[Over], point: Sequence[float] | Numbers) -> tuple[str, ...]:
+def at_bound(over: Sequence[SweptParameter], point: Sequence[float] | Numbers) -> tuple[str, ...]:
     """The names of numbers within 1 % of an end of their range."""
     return tuple(each.name for each, at in zip(over, point, strict=True) if min(at, 1 - at) < _AT_BOUND)
 
@@ -68,17 +75,17 @@ def is_gain(name: str) -> bool:
     return above[:1] == ["controller"] and "adaptation" not in above and last in _GAINS
 
 
-def around_gains(scenario: Scenario, decades: float = 2.0) -> dict[str, LogUniform]:
+def gain_ranges(scenario: Scenario, decades: float = 2.0) -> dict[str, LogUniform]:
     """Ranges for all gains of a scenario that are not zero: from each, so many powers of ten down and up.
 
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> around_gains(scenario, 1.0)["controller.position.kp"]
+    >>> gain_ranges(scenario, 1.0)["controller.position.kp"]
     LogUniform(low=20000.0, high=2000000.0, points=None)
     """
-    return {a.name: _around(a, decades) for a in addresses(scenario) if is_gain(a.name) and a.nominal}
+    return {a.name: _around(a, decades) for a in list_parameters(scenario) if is_gain(a.name) and a.nominal}
 
 
-def read_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[Over, ...]:
+def parse_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[SweptParameter, ...]:
     """Numbers and their ranges from text: ``NAME=LOW..HIGH``, with ``log`` behind it for an even logarithm.
 
     A name alone is searched from a hundredth to a hundredfold of what it is; without any text, all gains are.
@@ -91,20 +98,20 @@ def read_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[Over, ...]:
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> [each.text for each in read_ranges(["controller.position.kp", "valve.time_constant=5..50 ms"], scenario)]
+    >>> [each.text for each in parse_ranges(["controller.position.kp", "valve.time_constant=5..50 ms"], scenario)]
     ['controller.position.kp=0.02 bar/rad..200 bar/rad log', 'valve.time_constant=5 ms..50 ms']
     """
     if not texts:
-        gains = around_gains(scenario)
+        gains = gain_ranges(scenario)
         if not gains:
             raise ParameterError("all gains are zero", remedy="say what to search with --parameters 'NAME=LOW..HIGH'")
-        return tuple(Over(find(scenario, name), spread) for name, spread in gains.items())
+        return tuple(SweptParameter(find_parameter(scenario, name), spread) for name, spread in gains.items())
     several = []
     for text in texts:
         if "=" in text:
-            several.append(read_over(text, scenario))
+            several.append(parse_sweep(text, scenario))
             continue
-        address = find(scenario, text)
+        address = find_parameter(scenario, text)
         if not address.nominal or address.whole:
             what = "a whole number" if address.whole else "zero, or not given"
             raise ParameterError(
@@ -112,7 +119,7 @@ def read_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[Over, ...]:
                 value=text,
                 remedy=f"write {address.name}=LOW..HIGH",
             )
-        several.append(Over(address, _around(address, 2.0)))
+        several.append(SweptParameter(address, _around(address, 2.0)))
     said: dict[str, str] = {}
     for text, each in zip(texts, several, strict=True):
         if each.name in said:
@@ -122,7 +129,7 @@ def read_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[Over, ...]:
     return tuple(several)
 
 
-def _around(address: Address, decades: float) -> LogUniform:
+def _around(address: ScenarioParameter, decades: float) -> LogUniform:
     nominal, factor = float(address.nominal or 0.0), 10.0**decades
     return LogUniform(*sorted((nominal / factor, nominal * factor)))
 
@@ -221,11 +228,11 @@ class Cost:
 
     @property
     def text(self) -> str:
-        """What `read_cost` reads back to the last bit."""
+        """What `parse_cost` reads back to the last bit."""
         return " + ".join(_written(term) for term in self.terms)
 
 
-def read_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False) -> Cost:
+def parse_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False) -> Cost:
     """A cost from text such as ``angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad``.
 
     A metric alone needs no scale; of several each needs one, else radians would be added to newton metres.
@@ -237,7 +244,7 @@ def read_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False) -> Co
 
     Examples
     --------
-    >>> read_cost("angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad").terms[1]
+    >>> parse_cost("angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad").terms[1]
     Term(metric='stiffness_rmse', scale=0.5, weight=2.0)
     """
     parts = [part.strip() for part in _PLUS.split(text)]

@@ -14,12 +14,22 @@ from mckibben.errors import ParameterError
 from mckibben.numerics.batching import by_name, cores
 from mckibben.simulation import differentiate
 from mckibben.simulation.loop import described
-from mckibben.study.parameters import Known, LogUniform, Over, Table, Uniform, allowed, find_all, known_names, lanes
+from mckibben.study.parameters import (
+    Known,
+    LogUniform,
+    SweptParameter,
+    Table,
+    Uniform,
+    batched,
+    find_parameters,
+    known_names,
+    valid_rows,
+)
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.running import rest, run_many
+from mckibben.study.scenario.running import initial_state, run_many
 from mckibben.study.tune.cost import SMOOTH, Cost, Numbers, is_gain, nominal_of, point_of, values_at
 
-LOST = 1e6
+FAILED_COST = 1e6
 """The cost of numbers that are not allowed, or whose runs did not stay finite."""
 
 
@@ -42,7 +52,7 @@ class TuningProblem:
     """
 
     scenarios: tuple[Scenario, ...]
-    over: tuple[Over, ...]
+    over: tuple[SweptParameter, ...]
     cost: Cost
     known: Known = ()
     _found: dict[tuple[int, str], list[str]] = field(default_factory=dict, repr=False, compare=False)
@@ -51,7 +61,7 @@ class TuningProblem:
         if not self.scenarios or not self.over:
             raise ParameterError("nothing to tune", remedy="give a scenario and at least one parameter")
         for each in self.over:
-            if not isinstance(each.spread, Uniform | LogUniform):
+            if not isinstance(each.distribution, Uniform | LogUniform):
                 raise ParameterError(f"{each.name} has no range to search", remedy="give one, like `1..10 bar/rad log`")
         for scenario in self.scenarios:
             try:
@@ -71,7 +81,7 @@ class TuningProblem:
     @property
     def nominal(self) -> Numbers:
         """The numbers of the first scenario, SI; the middle of the range where it has none."""
-        return nominal_of(self.over, [address.nominal for address in find_all(self.scenarios[0], self.names)])
+        return nominal_of(self.over, [address.nominal for address in find_parameters(self.scenarios[0], self.names)])
 
     def values(self, points: Numbers) -> Numbers:
         """The numbers [SI] at points of shape (n, numbers)."""
@@ -98,14 +108,14 @@ class TuningProblem:
         slopes = np.sum(slopes, axis=0).reshape(-1, *values.shape)
         # A number enters the rows with the margin multiplied by it.
         gradient = slopes[0] + (slopes[1] * self._margins() if len(slopes) > 1 else 0.0)
-        return total, np.where(total[:, None] < LOST, gradient, 0.0)
+        return total, np.where(total[:, None] < FAILED_COST, gradient, 0.0)
 
     def to_unit(self, values: Numbers, gradient: Numbers) -> Numbers:
         """Derivatives with respect to numbers [SI], shape (n, numbers), as ones with respect to points."""
         lengths = np.empty_like(values)
         for i, each in enumerate(self.over):
-            low, high = each.spread.ends
-            even = not isinstance(each.spread, LogUniform)
+            low, high = each.distribution.ends
+            even = not isinstance(each.distribution, LogUniform)
             lengths[:, i] = high - low if even else values[:, i] * np.log(high / low)
         return gradient * lengths
 
@@ -127,20 +137,22 @@ class TuningProblem:
     def _with_margin(self, values: Numbers) -> Numbers:
         if self.cost.gain_margin == 1.0:
             return values
-        lower, upper = np.array([(each.address.lower, each.address.upper) for each in self.over]).T
+        lower, upper = np.array([(each.parameter.lower, each.parameter.upper) for each in self.over]).T
         return np.concatenate([values, np.clip(values * self._margins(), lower, upper)])
 
     def _together(self, costs: Numbers) -> tuple[Numbers, Numbers]:
         """From the cost of each scenario and row to that of each set of numbers, and the share that each has in it."""
         count, rows = costs.shape
         sets = rows if self.cost.gain_margin == 1.0 else rows // 2
-        costs = np.where(np.isfinite(costs), np.minimum(costs, LOST), LOST)
+        costs = np.where(np.isfinite(costs), np.minimum(costs, FAILED_COST), FAILED_COST)
         shares = np.zeros_like(costs)
         if self.cost.worst:
             shares[np.argmax(costs, axis=0), np.arange(rows)] = 1.0
         else:
             shares[:] = 1.0 / count
-        total = np.where(np.any(costs >= LOST, axis=0), LOST, np.sum(shares * costs, axis=0)).reshape(-1, sets)
+        total = np.where(np.any(costs >= FAILED_COST, axis=0), FAILED_COST, np.sum(shares * costs, axis=0)).reshape(
+            -1, sets
+        )
         worse = np.argmax(total, axis=0)
         chosen = np.arange(total.shape[0])[:, None] == worse
         return total[worse, np.arange(sets)], shares * chosen.reshape(-1)
@@ -150,7 +162,7 @@ class TuningProblem:
 
     def _permitted(self, scenario: Scenario, rows: Numbers) -> tuple[NDArray[np.bool_], Numbers]:
         """Which rows the scenario allows, and all rows with the others replaced by one that it does."""
-        good = allowed(scenario, self._table(rows))
+        good = valid_rows(scenario, self._table(rows))
         return good, rows if good.all() else np.where(good[:, None], rows, rows[np.argmax(good)])
 
     def _metrics(self, scenario: Scenario, rows: Numbers, workers: int) -> dict[str, Numbers]:
@@ -166,7 +178,7 @@ class TuningProblem:
         good, rows = self._permitted(scenario, rows)
         if not good.any():
             return np.full(len(rows), np.nan), np.zeros_like(rows)
-        many = lanes(scenario, self._table(rows), known=self.known)
+        many = batched(scenario, self._table(rows), known=self.known)
         leaves = [self._leaves(scenario, each) for each in self.over]
         found = differentiate(
             many.plant(),
@@ -177,7 +189,7 @@ class TuningProblem:
             duration=scenario.duration,
             control_period=scenario.control_period,
             substeps=scenario.substeps,
-            initial=rest(many),
+            initial=initial_state(many),
         )
         slopes = [
             sum(
@@ -189,20 +201,20 @@ class TuningProblem:
         ]
         return np.where(good, self.cost(found.values), np.nan), np.stack(slopes, axis=1)
 
-    def _leaves(self, scenario: Scenario, each: Over) -> list[str]:
+    def _leaves(self, scenario: Scenario, each: SweptParameter) -> list[str]:
         """The leaves of plant, controller, reference and start that a number of a scenario stands in."""
         key = (id(scenario), each.name)
         if key not in self._found:
             self._found[key] = self._looked_for(scenario, each)
         return self._found[key]
 
-    def _looked_for(self, scenario: Scenario, each: Over) -> list[str]:
+    def _looked_for(self, scenario: Scenario, each: SweptParameter) -> list[str]:
         for low, high in ((0.4, 0.6), (0.1, 0.2), (0.8, 0.9)):
-            pair = each.spread.at([low, high])
-            if allowed(scenario, {each.name: pair}).all():
+            pair = each.distribution.at([low, high])
+            if valid_rows(scenario, {each.name: pair}).all():
                 break
-        many = lanes(scenario, {each.name: pair}, known=self.known)
-        varying, _, _ = described(many.plant(), many.control(), many.reference(), rest(many), {})
+        many = batched(scenario, {each.name: pair}, known=self.known)
+        varying, _, _ = described(many.plant(), many.control(), many.reference(), initial_state(many), {})
         leaves = by_name(varying._asdict())
         if not leaves or not all(np.array_equal(leaf, pair) for leaf in leaves.values()):
             raise ParameterError(f"{each.name} has no gradient", remedy="use cma or evolution for it")
@@ -218,12 +230,14 @@ def _check_steps(scenario: Scenario) -> None:
         )
 
 
-def problem(scenarios: Sequence[Scenario], over: Sequence[Over], cost: Cost, known: Known = ()) -> TuningProblem:
+def problem(
+    scenarios: Sequence[Scenario], over: Sequence[SweptParameter], cost: Cost, known: Known = ()
+) -> TuningProblem:
     """A problem with the ranges' addresses taken from the first scenario."""
-    names = find_all(scenarios[0], [each.name for each in over]) if scenarios else []
+    names = find_parameters(scenarios[0], [each.name for each in over]) if scenarios else []
     return TuningProblem(
         tuple(scenarios),
-        tuple(dataclasses.replace(each, address=address) for each, address in zip(over, names, strict=True)),
+        tuple(dataclasses.replace(each, parameter=address) for each, address in zip(over, names, strict=True)),
         cost,
         known,
     )

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.storage.files import atomic_write, file_lock, make_folder
-from mckibben.study.parameters import Known, Over, Spread, with_values
-from mckibben.study.parameters import over as overs_of
+from mckibben.study.parameters import Distribution, Known, SweptParameter, sweep_parameters, with_values
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune.cost import Cost, as_written, at_bound
-from mckibben.study.tune.problem import LOST, TuningProblem, problem
+from mckibben.study.tune.problem import FAILED_COST, TuningProblem, problem
 from mckibben.study.tune.search import Method, by_cma, by_evolution, by_gradient, check_method
 
 
@@ -37,7 +36,7 @@ class Trial:
     gradient: tuple[float, ...] | None = None
 
 
-class History:
+class TuningHistory:
     """Trials in the order in which they were made; with a path, in a file too, one line of JSON each.
 
     A line is on disk before the search goes on. A search repeats itself exactly, so one that was interrupted is started
@@ -202,7 +201,7 @@ _MOST_SEED = 2**32 - 1  # what all methods take
 
 
 @dataclass(frozen=True)
-class Tuned:
+class TuningResult:
     """The outcome of a tuning.
 
     Attributes
@@ -233,7 +232,7 @@ class Tuned:
 
 def tune(
     scenarios: Sequence[Scenario] | Scenario,
-    over: Sequence[Over] | Mapping[str, Spread],
+    over: Sequence[SweptParameter] | Mapping[str, Distribution],
     cost: Cost,
     *,
     method: Method = Method.GRADIENT,
@@ -268,11 +267,11 @@ def tune(
     seed
         Of the search; the same seed finds the same.
     history
-        A file to keep every trial in; see `History`.
+        A file to keep every trial in; see `TuningHistory`.
     resume
         Go on with the search in that file.
     known
-        Tuned numbers of the plant that the controllers' models follow, "all" for all of them; none unless given.
+        TuningResult numbers of the plant that the controllers' models follow, "all" for all of them; none unless given.
     progress
         Called with the part that is done, 0 to 1; first when all that was asked for has been checked.
     least
@@ -292,7 +291,7 @@ def tune(
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _MOST_SEED:
         raise ParameterError(f"seed is {seed}", value=seed, remedy=f"give a whole number, 0 to {_MOST_SEED}")
     several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
-    ranges = overs_of(several[0], over) if isinstance(over, Mapping) and several else list(over)  # type: ignore[arg-type]
+    ranges = sweep_parameters(several[0], over) if isinstance(over, Mapping) and several else list(over)  # type: ignore[arg-type]
     task = problem(several, ranges, cost, known)  # type: ignore[arg-type]
     check_method(method, numbers=len(task.over), population=population)
     if method is Method.GRADIENT:
@@ -312,10 +311,10 @@ def tune(
         **({} if method is Method.GRADIENT else {"population": population}),
     }
     slopes = method is Method.GRADIENT
-    with History.kept(history, about, numbers=len(task.over), slopes=slopes, resume=resume) as past:
+    with TuningHistory.kept(history, about, numbers=len(task.over), slopes=slopes, resume=resume) as past:
 
         def report(part: float) -> None:
-            if least and past.trials and past.best.cost < LOST:
+            if least and past.trials and past.best.cost < FAILED_COST:
                 least(past.best.cost)
             if progress:
                 progress(part)
@@ -326,7 +325,7 @@ def tune(
 
 def _searched(
     task: TuningProblem,
-    past: History,
+    past: TuningHistory,
     method: Method,
     starts: int,
     iterations: int,
@@ -348,9 +347,9 @@ def _searched(
     return tried.exact
 
 
-def _tuned(task: TuningProblem, past: History, exact: Callable[[NDArray[np.float64]], float]) -> Tuned:
+def _tuned(task: TuningProblem, past: TuningHistory, exact: Callable[[NDArray[np.float64]], float]) -> Tuned:
     """The best of what was tried, in numbers that can be written down."""
-    if past.best.cost >= LOST:
+    if past.best.cost >= FAILED_COST:
         raise ParameterError(
             f"none of the {len(past.trials)} points that were tried has a cost: their numbers are not allowed "
             "together, their runs did not stay finite, or a metric is not defined for them",
@@ -367,11 +366,11 @@ def _tuned(task: TuningProblem, past: History, exact: Callable[[NDArray[np.float
     if cost_after > most:  # where six digits are too few, all are kept
         rounded, cost_after = values, past.best.cost
     named = dict(zip(task.names, rounded.tolist(), strict=True))
-    return Tuned(
+    return TuningResult(
         values=named,
         scenarios=tuple(with_values(scenario, named, known=task.known) for scenario in task.scenarios),
         cost=cost_after,
-        cost_before=before if before < LOST else float("nan"),
+        cost_before=before if before < FAILED_COST else float("nan"),
         evaluated=len(past.trials),
         at_bound=at_bound(task.over, best),
         trials=tuple(past.trials),
@@ -387,7 +386,7 @@ def _digest(scenario: Scenario) -> str:
 class _Descents:
     """Costs and gradients at points, from the history or from runs; always as many runs at once."""
 
-    def __init__(self, task: TuningProblem, past: History, starts: int) -> None:
+    def __init__(self, task: TuningProblem, past: TuningHistory, starts: int) -> None:
         self._task, self._past, self._starts = task, past, starts
 
     def __call__(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -421,7 +420,7 @@ class Costed(Protocol):
 class Generations:
     """The costs of points, from the history or from runs; always as many runs at once, for one compiled program."""
 
-    def __init__(self, task: Costed, past: History, population: int) -> None:
+    def __init__(self, task: Costed, past: TuningHistory, population: int) -> None:
         self._task, self._past, self._population = task, past, population
 
     def __call__(self, points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,8 +13,8 @@ from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
 from mckibben.study.parameters import Known
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.engines import check_address, on_cluster, on_threads
-from mckibben.study.sweep.plan import MANIFEST, Asked, Plan, Said
-from mckibben.study.sweep.result import Sweep
+from mckibben.study.sweep.plan import MANIFEST, Plan, Said, SweepOptions
+from mckibben.study.sweep.result import SweepResult
 from mckibben.study.sweep.store import TABLE, Store
 
 
@@ -39,7 +39,7 @@ def sweep(
     known: Known | None = None,
     source: str = "",
     progress: Callable[[int, int], None] | None = None,
-) -> Sweep:
+) -> SweepResult:
     """Simulate a scenario many times, with some of its numbers varied.
 
     The work is cut into blocks, each of which is kept as soon as it is finished. The numbers are the same to the last
@@ -50,7 +50,7 @@ def sweep(
     scenario
         What all runs share.
     over
-        What is varied: texts such as "load.mass2=0.2 kg..1.0 kg" (see `read_over`), or spreads in SI by name.
+        What is varied: texts such as "load.mass2=0.2 kg..1.0 kg" (see `parse_sweep`), or spreads in SI by name.
     out
         A folder for manifest, blocks and table; without one nothing is kept.
     design, samples, seed
@@ -92,7 +92,7 @@ def sweep(
     >>> swept.table["load.mass2"].to_numpy().round(3)
     array([0.482, 0.551, 0.512, 0.431])
     """
-    asked = Asked(over, design, samples, seed, metrics, precision, block, known)
+    asked = SweepOptions(over, design, samples, seed, metrics, precision, block, known)
     if dask is not None:
         check_address(dask)
     if out is None:
@@ -112,7 +112,7 @@ def sweep(
         return _kept(store, dask, workers, progress)
 
 
-def _resumed(store: Store, scenario: Scenario, asked: Asked, engine: tuple[Any, ...]) -> Sweep:
+def _resumed(store: Store, scenario: Scenario, asked: SweepOptions, engine: tuple[Any, ...]) -> SweepResult:
     begun = store.begun()
     if begun is None:
         problem = Problem(f"there is no sweep to go on with ({MANIFEST})", remedy="leave --resume (resume=True) out")
@@ -131,16 +131,16 @@ def _resumed(store: Store, scenario: Scenario, asked: Asked, engine: tuple[Any, 
         return _kept(store, *engine)
 
 
-def _complete(store: Store) -> Sweep | None:
+def _complete(store: Store) -> SweepResult | None:
     """The sweep of a store, if its table is there."""
     try:
-        there = Sweep.from_netcdf(store.path / TABLE)
+        there = SweepResult.from_netcdf(store.path / TABLE)
     except FileError:
         return None  # not yet there, or damaged: the blocks have all of it
     return there if there.table.attrs.get("identity") == store.plan.identity else None
 
 
-def _kept(store: Store, *engine: Any) -> Sweep:
+def _kept(store: Store, *engine: Any) -> SweepResult:
     """The sweep, with its table written; or how much is kept of it."""
     try:
         swept = _finished(store, *engine)
@@ -156,7 +156,7 @@ def _kept(store: Store, *engine: Any) -> Sweep:
 
 def _finished(
     store: Store, dask: str | None, workers: int | None, progress: Callable[[int, int], None] | None
-) -> Sweep:
+) -> SweepResult:
     plan, before = store.plan, store.runs
     runs = before
 
@@ -173,4 +173,4 @@ def _finished(
             on_threads(store, done, workers)
         else:
             on_cluster(store, done, dask, workers)
-    return Sweep.of(plan, store.columns(), plan.rows - before)
+    return SweepResult.of(plan, store.columns(), plan.rows - before)

@@ -257,7 +257,7 @@ LISTING = "`mckibben sweep SCENARIO.yaml --list` shows all"
 
 
 @dataclass(frozen=True)
-class Address:
+class ScenarioParameter:
     """One number of a scenario, and what it may be.
 
     Attributes
@@ -323,21 +323,21 @@ class Address:
         return self.mark.write(float(value)) if isinstance(self.mark, Quantity) else str(int(value))
 
 
-def addresses(scenario: Scenario) -> list[Address]:
+def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
     """All numbers of a scenario that a study can vary, in the order of the file.
 
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> for address in addresses(scenario)[:3]:
+    >>> for address in list_parameters(scenario)[:3]:
     ...     print(address.name, address.show(address.nominal), address.range, sep=", ")
     joint.geometry.joint_length, 370 mm, above 0 to 100000 mm
     joint.geometry.joint_radius, 30 mm, above 0 to 100000 mm
     joint.connector_length, 208 mm, 0 to 100000 mm
     """
     found = survey(scenario)
-    return [Address(name, *found.numbers[name]) for name in found.numbers]
+    return [ScenarioParameter(name, *found.numbers[name]) for name in found.numbers]
 
 
-def find(scenario: Scenario, name: str) -> Address:
+def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
     """The number of a name, in any of its spellings.
 
     Parameters
@@ -355,28 +355,28 @@ def find(scenario: Scenario, name: str) -> Address:
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> find(scenario, "controller.position.pid.kp").name
+    >>> find_parameter(scenario, "controller.position.pid.kp").name
     'controller.position.kp'
-    >>> find(scenario, "load.mass3")
+    >>> find_parameter(scenario, "load.mass3")
     Traceback (most recent call last):
         ...
     mckibben.errors.ParameterError: the scenario has no number 'load.mass3'; did you mean ...
     """
-    return find_all(scenario, [name])[0]
+    return find_parameters(scenario, [name])[0]
 
 
-def find_all(scenario: Scenario, names: Iterable[str]) -> list[Address]:
+def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioParameter]:
     """The numbers of several names, no two of which may be the same number.
 
     Raises
     ------
     ParameterError
-        As for `find`, and if a number is named twice.
+        As for `find_parameter`, and if a number is named twice.
 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> find_all(scenario, ["load.m2", "load.mass2"])
+    >>> find_parameters(scenario, ["load.m2", "load.mass2"])
     Traceback (most recent call last):
         ...
     mckibben.errors.ParameterError: 'load.m2' and 'load.mass2' are the same number; keep one of them
@@ -394,11 +394,11 @@ def find_all(scenario: Scenario, names: Iterable[str]) -> list[Address]:
     return several
 
 
-def _resolve(found: Survey, name: str) -> Address:
+def _resolve(found: Survey, name: str) -> ScenarioParameter:
     spelling = name.strip()
     canonical = found.spellings.get(spelling)
     if canonical is not None:
-        return Address(canonical, *found.numbers[canonical])
+        return ScenarioParameter(canonical, *found.numbers[canonical])
     keys = spelling.split(".")
     for depth in range(len(keys), 0, -1):
         reason = found.refused.get(".".join(keys[:depth]))
