@@ -69,11 +69,11 @@ def sweep(
             raise ParameterError("there is no folder for the sweep", remedy="say where to keep it: --out DIR")
         from mckibben.storage.files import check_free
         from mckibben.study.scenario import Scenario
-        from mckibben.study.sweep import MANIFEST
         from mckibben.study.sweep import sweep as run
+        from mckibben.study.sweep.sweep import JOURNAL
 
         read = Scenario.read(scenario)
-        if not resume and not (out / MANIFEST).exists():  # else `run` says what to do
+        if not resume and not (out / JOURNAL).exists():  # else `run` says what to do
             check_free(out, ("results.json", "sweep.png", "sweep.svg"))
         names = None if metrics is None else [name.strip() for each in metrics for name in each.split(",")]
         with late_progress(quiet=json) as bar:
@@ -102,7 +102,7 @@ def _show(swept: SweepResult, out: Path, json: bool) -> None:
     """Keep and print the statistics and the figure."""
     from mckibben.study.reporting import to_json, write_json
     from mckibben.study.sweep import summary
-    from mckibben.study.sweep.result import correlation_rows, metric_rows, outcome_rows, reach_sentence
+    from mckibben.study.sweep.result import correlation_rows, feasibility_sentence, metric_rows, outcome_rows
 
     numbers = summary(swept)
     write_json(out / "results.json", numbers)
@@ -115,11 +115,11 @@ def _show(swept: SweepResult, out: Path, json: bool) -> None:
         headers = ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", "")
         rows = metric_rows(numbers)
         if rows:
-            table("Runs that are not lost", headers, rows)
+            table("Runs that did not fail", headers, rows)
         rows = correlation_rows(numbers)
         if rows:
             table("What matters: rank correlations, the strongest first", ("input", "with", "Spearman"), rows)
-        typer.echo(reach_sentence(numbers))
+        typer.echo(feasibility_sentence(numbers))
     from mckibben import report
 
     report.save(report.sweep(swept), out, "sweep")

@@ -126,7 +126,7 @@ def sweep(swept: SweepResult) -> Figure:
     swept
         The answers.
     """
-    metrics, lost = main_metrics(swept), swept.lost
+    metrics, lost = main_metrics(swept), swept.failed
     inputs = _strongest(swept, metrics)
     rows = [*metrics, *([None] if lost.any() or not metrics else [])]
     heights = [1.0 if metric else 0.5 for metric in rows]
@@ -164,7 +164,7 @@ def sweep(swept: SweepResult) -> Figure:
 
 def _strongest(swept: SweepResult, metrics: tuple[str, ...]) -> list[_Input]:
     """The inputs with the largest rank correlations, in the order in which they were asked for."""
-    lost = swept.lost
+    lost = swept.failed
     strengths = {}
     for name in swept.inputs:
         column = swept.table[name].to_numpy()
@@ -188,7 +188,7 @@ def _input(swept: SweepResult, name: str) -> _Input:
 
 def _metric(axes: Axes, one: _Input, swept: SweepResult, metric: str) -> None:
     values = swept.table[metric].to_numpy().astype(float) / _shown(metric)[1]
-    there = ~swept.lost & np.isfinite(values)
+    there = ~swept.failed & np.isfinite(values)
     x, y = one.values[there], values[there]
     low, high = np.percentile(y, [5, 95])
     log = bool(low > 0 and high > _SPREAD_OF_LOG * low)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,6 +105,16 @@ def plain(value: Any) -> Any:
 def to_json(value: Any) -> str:
     """As text, indented."""
     return json.dumps(plain(value), indent=2, allow_nan=False)
+
+
+def html_table(title: str, headers: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """HTML of a small table, for notebooks."""
+
+    def row(cells: Sequence[str], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+    body = "".join(row(cells, "td") for cells in rows)
+    return f"<table><caption>{escape(title)}</caption>{row(headers, 'th')}{body}</table>"
 
 
 def write_json(path: Path, value: Any) -> None:
