@@ -41,7 +41,7 @@ signal.signal(signal.SIGINT, interrupt)
 from mckibben.cli import main
 main()
 """
-MASS = ("--over", "load.m2=0.2 kg..1.0 kg")
+MASS = ("--over", "load.mass2=0.2 kg..1.0 kg")
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path):
 
 
 def test_json_alone_goes_to_standard_output_and_nothing_is_shown_on_the_way(cli, scenario):
-    asked = ("--over", "load.m2=0.4 kg, 0.6 kg", "--design", "grid", "--metrics", "angle_rmse,force_max_N")
+    asked = ("--over", "load.mass2=0.4 kg, 0.6 kg", "--design", "grid", "--metrics", "angle_rmse,force_max_N")
     found = cli("sweep", "s.yaml", *asked, "--precision", "32", "--out", "kept", "--json")
     assert found.code == 0
     numbers = json.loads(found.out)
@@ -130,17 +130,17 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
         (["s.yaml", *MASS], "say where to keep it: --out DIR"),
         (["s.yaml", "--out", "x"], "nothing is varied; say what, like --over"),
         (["s.yaml", "--out", "x", "--over", "load.mas2=1..2 kg"], "did you mean 'load.mass2'?"),
-        (["s.yaml", "--out", "x", "--over", "load.m2=2..1 kg"], "the range is empty: 2 kg is not below 1 kg"),
-        (["s.yaml", "--out", "x", "--over", "load.m2=1..2..3 kg"], "give a range (0.2 kg..1.0 kg), values (1 kg"),
+        (["s.yaml", "--out", "x", "--over", "load.mass2=2..1 kg"], "the range is empty: 2 kg is not below 1 kg"),
+        (["s.yaml", "--out", "x", "--over", "load.mass2=1..2..3 kg"], "give a range (0.2 kg..1.0 kg), values (1 kg"),
         (
             ["s.yaml", "--out", "x", *MASS, "--over", "load.mass2=1..2 kg"],
-            "'load.m2=0.2 kg..1.0 kg' and 'load.mass2=1..2 kg' are about the same number; keep one of them",
+            "'load.mass2=0.2 kg..1.0 kg' and 'load.mass2=1..2 kg' are about the same parameter; keep one of them",
         ),
-        (["s.yaml", "--out", "x", "--over", "load.m2=1..2 N"], "give it in a unit like kg"),
-        (["s.yaml", "--out", "x", "--over", "load.m2=1..2"], "has no unit; write it like '2 kg'"),
+        (["s.yaml", "--out", "x", "--over", "load.mass2=1..2 N"], "give it in a unit like kg"),
+        (["s.yaml", "--out", "x", "--over", "load.mass2=1..2"], "has no unit; write it like '2 kg'"),
         (["s.yaml", "--out", "x", *MASS, "--samples", "0"], "samples is 0; choose a whole number"),
         (
-            ["s.yaml", "--out", "x", *MASS, "--known", "load.m2"],
+            ["s.yaml", "--out", "x", *MASS, "--known", "load.mass2"],
             "does not take load.mass2 from the plant; leave it out",
         ),
         (["s.yaml", "--out", "x", *MASS, "--design", "girdle"], "choose sobol, random or grid"),

@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
-from mckibben.report.benchmark import _against, contest_air, contest_errors, contest_wishes, write_contest
+from mckibben.report.benchmark import _against, contest_air, contest_errors, contest_references, write_contest
 from mckibben.report.style import plain_numbers
 from mckibben.report.tables import number
 from mckibben.simulation import Batch, Metrics, Outcome
@@ -96,7 +96,7 @@ def test_the_page_is_complete_and_needs_nothing_else(kept, text):
 
 
 def test_every_figure_is_embedded_and_lies_beside_the_page(kept, text):
-    for name in ("errors", "wishes", "air"):
+    for name in ("errors", "references", "air"):
         assert f'<figure id="{name}">' in text
         drawing = (kept.parent / "figures" / f"{name}.svg").read_bytes()
         assert base64.b64encode(drawing).decode("ascii") in text
@@ -118,7 +118,7 @@ def test_its_words_and_numbers(text, numbers, contest):
         assert f"{name} {found['lost']} {number(found['metrics']['angle_rmse_deg']['median'])}" in words
         ripple, estimate = (number(found["metrics"][key]["median"]) for key in ("stiffness_ripple", "estimate_rmse"))
         assert f"{name} {ripple} {estimate}" in words
-    ratio = numbers["controllers"]["decoupling"]["against_first"]["angle_rmse_deg"]
+    ratio = numbers["controllers"]["decoupling"]["ratio_to_first"]["angle_rmse_deg"]
     assert f"{number(ratio['ratio'])} ({number(ratio['low'])} to {number(ratio['high'])})" in words
     assert "as it is as in the suite" in words
     assert "cost 20.5 before, 1.25 tuned" in words
@@ -134,7 +134,7 @@ def colours(figure):
 
 def test_a_controller_has_one_colour_in_all_figures(contest, numbers):
     assert numbers["order"] != list(contest.batches), "else there is nothing to see"
-    several = [contest_errors(contest), contest_wishes(contest, numbers), contest_air(contest, numbers)]
+    several = [contest_errors(contest), contest_references(contest, numbers), contest_air(contest, numbers)]
     for name in contest.batches:
         assert len({colours(figure)[name] for figure in several}) == 1
     assert len({colours(several[0])[name] for name in contest.batches}) == 3

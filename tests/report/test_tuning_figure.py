@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from mckibben.report import save, tuning
 from mckibben.study.tune import TuningResult
-from mckibben.study.tune.problem import FAILED_COST
+from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.tune import Trial
 
 

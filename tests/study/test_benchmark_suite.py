@@ -14,7 +14,7 @@ from mckibben.units import deg
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "tests" / "small-suite.yaml").read_text(encoding="utf-8")
-WISHES = ("sine and step", "angle step", "both move")
+REFERENCES = ("sine and step", "angle step", "both move")
 WITHOUT_LAG = (("  - valve.time_constant=10..50 ms\n", ""),)
 
 
@@ -47,13 +47,13 @@ def test_what_a_suite_says_comes_back(suite, tmp_path):
     example = Suite.read(ROOT / "examples" / "comparison" / "knee.yaml")
     again = Suite.parse(example.dumps(folder=tmp_path), folder=tmp_path)
     assert again == example
-    assert len(example.wishes) == 5
-    assert example.unseen.runs >= 500
+    assert len(example.references) == 5
+    assert example.evaluation.runs >= 500
     assert Suite.parse(changed(("valve: {time_constant: 20 ms}", "valve: ideal"), *WITHOUT_LAG)).valve is None
 
 
 def test_a_run_starts_at_rest_where_its_wish_begins(suite):
-    starts = {wish: suite.scenario("PID 3", wish).start for wish in WISHES}
+    starts = {reference: suite.scenario("PID 3", reference).start for reference in REFERENCES}
     assert [start.angle for start in starts.values()] == pytest.approx([5 * deg, 0.0, 1 * deg], abs=1e-15)
     assert {start.stiffness for start in starts.values()} == {None}
 
@@ -108,28 +108,28 @@ MISTAKES = {
         ("conditions[0]", "load.mass2", "nothing of the plant"),
     ),
     "condition unknown": (("load.mass2=+-50 %", "load.mas2=+-50 %"), ("conditions[0]", "load.mass2", "load.mas2")),
-    "condition of the wish": (
+    "condition of the reference": (
         ("load.mass2=+-50 %", "reference.angle.before=1..2 deg"),
         ("conditions[0]", "load.mass2", ""),
     ),
     "condition twice": (
-        ("sensors.delay=0, 1", "load.m2=1..2 kg"),
-        ("conditions", "conditions:", "about the same number"),
+        ("sensors.delay=0, 1", "load.mass2=1..2 kg"),
+        ("conditions", "conditions:", "about the same parameter"),
     ),
-    "wish over": (
+    "reference over": (
         ("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]"),
-        ("wishes.both move.over[0]", "2..6 Hz", "nothing of the wish"),
+        ("references.both move.over[0]", "2..6 Hz", "not a parameter of the reference"),
     ),
-    "wish over twice": (
+    "reference over twice": (
         (
             "[reference.stiffness.frequency=2..6 Hz log]",
             "[reference.stiffness.frequency=2..6 Hz log, reference.stiffness.frequency=2..3 Hz]",
         ),
-        ("wishes.both move.over", "2..6 Hz", "about the same number"),
+        ("references.both move.over", "2..6 Hz", "about the same parameter"),
     ),
     "samples": (
         ("angle: {multisine: {amplitudes: [3 deg, 1.5 deg], frequencies: [2 Hz, 5 Hz], offset: 1 deg}}", SAMPLES),
-        ("wishes.both move.reference.angle", "multisine", "samples cannot be compared on"),
+        ("references.both move.reference.angle", "multisine", "samples cannot be compared on"),
     ),
     "tuning over nobody": (
         ("untuned:", "over: {PID 4: [controller.position.kp]}, untuned:"),
@@ -143,7 +143,7 @@ MISTAKES = {
         ("untuned: [as it is]", "untuned: [as it iss]"),
         ("tuning.untuned[0]", "untuned:", "did you mean 'as it is'"),
     ),
-    "seed": (("seed: 1}", "seed: 99}"), ("unseen", "unseen:", "seed of the tuning")),
+    "seed": (("seed: 1}", "seed: 99}"), ("evaluation", "evaluation:", "seed of the tuning")),
     "cost": (
         ("tuning: {runs: 8", "tuning: {cost: angel_rmse, runs: 8"),
         ("tuning.cost", "untuned:", "did you mean 'angle_rmse'"),
@@ -164,7 +164,7 @@ MISTAKES = {
         (KP, "{kp: 1.2 bar/rad, kd: 0.2 bar*s/rad}"),
         ("controllers.PID 3.position.pid.ki", KP, "is missing"),
     ),
-    "share": (("    share: 2\n", "    share: 0\n"), ("wishes.sine and step.share", "    share: 2", "")),
+    "share": (("    share: 2\n", "    share: 0\n"), ("references.sine and step.share", "    share: 2", "")),
     "names belong": (
         ("joint_share: 3", "joint_share: 3\nx: 1"),
         ("x", "other_joints:", "is no key"),
@@ -177,7 +177,7 @@ MISTAKES = {
     "same file": (("  as it is:", "  pid-3:"), ("controllers.pid-3", "  as it is:", "the same file as 'PID 3'")),
     "reserved": (
         ("  longer:", f"  {NOMINAL_JOINT}:"),
-        ("other_joints.as believed", "  longer:", "the suite's own joint"),
+        ("other_joints.nominal", "  longer:", "the suite's own joint"),
     ),
     "other kind of law": (
         ("law: lei-mas-10-180n, strength: 1.05", "law: chou, strength: 1.05"),
@@ -209,7 +209,11 @@ def test_many_mistakes_are_told_at_once():
         ("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]"),
         ("untuned: [as it is]", "untuned: [as it was]"),
     )
-    assert [problem.field for problem in found] == ["conditions[0]", "wishes.both move.over[0]", "tuning.untuned[0]"]
+    assert [problem.field for problem in found] == [
+        "conditions[0]",
+        "references.both move.over[0]",
+        "tuning.untuned[0]",
+    ]
 
 
 def test_gains_that_are_all_zero_need_a_word():
@@ -237,7 +241,7 @@ def test_runs_have_to_differ():
 
 
 def test_parts_stand_where_parts_belong():
-    for key in ("wishes", "controllers"):
+    for key in ("references", "controllers"):
         rest = re.sub(rf"^{key}:\n(  .*\n)+", f"{key}: some\n", TEXT, flags=re.M)
         with pytest.raises(ScenarioError, match="'some' stands where names and parts belong"):
             Suite.parse(rest)

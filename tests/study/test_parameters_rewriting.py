@@ -51,7 +51,7 @@ control_period: 2 ms   # the last line"""
     ("text", "values", "old", "new"),
     [
         (PID, {"valve.time_constant": 0.03}, "time_constant: 20 ms}", "time_constant: 30 ms}"),
-        (PID, {"load.m2": 0.8}, "load: knee-table-2  ", "load: {from: knee-table-2, mass2: 0.8 kg}  "),
+        (PID, {"load.mass2": 0.8}, "load: knee-table-2  ", "load: {from: knee-table-2, mass2: 0.8 kg}  "),
         (PID, {"controller.position.kp": 3e5}, "kp: 2 bar/rad", "kp: 3 bar/rad"),
         (PID, {"controller.position.filter_time": 1e-3}, "0.4 bar*s/rad}", "0.4 bar*s/rad, filter_time: 1 ms}"),
         (PID, {"reference.angle.offset": 0.0}, "frequency: 0.5 Hz}", "frequency: 0.5 Hz, offset: 0 deg}"),
@@ -123,7 +123,7 @@ def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
     chosen = data.draw(st.lists(st.sampled_from(list_parameters(scenario)), min_size=1, max_size=8, unique=True))
     values = {}
     for address in chosen:
-        if address.whole:
+        if address.is_integer:
             values[address.name] = data.draw(st.integers(0, 2**31 - 1))
         else:
             nominal = address.nominal if address.nominal is not None else 13.0

@@ -86,8 +86,8 @@ def test_all_its_numbers_can_be_varied_and_have_a_value():
         assert all(a.nominal is not None for a in mine), mine
     assert find_parameter(scenario(), "controller.decoupling.minimum_tension").nominal == 5.0
     assert find_parameter(scenario(), "controller.decoupling.valve_time_constant").nominal == 0.02
-    assert find_parameter(scenario(FULL), "controller.decoupling.load.m2").nominal == 0.6
-    many = batched(scenario(FULL), {"controller.decoupling.load.m2": [0.4, 0.5], "load.m2": [0.5, 0.5]})
+    assert find_parameter(scenario(FULL), "controller.decoupling.load.mass2").nominal == 0.6
+    many = batched(scenario(FULL), {"controller.decoupling.load.mass2": [0.4, 0.5], "load.mass2": [0.5, 0.5]})
     np.testing.assert_array_equal(many.control().load.mass2, [0.4, 0.5])
     with pytest.raises(ParameterError, match="the controller's load is that of the plant itself"):
         find_parameter(scenario(), "controller.decoupling.load.mass2")

@@ -76,7 +76,7 @@ def test_its_numbers_can_be_varied_and_have_a_value():
     many = batched(scenario(FULL), values).control()
     np.testing.assert_array_equal(many.learning_rate, [1.0, 2.0])
     np.testing.assert_array_equal(many.loops.minimum_tension, [5.0, 6.0])
-    many = batched(scenario(FULL), {"controller.inverse_model.load.m2": [0.4, 0.5]})
+    many = batched(scenario(FULL), {"controller.inverse_model.load.mass2": [0.4, 0.5]})
     np.testing.assert_array_equal(many.control().load.mass2, [0.4, 0.5])
     with pytest.raises(ParameterError, match="the controller's load is that of the plant itself"):
         find_parameter(scenario(), "controller.inverse_model.load.mass2")

@@ -183,7 +183,7 @@ def test_a_complete_sweep_needs_its_header_and_its_table_alone(kept, scenario, t
         ({"block": 32}, "block", "begun with 16, not 32"),
         ({"over": [OVER[0], "reference.stiffness.after=15..21 N*m/rad", OVER[2]]}, "over", "15 N*m/rad..21 N*m/rad"),
         ({"over": OVER[:2]}, "over", "begun with controller.position.kp=1 bar/rad..3 bar/rad too"),
-        ({"over": [*OVER, "load.m1=1..2 kg"]}, "over", "begun without load.mass1=1 kg..2 kg"),
+        ({"over": [*OVER, "load.mass1=1..2 kg"]}, "over", "begun without load.mass1=1 kg..2 kg"),
     ],
 )
 def test_another_sweep_is_not_mixed_in(kept, scenario, changed, field, said):
@@ -299,7 +299,7 @@ def test_a_journal_that_is_none_of_a_sweep(scenario, tmp_path):
         ({"over": ["load.mas2=1..2 kg"]}, "did you mean 'load.mass2'"),
         ({"over": ["load.mass2=2..1 kg"]}, "the range is empty"),
         ({"over": ["load.mass2=1..2 N"]}, "not a unit of the kind 'kg'"),
-        ({"over": ["load.mass2=1..2 kg", "load.m2=1..2 kg"]}, "are about the same number"),
+        ({"over": ["load.mass2=1..2 kg", "load.mass2=1..2 kg"]}, "are about the same parameter"),
         ({"over": ["joint.connector_length=200..390 mm"]}, r"row \d+: with joint.connector_length"),
         ({"samples": 0}, "samples is 0"),
         ({"samples": 2, "seed": -1}, "seed is -1"),
@@ -358,14 +358,14 @@ def test_a_full_disk_loses_nothing(kept, scenario, tmp_path, monkeypatch):
 
 
 def test_a_grid_has_every_combination(scenario):
-    plan = SweepPlan.of(scenario, SweepOptions(["load.mass2=0.4 kg, 0.6 kg", "load.m1=0..1 kg in 3"], "grid"))
+    plan = SweepPlan.of(scenario, SweepOptions(["load.mass2=0.4 kg, 0.6 kg", "load.mass1=0..1 kg in 3"], "grid"))
     np.testing.assert_array_equal(plan.table["load.mass2"], [0.4, 0.4, 0.4, 0.6, 0.6, 0.6])
     np.testing.assert_array_equal(plan.table["load.mass1"], [0, 0.5, 1, 0, 0.5, 1])
     assert (plan.rows, plan.blocks, plan.manifest["samples"], plan.manifest["seed"]) == (6, 1, 6, 0)
 
 
 def test_random_values_and_spreads_made_in_python(scenario):
-    spreads = {"load.m2": Uniform(0.3, 0.5), "load.damping": Normal(0.015, 0.001)}
+    spreads = {"load.mass2": Uniform(0.3, 0.5), "load.damping": Normal(0.015, 0.001)}
     plan = SweepPlan.of(scenario, SweepOptions(spreads, "random", 5, 3, "angle_rmse,coupling"))
     assert plan.task.metrics == ("angle_rmse", "coupling")
     for name, column in sample(sweep_parameters(scenario, spreads), "random", 5, 3).items():

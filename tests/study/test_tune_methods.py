@@ -9,7 +9,7 @@ from mckibben.errors import ParameterError
 from mckibben.study.parameters import LogUniform, Uniform, parse_sweep
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune import Cost, Method, gain_ranges, parse_ranges, tune
-from mckibben.study.tune.problem import FAILED_COST, TuningProblem
+from mckibben.study.tune.objective import FAILED_COST, TuningProblem
 from mckibben.units import deg
 
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
@@ -190,8 +190,8 @@ def test_ranges_around_what_numbers_are():
     ("texts", "named"),
     [
         (["controller.stiffness.kd"], "controller.stiffness.kd is zero, or not given: there is no range"),
-        (["load.mass2", "load.m2=1..2 kg"], "are about the same number"),
-        (["load.mass9"], "no number 'load.mass9'"),
+        (["load.mass2", "load.mass2=1..2 kg"], "are about the same parameter"),
+        (["load.mass9"], "no parameter 'load.mass9'"),
         (["load.mass2=2..1 kg"], "the range is empty"),
         (["load.mass2=1..2 N"], "not a unit of the kind"),
         (["load.mass2=-1..2 kg"], "load.mass2"),

@@ -146,8 +146,8 @@ def _limits(contraction: str, pressure: str, specimen: Specimen | None) -> Domai
     """Where to measure; one that is not given is the specimen's."""
     if not contraction and not pressure:
         return None
-    from mckibben.experiment_design import span
     from mckibben.muscle import Domain
+    from mckibben.units import parse_range
 
     if specimen is None and not (contraction and pressure):
         raise ParameterError(
@@ -159,7 +159,7 @@ def _limits(contraction: str, pressure: str, specimen: Specimen | None) -> Domai
         if not text:
             return float(low), float(high)  # type: ignore[arg-type]
         try:
-            return span(text, unit)
+            return parse_range(text, unit)
         except UnitError as error:
             raise UnitError(f"{option}: {error}", value=text, unit=unit) from None
 

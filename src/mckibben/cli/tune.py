@@ -72,7 +72,7 @@ def tune(
 
     ranges = parse_ranges(parameters or [], read[0])
     asked = parse_cost(cost, gain_margin=margin, worst=worst)
-    history = out / "history.jsonl"
+    history = out / "history.journal"
     if not resume and not history.exists():  # else `run` says what to do
         check_free(out, ("results.json", "tuning.png", "tuning.svg", *_tuned_names(scenarios)))
     try:
@@ -140,7 +140,7 @@ def _show(tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges
             table(run["scenario"], ("metric", "before", "tuned", "unit"), rows)
         if tuned.at_bound:
             typer.echo(f"at an end of its range: {', '.join(tuned.at_bound)}; a wider range may hold better ones")
-    typer.echo(f"kept {', '.join(kept)}, history.jsonl, results.json and tuning.png and .svg in {out}", err=json)
+    typer.echo(f"kept {', '.join(kept)}, history.journal, results.json and tuning.png and .svg in {out}", err=json)
 
 
 def _measured(scenario: Scenario) -> dict[str, float]:

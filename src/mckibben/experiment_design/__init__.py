@@ -9,7 +9,6 @@ from mckibben.experiment_design.quantities import (
     Quantity,
     joint_named,
     read_quantity,
-    span,
 )
 from mckibben.experiment_design.result import ErrorMap, Plan, PlannedPoint
 
@@ -25,5 +24,4 @@ __all__ = [
     "joint_named",
     "plan",
     "read_quantity",
-    "span",
 ]

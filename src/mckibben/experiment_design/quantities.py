@@ -23,7 +23,7 @@ from mckibben.identification.intervals import force_gradients
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.numerics.compiled import compiled
-from mckibben.units import bar, deg, factor, percent, quantity
+from mckibben.units import bar, deg, factor, parse_range, percent, quantity
 
 if TYPE_CHECKING:
     from mckibben.joint import AntagonisticJoint
@@ -312,7 +312,7 @@ def read_quantity(text: str, law_type: type[ForceLaw], joint: Callable[[], Antag
         if len(parts) > 3:
             raise ParameterError(f"{text!r} has too many places", value=text, remedy="write 'at 5 deg, 2 bar, 4 bar'")
         try:
-            low, high = span(parts[0], "rad")
+            low, high = parse_range(parts[0], "rad")
             pressures = [quantity(part, "Pa") for part in parts[1:]] or [3 * bar]
         except UnitError as error:
             raise UnitError(f"{text!r} is an angle and pressures, but {error}", value=text) from None
@@ -324,7 +324,7 @@ def read_quantity(text: str, law_type: type[ForceLaw], joint: Callable[[], Antag
         if len(parts) != 2:
             raise ParameterError(f"{text!r} is no region", value=text, remedy="write 'force at 0..10 %, 3..6 bar'")
         try:
-            return Force(Domain(*span(parts[0], "1"), *span(parts[1], "Pa")))
+            return Force(Domain(*parse_range(parts[0], "1"), *parse_range(parts[1], "Pa")))
         except UnitError as error:
             raise UnitError(
                 f"{text!r} is a range of contraction and one of pressure, but {error}", value=text
@@ -341,26 +341,6 @@ def read_quantity(text: str, law_type: type[ForceLaw], joint: Callable[[], Antag
             f"{law_type.__name__} has {', '.join(known.values())}",
         )
     return Coefficients(tuple(known[name] for name in names))
-
-
-def span(text: str, unit: str) -> tuple[float, float]:
-    """A range such as "0..10 %", or one value, which is both its ends; ascending, in the SI unit.
-
-    >>> span("3..6 bar", "Pa"), span("-5 deg", "rad") == span("-5..-5 deg", "rad")
-    ((300000.0, 600000.0), True)
-    """
-    first, dots, last = (part.strip() for part in text.partition(".."))
-    if not dots:
-        value = quantity(text, unit)
-        return value, value
-    end = quantity(last, unit)
-    try:
-        start = quantity(first, unit) if unit != "1" or first.endswith("%") else float("nan")
-    except UnitError:
-        start = float("nan")
-    if start != start:  # the unit of the end does for both
-        start = quantity(f"{first} {last.lstrip('+-.0123456789').lstrip('eE').strip()}", unit)
-    return min(start, end), max(start, end)
 
 
 def joint_named(name: str) -> AntagonisticJoint:

@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from mckibben.errors import ParameterError, UnitError
-from mckibben.experiment_design import span
 from mckibben.plant import JointPlant
-from mckibben.units import deg, mm, quantity
+from mckibben.units import deg, mm, parse_range
 
 VARIED = {
     "connector_length": "what lies between a muscle and its anchors",
@@ -103,7 +102,7 @@ def read_wanted(text: str, *, torque: float = 0.0) -> Wanted:
             remedy="write it like 'stiffness 12..18 N*m/rad over -20..20 deg'",
         )
     try:
-        return Wanted(span(found[1], "N*m/rad"), span(found[2], "rad"), torque)
+        return Wanted(parse_range(found[1], "N*m/rad"), parse_range(found[2], "rad"), torque)
     except UnitError as error:
         raise UnitError(f"{text!r}: {error}", value=text) from None
 
@@ -156,11 +155,8 @@ def read_choice(text: str) -> Choice:
             f"{text!r} is no length and its range", value=text, remedy="write it like 'connector_length=150..260 mm'"
         )
     name = name.removeprefix("joint.").removeprefix("geometry.")
-    first, _, last = (part.strip() for part in said.partition(".."))
     try:
-        upper = quantity(last, "m")
-        unit = last.lstrip("+-.0123456789").strip()
-        lower = quantity(first if re.search(r"[A-Za-z]", first) else f"{first} {unit}", "m")
+        lower, upper = parse_range(said, "m")
     except UnitError as error:
         raise UnitError(f"{text!r}: {error}", value=text) from None
     return Choice(name, lower, upper)

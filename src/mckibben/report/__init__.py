@@ -1,6 +1,6 @@
 """Figures and the HTML report; the only place that imports matplotlib. Drawing takes numbers and returns figures."""
 
-from mckibben.report.benchmark import contest_air, contest_errors, contest_wishes, write_contest
+from mckibben.report.benchmark import contest_air, contest_errors, contest_references, write_contest
 from mckibben.report.experiment_design import planned
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.hysteresis import loops, relaxation
@@ -17,7 +17,7 @@ __all__ = [
     "attainable_stiffness",
     "contest_air",
     "contest_errors",
-    "contest_wishes",
+    "contest_references",
     "control_results",
     "controller_comparison",
     "error_curves",

@@ -27,7 +27,7 @@ _NARROW = 3.0  # a range of less has too few ticks in the logarithm
 
 @styled
 def contest_errors(contest: BenchmarkResult) -> Figure:
-    """In how many of the unseen runs the errors of angle and stiffness stay below a value, a line a controller.
+    """In how many of the evaluation runs the errors of angle and stiffness stay below a value, a line a controller.
 
     Parameters
     ----------
@@ -56,26 +56,26 @@ def contest_errors(contest: BenchmarkResult) -> Figure:
 
 
 @styled
-def contest_wishes(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
-    """Median errors by the kind of wish, a mark a controller.
+def contest_references(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+    """Median errors by reference, a marker for each controller.
 
     Parameters
     ----------
     contest
         What `mckibben.study.benchmark.compare` gave.
     numbers
-        Its `standing`.
+        Its `statistics`.
     """
-    wishes = list(contest.suite.wishes)
-    figure = blank(DOUBLE, 0.9 + 0.42 * len(wishes))
+    references = list(contest.suite.references)
+    figure = blank(DOUBLE, 0.9 + 0.42 * len(references))
     axes = figure.subplots(1, 2, sharey=True)
     looks = looks_of(contest.batches)
     keys = ("angle_rmse_deg", "stiffness_rmse")
     for panel, mark, key, (_, label, _) in zip(axes, "ab", keys, _ERRORS, strict=True):
         for i, (name, look) in enumerate(looks.items()):
-            found = numbers["controllers"][name]["by_wish"]
+            found = numbers["controllers"][name]["by_reference"]
             shift = (i - (len(looks) - 1) / 2) * 0.7 / len(looks)
-            medians = [(found.get(wish, {}).get(key), row + shift) for row, wish in enumerate(wishes)]
+            medians = [(found.get(reference, {}).get(key), row + shift) for row, reference in enumerate(references)]
             places = [(median, row) for median, row in medians if median]
             if places:
                 x, y = zip(*places, strict=True)
@@ -86,7 +86,7 @@ def contest_wishes(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figu
             plain_numbers(panel.xaxis)
         panel.set(xlabel=f"median {label}")
         letter(panel, mark, label.split(" [")[0])
-    axes[0].set_yticks(range(len(wishes)), wishes)
+    axes[0].set_yticks(range(len(references)), references)
     axes[0].invert_yaxis()
     legend_above(figure, axes[0], columns=min(len(looks), 4))
     return figure
@@ -101,14 +101,14 @@ def contest_air(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
     contest
         What `mckibben.study.benchmark.compare` gave.
     numbers
-        Its `standing`.
+        Its `statistics`.
     """
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots()
     for name, look in looks_of(contest.batches).items():
         air, angle = contest.metric(name, "air") * 1e3, contest.metric(name, "angle_rmse") / deg
         if not np.isfinite(angle).any():
-            continue  # it lost all runs
+            continue  # unstable in all runs
         (x0, x, x1), (y0, y, y1) = (np.nanpercentile(each, [5, 50, 95]) for each in (air, angle))
         axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
         axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
@@ -128,7 +128,7 @@ def write_contest(contest: BenchmarkResult, numbers: Mapping[str, Any], folder: 
     contest
         What `mckibben.study.benchmark.compare` gave.
     numbers
-        Its `standing`.
+        Its `statistics`.
     folder
         Where to; made if need be.
 
@@ -165,20 +165,20 @@ def write_contest(contest: BenchmarkResult, numbers: Mapping[str, Any], folder: 
 
 
 def _figures(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> list[ReportFigure]:
-    runs = numbers["runs"] - numbers["not_begun"]
+    runs = numbers["runs"] - numbers["no_start"]
     said = (
         (
             "errors",
-            "Errors over all unseen runs",
-            f"The share of the {runs} unseen runs in which the root mean square error stays below a value. Grey: the "
-            "median and the 95th percentile. A lost run stays above all values.",
+            "Errors over all evaluation runs",
+            f"The share of the {runs} evaluation runs in which the root mean square error stays below a value. Grey: "
+            "the median and the 95th percentile. Unstable runs are above all values.",
             contest_errors(contest),
         ),
         (
-            "wishes",
-            "By the kind of wish",
-            "Median errors over the runs with each kind of wish.",
-            contest_wishes(contest, numbers),
+            "references",
+            "By reference",
+            "Median errors over the runs with each reference.",
+            contest_references(contest, numbers),
         ),
         (
             "air",
@@ -215,11 +215,11 @@ def _standings(numbers: Mapping[str, Any]) -> Table:
     for name in numbers["order"]:
         found = numbers["controllers"][name]
         settled = f"{found['settled']['runs']} of {found['settled']['of']}"
-        rows.append((name, str(found["lost"]), *_cells(found, _HOW_WELL), settled))
+        rows.append((name, str(found["unstable"]), *_cells(found, _HOW_WELL), settled))
     return Table(
-        "By the median cost of an unseen run. Medians and 95th percentiles over the runs that were not lost. Stiffness "
+        "By the median cost of a run. Medians and 95th percentiles over the stable runs. Stiffness "
         "is the plant's true one; coupling is of its steps, and settled says in how many of these it settled.",
-        ("controller", "lost", *(title for title, _, _ in _HOW_WELL), "settled"),
+        ("controller", "unstable", *(title for title, _, _ in _HOW_WELL), "settled"),
         rows,
     )
 
@@ -228,7 +228,7 @@ def _conduct(numbers: Mapping[str, Any]) -> Table:
     rows = [(name, *_cells(numbers["controllers"][name], _AND_HOW)) for name in numbers["order"]]
     return Table(
         "At what cost: medians, and of the time slack the 95th percentile. Ripple is what of the stiffness error "
-        "moves; estimate rmse is the error of the controller's own belief.",
+        "moves; estimate rmse is the error of the controller's estimate.",
         ("controller", *(title for title, _, _ in _AND_HOW)),
         rows,
     )
@@ -242,7 +242,7 @@ def _against(numbers: Mapping[str, Any]) -> Table:
     first = next(iter(numbers["controllers"]))
     rows = []
     for name in numbers["order"]:
-        ratios = numbers["controllers"][name]["against_first"]
+        ratios = numbers["controllers"][name]["ratio_to_first"]
         cells = [
             f"{number(each['ratio'])} ({number(each['low'])} to {number(each['high'])})" for each in ratios.values()
         ]
@@ -271,13 +271,13 @@ def _by(numbers: Mapping[str, Any], key: str, what: str) -> Table:
 
 def _dependence(numbers: Mapping[str, Any]) -> Table:
     controllers = numbers["controllers"]
-    conditions = list(next(iter(controllers.values()))["depends_on"])
+    conditions = list(next(iter(controllers.values()))["correlations"])
     rows = [
         (
             condition,
             *(
-                f"{number(found['depends_on'][condition]['angle_rmse_deg'], 2)}, "
-                f"{number(found['depends_on'][condition]['stiffness_rmse'], 2)}"
+                f"{number(found['correlations'][condition]['angle_rmse_deg'], 2)}, "
+                f"{number(found['correlations'][condition]['stiffness_rmse'], 2)}"
                 for found in controllers.values()
             ),
         )
@@ -298,7 +298,7 @@ def _tuned(contest: BenchmarkResult) -> Table:
         costs = contest.training_cost.get(name)
         said = "as in the suite" if costs is None else f"cost {number(costs[1])} before, {number(costs[0])} tuned"
         written = [
-            f"{each.name.removeprefix('controller.')} {each.address.show(values[each.name]).replace('*', '·')}"
+            f"{each.name.removeprefix('controller.')} {each.parameter.show(values[each.name]).replace('*', '·')}"
             for each in contest.suite.tuned_over(name)
         ]
         rows.append((name, said, "; ".join(written)))

@@ -32,7 +32,7 @@ from mckibben.study.reporting import METRICS
 from mckibben.study.sweep import SweepResult
 from mckibben.study.sweep.result import main_metrics, spearman
 from mckibben.study.tune import TuningResult
-from mckibben.study.tune.problem import FAILED_COST
+from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import factor
 
 _FEW = 12  # numbers that still have room for their names

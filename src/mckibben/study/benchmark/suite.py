@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import jax
-from pydantic import Field, ValidationInfo, field_validator, model_serializer
+from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.config.document import Document, dotted, to_text
 from mckibben.config.fields import Part, refuse, suggest
@@ -38,56 +38,51 @@ def filename(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() or "controller"
 
 
-def problems_of_suite(suite: Suite, document: Document, believed: str) -> list[Problem]:
-    """What is wrong with parts that have to do with one another.
-
-    Parameters
-    ----------
-    suite, document
-        The suite, and the document that it was read from.
-    believed
-        The name of its own joint, which no other may have.
-    """
+def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Problem]:
+    """Problems of parts that depend on one another; `nominal` is the reserved name of the suite's own joint."""
     found: list[Problem] = []
 
-    def look(place: tuple[str | int, ...], check: Callable[[], object]) -> None:
+    def check(place: tuple[str | int, ...], call: Callable[[], object]) -> None:
         try:
-            check()
+            call()
         except McKibbenError as error:
             found.append(Problem(str(error), document.line(place), dotted(place)))
 
-    for key, reserved in (("other_joints", believed), ("wishes", ""), ("controllers", "")):
+    for key, reserved in (("other_joints", nominal), ("references", ""), ("controllers", "")):
         for name in getattr(suite, key):
-            look((key, name), lambda name=name, reserved=reserved: _check_name(name, reserved))
+            check((key, name), lambda name=name, reserved=reserved: _check_name(name, reserved))
     for name in suite.controllers:
-        look(("controllers", name), lambda name=name: _check_controller(suite, name))
-    if found:  # no scenario can be made of it
+        check(("controllers", name), lambda name=name: _check_controller(suite, name))
+    if found:  # no scenario can be built
         return found
-    look(("conditions",), lambda: _check_differs(suite))
-    look(("tuning", "cost"), lambda: _check_cost(suite))
+    check(("conditions",), lambda: _check_differs(suite))
+    check(("tuning", "cost"), lambda: _check_cost(suite))
     for i, text in enumerate(suite.conditions):
-        look(("conditions", i), lambda text=text: _about_plant(parse_sweep(text, suite.example())))
+        check(("conditions", i), lambda text=text: _check_of_plant(parse_sweep(text, suite.example())))
     if not found:
-        look(("conditions",), suite.conditions_over)
-    for name, wish in suite.wishes.items():
+        check(("conditions",), suite.conditions_over)
+    for name, case in suite.references.items():
         for key in ("angle", "stiffness"):
-            place = ("wishes", name, "reference", key)
-            look(place, lambda key=key, wish=wish: _plain(getattr(wish.reference, key)))
+            place = ("references", name, "reference", key)
+            check(place, lambda key=key, case=case: _check_signal(getattr(case.reference, key)))
         before = len(found)
-        for i, text in enumerate(wish.over):
-            look(("wishes", name, "over", i), lambda name=name, text=text: _about_wish(text, suite.example(name)))
+        for i, text in enumerate(case.over):
+            check(
+                ("references", name, "over", i),
+                lambda name=name, text=text: _check_of_reference(text, suite.example(name)),
+            )
         if len(found) == before:
-            look(("wishes", name, "over"), lambda name=name: suite.wish_over(name))
+            check(("references", name, "over"), lambda name=name: suite.reference_over(name))
     for key, names in (("over", list(suite.tuning.over)), ("untuned", suite.tuning.untuned)):
         for i, name in enumerate(names):
             place = ("tuning", key, name if key == "over" else i)
-            look(place, lambda name=name: _check_known(suite, name))
+            check(place, lambda name=name: _check_known(suite, name))
     if not found:
         for name in suite.other_joints:
-            look(("other_joints", name), lambda name=name: _check_joint(suite, name))
+            check(("other_joints", name), lambda name=name: _check_joint(suite, name))
         for name in suite.controllers:
             place = ("tuning", "over", name) if name in suite.tuning.over else ("controllers", name)
-            look(place, lambda name=name: _about_controller(suite.tuned_over(name)))
+            check(place, lambda name=name: _check_of_controller(suite.tuned_over(name)))
     return found
 
 
@@ -99,7 +94,7 @@ def _check_name(name: str, reserved: str) -> None:
 
 
 def _check_controller(suite: Suite, name: str) -> None:
-    """Its model has the friction that it is to make up for, and what is kept of it has a file of its own."""
+    """Check the friction of its model, and that its file name is unique."""
     spec = suite.controllers[name]
     if spec.friction_compensation and not (spec.model or suite.joint).has_friction:
         raise ParameterError(
@@ -112,23 +107,23 @@ def _check_controller(suite: Suite, name: str) -> None:
 
 
 def _check_differs(suite: Suite) -> None:
-    wish, *others = suite.wishes.values()
-    if not (others or wish.over or suite.conditions or suite.sensors or suite.other_joints):
-        raise ParameterError("nothing differs from run to run", remedy="give conditions, or a wish `over` something")
+    first, *others = suite.references.values()
+    if not (others or first.over or suite.conditions or suite.sensors or suite.other_joints):
+        raise ParameterError("nothing differs from run to run", remedy="give conditions, or `over` of a reference")
 
 
 def _check_cost(suite: Suite) -> None:
-    """A metric that a run has no number for would make it a lost one."""
-    steps = all(wish.reference.stiffness.step is not None for wish in suite.wishes.values())
+    """Check that every run has a value of each metric."""
+    steps = all(case.reference.stiffness.step is not None for case in suite.references.values())
     if "coupling" in suite.cost.metrics and not steps:
-        raise ParameterError("coupling is of steps of the stiffness", remedy="leave it out, or let all wishes step")
+        raise ParameterError("coupling is of steps of the stiffness", remedy="leave it out, or let all references step")
 
 
 def _check_joint(suite: Suite, name: str) -> None:
-    """Runs of all joints are computed together: the same conditions, specimens and kinds of law."""
-    scenario, believed = suite.example(joint=name), suite.example()
+    """Check that runs of all joints can be computed together."""
+    scenario, nominal = suite.example(joint=name), suite.example()
     parse_sweeps(suite.conditions, scenario)
-    if jax.tree.structure(scenario.plant()) != jax.tree.structure(believed.plant()):
+    if jax.tree.structure(scenario.plant()) != jax.tree.structure(nominal.plant()):
         raise ParameterError(
             "differs from the suite's own joint in more than numbers",
             remedy="give both the same specimens, kinds of law and parts",
@@ -140,28 +135,28 @@ def _check_known(suite: Suite, name: str) -> None:
         raise ParameterError(f"there is no controller {name!r}", remedy=suggest(name, list(suite.controllers)))
 
 
-def _about_plant(one: SweptParameter) -> None:
+def _check_of_plant(one: SweptParameter) -> None:
     if one.name.split(".")[0] not in _OF_PLANT:
         raise ParameterError(
-            f"{one.name} is nothing of the plant", remedy=f"a condition is a number of {', '.join(_OF_PLANT)}"
+            f"{one.name} is not a parameter of the plant", remedy=f"a condition is a number of {', '.join(_OF_PLANT)}"
         )
 
 
-def _about_wish(text: str, scenario: Scenario) -> None:
+def _check_of_reference(text: str, scenario: Scenario) -> None:
     one = parse_sweep(text, scenario)
     if not one.name.startswith("reference."):
-        raise ParameterError(f"{one.name} is nothing of the wish", remedy="put it among the conditions")
+        raise ParameterError(f"{one.name} is not a parameter of the reference", remedy="put it among the conditions")
 
 
-def _about_controller(over: tuple[SweptParameter, ...]) -> None:
+def _check_of_controller(over: tuple[SweptParameter, ...]) -> None:
     for one in over:
         if not one.name.startswith("controller."):
             raise ParameterError(
-                f"{one.name} is nothing of the controller", remedy="tune numbers that begin with `controller.`"
+                f"{one.name} is not a parameter of the controller", remedy="tune numbers that begin with `controller.`"
             )
 
 
-def _plain(signal: SignalSpec[Any]) -> None:
+def _check_signal(signal: SignalSpec[Any]) -> None:
     if signal.samples is not None:
         raise ParameterError("samples cannot be compared on", remedy="give a constant, step, sine or multisine")
 
@@ -169,26 +164,27 @@ def _plain(signal: SignalSpec[Any]) -> None:
 _Share = Annotated[int, Whole(1, 1000)]
 _Seed = Annotated[int, Whole(0, 2**31 - 1)]
 _MOST = 1_000_000
+_RENAMED = {"wishes": "references", "fastest": "max_angular_acceleration", "unseen": "evaluation"}
 
-NOMINAL_JOINT = "as believed"
-"""The joint that controllers believe in, as the plant of a run."""
+NOMINAL_JOINT = "nominal"
+"""Name of the suite's own joint, that of the controllers' models, as the plant of a run."""
 
 
 def start_of(reference: ReferenceSpec) -> StartSpec:
-    """Where a run starts: at rest at the first angle of its wish, amid the attainable stiffness."""
-    samples = reference.angle.samples is not None  # which no suite may have; it says so itself
+    """Start at rest at the first angle of a reference, with the middle of the attainable stiffness."""
+    samples = reference.angle.samples is not None  # refused by `_check_signal`
     return StartSpec() if samples else StartSpec(angle=float(build_signal(reference.angle, "angle")(0.0)))
 
 
 class PlantSpec(Part):
-    """A joint that is in place of the one that controllers believe in, in so many parts of the runs."""
+    """A joint in place of the suite's own, and its share of the runs."""
 
     share: _Share = 1
     joint: JointSpec
 
 
-class WishSpec(Part):
-    """A reference, what of it differs from run to run, and in how many parts of the runs it is wished for."""
+class ReferenceCase(Part):
+    """A reference, its parameters that vary from run to run, and its share of the runs."""
 
     share: _Share = 1
     reference: ReferenceSpec
@@ -196,12 +192,11 @@ class WishSpec(Part):
 
 
 class TuningSpec(Part):
-    """How each controller is tuned: the same search with the same budget for all.
+    """Tuning of each controller, with the same budget for all.
 
-    From each of `starts` points (the gains of the file, then places spread over the ranges) `generations` of
-    `population` points are tried by CMA-ES, each on the same `runs` runs. Gains are searched over `decades` powers of
-    ten down and up from those of the file. For a controller that `over` names, these numbers and ranges take the place
-    of its gains; those in `untuned` are taken as they are.
+    CMA-ES from each of `starts` points (the gains of the file, then random ones) runs `generations` of `population`
+    points, each on the same `runs` runs. Gains are searched over `decades` powers of ten down and up from those of the
+    file; `over` gives other parameters and ranges for a controller; those in `untuned` are not tuned.
     """
 
     cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
@@ -224,41 +219,40 @@ class TuningSpec(Part):
         return value
 
 
-class UnseenSpec(Part):
-    """The runs on which controllers are compared: how many, and their seed, which no tuning has."""
+class EvaluationSpec(Part):
+    """Runs on which controllers are compared, with another seed than those of the tuning."""
 
     runs: Annotated[int, Whole(2, _MOST)] = 512
     seed: _Seed = 1
 
 
 class Suite(Part):
-    """What controllers are compared on, and they themselves; `read` and `dumps` know the units.
+    """A benchmark suite: plants, references, conditions and controllers.
 
-    Every controller believes in `joint`, `load` and `valve` as they stand here, whatever the plant of a run is: nothing
-    of a run's own plant reaches it but what `sensors` tell.
+    The models of all controllers are the nominal `joint`, `load` and `valve`, whatever the plant of a run.
 
     Attributes
     ----------
     name
-        What it is about, in a few words.
+        Title.
     joint, load, valve, sensors, disturbance
-        As in a scenario: what controllers believe, and the plant before its `conditions`.
+        Nominal plant, as in a scenario.
     other_joints
-        Joints that are in the place of that one in a share of the runs; of the same make, with the same kind of law.
+        Joints in place of `joint` in a share of the runs, with the same specimens and kinds of law.
     joint_share
-        The share of `joint` itself beside them.
+        Share of `joint` itself.
     conditions
-        What differs from run to run, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.parse_sweep`.
-    wishes
-        References by name. One among them of which the stiffness steps is needed for the coupling.
-    fastest
-        The highest angular acceleration [rad/s^2] of a wish; larger sines are made smaller.
+        Plant parameters that vary, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.parse_sweep`.
+    references
+        References by name. The coupling needs one whose stiffness steps.
+    max_angular_acceleration
+        Largest angular acceleration [rad/s^2] of a reference, to which sines are scaled down.
     controllers
-        By name. The first is what the others are compared with.
-    tuning, unseen
-        How they are tuned, and on what they are compared.
+        Controllers by name; the others are compared with the first.
+    tuning, evaluation
+        Training runs and budget, and evaluation runs.
     duration, control_period, substeps
-        Of each run.
+        As in a scenario.
     """
 
     name: Title
@@ -270,14 +264,22 @@ class Suite(Part):
     sensors: SensorsSpec | None = None
     disturbance: DisturbanceSpec | None = None
     conditions: tuple[str, ...] = ()
-    wishes: dict[str, WishSpec] = Field(min_length=1)
-    fastest: AngularAcceleration | None = None
+    references: dict[str, ReferenceCase] = Field(min_length=1)
+    max_angular_acceleration: AngularAcceleration | None = None
     controllers: dict[str, ControllerSpec] = Field(min_length=1)
     tuning: TuningSpec = TuningSpec()
-    unseen: UnseenSpec = UnseenSpec()
+    evaluation: EvaluationSpec = EvaluationSpec()
     duration: Duration
     control_period: PositiveTime
     substeps: Annotated[int, Whole(1, 1000)] = 4
+
+    @model_validator(mode="before")
+    @classmethod
+    def _renamed(cls, data: Any) -> Any:
+        for old, new in _RENAMED.items():
+            if isinstance(data, dict) and old in data:
+                refuse(f"the key `{old}` is now `{new}`", "rename it")
+        return data
 
     @field_validator("valve", mode="before")
     @classmethod
@@ -289,12 +291,12 @@ class Suite(Part):
     def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
         return dividing(value, info.data.get("duration"))
 
-    @field_validator("unseen", mode="after")
+    @field_validator("evaluation", mode="after")
     @classmethod
-    def _unseen(cls, value: UnseenSpec, info: ValidationInfo) -> UnseenSpec:
+    def _other_seed(cls, value: EvaluationSpec, info: ValidationInfo) -> EvaluationSpec:
         tuning = info.data.get("tuning")
         if tuning is not None and tuning.seed == value.seed:
-            refuse("has the seed of the tuning", "give another: what was tuned on is not unseen")
+            refuse("has the seed of the tuning", "give another: the training runs are no evaluation")
         return value
 
     @model_serializer(mode="wrap", when_used="json")
@@ -323,51 +325,51 @@ class Suite(Part):
         return suite
 
     def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
-        """The suite as text that `parse` reads back; paths are relative to a folder."""
+        """Text from which `parse` restores the suite; paths are relative to a folder."""
         return to_text(self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)}))
 
     @property
     def cost(self) -> Cost:
-        """Of a run."""
+        """Cost of a run."""
         return parse_cost(self.tuning.cost)
 
     @property
     def joints(self) -> dict[str, tuple[int, JointSpec]]:
-        """All joints that a plant may have, by name, each with its share; "as believed" comes first."""
+        """All joints by name, each with its share; the nominal one comes first."""
         others = {name: (other.share, other.joint) for name, other in self.other_joints.items()}
         return {NOMINAL_JOINT: (self.joint_share, self.joint), **others}
 
-    def scenario(self, controller: str, wish: str, joint: str = NOMINAL_JOINT) -> Scenario:
-        """One run before its conditions: the controller believes in the suite's own joint, load and valve."""
-        reference = self.wishes[wish].reference
+    def scenario(self, controller: str, reference: str, joint: str = NOMINAL_JOINT) -> Scenario:
+        """Scenario of a run before its conditions; the controller has the nominal model."""
+        signals = self.references[reference].reference
         return Scenario(
-            name=f"{self.name}: {controller}, {wish}"[:200],
+            name=f"{self.name}: {controller}, {reference}"[:200],
             joint=self.joints[joint][1],
             load=self.load,
             valve=self.valve,
             sensors=self.sensors,
             disturbance=self.disturbance,
             controller=self.controllers[controller].with_model(self.joint, self.load, self.valve),
-            reference=reference,
-            start=start_of(reference),
+            reference=signals,
+            start=start_of(signals),
             duration=self.duration,
             control_period=self.control_period,
             substeps=self.substeps,
         )
 
     def conditions_over(self) -> tuple[SweptParameter, ...]:
-        """What differs from run to run of the plant."""
+        """Plant parameters that vary."""
         return parse_sweeps(self.conditions, self.example())
 
-    def wish_over(self, wish: str) -> tuple[SweptParameter, ...]:
-        """What of a wish differs from run to run."""
-        return parse_sweeps(self.wishes[wish].over, self.example(wish))
+    def reference_over(self, reference: str) -> tuple[SweptParameter, ...]:
+        """Parameters of a reference that vary."""
+        return parse_sweeps(self.references[reference].over, self.example(reference))
 
     def tuned_over(self, controller: str) -> tuple[SweptParameter, ...]:
-        """What of a controller is tuned, and over what range; nothing where it is taken as it is."""
+        """Tuned parameters of a controller and their ranges."""
         if controller in self.tuning.untuned:
             return ()
-        scenario = self.scenario(controller, next(iter(self.wishes)))
+        scenario = self.scenario(controller, next(iter(self.references)))
         if controller in self.tuning.over:
             return parse_ranges(self.tuning.over[controller], scenario)
         gains = gain_ranges(scenario, float(self.tuning.decades))
@@ -377,6 +379,6 @@ class Suite(Part):
             )
         return sweep_parameters(scenario, gains)
 
-    def example(self, wish: str | None = None, joint: str = NOMINAL_JOINT) -> Scenario:
+    def example(self, reference: str | None = None, joint: str = NOMINAL_JOINT) -> Scenario:
         """A run of the first controller."""
-        return self.scenario(next(iter(self.controllers)), wish or next(iter(self.wishes)), joint)
+        return self.scenario(next(iter(self.controllers)), reference or next(iter(self.references)), joint)

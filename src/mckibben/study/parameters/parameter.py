@@ -1,4 +1,4 @@
-"""Scalar parameters of a scenario by their address in the file, for example `load.mass2`."""
+"""Scalar parameters of a scenario by name, for example `load.mass2`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 
 from mckibben.config.fields import LONGEST_VALUE, Part, Quantity, quoted
 from mckibben.errors import ParameterError
-from mckibben.study.scenario import GeometrySpec, JointSpec, LoadSpec, LoopSpec, PIDSpec, Scenario, SignalSpec
+from mckibben.study.scenario import GeometrySpec, JointSpec, LoopSpec, PIDSpec, Scenario, SignalSpec
 from mckibben.study.scenario.fields import Choice, Entry, Whole
 from mckibben.units import show
 
@@ -24,14 +24,13 @@ _ATTRIBUTES = {
     "velocity_observer": "observer",
     "disturbance_observer": "observer",
 }
-"""What parts of the file are called where they are built."""
+"""Attributes of the built objects, by keys of the file."""
 
 
 def defaults_of(scenario: Scenario) -> Callable[[tuple[str, ...]], float | int | None]:
-    """The values, in SI, of numbers that a scenario does not give, by all keys on the way to each.
+    """Effective values [SI] of parameters that the scenario leaves unset, as a function of their place.
 
-    What has to be built to know them is built once. None for a starting stiffness: it is then amid what the plant can
-    hold.
+    None for a starting stiffness, which is then the middle of the attainable range.
     """
     return functools.partial(_default, scenario, functools.cache(scenario.control))
 
@@ -40,7 +39,7 @@ def _default(scenario: Scenario, control: Callable[[], Any], place: tuple[str, .
     from mckibben.study.scenario import building
 
     key = place[-1]
-    if key == "strength":  # of a muscle: that of its law
+    if key == "strength":  # of a muscle's law
         return 1.0
     match place[:-1]:
         case ("load",):
@@ -71,20 +70,17 @@ def _default(scenario: Scenario, control: Callable[[], Any], place: tuple[str, .
 
 
 Place = tuple[str, ...]
-"""Keys of the file, from the top."""
+"""Keys of a field in the file, from the top."""
 
 Mark = Quantity | Whole
-"""A field that is a number."""
+"""Annotation of a numeric field."""
 
-SYMBOLS = {"mass1": "m1", "mass2": "m2", "distance1": "l1", "distance2": "l2"}
-"""What the paper calls numbers of the load."""
-
-_LOOKUP = "a study varies numbers; write one scenario for each"
+_NOT_NUMERIC = "a study varies numbers; write one scenario for each"
 _TIMING = "it is one number for all runs of a study"
 _OTHER_FORM = "write the other form in the file"
 _COMPILED = "it sets the size of what is compiled"
 _FIXED = {
-    "name": ("it is a text", _LOOKUP),
+    "name": ("it is a text", _NOT_NUMERIC),
     "duration": (_TIMING, "change it in the file"),
     "control_period": (_TIMING, "change it in the file"),
     "substeps": (_TIMING, "change it in the file"),
@@ -116,50 +112,38 @@ _ABSENT = {
 
 
 @dataclass
-class Survey:
-    """What can be varied.
-
-    Attributes
-    ----------
-    numbers
-        By canonical name: where it stands, its kind and its nominal value.
-    spellings
-        The canonical name of each spelling, itself among them.
-    refused
-        Why a name cannot be varied, and what to do.
-    """
+class _Parameters:
+    """Parameters by name, names that stand for them, and the reasons why others cannot be varied."""
 
     numbers: dict[str, tuple[Place, Mark, float | int | None]] = field(default_factory=dict)
     spellings: dict[str, str] = field(default_factory=dict)
     refused: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def add(self, names: list[Place], place: Place, mark: Mark, nominal: float | int | None) -> None:
-        """Take in a number; the first of its names is the canonical one."""
+        """Add a parameter; the first of its names is the canonical one."""
         canonical = ".".join(names[0])
         self.numbers[canonical] = (place, mark, nominal)
         self.spellings.update({".".join(name): canonical for name in names})
 
     def refuse(self, names: list[Place], reason: tuple[str, str]) -> None:
-        """Say why something cannot be varied."""
+        """Add a reason, and a remedy."""
         self.refused.update({".".join(name): reason for name in names})
 
 
-def survey(scenario: Scenario) -> Survey:
-    """Go through a scenario."""
-    found = Survey()
+def _parameters(scenario: Scenario) -> _Parameters:
+    """Walk the fields of a scenario."""
+    found = _Parameters()
     _walk(scenario, (), [()], found, defaults_of(scenario))
     found.refused = {name: why for name, why in found.refused.items() if name not in found.spellings}
     return found
 
 
 def _walk(
-    part: Part, place: Place, names: list[Place], found: Survey, default: Callable[[Place], float | int | None]
+    part: Part, place: Place, names: list[Place], found: _Parameters, default: Callable[[Place], float | int | None]
 ) -> None:
     for key, info, value in fields_of(part):
         here = (*place, key)
         called = [(*name, key) for name in names]
-        if key in SYMBOLS and isinstance(part, LoadSpec):
-            called += [(*name, SYMBOLS[key]) for name in names]
         mark = mark_of(info)
         if key in _FIXED:
             found.refuse(called, _FIXED[key])
@@ -171,11 +155,11 @@ def _walk(
         elif model_in(info) is not None:
             _refuse_absent(part, key, info, called, here, names, found)
         else:
-            found.refuse(called, (_what_it_is(info), _LOOKUP))
+            found.refuse(called, (_what_it_is(info), _NOT_NUMERIC))
 
 
 def _add_number(
-    part: Part, key: str, called: list[Place], here: Place, mark: Mark, nominal: float | int | None, found: Survey
+    part: Part, key: str, called: list[Place], here: Place, mark: Mark, nominal: float | int | None, found: _Parameters
 ) -> None:
     if isinstance(part, SignalSpec):  # a constant; other forms are parts of their own
         if part.constant is None:
@@ -185,7 +169,7 @@ def _add_number(
     if key != "connector_length":
         found.add(called, here, mark, nominal)
         return
-    # One number in two places: the joint's own stands in for the geometry's. It is set where the file has it.
+    # One parameter in two places: the joint's stands in for the geometry's. It is set where the file has it.
     joint_wide = isinstance(part, JointSpec)
     geometry = part.geometry if joint_wide else part
     assert isinstance(geometry, GeometrySpec)  # the other part with connectors
@@ -195,7 +179,7 @@ def _add_number(
 
 
 def _refuse_absent(
-    part: Part, key: str, info: FieldInfo, called: list[Place], here: Place, names: list[Place], found: Survey
+    part: Part, key: str, info: FieldInfo, called: list[Place], here: Place, names: list[Place], found: _Parameters
 ) -> None:
     if not isinstance(part, LoopSpec | SignalSpec):
         found.refuse(called, _ABSENT.get(here, ("the scenario has none", "write it in the file")))
@@ -208,7 +192,7 @@ def _refuse_absent(
 
 
 def _is_number_of(part: Part, key: str) -> bool:
-    """Whether the form that is given has a field of that name."""
+    """Whether the form in the file has a field of that name."""
     return any(key in type(value).model_fields for _, _, value in fields_of(part) if isinstance(value, Part))
 
 
@@ -226,18 +210,18 @@ def _what_it_is(info: FieldInfo) -> str:
 
 
 def fields_of(part: Part) -> Iterator[tuple[str, FieldInfo, Any]]:
-    """Key in the file, field and value of each field."""
+    """Key in the file, field info and value of each field."""
     for name, info in type(part).model_fields.items():
         yield info.alias or name, info, getattr(part, name)
 
 
 def mark_of(info: FieldInfo) -> Mark | None:
-    """The kind of a field that is one number; None for others."""
+    """Numeric annotation of a field; None for others."""
     return next((mark for mark in _marks(info) if isinstance(mark, Quantity | Whole)), None)
 
 
 def model_in(info: FieldInfo) -> type[BaseModel] | None:
-    """The part that a field may hold."""
+    """Model that a field may hold."""
     for candidate in (info.annotation, *get_args(info.annotation)):
         if isinstance(candidate, type) and issubclass(candidate, BaseModel):
             return candidate
@@ -245,7 +229,7 @@ def model_in(info: FieldInfo) -> type[BaseModel] | None:
 
 
 def _marks(info: FieldInfo) -> Iterator[Any]:
-    """What a field is annotated with, also where it is optional; not what the items of a list are."""
+    """Annotations of a field, also of an optional one; not of the items of a list."""
     yield from info.metadata
     if get_origin(info.annotation) in (Union, UnionType):
         for choice in get_args(info.annotation):
@@ -253,24 +237,23 @@ def _marks(info: FieldInfo) -> Iterator[Any]:
 
 
 LISTING = "`mckibben sweep SCENARIO.yaml --list` shows all"
-"""How a user sees what there is."""
+"""Hint at the list of parameters."""
 
 
 @dataclass(frozen=True)
 class ScenarioParameter:
-    """One number of a scenario, and what it may be.
+    """A scalar parameter of a scenario.
 
     Attributes
     ----------
     name
-        As it is listed, such as "controller.position.kp".
+        Name, such as "controller.position.kp".
     place
-        All keys on the way to it in the file, such as ("controller", "position", "pid", "kp").
+        Keys in the file, such as ("controller", "position", "pid", "kp").
     mark
-        The kind of field: it reads text, and knows units and range.
+        Annotation of the field, with unit, range and text form.
     nominal
-        What it is in the scenario: a float in SI, or an int. None for a starting stiffness or a minimum tension that is
-        not given.
+        Value in the scenario, a float [SI] or an int; None for a starting stiffness or a minimum tension that is unset.
     """
 
     name: str
@@ -279,78 +262,78 @@ class ScenarioParameter:
     nominal: float | int | None
 
     @property
-    def whole(self) -> bool:
-        """Whether it is a whole number."""
+    def is_integer(self) -> bool:
+        """Whether it is an integer."""
         return isinstance(self.mark, Whole)
 
     @property
     def unit(self) -> str:
-        """The SI unit; "1" for a plain number."""
+        """SI unit; "1" for a plain number."""
         return self.mark.unit if isinstance(self.mark, Quantity) else "1"
 
     @property
     def shown(self) -> str:
-        """The unit in which it is written."""
+        """Unit in files."""
         return self.mark.shown if isinstance(self.mark, Quantity) else "1"
 
     @property
     def lower(self) -> float | int:
-        """The lower end of what it may be, in SI; a length of 0 is not in its range, nor below."""
+        """Lower bound [SI]."""
         return self.mark.limits[0] if isinstance(self.mark, Quantity) else self.mark.lower
 
     @property
     def upper(self) -> float | int:
-        """The upper end, in SI."""
+        """Upper bound [SI]."""
         return self.mark.limits[1] if isinstance(self.mark, Quantity) else self.mark.upper
 
     @property
     def range(self) -> str:
-        """What it may be, in words."""
+        """Range as text."""
         return self.mark.range if isinstance(self.mark, Quantity) else f"{self.mark.lower} to {self.mark.upper}"
 
     def holds(self, value: Any) -> Any:
-        """Whether a number in SI, or each of an array, is in the range."""
+        """Whether a value [SI], or each of an array, is in the range."""
         if isinstance(self.mark, Quantity):
             return self.mark.holds(value)
         return (value >= self.mark.lower) & (value <= self.mark.upper) & (value % 1 == 0)
 
     def show(self, value: float | int, digits: int = 6) -> str:
-        """A value in SI as people read it."""
-        return f"{value:.0f}" if self.whole else show(float(value), self.shown, digits)
+        """Format a value [SI] in the unit of files."""
+        return f"{value:.0f}" if self.is_integer else show(float(value), self.shown, digits)
 
     def write(self, value: float | int) -> str:
-        """Text that a scenario reads back to the last bit."""
+        """Format a value [SI] so that a scenario restores it exactly."""
         return self.mark.write(float(value)) if isinstance(self.mark, Quantity) else str(int(value))
 
 
 def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
-    """All numbers of a scenario that a study can vary, in the order of the file.
+    """All parameters of a scenario that a study can vary, in the order of the file.
 
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> for address in list_parameters(scenario)[:3]:
-    ...     print(address.name, address.show(address.nominal), address.range, sep=", ")
+    >>> for each in list_parameters(scenario)[:3]:
+    ...     print(each.name, each.show(each.nominal), each.range, sep=", ")
     joint.geometry.joint_length, 370 mm, above 0 to 100000 mm
     joint.geometry.joint_radius, 30 mm, above 0 to 100000 mm
     joint.connector_length, 208 mm, 0 to 100000 mm
     """
-    found = survey(scenario)
+    found = _parameters(scenario)
     return [ScenarioParameter(name, *found.numbers[name]) for name in found.numbers]
 
 
 def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
-    """The number of a name, in any of its spellings.
+    """Parameter of a scenario by name.
 
     Parameters
     ----------
     scenario
-        Which one.
+        Scenario.
     name
-        Such as "load.mass2" or "load.m2"; the level `pid`, `backprop`, `sine`, ... may be left out.
+        Name, such as "load.mass2"; the level `pid`, `backprop`, `sine`, ... is optional.
 
     Raises
     ------
     ParameterError
-        If there is none, or it is nothing that a study can vary; it says why.
+        If there is none, or a study cannot vary it.
 
     Examples
     --------
@@ -360,41 +343,41 @@ def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
     >>> find_parameter(scenario, "load.mass3")
     Traceback (most recent call last):
         ...
-    mckibben.errors.ParameterError: the scenario has no number 'load.mass3'; did you mean ...
+    mckibben.errors.ParameterError: the scenario has no parameter 'load.mass3'; did you mean ...
     """
     return find_parameters(scenario, [name])[0]
 
 
 def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioParameter]:
-    """The numbers of several names, no two of which may be the same number.
+    """Parameters of a scenario by their names, which must be different.
 
     Raises
     ------
     ParameterError
-        As for `find_parameter`, and if a number is named twice.
+        As for `find_parameter`, and if one is named twice.
 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> find_parameters(scenario, ["load.m2", "load.mass2"])
+    >>> find_parameters(scenario, ["load.mass2", "load.mass2"])
     Traceback (most recent call last):
         ...
-    mckibben.errors.ParameterError: 'load.m2' and 'load.mass2' are the same number; keep one of them
+    mckibben.errors.ParameterError: 'load.mass2' and 'load.mass2' are the same parameter; keep one of them
     """
-    found = survey(scenario)
+    found = _parameters(scenario)
     spelt: dict[str, str] = {}
     several = []
     for name in names:
-        address = _resolve(found, name)
-        if address.name in spelt:
-            both = f"{quoted(spelt[address.name])} and {quoted(name)} are the same number"
+        parameter = _resolve(found, name)
+        if parameter.name in spelt:
+            both = f"{quoted(spelt[parameter.name])} and {quoted(name)} are the same parameter"
             raise ParameterError(both, value=name, remedy="keep one of them")
-        spelt[address.name] = name
-        several.append(address)
+        spelt[parameter.name] = name
+        several.append(parameter)
     return several
 
 
-def _resolve(found: Survey, name: str) -> ScenarioParameter:
+def _resolve(found: _Parameters, name: str) -> ScenarioParameter:
     spelling = name.strip()
     canonical = found.spellings.get(spelling)
     if canonical is not None:
@@ -407,14 +390,16 @@ def _resolve(found: Survey, name: str) -> ScenarioParameter:
     below = [known for known in found.numbers if known.startswith(f"{spelling}.")]
     if below and spelling:
         raise ParameterError(
-            f"{quoted(spelling)} is a group of numbers", value=name, remedy=f"choose one, such as {below[0]}; {LISTING}"
+            f"{quoted(spelling)} is a group of parameters",
+            value=name,
+            remedy=f"choose one, such as {below[0]}; {LISTING}",
         )
     close = _close(spelling, list(found.spellings))
     remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
-    raise ParameterError(f"the scenario has no number {quoted(spelling)}", value=name, remedy=remedy)
+    raise ParameterError(f"the scenario has no parameter {quoted(spelling)}", value=name, remedy=remedy)
 
 
 def _close(name: str, known: list[str]) -> list[str]:
-    """What a name may stand for: those that end with it, or one that is spelt like it."""
+    """Names that end with a name, or the one closest to it."""
     ending = [each for each in known if each.endswith(f".{name}")]
     return ending[:2] if ending else difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)

@@ -124,8 +124,8 @@ def edit_yaml(text: str, values: Mapping[str, float | int], *, folder: str | os.
     scenario = Scenario.parse(text, folder=folder)
     wanted = with_values(scenario, values)
     changed = text
-    for address, value in zip(find_parameters(scenario, values), values.values(), strict=True):
-        changed = _changed(changed, address.place, address.write(value))
+    for parameter, value in zip(find_parameters(scenario, values), values.values(), strict=True):
+        changed = _changed(changed, parameter.place, parameter.write(value))
     return changed if _reads_as(changed, wanted, folder) else wanted.dumps(folder=folder)
 
 
