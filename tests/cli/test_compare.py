@@ -74,8 +74,8 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
         medians = [metric(key, each["metrics"][key]["median"]) for key in ("angle_rmse_deg", "stiffness_rmse")]
         (row,) = re.findall(rf"^\W*{name} .* [0-9]+\W*$", found.out, re.M)
         assert [row.split(name)[1].split()[0], row.split(name)[1].split()[2]] == medians
-    assert f"{16 - numbers['not_begun']} unseen runs" in found.out
-    assert f"{numbers['not_begun']} runs could not begin" in found.out
+    assert f"{16 - numbers['no_start']} evaluation runs" in found.out
+    assert f"{numbers['no_start']} runs could not begin" in found.out
     assert "medians against PID 3" in found.out
 
     with xr.open_dataset(kept / "runs.nc") as runs:

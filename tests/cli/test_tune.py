@@ -131,8 +131,8 @@ def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, 
     monkeypatch.setattr(TuningProblem, "costs", lambda self, values: values[:, 1])  # what is found does not matter here
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    (tmp_path / "a" / "wish.csv").write_text("time_s,angle_deg\n0,2\n1,2\n", encoding="utf-8")
-    far = text.replace("angle: 2 deg", "angle: {samples: {file: wish.csv}}")
+    (tmp_path / "a" / "reference.csv").write_text("time_s,angle_deg\n0,2\n1,2\n", encoding="utf-8")
+    far = text.replace("angle: 2 deg", "angle: {samples: {file: reference.csv}}")
     assert far != text
     (tmp_path / "a" / "s.yaml").write_text(far, encoding="utf-8")
     (tmp_path / "b" / "s.yaml").write_text(text, encoding="utf-8")
@@ -145,7 +145,7 @@ def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, 
     for new, old in zip(tuned, before, strict=True):
         assert new.model_copy(update={"start": old.start}) == old
         assert [new.start.angle, new.start.stiffness] == [each["si"] for each in values.values()]
-    assert tuned[0].signals.angle.samples.file == tmp_path / "a" / "wish.csv"
+    assert tuned[0].signals.angle.samples.file == tmp_path / "a" / "reference.csv"
     assert "# The knee" in (kept / "s-tuned-2.yaml").read_text(encoding="utf-8")
 
 
@@ -206,7 +206,7 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
         ((*SMALL, "--method", "evolution", "--population", "4"), "at least 5"),
         ((*SMALL, "--iterations", "0"), "iterations is 0"),
         ((*SMALL, "--seed", "-1"), "seed is -1"),
-        ((*SMALL, "--resume"), "no search to go on with; start it without --resume"),
+        ((*SMALL, "--resume"), "no search to continue; start it without --resume"),
         (("missing.yaml", *SMALL), "missing.yaml"),
     ],
 )
@@ -236,7 +236,7 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
     before = {path: path.read_bytes() for path in (tmp_path / "kept").iterdir()}
     found = cli(*asked)
     assert (found.code, found.out) == (2, "")
-    assert "history of a search already; go on with it (--resume), or choose another folder" in found.err
+    assert "history of a search already; continue it (--resume), or choose another folder" in found.err
     for change, named in (
         (("--seed", "1"), "seed 0, not 1"),
         (("--worst",), "worst False, not True"),

@@ -133,7 +133,7 @@ def test_wishes_that_are_none(text, kind, said):
         ("connector_length", ParameterError, "no length and its range"),
         ("connector_length=150 mm", ParameterError, "no length and its range"),
         ("mass=1..2 mm", ParameterError, "cannot be varied in a design; known are connector_length"),
-        ("connector_length=260..150 mm", ParameterError, "no range of a length"),
+        ("connector_length=260..150 mm", UnitError, "reversed range"),
         ("connector_length=1..2 N", UnitError, "not a unit of the kind"),
         ("connector_length=1..2 parsec", UnitError, "unknown unit"),
     ],

@@ -35,7 +35,7 @@ def suite():
 
 @pytest.fixture(scope="module")
 def simulated(suite):
-    """The unseen runs of one controller, in earnest."""
+    """The evaluation runs of one controller, simulated."""
     runs, values = draw(suite, 16, 1), {KP: 2e5}
     return BenchmarkResult(
         suite, runs, {"PID 3": values}, {}, {"PID 3": ()}, {"PID 3": evaluate(runs, "PID 3", values)}
@@ -74,10 +74,10 @@ class TestRuns:
         assert abs(own - others) > 1e-6 * own
 
     def test_its_cost_is_that_of_the_suite(self, simulated):
-        unseen = simulated.batches["PID 3"].metrics
+        metrics = simulated.batches["PID 3"].metrics
         assert not simulated.unstable("PID 3").any()
         assert simulated.cost("PID 3") == pytest.approx(
-            unseen["angle_rmse"] / (0.1 * deg) + unseen["stiffness_rmse"] / 0.5
+            metrics["angle_rmse"] / (0.1 * deg) + metrics["stiffness_rmse"] / 0.5
         )
 
 
@@ -201,9 +201,9 @@ class TestTuning:
 
     def test_when_no_run_can_begin_it_is_said(self):
         slow = ("valve.time_constant=10..50 ms", "valve.time_constant=49..50 ms")
-        with pytest.raises(ParameterError, match="none of the training runs can begin"):
+        with pytest.raises(ParameterError, match="none of the training runs can start"):
             compare(changed(slow, *ALONE))
-        with pytest.raises(ParameterError, match="none of the unseen runs can begin"):
+        with pytest.raises(ParameterError, match="none of the evaluation runs can start"):
             compare(changed(slow, ALONE[0], ("untuned: [as it is]", "untuned: [PID 3]")))
 
 

@@ -193,8 +193,8 @@ def test_all_runs_are_kept(contest, columns, tmp_path):
         assert kept["reference"].to_numpy().tolist() == list(contest.runs.reference_name)
         assert np.array_equal(kept["load.mass2"], contest.runs.conditions["load.mass2"])
         assert kept["outcome"].attrs["flag_meanings"].split()[int(kept["outcome"][1, LOST_RUN])] == "DIVERGED"
-        wished = contest.runs.reference_values["angle step"]["reference.stiffness"]
+        drawn = contest.runs.reference_values["angle step"]["reference.stiffness"]
         rows = [i for i, reference in enumerate(contest.runs.reference_name) if reference == "angle step"]
-        assert np.array_equal(kept["reference.stiffness"][rows], wished)
+        assert np.array_equal(kept["reference.stiffness"][rows], drawn)
         assert np.isfinite(kept["reference.stiffness"]).sum() == len(rows)
         assert json.loads(kept.attrs["tuned"]) == contest.tuned

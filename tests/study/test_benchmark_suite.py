@@ -52,7 +52,7 @@ def test_what_a_suite_says_comes_back(suite, tmp_path):
     assert Suite.parse(changed(("valve: {time_constant: 20 ms}", "valve: ideal"), *WITHOUT_LAG)).valve is None
 
 
-def test_a_run_starts_at_rest_where_its_wish_begins(suite):
+def test_a_run_starts_at_rest_where_its_reference_begins(suite):
     starts = {reference: suite.scenario("PID 3", reference).start for reference in REFERENCES}
     assert [start.angle for start in starts.values()] == pytest.approx([5 * deg, 0.0, 1 * deg], abs=1e-15)
     assert {start.stiffness for start in starts.values()} == {None}
@@ -89,7 +89,7 @@ def test_what_a_controller_says_it_believes_is_kept():
 
 def test_what_is_tuned(suite):
     gains = suite.tuned_over("PID 3")
-    shown = {each.name: tuple(round(end, 6) for end in each.distribution.ends) for each in gains}
+    shown = {each.name: tuple(round(end, 6) for end in each.distribution.bounds) for each in gains}
     assert shown["controller.position.kp"] == (0.12e5, 12e5)  # a decade down and up
     assert "controller.stiffness.kd" not in shown, "a gain of zero stays zero"
     assert len(shown) == 5
@@ -97,7 +97,7 @@ def test_what_is_tuned(suite):
     assert all(each.name.startswith("controller.") for each in suite.tuned_over("decoupling"))
     text = changed(("untuned:", "over: {PID 3: [controller.position.kp=1..2 bar/rad]}, untuned:"))
     (one,) = Suite.parse(text).tuned_over("PID 3")
-    assert one.distribution.ends == pytest.approx((1e5, 2e5))
+    assert one.distribution.bounds == pytest.approx((1e5, 2e5))
 
 
 KP = "{kp: 1.2 bar/rad, ki: 40 bar/(rad*s), kd: 0.2 bar*s/rad}"
@@ -105,7 +105,7 @@ SAMPLES = "angle: {samples: {times: [0 s], values: [1 deg]}}"
 MISTAKES = {
     "condition": (
         ("load.mass2=+-50 %", "controller.position.kp=1..2 bar/rad"),
-        ("conditions[0]", "load.mass2", "nothing of the plant"),
+        ("conditions[0]", "load.mass2", "not a parameter of the plant"),
     ),
     "condition unknown": (("load.mass2=+-50 %", "load.mas2=+-50 %"), ("conditions[0]", "load.mass2", "load.mas2")),
     "condition of the reference": (
@@ -137,7 +137,7 @@ MISTAKES = {
     ),
     "tuning over the plant": (
         ("untuned:", "over: {PID 3: [load.mass2=1..2 kg]}, untuned:"),
-        ("tuning.over.PID 3", "untuned:", "nothing of the controller"),
+        ("tuning.over.PID 3", "untuned:", "not a parameter of the controller"),
     ),
     "untuned nobody": (
         ("untuned: [as it is]", "untuned: [as it iss]"),
@@ -198,7 +198,7 @@ def test_a_mistake_is_told_with_its_line_and_field(name):
         pairs.append(("untuned: [as it is]", "untuned: [pid-3]"))
     found = problems(*pairs)
     assert [problem.field for problem in found] == [field], [str(problem) for problem in found]
-    expected = TEXT.splitlines().index("  decoupling:") + 1 if marked.endswith("@") else line_of(marked)
+    expected = TEXT.splitlines().index("  decoupling:") + 1 if marked.boundswith("@") else line_of(marked)
     assert found[0].line == expected
     assert said in str(found[0])
 

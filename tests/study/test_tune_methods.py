@@ -143,7 +143,7 @@ def test_where_nothing_can_be_run_it_says_so(method):
 
 
 def test_several_scenarios_are_tuned_at_once():
-    """With a second wish of 4 deg the worst of both is least in the middle."""
+    """With a second reference of 4 deg the worst of both is least in the middle."""
     other = Scenario.parse(TEXT.replace("angle: 2 deg", "angle: 4 deg"))
     cost = Cost.of({"angle_rmse": deg, "stiffness_rmse": 1.0}, worst=True)
     tuned = tune([STILL, other], RANGES, cost, method=Method.CMA, **SMALL | {"iterations": 25})

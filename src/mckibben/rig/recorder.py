@@ -270,10 +270,11 @@ class Recorder:
 
 
 def _keep_free(path: Path) -> None:
-    with path.open("wb") as file:
-        os.posix_fallocate(file.fileno(), 0, _RESERVE) if hasattr(os, "posix_fallocate") else file.write(
-            bytes(_RESERVE)
-        )
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0), 0o644)
+    try:
+        os.posix_fallocate(file, 0, _RESERVE) if hasattr(os, "posix_fallocate") else os.write(file, bytes(_RESERVE))
+    finally:
+        os.close(file)
 
 
 def _name(number: int) -> str:

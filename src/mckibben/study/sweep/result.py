@@ -149,15 +149,10 @@ class SweepResult:
         FileError
             If the file is missing, damaged, or no sweep.
         """
-        import xarray as xr
+        from mckibben.dataset.schema import load_netcdf
 
         source = str(path)
-        if not Path(path).is_file():
-            raise FileError(source, [Problem("there is no such file")])
-        try:
-            table = xr.load_dataset(path, engine="h5netcdf")
-        except Exception as error:  # HDF5 raises many types for a damaged file
-            raise FileError(source, [Problem(f"it cannot be read as NetCDF: {error}")]) from error
+        table = load_netcdf(Path(path))
         missing = [name for name in ("outcome", *FEASIBILITY) if name not in table or table[name].dims != ("run",)]
         if table.attrs.get("kind") != _KIND or missing:
             raise FileError(source, [Problem("it is no sweep", remedy="give the sweep.nc of `mckibben sweep`")])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import io
 import os
 import shutil
@@ -26,7 +27,7 @@ from mckibben.study.sweep.result import SweepResult
 
 JOURNAL = "sweep.journal"
 TABLE = "sweep.nc"
-_BLOCK = b"B"
+_BLOCK, _TABLE = b"B", b"T"  # kinds of records; that of the table holds the digest of its file
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -132,6 +133,20 @@ class SweepStore:
             if shutil.disk_usage(self.folder).free < 1.2 * swept.table.nbytes + 200_000:  # HDF5 fails badly then
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             swept.to_netcdf(self.folder / TABLE)
+            assert self._journal is not None
+            self._journal.append(pack(_TABLE, 0, self._digest()))
+
+    def read_table(self) -> SweepResult | None:
+        """The table, if it is the file that was written."""
+        digests = [record.payload for record in JournalReader(self.folder / JOURNAL) if record.kind == _TABLE]
+        try:
+            return SweepResult.from_netcdf(self.folder / TABLE) if digests[-1:] == [self._digest()] else None
+        except OSError:  # missing
+            return None
+
+    def _digest(self) -> bytes:
+        with (self.folder / TABLE).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
 
     @contextmanager
     def explain_full_disk(self) -> Iterator[None]:
@@ -262,10 +277,10 @@ def sweep(
         if found := manifest_differences(manifest, plan.manifest):
             raise FileError(str(folder), found)
         store = SweepStore(folder, plan)
-        if (finished := _finished(store)) is not None:
+        if (finished := store.read_table()) is not None:
             return finished
         with store.lock():
-            if (finished := _finished(store)) is not None:  # by another process meanwhile
+            if (finished := store.read_table()) is not None:  # by another process meanwhile
                 return finished
             store.resume()
             return _stored(store, *engine)
@@ -274,15 +289,6 @@ def sweep(
     with store.lock():
         store.begin()
         return _stored(store, *engine)
-
-
-def _finished(store: SweepStore) -> SweepResult | None:
-    """Result of a sweep whose table is complete."""
-    try:
-        found = SweepResult.from_netcdf(store.folder / TABLE)
-    except FileError:
-        return None  # missing or damaged: the journal has all of it
-    return found if found.table.attrs.get("identity") == store.plan.identity else None
 
 
 def _stored(store: SweepStore, *engine: Any) -> SweepResult:
