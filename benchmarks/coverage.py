@@ -17,9 +17,8 @@ from scipy.signal import lfilter
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import DatasetSummary, Fit, Grouping
-from mckibben.identification.intervals import Evidence
-from mckibben.identification.problem import FitProblem
-from mckibben.identification.solvers import search, solve_by_projection
+from mckibben.identification.least_squares import FitProblem, grid_search, solve
+from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ExponentialLaw, forces
 from mckibben.study.uncertainty import joint_bands
@@ -80,12 +79,12 @@ def fits(points: IsobaricDataset, measured: np.ndarray):
     for i, (row, start) in enumerate(zip(measured, starts(problem, measured), strict=True)):
         this = dataclasses.replace(problem, force=np.pad(row, (0, pad), mode="edge"))
         if i < 5:
-            np.testing.assert_array_equal(start, search(this))
-        solution = solve_by_projection(this, start)
-        held = np.zeros(7, bool)
-        evidence = Evidence(points, this, solution, held)
-        spread = uncertainty(solution.jacobian, solution.residuals, held)
-        by = evidence.rule[0]
+            np.testing.assert_array_equal(start, grid_search(this))
+        solution = solve(this, start)
+        at_bound = np.zeros(7, bool)
+        regression = Regression(points, this, solution, at_bound)
+        spread = uncertainty(solution.jacobian, solution.residuals, at_bound)
+        by = regression.default_grouping[0]
         yield Fit(
             law=this.law(solution.values),
             standard_errors=dict(zip(this.names, spread.standard_errors, strict=True)),
@@ -97,8 +96,8 @@ def fits(points: IsobaricDataset, measured: np.ndarray):
             leave_one_pressure_out=None,
             warnings=(),
             dataset=DatasetSummary("", "", ()),
-            robust=None if by is Grouping.POINT else evidence.robust_errors(by),
-            evidence=evidence,
+            robust=None if by is Grouping.POINT else regression.robust_errors(by),
+            regression=regression,
         )
 
 
@@ -112,8 +111,8 @@ def covered(points, measured, further, knee, groupings):
     for fit, error in zip(fits(points, measured), further, strict=True):
         for by in groupings:
             bounds = list(fit.intervals(by=by).values())
-            band = fit.force_band(*AT, by=by)
-            bounds += [(band.mean.lower, band.mean.upper), (band.measurement.lower, band.measurement.upper)]
+            band = fit.force_intervals(*AT, by=by)
+            bounds += [(band.confidence.lower, band.confidence.upper), (band.prediction.lower, band.prediction.upper)]
             truths = [*TRUTH, force, force + error]
             if by is Grouping.STROKE:
                 joint = joint_bands(knee, fit, ANGLE, PRESSURES, by=by).stiffness

@@ -73,12 +73,12 @@ def errors(points, forms, decay):
         return ((points.force[rows][:, None] - modelled) ** 2).sum(axis=0)
 
     seen = squares(np.ones(len(points), bool), solved(gram, right))
-    unseen = np.zeros(len(forms))
+    cross_validation = np.zeros(len(forms))
     for level in points.pressures:
         out = points.levels == level
         rest = gram - terms[out].T @ terms[out], right - terms[out].T @ points.force[out]
-        unseen += squares(out, solved(*rest))
-    return np.sqrt(seen / len(points)), np.sqrt(unseen / len(points))
+        cross_validation += squares(out, solved(*rest))
+    return np.sqrt(seen / len(points)), np.sqrt(cross_validation / len(points))
 
 
 def refined(points, form):
@@ -94,8 +94,8 @@ def refined(points, form):
             coefficients = np.linalg.lstsq(terms[~out], points.force[~out], rcond=None)[0]
             missed = points.force - terms @ coefficients
             if missed[~out] @ missed[~out] < best:
-                best, unseen = missed[~out] @ missed[~out], missed[out] @ missed[out]
-        squares += unseen
+                best, cross_validation = missed[~out] @ missed[~out], missed[out] @ missed[out]
+        squares += cross_validation
     return np.sqrt(squares / len(points))
 
 
@@ -118,10 +118,10 @@ def search(points, forms):
     for decay in DECAYS:
         for start in range(0, len(forms), 4000):
             part = slice(start, start + 4000)
-            seen, unseen = errors(points, forms[part], decay)
+            seen, cross_validation = errors(points, forms[part], decay)
             better = seen < best[part]
             best[part][better] = seen[better]
-            kept[:, part][:, better] = np.stack([np.full(len(seen), decay), unseen])[:, better]
+            kept[:, part][:, better] = np.stack([np.full(len(seen), decay), cross_validation])[:, better]
     return kept
 
 
@@ -165,7 +165,7 @@ def main():
     for place, (part, form, results) in enumerate(found):
         if place >= shown and set(form) != ours:
             continue
-        errs = "  ".join(f"{decay / 100:.3f} {unseen:5.2f}" for decay, unseen in results.values())
+        errs = "  ".join(f"{decay / 100:.3f} {unseen:5.2f}" for decay, cross_validation in results.values())
         again = " ".join(f"{refined(points, list(form)):5.2f}" for points in (data["map"], chart, sparse))
         muscle = all(is_muscle(points, list(form), results[name][0]) for name, points in data.items())
         remarks = ["no muscle"] * (not muscle) + ["<- ours"] * (set(form) == ours)

@@ -111,7 +111,7 @@ def reference_problem() -> Problem:
         PositionStiffnessControl(POSITION, STIFFNESS, model=joint),
         PositionStiffnessControl(POSITION_BP, STIFFNESS_BP, model=joint),
         wishes,
-        plant.at_rest(0.0, stiffness=12.0),
+        plant.equilibrium(0.0, stiffness=12.0),
     )
 
 

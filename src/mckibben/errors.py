@@ -1,96 +1,131 @@
-"""Every error that mckibben raises on purpose: it says what was wrong, where, and what to do."""
+"""Errors and warnings of mckibben: each carries its message, the offending value, the allowed range and a remedy."""
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+LONGEST_VALUE = 80
+"""Characters of a value in a message."""
+
+_LONGEST_MESSAGE = 2000
+
+
+def quoted(value: object) -> str:
+    """The `repr` of a value, at most `LONGEST_VALUE` characters long.
+
+    >>> quoted("x" * 200)[-4:]
+    "...'"
+    """
+    text = repr(value)
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 4]}...{text[-1]}"
+
+
+def suggest(name: str, known: Sequence[str]) -> str:
+    """A remedy for an unknown name.
+
+    >>> suggest("sin", ["step", "sine"])
+    "did you mean 'sine'?"
+    """
+    close = difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)
+    return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
+
 
 class McKibbenWarning(UserWarning):
-    """Something is legal and probably not meant; the text says why."""
+    """Input or result that is valid but probably not intended."""
 
 
 class ReachabilityWarning(McKibbenWarning):
-    """A reference asks for what the joint cannot hold; the text says when and by how much."""
+    """A reference leaves the attainable set of the joint."""
 
 
 class DomainWarning(McKibbenWarning):
-    """A muscle was asked for its force outside its domain; the text says where, and what the domain is."""
+    """A muscle was evaluated outside its domain."""
 
 
 class McKibbenError(Exception):
-    """The root of the family.
+    """Base class of all errors of mckibben.
 
     Parameters
     ----------
     message
-        What was wrong, and where.
+        What is wrong, and where.
+    field
+        Name of the offending parameter, key or column.
     value, lower, upper
-        The offending value and the range it should lie in, in `unit`, where there is one.
+        The offending value and its allowed range, in `unit`.
     unit
-        The unit in which they are given.
+        Unit of `value`, `lower` and `upper`.
     remedy
-        What to do about it; printed after the message.
+        What to do about it. ``str(error)`` is ``"message; remedy"``; `remedy` may be replaced before the error is
+        shown, for example by the option of a command.
     """
 
     def __init__(
         self,
         message: str,
         *,
+        field: str = "",
         value: object = None,
         lower: float | None = None,
         upper: float | None = None,
         unit: str = "",
         remedy: str = "",
     ) -> None:
-        super().__init__(f"{message}; {remedy}" if remedy else message)
+        super().__init__(message)
+        self.message = message
+        self.field = field
         self.value = value
         self.lower = lower
         self.upper = upper
         self.unit = unit
         self.remedy = remedy
 
+    def __str__(self) -> str:
+        return f"{self.message}; {self.remedy}" if self.remedy else self.message
+
 
 class UnitError(McKibbenError, ValueError):
-    """A text is no quantity, or one of the wrong kind."""
+    """A text is not a quantity, or has a unit of another kind."""
 
 
 class RangeError(McKibbenError, ValueError):
-    """A number lies outside the range in which it has a meaning."""
+    """A number is outside its allowed range."""
 
 
 class NotInCatalogError(McKibbenError, KeyError):
     """The catalog has no entry of that name."""
 
-    __str__ = Exception.__str__  # KeyError would print the message quoted
+    __str__ = McKibbenError.__str__  # KeyError would print the message quoted
 
 
 class ParameterError(McKibbenError, ValueError):
-    """There is no parameter of that name, or it cannot take such values."""
+    """A parameter does not exist, or cannot take the given values."""
 
 
 class IdentificationError(McKibbenError, ValueError):
-    """The data cannot determine the law."""
+    """The data cannot determine the force law."""
 
 
 class SimulationError(McKibbenError, ValueError):
-    """A simulation was asked for that cannot be run."""
+    """A simulation cannot be run as specified."""
 
 
 class UnreachableError(McKibbenError, ValueError):
-    """No pressures within limits give what was asked of a joint."""
+    """No pressures within limits give the requested angle, torque or stiffness."""
 
 
 class RigError(McKibbenError, RuntimeError):
-    """A test rig cannot do what it was told, or is not there."""
+    """A test rig is missing, or cannot execute a command."""
 
 
 class SilentError(RigError):
-    """Samples that were due did not come."""
+    """Expected samples did not arrive."""
 
 
 class StoppedError(RigError):
-    """A test was stopped and the muscle vented; the text says why."""
+    """A test was stopped and the muscle vented."""
 
 
 class SignalledError(StoppedError):
@@ -99,9 +134,9 @@ class SignalledError(StoppedError):
     Parameters
     ----------
     message
-        As of a `McKibbenError`.
+        As for `McKibbenError`.
     signal
-        Its number.
+        Number of the signal.
     """
 
     def __init__(self, message: str, *, signal: int) -> None:
@@ -111,29 +146,49 @@ class SignalledError(StoppedError):
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong in a file."""
+    """One mistake in a file.
+
+    Attributes
+    ----------
+    message, remedy
+        What is wrong, and what to do about it.
+    line, field
+        Where.
+    value, lower, upper, unit
+        The offending value, and its allowed range in `unit`.
+    """
 
     message: str
     line: int | None = None
     field: str = ""
     remedy: str = ""
+    value: object = None
+    lower: float | None = None
+    upper: float | None = None
+    unit: str = ""
+
+    @classmethod
+    def of(cls, error: McKibbenError, line: int | None = None, field: str = "") -> Problem:
+        """A caught error at a place in a file."""
+        return cls(error.message, line, field, error.remedy, error.value, error.lower, error.upper, error.unit)
 
     def __str__(self) -> str:
         where = [f"line {self.line}"] if self.line is not None else []
         where += [self.field] if self.field else []
-        text = ": ".join([", ".join(where), self.message]) if where else self.message
+        message = self.message if len(self.message) <= _LONGEST_MESSAGE else f"{self.message[:_LONGEST_MESSAGE]}..."
+        text = ": ".join([", ".join(where), message]) if where else message
         return f"{text}; {self.remedy}" if self.remedy else text
 
 
 class FileError(McKibbenError, ValueError):
-    """A file cannot be used. All its problems are listed at once.
+    """A file cannot be used; all its problems are listed at once.
 
     Parameters
     ----------
     source
-        The file's name.
+        Name of the file.
     problems
-        What is wrong with it, in the order of the file.
+        Mistakes in the order of the file.
 
     Examples
     --------
@@ -163,4 +218,4 @@ class DatasetError(FileError):
 
 
 class ScenarioError(FileError):
-    """A scenario, fit or catalog file cannot be read."""
+    """A scenario, suite, protocol, fit or calibration file cannot be read."""

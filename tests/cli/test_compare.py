@@ -42,7 +42,7 @@ def written(tmp_path):
 @pytest.fixture
 def undrawn(monkeypatch):
     """No figures: they take longer than all else."""
-    monkeypatch.setattr("mckibben.report.write_contest", lambda contest, numbers, out: out / "comparison.html")
+    monkeypatch.setattr("mckibben.report.write_benchmark", lambda contest, numbers, out: out / "comparison.html")
 
 
 def results(folder):
@@ -50,8 +50,8 @@ def results(folder):
 
 
 def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch):
-    drawn, draw = [], report.write_contest
-    monkeypatch.setattr(report, "write_contest", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest))
+    drawn, draw = [], report.write_benchmark
+    monkeypatch.setattr(report, "write_benchmark", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest))
     suite = written((DECOUPLING, ""))
     found = cli("compare", "suite.yaml", "--out", "kept")
     assert found.code == 0, found.err
@@ -74,8 +74,8 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
         medians = [metric(key, each["metrics"][key]["median"]) for key in ("angle_rmse_deg", "stiffness_rmse")]
         (row,) = re.findall(rf"^\W*{name} .* [0-9]+\W*$", found.out, re.M)
         assert [row.split(name)[1].split()[0], row.split(name)[1].split()[2]] == medians
-    assert f"{16 - numbers['no_start']} evaluation runs" in found.out
-    assert f"{numbers['no_start']} runs could not begin" in found.out
+    assert f"{16 - numbers['no_start']} unseen runs" in found.out
+    assert f"{numbers['no_start']} runs were infeasible" in found.out
     assert "medians against PID 3" in found.out
 
     with xr.open_dataset(kept / "runs.nc") as runs:
@@ -122,7 +122,7 @@ def test_json_fewer_runs_and_a_quick_look(cli, written, tmp_path):
     numbers = json.loads(found.out)
     assert numbers == results(tmp_path / "kept")
     assert numbers["runs"] == 20
-    assert "kept results.json" in found.err
+    assert "wrote results.json" in found.err
     kept = Suite.read(tmp_path / "kept" / "suite.yaml")
     assert (kept.evaluation.runs, kept.tuning.generations, kept.tuning.starts) == (20, 2, 1)
     assert 8 <= len(read_trials(tmp_path / "kept" / "tuning" / "pid-3.journal")) <= 9
@@ -186,7 +186,7 @@ def test_an_interrupted_search_is_gone_on_with(cli, written, tmp_path, monkeypat
         patch.setattr(TuningHistory, "add", interrupted)
         found = cli("compare", "suite.yaml", "--out", "kept")
     assert found.code == 130
-    assert "go on with --resume" in found.err
+    assert "continue with --resume" in found.err
     assert not (tmp_path / "kept" / "results.json").exists()
     refused = cli("compare", "suite.yaml", "--out", "kept")
     assert refused.code == 2

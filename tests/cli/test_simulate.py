@@ -20,7 +20,7 @@ def test_an_example_in_full(cli):
     assert (found.code, found.err) == (0, "")
     numbers = json.loads(found.out)
     assert numbers["scenario"] == "pre-contracted knee, stiffness step, PID"
-    assert (numbers["outcome"], numbers["described"], numbers["out_of_reach"]) == ("completed", "completed", "")
+    assert (numbers["outcome"], numbers["described"], numbers["infeasible"]) == ("completed", "completed", "")
     assert set(numbers["metrics"]) == set(METRICS)
     assert 0.5 < numbers["metrics"]["angle_rmse_deg"] < 3
     assert 0 < numbers["metrics"]["stiffness_settling_s"] < 0.5
@@ -98,7 +98,7 @@ def test_the_scenario_of_the_documentation_is_one(cli):
     scenario.initial(scenario.plant())
 
 
-def test_what_is_out_of_reach_is_a_warning_beside_the_result(cli, tmp_path, shortened):
+def test_what_is_infeasible_is_a_warning_beside_the_result(cli, tmp_path, shortened):
     text = shortened("pre-contracted-step-pid").replace("after: 17 N*m/rad", "after: 25 N*m/rad")
     (tmp_path / "far.yaml").write_text(text, encoding="utf-8")
     found = cli("simulate", "far.yaml")
@@ -107,7 +107,7 @@ def test_what_is_out_of_reach_is_a_warning_beside_the_result(cli, tmp_path, shor
     assert "stiffness settling" in found.out
     as_json = cli("simulate", "far.yaml", "--json")
     assert as_json.err == ""
-    assert f"warning: {json.loads(as_json.out)['out_of_reach']}\n" == found.err
+    assert f"warning: {json.loads(as_json.out)['infeasible']}\n" == found.err
     assert json.loads(as_json.out)["metrics"]["stiffness_settling_s"] is None
     assert re.search(r"stiffness settling +never", found.out)
 

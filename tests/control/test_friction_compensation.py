@@ -18,7 +18,6 @@ from mckibben.control import (
     Sine,
 )
 from mckibben.errors import RangeError
-from mckibben.joint.friction import friction_torque
 from mckibben.muscle import MaxwellSlip, NoFriction
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
@@ -48,7 +47,7 @@ def rubbing(knee, load, plant):
 def run(rubbing):
     """Four seconds of the wish; one program for a controller."""
     wishes = sampled(SLOW, 4.0, 1e-3)[1]
-    start = numeric(rubbing.at_rest(0.0))
+    start = numeric(rubbing.equilibrium(0.0))
 
     def run(chosen, control):
         chosen, control = numeric((chosen, control))
@@ -97,7 +96,7 @@ def test_it_does_not_chatter(runs):
 def test_what_it_expects_is_the_friction_that_there_is(runs, rubbing):
     record, _ = runs["made up for"]
     late = jax.tree.map(lambda column: column[1000:], record.state)
-    true = jax.jit(friction_torque)(rubbing.joint, late.memories, late.angle, late.velocity, late.pressures)
+    true = jax.jit(rubbing.joint.friction_torque)(late.angle, late.velocity, late.pressures, late.muscles)
     expected = record.telemetry["friction_compensation"][1000:]
     assert np.corrcoef(expected, true)[0, 1] > 0.9
     assert np.abs(expected).max() == pytest.approx(np.abs(true).max(), rel=0.05)

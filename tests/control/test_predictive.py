@@ -48,7 +48,7 @@ def run(short_episode):
 
     def run(plant, control, angle=SINE, stiffness=15.0, start=None):
         wishes = sampled(Reference(angle=angle, stiffness=stiffness), PERIODS * PERIOD, PERIOD)[1]
-        start = numeric(plant.at_rest(float(wishes.angle[0]), stiffness=start))
+        start = numeric(plant.equilibrium(float(wishes.angle[0]), stiffness=start))
         plant, control = numeric((plant, control))
         return short_episode(plant, control, wishes, start, jnp.asarray(PERIOD), 2)[1], wishes
 

@@ -21,16 +21,16 @@ from mckibben.control import (
     SlidingMode,
 )
 from mckibben.control.adaptation import strengthened
+from mckibben.joint import Measurement
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState, SampledSensors, Sensors, TorquePulses
-from mckibben.plant.sensors import Reading
 from mckibben.simulation import compiled_episode, sampled
 from mckibben.units import deg
 
 PERIOD, PERIODS = 1e-3, 3000
 WISH = Reference(angle=Sine(8 * deg, 0.6, 0.0, np.pi / 2), stiffness=15.0)
 QUICK = Reference(angle=Sine(8 * deg, 1.6, 0.0, np.pi / 2), stiffness=15.0)
-START = PlantState(8 * deg, 0.0, 3.6e5, 3.9e5)
+START = PlantState(8 * deg, 0.0, (3.6e5, 3.9e5))
 SENSORS = SampledSensors(encoder=0.022 * deg, pressure_noise=4e3, delay=0.5, seed=3)
 PULSES = TorquePulses(0.5, 0.1, 1.0, 0.5)
 CLEAN, TRUTH = SampledSensors(), (0.9, 0.98)
@@ -40,16 +40,16 @@ class Tape(Sensors):
     """What real sensors tell; or, played, what was told once, whatever is true."""
 
     inner: Sensors
-    tape: Reading
+    tape: Measurement
     played: bool
 
-    def first(self, true):
-        return self.inner.first(true)
+    def init(self, true):
+        return self.inner.init(true)
 
-    def read(self, last, periods, true):
-        now, told = self.inner.read(last, periods, true)
-        played = (each[jnp.asarray(periods).astype(int)] for each in self.tape)
-        return now, Reading(*(jnp.where(self.played, old, new) for old, new in zip(played, told, strict=True)))
+    def measure(self, state, index, true):
+        state, measured = self.inner.measure(state, index, true)
+        played = jax.tree.map(lambda each: each[jnp.asarray(index).astype(int)], self.tape)
+        return state, jax.tree.map(lambda old, new: jnp.where(self.played, old, new), played, measured)
 
 
 class Reporting(Controller):
@@ -65,8 +65,8 @@ class Reporting(Controller):
         return (inner, measurement), commands
 
     def telemetry(self, state):
-        inner, (angle, (pressure1, pressure2)) = state
-        return {**self.inner.telemetry(inner), "told": Reading(angle, pressure1, pressure2)}
+        inner, measurement = state
+        return {**self.inner.telemetry(inner), "told": measurement}
 
 
 CONTROLLERS = {
@@ -86,13 +86,13 @@ CONTROLLERS = {
 def run(knee, load):
     """The record of a controller on a plant with muscles, a mass, a valve and pushes of its own; a program for each."""
     wished = {wish: sampled(wish, PERIODS * PERIOD, PERIOD)[1] for wish in (WISH, QUICK)}
-    silent = Reading(*[np.zeros(PERIODS)] * 3)
+    silent = Measurement(np.zeros(PERIODS), (np.zeros(PERIODS),) * 2)
 
     def run(control, strengths, *, mass=0.5, lag=0.02, pulses=PULSES, sensors=SENSORS, tape=None, wish=WISH):
         told = Tape(sensors, tape or silent, np.asarray(tape is not None))
         heavy = dataclasses.replace(load, mass2=mass)
         plant = JointPlant(strengthened(knee, strengths), heavy, FirstOrderValve(lag), told, pulses)
-        start = plant.remembering(numeric(START))
+        start = plant.complete_state(numeric(START))
         given = jax.tree.map(jnp.asarray, numeric((plant, Reporting(control))))
         return compiled_episode(*given, wished[wish], start, jnp.asarray(PERIOD), 2)[1]
 

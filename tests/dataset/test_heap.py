@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mckibben.dataset import read_dataset
-from mckibben.dataset.matlab import heaps_are_sound
+from mckibben.dataset.matlab import global_heaps_are_valid
 from mckibben.errors import DatasetError
 
 
@@ -34,7 +34,7 @@ def parts(content):
 
 
 def test_what_h5py_writes_is_sound(content):
-    assert heaps_are_sound(content)
+    assert global_heaps_are_valid(content)
     assert len(parts(content)[0]) == 4  # three texts and what is free
 
 
@@ -47,7 +47,7 @@ def test_a_part_of_another_size_is_not_sound_and_is_an_error_in_no_time(content,
     damaged[at + 8 : at + 16] = struct.pack("<Q", size)
     path = tmp_path / "damaged.h5"
     path.write_bytes(damaged)
-    assert not heaps_are_sound(bytes(damaged))
+    assert not global_heaps_are_valid(bytes(damaged))
     with pytest.raises(DatasetError, match="a heap of texts is damaged"):
         read_dataset(path)
 
@@ -57,9 +57,9 @@ def test_free_space_has_to_lie_inside(content, size):
     damaged = bytearray(content)
     at = parts(content)[0][-1]
     damaged[at + 8 : at + 16] = struct.pack("<Q", size)
-    assert not heaps_are_sound(bytes(damaged))
+    assert not global_heaps_are_valid(bytes(damaged))
 
 
 def test_a_heap_that_is_longer_than_its_file_is_not_sound(content):
     at = content.find(b"GCOL")
-    assert not heaps_are_sound(content[: at + 100])
+    assert not global_heaps_are_valid(content[: at + 100])

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben.dataset import Recording, read_dataset, read_recording
-from mckibben.dataset.points import glued
+from mckibben.dataset.points import saturated_samples
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, kPa, percent
 
@@ -332,8 +332,8 @@ def test_a_pressure_that_a_motion_disturbs_is_no_filling():
 
 def test_what_is_held_without_noise_or_read_in_coarse_steps_is_no_end_of_a_channel():
     motion = np.interp(np.arange(3000), [0, 1000, 1500, 2500, 3000], [0, 0, 1, 1, 0.5])
-    assert glued(motion) == {}
+    assert saturated_samples(motion) == {}
     jitter = np.random.default_rng(0).normal(0, 0.3, 3000)
     stairs = np.repeat([0, 5, 2.5, 10], [1000, 1200, 300, 500])
-    assert glued(np.round(stairs + jitter / 3)) == {}
-    assert set(glued(np.clip(5 * motion + jitter, 0.5, 4.5))) == {"floor", "ceiling"}
+    assert saturated_samples(np.round(stairs + jitter / 3)) == {}
+    assert set(saturated_samples(np.clip(5 * motion + jitter, 0.5, 4.5))) == {"floor", "ceiling"}

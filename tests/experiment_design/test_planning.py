@@ -159,7 +159,7 @@ def test_the_errors_now_are_those_of_the_fit_and_after_those_of_all_points_toget
     )
     assert found.points[-1].standard_error == found.after == pytest.approx(errors[4], rel=1e-5)
     there = np.argmin(abs(found.map.states.pressures - 4 * bar)), np.argmin(abs(found.map.states.contractions - 0.052))
-    band = fit.force_band(0.052, 4 * bar, by=Grouping.POINT).mean
+    band = fit.force_intervals(0.052, 4 * bar, by=Grouping.POINT).confidence
     assert float(band.standard_error) == pytest.approx(found.map.now[there], rel=1e-5)
     assert found.map.after[there] < found.map.now[there]
 
@@ -213,7 +213,7 @@ def test_where_strokes_err_as_a_whole_the_points_are_chosen_for_that(law):
     data = identify(ExponentialLaw, made(law, ["loading", "unloading"]))
     quantity, shared = Coefficients(("a2",)), 6.0
     blind, found = (plan(data, quantity, points=10, stroke_error=error) for error in (0.0, shared))
-    taut = data.known_evidence().points
+    taut = data.require_regression().points
 
     def brute(points):
         """The standard error of a2 with the whole covariance of all points, those at hand included."""

@@ -36,12 +36,12 @@ def test_an_arm_is_found_within_its_errors(stiffness, tau):
     far = []
     for seed in range(3):
         found = identify_creep(measured(MaxwellCreep(stiffness, tau), seed), **TIMES)
-        assert found.seen and found.warnings == ()
+        assert found.is_significant and found.warnings == ()
         errors = found.standard_errors
         assert errors["time_constant"] < 0.25 * tau and errors["stiffness"] < 0.5 * stiffness
         far.append((found.creep.time_constant - tau) / errors["time_constant"])
-        assert found.between[0] * 0.8 < tau < found.between[1] * 1.25
-        assert found.between[0] < found.creep.time_constant < found.between[1]
+        assert found.time_constant_interval[0] * 0.8 < tau < found.time_constant_interval[1] * 1.25
+        assert found.time_constant_interval[0] < found.creep.time_constant < found.time_constant_interval[1]
     assert np.abs(far).max() < 3.5 and np.abs(np.mean(far)) < 1.7
 
 
@@ -53,7 +53,7 @@ def test_the_errors_are_as_large_as_the_scatter():
     constants = np.array([one.creep.time_constant for one in found])
     stated = np.median([one.standard_errors["time_constant"] for one in found])
     assert constants.std() == pytest.approx(stated, rel=0.4)
-    assert np.mean([one.between[0] <= 8.0 <= one.between[1] for one in found]) >= 0.85
+    assert np.mean([one.time_constant_interval[0] <= 8.0 <= one.time_constant_interval[1] for one in found]) >= 0.85
 
 
 def test_noise_in_common_within_a_plateau_is_allowed_for():
@@ -79,13 +79,13 @@ def test_what_it_says_of_each_point_is_what_the_rig_had(crept):
     )
     assert np.abs(truth).max() > 0.3
     clear = np.asarray(LAW.force(data.contraction, data.pressure)) > 20
-    np.testing.assert_allclose(found.mean[clear], truth[clear], atol=0.03)
-    np.testing.assert_array_equal(found.mean[data.slack], 0)
+    np.testing.assert_allclose(found.mean_force[clear], truth[clear], atol=0.03)
+    np.testing.assert_array_equal(found.mean_force[data.slack], 0)
     np.testing.assert_allclose(
-        found.course([0.0, 1.0])[:, 1], found.relaxing * math.exp(-1 / found.creep.time_constant)
+        found.relaxation([0.0, 1.0])[:, 1], found.initial_force * math.exp(-1 / found.creep.time_constant)
     )
-    assert 0.05 < found.strength < 0.2  # 1 N/mm beside some 10
-    assert "time constant" in found.report() and "% of the muscle's own" in found.report()
+    assert 0.05 < found.relative_stiffness < 0.2  # 1 N/mm beside some 10
+    assert "time constant" in found.report() and "% of the muscle's" in found.report()
 
 
 def test_hysteresis_is_found_as_without_creep_once_creep_is_taken_off(crept):
@@ -102,9 +102,9 @@ def test_none_is_seen_where_there_is_none():
     for seed in range(30):
         found = identify_creep(measured(NoCreep(), seed, force_drift=1.0), **TIMES)
         scores.append(found.significance)
-        assert found.creep == NoCreep() and not found.seen and found.strength == 0
-        assert not found.relaxing.any() and math.isnan(found.standard_errors["stiffness"])
-        assert "would show from" in found.warnings[-1] and "no creep seen" in found.report()
+        assert found.creep == NoCreep() and not found.is_significant and found.relative_stiffness == 0
+        assert not found.initial_force.any() and math.isnan(found.standard_errors["stiffness"])
+        assert "is detectable from" in found.warnings[-1] and "no significant creep" in found.report()
     assert 0.7 < np.std(scores) < 1.3
 
 
@@ -112,20 +112,24 @@ def test_what_would_show_is_about_what_does():
     """The bound that it gives where it sees none: twice of that is seen."""
     text = identify_creep(measured(NoCreep(), 3), **TIMES).warnings[-1]
     bound = float(text.split("from ")[1].split(" N/mm")[0]) * 1e3
-    assert identify_creep(measured(MaxwellCreep(2 * bound, 10.0), 3), **TIMES).seen
-    assert not identify_creep(measured(MaxwellCreep(bound / 10, 10.0), 3), **TIMES).seen
+    assert identify_creep(measured(MaxwellCreep(2 * bound, 10.0), 3), **TIMES).is_significant
+    assert not identify_creep(measured(MaxwellCreep(bound / 10, 10.0), 3), **TIMES).is_significant
 
 
 def test_a_time_constant_that_the_plateaus_do_not_show_is_said_not_to_be_known():
     late = dataclasses.replace(PROTOCOL, samples=50, acquisition=1.0)
     times = {**TIMES, "interval": 0.02}
     found = identify_creep(measured(MaxwellCreep(1500.0, 2.0), 1, late), **times)
-    assert found.seen and math.isnan(found.standard_errors["time_constant"]) and found.between[0] == 0
+    assert (
+        found.is_significant
+        and math.isnan(found.standard_errors["time_constant"])
+        and found.time_constant_interval[0] == 0
+    )
     assert "the wait of 5 s before the first sample is too long" in found.warnings[0]
     short = dataclasses.replace(late, pressures=[4 * bar], repeats=1)
     found = identify_creep(measured(MaxwellCreep(1500.0, 800.0), 1, short, force_noise=0.05), **times)
-    assert found.seen and found.between[1] == math.inf and "is too short to tell" in found.warnings[0]
-    ratio = float(found.warnings[0].split("time constant, ")[1].split(" N/mm/s")[0])
+    assert found.is_significant and found.time_constant_interval[1] == math.inf and "is too short" in found.warnings[0]
+    ratio = float(found.warnings[0].split("time constant is ")[1].split(" N/mm/s")[0])
     assert ratio == pytest.approx(1.5 / 800, rel=0.4)
 
 
@@ -141,7 +145,7 @@ def test_a_regulator_that_follows_slowly_is_told_from_creep():
     )
     found = identify_creep(IsobaricDataset(slow), **TIMES)
     assert (
-        found.seen
+        found.is_significant
         and "the pressure drifts too" in found.warnings[0]
         and "the regulator's, not creep" in found.warnings[0]
     )
@@ -149,7 +153,9 @@ def test_a_regulator_that_follows_slowly_is_told_from_creep():
     assert "without samples of the pressure" in blind.warnings[0]
     onwards = table.assign(force_samples=(("point", "sample"), table["force_samples"].to_numpy() - 0.5 * side * decay))
     against = identify_creep(IsobaricDataset(onwards), **TIMES)
-    assert not against.seen and against.significance < -3 and "goes on in the direction" in against.warnings[0]
+    assert (
+        not against.is_significant and against.significance < -3 and "goes on in the direction" in against.warnings[0]
+    )
 
 
 def test_rows_may_be_in_any_order_where_there_are_times(crept):
@@ -157,7 +163,7 @@ def test_rows_may_be_in_any_order_where_there_are_times(crept):
     shuffled = np.random.default_rng(0).permutation(len(data))
     again = identify_creep(IsobaricDataset(data.table.isel(point=shuffled)), **TIMES)
     assert again.creep.time_constant == pytest.approx(found.creep.time_constant, rel=1e-5)
-    np.testing.assert_allclose(again.mean, found.mean[shuffled], atol=1e-6)
+    np.testing.assert_allclose(again.mean_force, found.mean_force[shuffled], atol=1e-6)
     timeless = identify_creep(IsobaricDataset(data.table.drop_vars("time")), **TIMES)
     assert timeless.creep.time_constant == pytest.approx(found.creep.time_constant, rel=1e-5)
 

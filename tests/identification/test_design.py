@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from mckibben import catalog
 from mckibben.identification import design_matrix
-from mckibben.identification.uncertainty import triangle
+from mckibben.identification.uncertainty import tsqr_r
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.units import deg, mm
 
@@ -55,7 +55,7 @@ def test_of_shape_parameters_agrees_with_finite_differences(angle, diameter):
 @pytest.mark.parametrize("rows", [6, 1000, 1025, 20_000])
 def test_triangle_agrees_with_lapack_up_to_signs(rows):
     matrix = np.random.default_rng(rows).normal(size=(rows, 6))
-    r = triangle(matrix)
+    r = tsqr_r(matrix)
     expected = np.linalg.qr(matrix, mode="r")
     np.testing.assert_allclose(np.abs(r), np.abs(expected), atol=1e-11)
-    np.testing.assert_allclose(triangle(np.asfortranarray(matrix)), r, atol=1e-12)
+    np.testing.assert_allclose(tsqr_r(np.asfortranarray(matrix)), r, atol=1e-12)

@@ -5,7 +5,7 @@ import pytest
 
 from mckibben.dataset import IsobaricDataset, Recording
 from mckibben.identification import Grouping, identify
-from mckibben.identification.uncertainty import finest_recorded, group_labels, ways
+from mckibben.identification.uncertainty import approach_labels, finest_grouping, group_labels
 from mckibben.muscle import ReynoldsLaw
 from mckibben.units import bar
 
@@ -24,28 +24,28 @@ def test_a_point_of_no_direction_goes_with_the_next_of_its_level_and_repeat_or_w
         repeat=[0, 0, 0, 0, 0, 0, 0, 1],
     )
     expected = ["unloading", "unloading", "loading", "loading", "loading", "unloading", "unloading", ""]
-    assert ways(data).tolist() == expected
+    assert approach_labels(data).tolist() == expected
     assert group_labels(data, Grouping.STROKE).tolist() == [1, 1, 0, 0, 0, 2, 2, 3]
     shuffled = data.select(np.ones(8, bool))
     order = [5, 0, 1, 6, 2, 7, 3, 4]  # levels interleaved, the order within each kept
     table = shuffled.table.isel(point=order)
-    assert ways(IsobaricDataset(table)).tolist() == [expected[i] for i in order]
+    assert approach_labels(IsobaricDataset(table)).tolist() == [expected[i] for i in order]
 
 
 def test_fillings_and_ventings_are_strokes_where_no_direction_is_known():
     phase = ["filling", "filling", "venting", "", "filling", "venting"]
     data = points([1, 1, 1, 1, 2, 2], phase=phase)
-    assert finest_recorded(data) is Grouping.STROKE
+    assert finest_grouping(data) is Grouping.STROKE
     assert group_labels(data, Grouping.STROKE).tolist() == [0, 0, 1, 1, 2, 3]
     both = points([1, 1, 1, 1, 2, 2], phase=phase, direction=["", "", "", "loading", "", ""])
-    assert ways(both).tolist() == ["loading"] * 4 + ["filling", "venting"]
+    assert approach_labels(both).tolist() == ["loading"] * 4 + ["filling", "venting"]
 
 
 def test_empty_columns_tell_nothing_apart():
     data = points([1, 1, 2], direction=[""] * 3, phase=[""] * 3)
-    assert finest_recorded(data) is Grouping.PRESSURE
+    assert finest_grouping(data) is Grouping.PRESSURE
     assert group_labels(data, Grouping.STROKE).tolist() == [0, 0, 1]
-    assert len(ways(data.select(np.zeros(3, bool)))) == 0
+    assert len(approach_labels(data.select(np.zeros(3, bool)))) == 0
 
 
 def test_the_points_of_a_raw_test_are_in_two_strokes_a_level():

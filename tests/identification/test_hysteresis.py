@@ -10,7 +10,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify
 from mckibben.identification.hysteresis import identify_hysteresis
-from mckibben.identification.loading_path import FRICTION, DriftBasis, Strokes, WayModel
+from mckibben.identification.loading_path import FRICTION, DriftBasis, LoadingPaths, PathDependentModel
 from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellSlip, Muscle, forces
 from mckibben.rig import IsobaricProtocol, VirtualRig
 from mckibben.units import bar, mm, percent
@@ -121,8 +121,8 @@ def test_data_that_cannot_tell_are_refused(drifting):
     refused("the initial length is not known", IsobaricDataset(nameless))
     shuffled = np.random.default_rng(0).permutation(len(data))
     timeless = data.table.drop_vars("time")
-    refused("ways at constant pressure|against the direction", IsobaricDataset(timeless.isel(point=shuffled)))
-    refused("ways at constant pressure", IsobaricDataset(data.table.drop_vars("set_pressure")))
+    refused("paths at constant pressure|against the direction", IsobaricDataset(timeless.isel(point=shuffled)))
+    refused("paths at constant pressure", IsobaricDataset(data.table.drop_vars("set_pressure")))
     by_length = np.lexsort([data.contraction, data.levels])
     refused("the direction changes .* times in .* moves", IsobaricDataset(timeless.isel(point=by_length)))
     refused("the data show no hysteresis", VirtualRig(MUSCLE, hysteresis=0).run(PROTOCOL, seed=1).plateau_means())
@@ -141,17 +141,17 @@ def test_rows_may_be_in_any_order_where_there_are_times(drifting):
 @pytest.fixture(scope="module")
 def model(drifting):
     data, _ = drifting
-    strokes = Strokes.of(data)
+    strokes = LoadingPaths.of(data)
     line = DriftBasis.candidates(strokes, data)[1]
-    return WayModel(LAW, strokes, data, line, np.ones(len(data), bool), 3 * bar, 6)
+    return PathDependentModel(LAW, strokes, data, line, np.ones(len(data), bool), 3 * bar, 6)
 
 
 def test_the_force_along_the_way_is_that_of_the_rig(model):
     quiet = {"force_noise": 0, "pressure_noise": 0, "regulator_offset": 0}
     own = MaxwellSlip(9.0, 1 * mm, growth=1 / bar, reference_pressure=3 * bar)
     data = VirtualRig(Muscle(SPECIMEN, LAW, own), **quiet).run(PROTOCOL, seed=0)
-    exact = dataclasses.replace(model, strokes=Strokes.of(data), means=data)
-    tension, friction = exact.parts({"half_width": 9.0, "growth": 1 / bar, "log_presliding": np.log(1e-3)})
+    exact = dataclasses.replace(model, paths=LoadingPaths.of(data), means=data)
+    tension, friction = exact.components({"half_width": 9.0, "growth": 1 / bar, "log_presliding": np.log(1e-3)})
     np.testing.assert_allclose(tension + friction, data.force, atol=1e-9)
 
 
@@ -173,7 +173,7 @@ def test_the_jacobian_is_that_of_small_changes(model):
 
 def test_the_drift_is_straight_between_its_knots():
     data = VirtualRig(MUSCLE).run(PROTOCOL, seed=1).plateau_means()
-    none, line, bent = DriftBasis.candidates(Strokes.of(data), data)
+    none, line, bent = DriftBasis.candidates(LoadingPaths.of(data), data)
     time = data.table["time"].to_numpy()
     assert none.points.shape[1] == 0 and line.points.shape[1] == 2
     assert bent.points.shape[1] == len(bent.time) == 6  # one a pressure

@@ -11,8 +11,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify
-from mckibben.identification.problem import FitProblem
-from mckibben.identification.solvers import search, solve_by_projection
+from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw
 from mckibben.units import bar, deg, mm, percent
@@ -172,7 +171,7 @@ def test_standard_errors_cover_the_truth():
         noisy = data.force + np.random.default_rng(seed).normal(size=len(data))
         points = IsobaricDataset.of(pressure=data.pressure, contraction=data.contraction, force=noisy, slack_force=-1e9)
         problem = FitProblem.of(ExponentialLaw, points)
-        solution = solve_by_projection(problem, search(problem))
+        solution = solve(problem, grid_search(problem))
         found = uncertainty(solution.jacobian, solution.residuals, np.zeros(7, bool))
         truth = np.array([50.0, 1e-3, 200.0, -2e-3, 250.0, 1e-4, 30.0])
         inside += np.count_nonzero(np.abs(solution.values - truth) < 2 * found.standard_errors)
@@ -186,17 +185,17 @@ def test_standard_errors_cover_the_truth():
 @pytest.mark.parametrize("law_type", [ExponentialLaw, ChouLaw])
 def test_leaving_one_pressure_out_equals_a_loop_over_identify(law_type):
     data = grid(EQ_3, pressures=np.arange(1, 7) * bar, noise=2.0)
-    unseen = identify(law_type, data).leave_one_pressure_out
+    cross_validation = identify(law_type, data).leave_one_pressure_out
     residuals = []
     for pressure in data.taut.pressures:
         train, held_out = data.taut.split(pressures=pressure)
         law = identify(law_type, train).law
         error = held_out.force - np.asarray(law.force(held_out.contraction, held_out.pressure))
-        assert unseen.by_pressure[pressure] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
+        assert cross_validation.by_pressure[pressure] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
         residuals.append(error)
     pooled = np.concatenate(residuals)
-    assert unseen.rmse == pytest.approx(np.sqrt(np.mean(pooled**2)), rel=1e-6)
-    assert unseen.max_error == pytest.approx(np.abs(pooled).max(), rel=1e-6)
+    assert cross_validation.rmse == pytest.approx(np.sqrt(np.mean(pooled**2)), rel=1e-6)
+    assert cross_validation.max_error == pytest.approx(np.abs(pooled).max(), rel=1e-6)
 
 
 def test_levels_are_the_set_pressures_where_they_are_known():
@@ -227,18 +226,18 @@ def test_too_few_points():
 
 
 @pytest.mark.parametrize(
-    ("pressures", "contractions", "undetermined"),
+    ("pressures", "contractions", "unidentifiable"),
     [
         ([6 * bar], np.linspace(0, 0.2, 20), "a1, a2"),  # one pressure
         ([3 * bar, 4 * bar, 5 * bar, 6 * bar], [0.02, 0.08], "a1"),  # two contractions
         ([3 * bar, 4 * bar, 5 * bar, 6 * bar], [0.0, 0.05, 0.1], "a1"),  # three
     ],
 )
-def test_a_singular_design_names_what_it_does_not_determine(pressures, contractions, undetermined):
+def test_a_singular_design_names_what_it_does_not_determine(pressures, contractions, unidentifiable):
     data = grid(EQ_3, pressures=pressures, contractions=contractions, noise=0.5)
     with pytest.raises(IdentificationError, match=r"not determine .*condition number.*; measure at more") as error:
         identify(ExponentialLaw, data)
-    assert undetermined in str(error.value)
+    assert unidentifiable in str(error.value)
 
 
 def test_one_pressure_is_enough_for_chou_and_no_error_at_unseen_ones_is_claimed():
@@ -284,7 +283,7 @@ def test_a_linear_parameter_outside_its_range_is_said():
 
 def test_the_report_shows_published_units():
     report = identify(ExponentialLaw, grid(EQ_3, noise=0.5, specimen="MAS-10")).report()
-    for part in ("MAS-10", "N/(bar*percent)", "1/percent", "leaving one pressure out: RMSE", "correlations: "):
+    for part in ("MAS-10", "N/(bar*percent)", "1/percent", "leave-one-pressure-out: RMSE", "correlations: "):
         assert part in report
     row = next(line.split() for line in report.splitlines() if line.startswith("a2"))
     assert float(row[1]) == pytest.approx(109, rel=0.01)

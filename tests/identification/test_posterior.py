@@ -53,8 +53,11 @@ def test_with_gaussian_errors_and_a_linear_law_it_is_the_classical_t():
     for name, classical in fit.intervals(by=Grouping.POINT).items():
         width = classical.upper - classical.lower
         assert found.intervals()[name] == pytest.approx(classical, abs=0.1 * width), name
-    band, expected = found.force_band([0.0, 0.1], 4 * bar), fit.force_band([0.0, 0.1], 4 * bar, by=Grouping.POINT)
-    np.testing.assert_allclose(band.standard_error, expected.mean.standard_error, rtol=0.12)
+    band, expected = (
+        found.force_interval([0.0, 0.1], 4 * bar),
+        fit.force_intervals([0.0, 0.1], 4 * bar, by=Grouping.POINT),
+    )
+    np.testing.assert_allclose(band.standard_error, expected.confidence.standard_error, rtol=0.12)
     assert found.noise["sigma"].mean() == pytest.approx(2.0, rel=0.15)
 
 
@@ -66,7 +69,7 @@ def test_errors_common_to_a_group_are_found_and_widen_what_they_blur():
     tau, sigma = float(np.median(found.noise["tau"])), float(np.median(found.noise["sigma"]))
     assert 2.0 < tau < 6.0
     # Generalised least squares with that covariance, by SciPy in bar and percent.
-    taut = fit.evidence.points
+    taut = fit.regression.points
     covariance = sigma**2 * np.eye(len(taut)) + tau**2 * (taut.levels[:, None] == taut.levels)
     where = taut.contraction / percent, taut.pressure / bar
     start = [-122, 78, -1.8, -2.3, 127, 0.4, 0.34]

@@ -9,8 +9,8 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify, rank
-from mckibben.identification.cross_validation import UndeterminedError, leave_out
-from mckibben.identification.fitting import structure_of, unphysical
+from mckibben.identification.fitting import residual_correlation, unphysical
+from mckibben.identification.regression import NotIdentifiableError, cross_validate
 from mckibben.muscle import (
     LAWS,
     ChouLaw,
@@ -65,13 +65,13 @@ def test_ours_beats_the_exponential_law_at_unseen_pressures_of_both_muscles(rank
 
 def test_errors_left_out_are_those_of_separate_fits(rankings):
     data = catalog.dataset(MAP)
-    left_out = rankings[MAP].of("ExponentialLaw").unseen["pressure"]
-    for level in list(left_out.by_block)[::6]:
-        train, unseen = data.split(pressures=level)
+    cross_validated = rankings[MAP].of("ExponentialLaw").cross_validation["pressure"]
+    for level in list(cross_validated.by_block)[::6]:
+        train, cross_validation = data.split(pressures=level)
         fit = identify(ExponentialLaw, train)
-        points = unseen.taut
+        points = cross_validation.taut
         wanted = np.sqrt(np.mean((forces(fit.law, points.contraction, points.pressure) - points.force) ** 2))
-        assert left_out.by_block[level] == pytest.approx(wanted, rel=1e-6)
+        assert cross_validated.by_block[level] == pytest.approx(wanted, rel=1e-6)
 
 
 def test_the_order_is_that_of_the_errors_and_the_refused_come_last(rankings):
@@ -85,7 +85,7 @@ def test_the_order_is_that_of_the_errors_and_the_refused_come_last(rankings):
 
 def test_a_shape_at_its_bound_is_flagged(rankings):
     flags = rankings[MAP].of("TonduLopezLaw").flags
-    assert flags == ("braid_angle at a bound: the data ask for what the law cannot be",)
+    assert len(flags) == 1 and flags[0].startswith("braid_angle at a bound")
 
 
 def test_the_criterion_is_the_closed_form_and_prefers_the_law_that_made_the_data():
@@ -114,19 +114,19 @@ def test_directions_and_repeats_are_left_out_where_they_are_recorded():
     assert found.missing == {"phase": "no phase is recorded"}
     entry = found.entries[0]
     # Each direction is predicted by the other, 20 N away, which is friction; what else is wrong is the noise.
-    assert list(entry.unseen["direction"].by_block.values()) == pytest.approx([20.0, 20.0], rel=0.15)
-    assert entry.unseen["direction"].rmse < 4
-    assert entry.unseen["repeat"].rmse < 4
-    assert entry.error == max(left_out.rmse for left_out in entry.unseen.values())
-    assert not entry.structure.pattern
+    assert list(entry.cross_validation["direction"].by_block.values()) == pytest.approx([20.0, 20.0], rel=0.15)
+    assert entry.cross_validation["direction"].rmse < 4
+    assert entry.cross_validation["repeat"].rmse < 4
+    assert entry.error == max(cross_validated.rmse for cross_validated in entry.cross_validation.values())
+    assert not entry.residual_correlation.pattern
     assert rank(made.select(made.pressure < 1.5 * bar), [ChouLaw]).missing["direction"] == "no direction is recorded"
 
 
 def test_what_is_left_has_to_determine_the_law():
     made = made_by(catalog.law("sarosi-dmsp-10"), pressures=[2 * bar, 4 * bar])
     fit = identify(SarosiLaw, made)
-    with pytest.raises(UndeterminedError, match="not determined"):
-        leave_out(fit.evidence.problem, fit.evidence.solution, fit.evidence.points.levels)
+    with pytest.raises(NotIdentifiableError, match="not determined"):
+        cross_validate(fit.regression.problem, fit.regression.solution, fit.regression.points.levels)
     entry = rank(made, [SarosiLaw]).entries[0]
     assert entry.error == np.inf
     assert "without 2 bar the law is not determined" in entry.remarks
@@ -136,10 +136,10 @@ def test_what_is_left_has_to_determine_the_law():
 def test_noise_leaves_no_pattern_and_a_wrong_law_does():
     law = catalog.law("lei-mas-10-180n")
     patterns = [identify(ExponentialLaw, made_by(law, noise=1.0, seed=seed)) for seed in range(20)]
-    found = [structure_of(fit.evidence.points, fit.residuals).pattern for fit in patterns]
+    found = [residual_correlation(fit.regression.points, fit.residuals).pattern for fit in patterns]
     assert sum(bool(text) for text in found) <= 3  # two tests at 2.3 % each
     wrong = identify(ReynoldsLaw, made_by(law, noise=1.0))
-    assert structure_of(wrong.evidence.points, wrong.residuals).pattern == "contraction and pressure"
+    assert residual_correlation(wrong.regression.points, wrong.residuals).pattern == "contraction and pressure"
 
 
 @pytest.mark.parametrize("name", [MAP, CHART])
@@ -205,9 +205,9 @@ def test_points_of_no_known_direction_are_never_left_out():
         pressure=made.pressure, contraction=made.contraction, force=made.force, direction=direction
     )
     found = rank(both, [SarosiLaw])
-    left_out = found.entries[0].unseen["direction"]
-    assert set(left_out.by_block) == {"loading", "unloading"}
-    np.testing.assert_array_equal(np.isnan(left_out.residuals), found.points.table["direction"].to_numpy() == "")
+    cross_validated = found.entries[0].cross_validation["direction"]
+    assert set(cross_validated.by_block) == {"loading", "unloading"}
+    np.testing.assert_array_equal(np.isnan(cross_validated.residuals), found.points.table["direction"].to_numpy() == "")
 
 
 def test_the_best_is_no_bad_law_for_want_of_a_flag(rankings):
@@ -215,8 +215,8 @@ def test_the_best_is_no_bad_law_for_want_of_a_flag(rankings):
 
     def entry(law, error, *flags):
         one = rankings[MAP].of("ExponentialLaw")
-        left_out = dataclasses.replace(one.unseen["pressure"], residuals=np.full(3, error))
-        return dataclasses.replace(one, law=law, unseen={"pressure": left_out}, flags=flags)
+        cross_validated = dataclasses.replace(one.cross_validation["pressure"], residuals=np.full(3, error))
+        return dataclasses.replace(one, law=law, cross_validation={"pressure": cross_validated}, flags=flags)
 
     def best(*entries):
         return dataclasses.replace(rankings[MAP], entries=entries).best.law
@@ -228,7 +228,9 @@ def test_the_best_is_no_bad_law_for_want_of_a_flag(rankings):
 
 def test_without_held_out_blocks_a_flagged_law_yields_only_to_one_of_nearly_its_aicc(rankings):
     def entry(law, aicc, *flags):
-        return dataclasses.replace(rankings[MAP].of("ExponentialLaw"), law=law, unseen={}, aicc=aicc, flags=flags)
+        return dataclasses.replace(
+            rankings[MAP].of("ExponentialLaw"), law=law, cross_validation={}, aicc=aicc, flags=flags
+        )
 
     def best(*entries):
         return dataclasses.replace(rankings[MAP], entries=entries).best.law

@@ -55,7 +55,9 @@ METHODS = {
     "torque_and_stiffness": lambda knee, p: knee.torque_and_stiffness(0.0, p),
     "closed_valve_stiffness": lambda knee, p: knee.closed_valve_stiffness(0.0, p),
     "affine_map": lambda knee, p: knee.affine_map(0.0).torque(p),
-    "still": lambda knee, p: mk.JointPlant(knee, mk.catalog.load("knee-table-2"), mk.IdealValve()).still(0.0, p),
+    "init_state": lambda knee, p: mk.JointPlant(knee, mk.catalog.load("knee-table-2"), mk.IdealValve()).init_state(
+        0.0, p
+    ),
 }
 
 

@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import SeriesSpring
-from mckibben.joint.attainable import hold, hold_and_range
+from mckibben.joint.attainable import solve_static, solve_static_and_range
 from mckibben.numerics.compiled import numeric
 
 
@@ -126,7 +126,7 @@ def test_the_band_is_what_a_sweep_over_pressures_finds(knee, paper_precontracted
     needed = (torque + paper_precontracted.eq3(eps1, p1) * d1) / d2
     at_none, at_bar = paper_precontracted.eq3(eps2, 0.0), paper_precontracted.eq3(eps2, 1e5)
     p2 = (needed - at_none) / (at_bar - at_none) * 1e5
-    np.testing.assert_allclose(knee.torque(angle, (p1[15000], p2[15000])), torque, atol=1e-12)
+    np.testing.assert_allclose(knee.evaluate(angle, (p1[15000], p2[15000]))[0], torque, atol=1e-12)
     possible = (paper_precontracted.eq3(eps1, p1) >= 0) & (needed >= 0) & (p2 >= 0) & (p2 <= 6e5)
     stiffness = paper_precontracted.stiffness(angle, (p1[possible], p2[possible]))
     low, high = (float(x) for x in attainable(knee, angle, torque))
@@ -199,7 +199,7 @@ def test_with_a_spring_the_pressures_found_give_what_was_asked(as_printed):
     assert float(stiffness) == pytest.approx(20.0, abs=1e-6)
 
 
-together = jax.jit(hold_and_range)  # one program a kind of joint, for all stiffnesses
+together = jax.jit(solve_static_and_range)  # one program a kind of joint, for all stiffnesses
 
 
 @pytest.mark.parametrize("stiffness", [12.0, math.nan])
@@ -208,7 +208,7 @@ def test_one_pass_holds_the_first_of_many_angles_and_gives_the_range_at_all(knee
     joint = knee if spring is None else dataclasses.replace(knee, tendon=spring)
     angles, torques = np.linspace(0.0, 0.3, 4), np.linspace(-1.0, 1.0, 4)
     found, band = together(numeric(joint), angles, torques, stiffness)
-    alone = hold(joint, angles[0], torques[0], stiffness)
+    alone = solve_static(joint, angles[0], torques[0], stiffness)
     assert bool(found.exists) == bool(alone.exists)
     if alone.exists:
         np.testing.assert_allclose(found.pressures, alone.pressures, rtol=1e-9)

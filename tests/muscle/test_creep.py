@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben.errors import RangeError
-from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, NoCreep
-from mckibben.muscle.creep import remaining
+from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, MuscleState, NoCreep
+from mckibben.muscle.creep import retained_fraction
 from mckibben.units import bar, mm
 
 CREEP = MaxwellCreep(800.0, 4.0)
@@ -33,45 +33,51 @@ def courses(draw):
 
 def test_a_step_relaxes_as_an_exponential():
     times = np.array([0.0, 2.0, 4.0, 40.0])
-    force = CREEP.along([0.18, 0.19], FAR, moving=0.0, resting=99.0, read=times)[1]
+    force = CREEP.path_response([0.18, 0.19], FAR, move_time=0.0, hold_time=99.0, sample_times=times)[1]
     np.testing.assert_allclose(force, 800 * 0.01 * np.exp(-times / 4), rtol=1e-12)
 
 
 def test_a_ramp_comes_to_stiffness_times_speed_times_time_constant():
     speed, time = 2e-3, 6.0
-    force = CREEP.along([0.18, 0.18 + speed * time], FAR, moving=time, resting=1.0, read=[0.0])[1, 0]
+    force = CREEP.path_response([0.18, 0.18 + speed * time], FAR, move_time=time, hold_time=1.0, sample_times=[0.0])[
+        1, 0
+    ]
     assert force == pytest.approx(800 * speed * 4 * (1 - math.exp(-time / 4)), rel=1e-12)
-    long = CREEP.along([0.18, 0.18 + speed * 200], FAR, moving=200.0, resting=1.0, read=[0.0])[1, 0]
+    long = CREEP.path_response([0.18, 0.18 + speed * 200], FAR, move_time=200.0, hold_time=1.0, sample_times=[0.0])[
+        1, 0
+    ]
     assert long == pytest.approx(800 * speed * 4, rel=1e-9)
-    assert remaining(1e-9, 4.0) == pytest.approx(1.0) and remaining(0.0, 4.0) == 1.0
+    assert retained_fraction(1e-9, 4.0) == pytest.approx(1.0) and retained_fraction(0.0, 4.0) == 1.0
 
 
 def test_it_ends_at_the_law():
-    force = DECADES.along([0.18, 0.19, 0.185], FAR, moving=1.0, resting=3000.0, read=[0.0, 3000.0])
+    force = DECADES.path_response([0.18, 0.19, 0.185], FAR, move_time=1.0, hold_time=3000.0, sample_times=[0.0, 3000.0])
     assert abs(force[2, 1]) < 1e-11 < abs(force[2, 0])
 
 
 def test_arms_lose_about_the_same_in_each_decade():
     logarithmic = MaxwellCreep(900.0, 1.0, arms=5)
     assert logarithmic.time_constants == [1.0, 10.0, 100.0, 1e3, 1e4]
-    force = logarithmic.along([0.18, 0.19], FAR, moving=0.0, resting=1e6, read=0.3 * 10.0 ** np.arange(5))[1]
+    force = logarithmic.path_response(
+        [0.18, 0.19], FAR, move_time=0.0, hold_time=1e6, sample_times=0.3 * 10.0 ** np.arange(5)
+    )[1]
     np.testing.assert_allclose(-np.diff(force), 9.0 / 5, rtol=0.06)  # of 9 N, a fifth in each
 
 
 @given(courses())
 def test_moves_may_be_cut_in_two(course):
     length, _, moving, resting = course
-    whole = CREEP.along(length, FAR, moving=moving, resting=resting, read=[0.0])[1:, 0]
+    whole = CREEP.path_response(length, FAR, move_time=moving, hold_time=resting, sample_times=[0.0])[1:, 0]
     middles = (length[:-1] + length[1:]) / 2
     finer = np.stack([middles, length[1:]], axis=1).ravel()
     halves = np.repeat(moving[1:] / 2, 2)
     rests = np.stack([np.zeros(len(middles)), resting[1:]], axis=1).ravel()
-    cut = CREEP.along(
+    cut = CREEP.path_response(
         np.append(length[0], finer),
         FAR,
-        moving=np.append(moving[0], halves),
-        resting=np.append(resting[0], rests),
-        read=[0.0],
+        move_time=np.append(moving[0], halves),
+        hold_time=np.append(resting[0], rests),
+        sample_times=[0.0],
     )
     np.testing.assert_allclose(cut[2::2, 0], whole, rtol=1e-9, atol=1e-9)
 
@@ -104,30 +110,30 @@ def test_energy_is_only_lost_whatever_length_and_tension_do(course, creep):
 @given(courses(), st.sampled_from([CREEP, DECADES]))
 def test_it_holds_at_most_half_of_the_tension(course, creep):
     length, tension, moving, resting = course
-    force = creep.along(length, tension, moving=moving, resting=resting, read=[0.0, 1.0])
+    force = creep.path_response(length, tension, move_time=moving, hold_time=resting, sample_times=[0.0, 1.0])
     assert np.all(np.abs(force) <= tension[:, None] / 2 + 1e-12)
     if creep.arms == 1:  # arms may hold against each other, and the slower one stays
         assert np.all(np.abs(force[:, 1]) <= np.abs(force[:, 0]) + 1e-12)
 
 
 def test_what_is_simulated_is_what_the_rig_feels():
-    """Small steps of the rate, settled after each, end where `along` does exactly."""
+    """Small steps of the rate, settled after each, end where `path_response` does exactly."""
     generator = np.random.default_rng(2)
     length = 0.2 + np.cumsum(generator.normal(0, 4e-3, 8))
     tension, steps, step = np.array([90.0, 60, 5, 0, 30, 80, 12, 70]), 400, 1e-3
-    read = DECADES.along(length, tension, moving=steps * step, resting=0.0, read=[0.0])[:, 0]
+    read = DECADES.path_response(length, tension, move_time=steps * step, hold_time=0.0, sample_times=[0.0])[:, 0]
 
     @jax.jit
     def move(relaxing, travel, start, end):
         def one(k, x):
             slope = DECADES.rate(x, travel / (steps * step))
             moved = jax.tree.map(lambda a, b: a + step * b, x, slope)
-            return DECADES.settled(moved, start + (end - start) * (k + 1) / steps)
+            return DECADES.project(moved, start + (end - start) * (k + 1) / steps)
 
         relaxing = jax.lax.fori_loop(0, steps, one, relaxing)
         return relaxing, DECADES.force(relaxing, end)
 
-    relaxing = DECADES.relaxed(length[0])
+    relaxing = DECADES.initial(length[0])
     for k in range(1, len(length)):
         relaxing, force = move(relaxing, length[k] - length[k - 1], tension[k - 1], tension[k])
         assert float(force) == pytest.approx(read[k], abs=0.02)
@@ -141,9 +147,9 @@ def test_the_muscle_never_pushes(specimen, law):
     contraction = np.linspace(-0.03, 0.3, 67)
     anchors = (jnp.asarray(0.3),) * slip.elements
     for relaxing in ((jnp.asarray(-500.0),), (jnp.asarray(-20.0),), (jnp.asarray(500.0),)):
-        gripped = muscle.gripped(anchors, relaxing)
-        force = gripped.tension(contraction, 3 * bar)
-        whole = force + gripped.viscous_force(contraction, 3 * bar, -10.0)
+        state = MuscleState(anchors, relaxing)
+        force = muscle.tension(contraction, 3 * bar, state)
+        whole = force + muscle.viscous_force(contraction, 3 * bar, -10.0, state)
         assert np.all(np.asarray(whole) >= -1e-9)
         assert np.all(np.diff(np.asarray(force)) <= 1e-9)  # and it falls with the contraction
         assert np.all(np.asarray(whole)[np.asarray(muscle.tension(contraction, 3 * bar)) == 0] == 0)
@@ -152,10 +158,10 @@ def test_the_muscle_never_pushes(specimen, law):
 def test_a_gripped_muscle_is_law_friction_and_creep(specimen, law):
     slip = MaxwellSlip(12.0, 0.5 * mm)
     muscle = Muscle(specimen, law, slip, CREEP)
-    memory = slip.unstressed(specimen.length_at(0.10))
+    memory = slip.initial(specimen.length_at(0.10))
     tension = float(muscle.force(0.095, 4 * bar))
-    rubbing = float(muscle.gripped(memory).force(0.095, 4 * bar)) - tension
-    whole = float(muscle.gripped(memory, (jnp.asarray(7.0),)).force(0.095, 4 * bar))
+    rubbing = float(muscle.force(0.095, 4 * bar, MuscleState(memory))) - tension
+    whole = float(muscle.force(0.095, 4 * bar, MuscleState(memory, (jnp.asarray(7.0),))))
     assert whole == pytest.approx(tension + rubbing + 7.0, abs=1e-9)
     assert 3 < rubbing < 12
 
@@ -163,9 +169,11 @@ def test_a_gripped_muscle_is_law_friction_and_creep(specimen, law):
 def test_none_is_none(specimen, law):
     assert Muscle(specimen, law).creep == NoCreep()
     none = NoCreep()
-    assert none.relaxed(0.2) == none.rate((), 1.0) == none.settled((), 1.0) == ()
+    assert none.initial(0.2) == none.rate((), 1.0) == none.project((), 1.0) == ()
     assert jax.tree.leaves(none) == [] and float(none.force((), 100.0)) == 0.0
-    np.testing.assert_array_equal(none.along([0.1, 0.2], 1.0, moving=1, resting=1, read=[0, 1, 2]), np.zeros((2, 3)))
+    np.testing.assert_array_equal(
+        none.path_response([0.1, 0.2], 1.0, move_time=1, hold_time=1, sample_times=[0, 1, 2]), np.zeros((2, 3))
+    )
 
 
 @pytest.mark.parametrize(

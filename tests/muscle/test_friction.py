@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben.errors import RangeError
-from mckibben.muscle import MaxwellSlip, Muscle, NoFriction
-from mckibben.muscle.friction import drawn, faded
+from mckibben.muscle import MaxwellSlip, Muscle, MuscleState, NoFriction
+from mckibben.muscle.friction import play_response, smooth_limit
 from mckibben.units import bar, mm
 
 FRICTION = MaxwellSlip(12.0, 0.5 * mm, growth=1 / bar, reference_pressure=3 * bar)
@@ -49,7 +49,7 @@ def played(way, friction):
 def test_it_is_a_sum_of_stops(millimetres, elements):
     friction = MaxwellSlip(12.0, 0.5 * mm, elements=elements)
     way = 0.2 + 1e-3 * np.array(millimetres)
-    np.testing.assert_allclose(friction.along(way, FAR, 0.0), played(way.tolist(), friction), atol=1e-9)
+    np.testing.assert_allclose(friction.path_response(way, FAR, 0.0), played(way.tolist(), friction), atol=1e-9)
 
 
 def test_what_is_simulated_is_what_the_rig_feels():
@@ -60,23 +60,23 @@ def test_what_is_simulated_is_what_the_rig_feels():
     @jax.jit
     def step(memory, at):
         force = FRICTION.force(memory, *at)
-        memory = FRICTION.settled(memory, *at)
+        memory = FRICTION.project(memory, *at)
         return memory, (force, FRICTION.force(memory, *at))
 
-    start = FRICTION.unstressed(length[0])
+    start = FRICTION.initial(length[0])
     _, (before, after) = jax.lax.scan(step, start, tuple(map(jnp.asarray, (length, tension, pressure))))
-    np.testing.assert_allclose(before, FRICTION.along(length, tension, pressure), atol=1e-9)
+    np.testing.assert_allclose(before, FRICTION.path_response(length, tension, pressure), atol=1e-9)
     np.testing.assert_allclose(after, before, atol=1e-9)  # settling changes no force
 
 
 @given(ways(closed=True))
 def test_energy_is_only_lost_whatever_length_tension_and_pressure_do(way):
     length, tension, pressure = way
-    limit = faded(np.maximum(12 + (pressure - 3 * bar) / bar, 0), tension, np)
+    limit = smooth_limit(np.maximum(12 + (pressure - 3 * bar) / bar, 0), tension, np)
     travel = np.diff(length, prepend=length[:1])
     stiffness = FRICTION.stiffnesses
-    deflection = drawn(travel, limit, stiffness, FRICTION.shares)
-    np.testing.assert_allclose(deflection @ stiffness, FRICTION.along(*way), atol=1e-12)
+    deflection = play_response(travel, limit, stiffness, FRICTION.shares)
+    np.testing.assert_allclose(deflection @ stiffness, FRICTION.path_response(*way), atol=1e-12)
     stored = (deflection**2 / 2) @ stiffness
     put_in = (deflection @ stiffness) * travel
     assert np.all(put_in[1:] >= np.diff(stored) - 1e-12)  # at each move: what is not stored is lost
@@ -85,7 +85,7 @@ def test_energy_is_only_lost_whatever_length_tension_and_pressure_do(way):
 
 def test_a_large_loop_loses_its_area():
     way = np.concatenate([np.linspace(0.2, 0.22, 4001), np.linspace(0.22, 0.2, 4001), np.linspace(0.2, 0.22, 4001)])
-    force = PLAIN.along(way, FAR, 0.0)
+    force = PLAIN.path_response(way, FAR, 0.0)
     second = slice(4001, 12003)
     lost = np.trapezoid(force[second], way[second])
     # +-12 N over 20 mm each way, less what the two turns leave out: on each the force is late by s0 on average
@@ -95,8 +95,8 @@ def test_a_large_loop_loses_its_area():
 @given(ways())
 def test_the_muscle_never_pushes_and_stays_in_its_band(way):
     _, tension, pressure = way
-    force = FRICTION.along(*way, side=1.0)
-    band = faded(12 + (pressure - 3 * bar) / bar, tension, np)
+    force = FRICTION.path_response(*way, side=1.0)
+    band = smooth_limit(12 + (pressure - 3 * bar) / bar, tension, np)
     assert np.all(np.abs(force) <= band * (1 + 1e-9) + 1e-12)
     assert np.all(band <= tension / 2 + 1e-12)
     assert np.all(force[tension == 0] == 0)
@@ -113,7 +113,7 @@ def test_it_knows_the_way_and_not_the_steps(millimetres, cut):
         return np.maximum(60 + 5000 * (x - 0.2), 0.0)
 
     np.testing.assert_allclose(
-        PLAIN.along(finer, tension(finer), 0.0)[::2], PLAIN.along(way, tension(way), 0.0), atol=1e-9
+        PLAIN.path_response(finer, tension(finer), 0.0)[::2], PLAIN.path_response(way, tension(way), 0.0), atol=1e-9
     )
 
 
@@ -122,7 +122,7 @@ def test_minor_loops_close_and_are_forgotten(turn, deep, part):
     """Return-point memory: a smaller loop ends where it began, and the way goes on as if it had not been."""
     up, down = 0.2 + 1e-3 * turn, 0.2 + 1e-3 * (turn - deep)
     within = down + part * (up - down)
-    force = PLAIN.along([0.18, up, down, within, down, within, down, up, 0.23], FAR, 0.0)
+    force = PLAIN.path_response([0.18, up, down, within, down, within, down, up, 0.23], FAR, 0.0)
     assert force[2] == pytest.approx(force[4], abs=1e-9) and force[4] == pytest.approx(force[6], abs=1e-9)
     assert force[3] == pytest.approx(force[5], abs=1e-9)
     assert force[7] == pytest.approx(force[1], abs=1e-9) and force[8] == pytest.approx(12, abs=1e-9)
@@ -132,13 +132,13 @@ def test_minor_loops_close_and_are_forgotten(turn, deep, part):
 def test_the_virgin_curve_is_next_to_an_exponential(elements, off):
     friction = MaxwellSlip(12.0, 0.5 * mm, elements=elements)
     way = np.linspace(0, 3e-3, 3001)
-    deviation = friction.along(0.2 + way, FAR, 0.0) / 12 - (1 - np.exp(-2 * way / 0.5e-3))
+    deviation = friction.path_response(0.2 + way, FAR, 0.0) / 12 - (1 - np.exp(-2 * way / 0.5e-3))
     assert np.abs(deviation).max() == pytest.approx(off, rel=0.05)
     assert friction.shares.sum() == pytest.approx(1) and np.all(friction.stiffnesses > 0)
 
 
 def test_after_a_reversal_63_percent_are_done_after_the_presliding_length():
-    back = PLAIN.along([0.1, 0.2, 0.2 - 0.5e-3, 0.2 - 1e-3], FAR, 0.0)
+    back = PLAIN.path_response([0.1, 0.2, 0.2 - 0.5e-3, 0.2 - 1e-3], FAR, 0.0)
     done = (12 - back[2:]) / 24
     np.testing.assert_allclose(done, 1 - np.exp([-1, -2]), atol=0.012)
 
@@ -162,12 +162,12 @@ def test_viscous_friction_is_linear_where_taut_and_fades_where_slack():
 
 
 def test_slopes_are_finite_everywhere():
-    memory = PLAIN.unstressed(0.2)
+    memory = PLAIN.initial(0.2)
 
     def total(numbers):
         friction = MaxwellSlip(numbers[0], numbers[1], growth=numbers[2], viscous=numbers[3])
         gripped = friction.force(memory, numbers[4], numbers[5], 2e5) + friction.viscous_force(numbers[5], numbers[6])
-        return gripped + sum(friction.settled(memory, numbers[4], numbers[5], 2e5))
+        return gripped + sum(friction.project(memory, numbers[4], numbers[5], 2e5))
 
     slope = jax.jit(jax.grad(total))
     for length, tension, rate in ((0.2, 0.0, 0.0), (0.21, 0.0, 1.0), (0.2001, 100.0, -0.1), (0.3, 1e6, 0.0)):
@@ -176,23 +176,23 @@ def test_slopes_are_finite_everywhere():
 
 def test_a_gripped_muscle_is_its_law_and_its_friction(specimen, law):
     muscle = Muscle(specimen, law, FRICTION)
-    memory = FRICTION.unstressed(specimen.length_at(0.10))
+    memory = FRICTION.initial(specimen.length_at(0.10))
     for contraction in (0.095, 0.10, 0.1004, 0.23, 0.26):
         tension, length = float(muscle.tension(contraction, 4 * bar)), float(specimen.length_at(contraction))
-        way = FRICTION.along([float(specimen.length_at(0.10)), length], [tension, tension], 4 * bar)
-        force = float(muscle.gripped(memory).tension(contraction, 4 * bar))
+        way = FRICTION.path_response([float(specimen.length_at(0.10)), length], [tension, tension], 4 * bar)
+        force = float(muscle.tension(contraction, 4 * bar, MuscleState(memory)))
         assert force == pytest.approx(tension + way[-1], abs=1e-9)
         assert force >= tension / 2
-    assert muscle.gripped(memory).tension(0.3, 4 * bar) == 0  # slack
+    assert muscle.tension(0.3, 4 * bar, MuscleState(memory)) == 0  # slack
 
 
 def test_none_is_none(specimen, law):
     assert Muscle(specimen, law).friction == NoFriction()
     none = NoFriction()
-    assert none.unstressed(0.2) == () and none.settled((), 0.2, 1.0, 1.0) == ()
+    assert none.initial(0.2) == () and none.project((), 0.2, 1.0, 1.0) == ()
     assert jax.tree.leaves(none) == []
     assert float(none.force((), 0.2, 100.0, 1e5)) == float(none.viscous_force(100.0, 1.0)) == 0.0
-    np.testing.assert_array_equal(none.along([0.1, 0.2], 1.0, 1.0), [0, 0])
+    np.testing.assert_array_equal(none.path_response([0.1, 0.2], 1.0, 1.0), [0, 0])
 
 
 @pytest.mark.parametrize(

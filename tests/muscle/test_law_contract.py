@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog, muscle
-from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw, stronger
+from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw, scaled_law
 from mckibben.units import factor
 
 BOX = Domain(-0.03, 0.25, 0.0, 6e5)
@@ -174,7 +174,7 @@ def test_it_can_be_vmapped_over_its_parameters(law):
 
 def test_a_stronger_muscle_has_so_many_times_every_force(law, force):
     """Also as a muscle, whose domain stays; a law that is affine in pressure stays so."""
-    strong = stronger(law, 1.07)
+    strong = scaled_law(law, 1.07)
     at = contractions(law)[:, None], PRESSURE
     found = strong.force(*at)
     np.testing.assert_allclose(found, 1.07 * force(*at), rtol=1e-12, atol=1e-10)
@@ -182,7 +182,7 @@ def test_a_stronger_muscle_has_so_many_times_every_force(law, force):
     back = strong.pressure_for(found, at[0])
     np.testing.assert_allclose(back, np.broadcast_to(PRESSURE, back.shape), rtol=1e-10)
     assert isinstance(strong, PressureAffineLaw) == isinstance(law, PressureAffineLaw)
-    assert jax.tree.map(float, strong.domain) == jax.tree.map(float, law.domain.intersection(law.holds))
+    assert jax.tree.map(float, strong.domain) == jax.tree.map(float, law.domain.intersection(law.formula_domain))
 
 
 def test_it_says_what_it_is_and_where_it_comes_from(law):

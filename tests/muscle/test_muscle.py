@@ -100,9 +100,9 @@ def test_an_intersection_is_the_shared_part_whatever_the_order():
 
 def test_leaving_the_domain_is_said_as_the_house_says_it():
     domain = Domain(-0.03, 0.25, 0.0, 8e5)
-    domain.check_contraction(0.25, of="M")
+    domain.check_contraction(0.25, owner="M")
     with pytest.raises(RangeError) as caught:
-        domain.check_contraction(-0.065, of="MAS-10-180N-AA-MC-O", remedy="give the joint a series spring")
+        domain.check_contraction(-0.065, owner="MAS-10-180N-AA-MC-O", remedy="give the joint a series spring")
     assert str(caught.value) == (
         "contraction -6.5 % is outside -3..25 % of MAS-10-180N-AA-MC-O; give the joint a series spring"
     )

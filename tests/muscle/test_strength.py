@@ -9,14 +9,14 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
-from mckibben.muscle import LAWS, HuntLaw, Muscle, stronger
+from mckibben.muscle import LAWS, HuntLaw, Muscle, scaled_law
 from mckibben.numerics.compiled import numeric
 from mckibben.units import bar
 
 
 def with_strengths(joint: AntagonisticJoint, strength1, strength2) -> AntagonisticJoint:
     muscle1, muscle2 = (
-        dataclasses.replace(muscle, law=stronger(muscle.law, strength))
+        dataclasses.replace(muscle, law=scaled_law(muscle.law, strength))
         for muscle, strength in ((joint.muscle1, strength1), (joint.muscle2, strength2))
     )
     return dataclasses.replace(joint, muscle1=muscle1, muscle2=muscle2)
@@ -24,13 +24,13 @@ def with_strengths(joint: AntagonisticJoint, strength1, strength2) -> Antagonist
 
 @pytest.mark.parametrize("strength", [0.0, -0.5, np.nan, np.inf, np.array([1.0, -1.0])])
 def test_a_factor_that_makes_no_sense_is_refused(law, strength):
-    with pytest.raises(RangeError, match="stronger: strength is"):
-        stronger(law, strength)
+    with pytest.raises(RangeError, match="scaled_law: strength is"):
+        scaled_law(law, strength)
 
 
 def test_it_is_no_law_to_be_identified(law):
     assert not any(name.startswith("Stronger") for name in LAWS)
-    assert type(stronger(law, 0.9)).parameters() == ()
+    assert type(scaled_law(law, 0.9)).parameters() == ()
 
 
 def test_a_joint_of_other_muscles_has_their_torque_and_stiffness(knee, paper_precontracted):
@@ -54,14 +54,14 @@ def test_a_joint_of_other_muscles_has_their_torque_and_stiffness(knee, paper_pre
 
 
 def test_of_a_strong_muscle_a_strong_one_is_both_in_one(law):
-    twice = stronger(stronger(law, 0.9), 1.2)
+    twice = scaled_law(scaled_law(law, 0.9), 1.2)
     assert float(twice.force(0.1, 3e5)) == pytest.approx(1.08 * float(law.force(0.1, 3e5)), rel=1e-13)
-    assert twice.domain == law.domain.intersection(law.holds)
+    assert twice.domain == law.domain.intersection(law.formula_domain)
 
 
 def test_one_strength_a_muscle_of_many(law):
     strengths = np.array([0.8, 1.0, 1.25])
-    many = stronger(law, strengths)
+    many = scaled_law(law, strengths)
     axes = jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, many)
     forces = jax.vmap(lambda one: one.force(0.1, 3e5), in_axes=(axes,))(many)
     np.testing.assert_allclose(forces, strengths * float(law.force(0.1, 3e5)), rtol=1e-13)
@@ -70,5 +70,5 @@ def test_one_strength_a_muscle_of_many(law):
 def test_a_muscle_knows_where_its_law_holds_however_strong(specimen):
     """Some laws have no meaning beyond a place of their own, whatever they were fitted to."""
     law = HuntLaw(254.3e3, 1230.0, 192e3, 0.22, catalog.law("lei-mas-10-180n").domain)
-    plain, strong = Muscle(specimen, law), Muscle(specimen, stronger(law, 1.1))
+    plain, strong = Muscle(specimen, law), Muscle(specimen, scaled_law(law, 1.1))
     assert jax.tree.map(float, plain.domain) == jax.tree.map(float, strong.domain)

@@ -12,8 +12,8 @@ from scipy.integrate import quad, solve_ivp
 
 from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint, Sine
 from mckibben.errors import RangeError
-from mckibben.joint import SeriesSpring, creep, friction
-from mckibben.muscle import MaxwellCreep, MaxwellSlip, NoCreep
+from mckibben.joint import SeriesSpring
+from mckibben.muscle import MaxwellCreep, MaxwellSlip, MuscleState, NoCreep
 from mckibben.numerics.batching import many_runs
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState
@@ -39,6 +39,11 @@ def creeping(ideal_plant, knee, load):
     return numeric(JointPlant(with_creep(knee), load, ideal_plant.valve))
 
 
+def creep_of(state):
+    """Shape (muscles, periods)."""
+    return np.array([muscle.creep[0] for muscle in state.muscles])
+
+
 @pytest.fixture(scope="module")
 def swung(creeping, playback):
     """At held pressures, from a state; all with one program."""
@@ -46,7 +51,7 @@ def swung(creeping, playback):
     def run(start, *, damping, pressures=(P1, P2)):
         held = Setpoint(*(jnp.full(PERIODS, p) for p in pressures))
         chosen = eqx.tree_at(lambda p: p.load.damping, creeping, jnp.asarray(damping))
-        start = numeric(chosen.remembering(jax.tree.map(jnp.asarray, start)))
+        start = numeric(chosen.complete_state(jax.tree.map(jnp.asarray, start)))
         return compiled_episode(chosen, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
 
     return run
@@ -69,20 +74,20 @@ def test_it_moves_as_scipy_has_it(swung, paper_precontracted):
     times = np.arange(PERIODS) * PERIOD
     start = (math.radians(12), 0.5, 0.0, 0.0)
     expected = solve_ivp(rate, (0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="DOP853").y
-    state = swung(PlantState(*start[:2], P1, P2), damping=0.02)
+    state = swung(PlantState(*start[:2], (P1, P2)), damping=0.02)
     assert np.abs(expected[2:]).max() > 5 and np.ptp(expected[0]) > math.radians(8)
     np.testing.assert_allclose(state.angle, expected[0], atol=1e-8)
-    np.testing.assert_allclose(np.array(state.relaxing)[:, 0], expected[2:], atol=1e-6)
+    np.testing.assert_allclose(creep_of(state), expected[2:], atol=1e-6)
 
 
 @pytest.mark.parametrize("pressures", [(P1, P2), (1.2e5, 0.9e5)])  # the second goes slack and meets the bound
 def test_a_free_swing_only_loses_energy(swung, paper_precontracted, pressures):
     paper = paper_precontracted
-    state = swung(PlantState(math.radians(15), 0.3, *pressures), damping=0.0, pressures=pressures)
+    state = swung(PlantState(math.radians(15), 0.3, pressures), damping=0.0, pressures=pressures)
     every = slice(None, None, 25)
     angles, velocities = np.asarray(state.angle)[every], np.asarray(state.velocity)[every]
     work = [quad(lambda a: paper.torque(a, pressures), 0, x, epsabs=1e-11, epsrel=1e-11, limit=200)[0] for x in angles]
-    stored = sum(np.asarray(x)[every] ** 2 / (2 * ARM.stiffness) for (x,) in state.relaxing)
+    stored = sum(np.asarray(x)[every] ** 2 / (2 * ARM.stiffness) for x in creep_of(state))
     total = paper.inertia * velocities**2 / 2 - np.array(work) - paper.G * np.cos(np.pi / 6 - angles) + stored
     assert np.diff(total).max() < 1e-6 * (total[0] - total[-1])
     assert total[0] - total[-1] > 5e-3
@@ -90,31 +95,30 @@ def test_a_free_swing_only_loses_energy(swung, paper_precontracted, pressures):
         [np.maximum(paper.eq3(c, p), 0) for c, p in zip(paper.contractions(angles), pressures, strict=True)]
     )
     assert (tensions.min() == 0) == (pressures[1] < 1e5)
-    assert np.all(np.abs(np.array(state.relaxing)[:, 0, every]) <= tensions / 2 + 1e-9)
+    assert np.all(np.abs(creep_of(state)[:, every]) <= tensions / 2 + 1e-9)
 
 
 def test_it_comes_to_rest_where_the_laws_alone_would(swung, creeping):
-    rest = creeping.at_rest(0.1)
-    assert [float(x[0]) for x in rest.relaxing] == [0.0, 0.0] and rest.memories == ((), ())
+    rest = creeping.equilibrium(0.1)
+    assert jax.tree.leaves(rest.muscles) == [0.0, 0.0] and rest.muscles[0].friction == ()
     np.testing.assert_allclose(jax.tree.leaves(creeping.rate(rest)), 0.0, atol=1e-9)
     pressures = tuple(map(float, rest.pressures))
-    state = swung(PlantState(0.1 + 0.02, 0.0, *pressures), damping=2.0, pressures=pressures)
+    state = swung(PlantState(0.1 + 0.02, 0.0, pressures), damping=2.0, pressures=pressures)
     assert abs(float(state.angle[-1]) - 0.1) < 0.02 * 0.02
-    assert np.abs(np.array(state.relaxing)[:, 0]).max() > 0.5 > 5 * np.abs(np.array(state.relaxing)[:, 0, -1]).max()
+    assert np.abs(creep_of(state)).max() > 0.5 > 5 * np.abs(creep_of(state)[:, -1]).max()
 
 
 def test_a_push_meets_more_than_the_law_and_then_sinks_in(creeping):
     """Creep resists a quick turn with its stiffness at the moment arms, and nothing a while after."""
     joint, (p1, p2) = creeping.joint, (P1, P2)
     arm1, arm2 = map(float, joint.geometry.moment_arms(0.0))
-    rates = creep.rates(joint, creep.relaxed(joint, 0.0), 0.0, 1.0)
-    after = tuple((x * 1e-3,) for (x,) in rates)  # after a turn of a milliradian
-    torque = float(creep.creep_torque(joint, after, 0.0, (p1, p2)))
+    rates = joint.state_rate(joint.init_state(0.0, (p1, p2)), 0.0, 1.0)
+    after = jax.tree.map(lambda x: x * 1e-3, rates)  # after a turn of a milliradian
+    torque = float(joint.creep_torque(0.0, (p1, p2), after))
     assert torque == pytest.approx(-3000.0 * (arm1**2 + arm2**2) * 1e-3, rel=1e-9)
-    memories = ((), ())
-    whole = friction.pull(joint, memories, 0.0, 0.0, (p1, p2), after)
+    whole = joint.forces(0.0, 0.0, (p1, p2), after)
     assert float(whole.torque) == pytest.approx(float(joint.torque(0.0, (p1, p2))) + torque, rel=1e-12)
-    assert float(friction.friction_torque(joint, memories, 0.0, 0.0, (p1, p2), after)) == pytest.approx(0, abs=1e-12)
+    assert float(joint.friction_torque(0.0, 0.0, (p1, p2), after)) == pytest.approx(0, abs=1e-12)
 
 
 def test_a_series_spring_is_refused(knee):
@@ -123,8 +127,8 @@ def test_a_series_spring_is_refused(knee):
 
 
 def test_without_creep_nothing_is_relaxing(plant):
-    state = plant.at_rest(0.1)
-    assert state.relaxing == ((), ()) and plant.settled(state) is state
+    state = plant.equilibrium(0.1)
+    assert jax.tree.leaves(state.muscles) == [] and plant.project(state) == state
     assert len(jax.tree.leaves(state)) == 4
 
 
@@ -137,8 +141,8 @@ def both(ideal_plant, knee, load):
 
 def test_many_runs_are_the_same_as_one(both, playback):
     held = Setpoint(jnp.full(100, P1), jnp.full(100, P2))
-    start = both.remembering(PlantState(*map(jnp.asarray, (0.1, 0.8, P1, P2))))
-    assert [len(leaves) for leaves in (*start.memories, *start.relaxing)] == [2, 2, 2, 2]
+    start = both.complete_state(PlantState(*map(jnp.asarray, (0.1, 0.8)), (jnp.asarray(P1), jnp.asarray(P2))))
+    assert [len(leaves) for muscle in start.muscles for leaves in muscle] == [2, 2, 2, 2]
 
     def final(stiffness):
         plant = eqx.tree_at(lambda p: p.joint.muscle1.creep.stiffness, both, stiffness)
@@ -170,14 +174,16 @@ def test_a_result_tells_creep_and_friction_apart(both):
 def test_a_model_of_friction_takes_no_notice_of_its_creep(both, knee):
     """What `FrictionCompensation` asks of its model's joint."""
     rubbing = with_creep(knee, NoCreep(), SLIP)
-    memories = friction.settled(both.joint, friction.unstressed(both.joint, 0.0, (P1, P2)), 0.05, (P1, P2))
-    expected = friction.friction_torque(rubbing, memories, 0.06, 0.0, (P1, P2))
-    assert float(friction.friction_torque(both.joint, memories, 0.06, 0.0, (P1, P2))) == pytest.approx(float(expected))
+    joint = both.joint
+    states = joint.update_state(joint.init_state(0.0, (P1, P2)), 0.05, (P1, P2))
+    alone = tuple(MuscleState(state.friction) for state in states)
+    expected = rubbing.friction_torque(0.06, 0.0, (P1, P2), alone)
+    assert float(joint.friction_torque(0.06, 0.0, (P1, P2), states)) == pytest.approx(float(expected))
     assert float(expected) < -0.1
 
 
 def test_a_derivative_is_that_of_a_small_change(creeping):
-    start = creeping.remembering(PlantState(*map(jnp.asarray, (0.1, 0.8, P1, P2))))
+    start = creeping.complete_state(PlantState(*map(jnp.asarray, (0.1, 0.8)), (jnp.asarray(P1), jnp.asarray(P2))))
 
     @jax.jit
     def angle(stiffness, time_constant):
@@ -187,9 +193,9 @@ def test_a_derivative_is_that_of_a_small_change(creeping):
         plant = eqx.tree_at(chosen, creeping, (stiffness, time_constant))
 
         def euler(_, state):
-            before = Motion(state.angle, state.velocity, *state.relaxing)
+            before = Motion.of(state)
             after = jax.tree.map(lambda x, dx: x + 5e-4 * dx, before, plant.rate(state))
-            return plant.settled(state._replace(**after._asdict()))
+            return plant.project(after.applied_to(state, state.pressures))
 
         return jax.lax.scan(lambda s, _: (euler(None, s), None), start, None, length=200)[0].angle
 

@@ -77,7 +77,7 @@ def test_a_push_speeds_up_a_joint_at_rest_by_torque_over_inertia(knee, playback)
     plant = JointPlant(knee, load, IdealValve(), disturbance=pulses)
     periods = 80
     slack = Setpoint(jnp.zeros(periods), jnp.zeros(periods))
-    start = plant.still(0.0, (0.0, 0.0))
+    start = plant.init_state(0.0, (0.0, 0.0))
     assert [float(t) for t in knee.tensions(0.0, (0.0, 0.0))] == [0.0, 0.0]
     _, record = compiled_episode(numeric(plant), playback, slack, start, jnp.asarray(PERIOD), 1)
     jerk = counted(0.02, 10, 40, 20, periods) / 0.045
@@ -86,4 +86,4 @@ def test_a_push_speeds_up_a_joint_at_rest_by_torque_over_inertia(knee, playback)
     np.testing.assert_allclose(record.state.velocity, velocity, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(record.state.angle, angle, rtol=1e-9, atol=1e-15)
     assert velocity[40] == pytest.approx(0.02 * 0.01 / 0.045)
-    np.testing.assert_array_equal(record.state.around.push, counted(0.02, 10, 40, 20, periods))
+    np.testing.assert_array_equal(record.state.io.disturbance, counted(0.02, 10, 40, 20, periods))

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError
-from mckibben.joint import SeriesSpring, friction
+from mckibben.joint import SeriesSpring
 from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.batching import many_runs
 from mckibben.numerics.compiled import numeric
@@ -48,7 +48,7 @@ def swung(rubbing, playback):
 
         given = (viscous, viscous, half_width, half_width, damping)
         chosen = eqx.tree_at(numbers, rubbing, tuple(map(jnp.asarray, given)))
-        start = numeric(chosen.remembering(jax.tree.map(jnp.asarray, start)))
+        start = numeric(chosen.complete_state(jax.tree.map(jnp.asarray, start)))
         return compiled_episode(chosen, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
 
     return run
@@ -102,7 +102,7 @@ def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
 
 
 def test_it_moves_as_in_tiny_steps_of_plain_python(swung, paper_precontracted):
-    start = PlantState(math.radians(12), 0.5, P1, P2)
+    start = PlantState(math.radians(12), 0.5, (P1, P2))
     state = swung(start, viscous=SLIP.viscous, damping=0.02)
     expected = tiny_steps(paper_precontracted, math.radians(12), 0.5, 0.4, 0.02)
     assert np.ptp(expected) > math.radians(5)
@@ -118,14 +118,14 @@ def energy(paper, state):
     lengths = [paper.l0 * (1 - c) for c in paper.contractions(angles)]
     stored = sum(
         k * (length - np.asarray(anchor)[every]) ** 2 / 2
-        for length, memory in zip(lengths, state.memories, strict=True)
-        for k, anchor in zip(SLIP.stiffnesses, memory, strict=True)
+        for length, muscle in zip(lengths, state.muscles, strict=True)
+        for k, anchor in zip(SLIP.stiffnesses, muscle.friction, strict=True)
     )
     return plain + stored
 
 
 def test_a_free_swing_only_loses_energy(swung, paper_precontracted):
-    state = swung(PlantState(math.radians(15), 0.3, P1, P2))
+    state = swung(PlantState(math.radians(15), 0.3, (P1, P2)))
     total = energy(paper_precontracted, state)
     assert np.ptp(np.asarray(state.angle)) > 0.3
     assert np.diff(total).max() < 1e-6 * (total[0] - total[-1])
@@ -137,7 +137,7 @@ def test_a_free_swing_only_loses_energy(swung, paper_precontracted):
 def test_it_sticks_where_friction_holds_it(swung, rubbing):
     """Half the friction's torque off balance: with friction it stays to a fraction of a degree, without it it goes."""
     balanced = brentq(lambda angle: float(_net(rubbing, angle)), math.radians(-25), math.radians(25))
-    start = PlantState(balanced + math.radians(0.8), 0.0, P1, P2)
+    start = PlantState(balanced + math.radians(0.8), 0.0, (P1, P2))
     assert 0.1 < abs(float(_net(rubbing, start.angle))) < 0.4  # the two muscles can hold some 0.7 N*m
     stuck, loose = swung(start, damping=2.0), swung(start, damping=2.0, half_width=1e-6)
     moved = np.asarray(stuck.angle) - float(start.angle)
@@ -152,42 +152,42 @@ def _net(plant, angle):
 
 
 def test_at_rest_there_is_no_stress_and_nothing_moves(rubbing):
-    state = rubbing.at_rest(math.radians(10))
-    assert len(state.memory1) == len(state.memory2) == SLIP.elements
+    state = rubbing.equilibrium(math.radians(10))
+    assert [len(muscle.friction) for muscle in state.muscles] == [SLIP.elements] * 2
     rates = jax.tree.leaves(rubbing.rate(state))
     np.testing.assert_allclose(np.array(rates, float), 0.0, atol=1e-9)
-    settled = rubbing.settled(state)
-    np.testing.assert_allclose(np.array(settled.memories), np.array(state.memories), atol=1e-12)
+    projected = rubbing.project(state).muscles
+    for before, after in zip(jax.tree.leaves(state.muscles), jax.tree.leaves(projected), strict=True):
+        assert float(after) == pytest.approx(float(before), abs=1e-12)
 
 
 def test_without_friction_nothing_is_remembered(plant):
-    state = plant.at_rest(0.1)
-    assert state.memories == ((), ()) and plant.settled(state) is state
-    assert friction.gripped(plant.joint, state.memories) is plant.joint
+    state = plant.equilibrium(0.1)
+    assert jax.tree.leaves(state.muscles) == [] and plant.project(state) == state
     assert len(jax.tree.leaves(state)) == 4
 
 
 def test_its_torque_is_against_the_motion_and_that_of_the_tensions(rubbing):
     joint, pressures = rubbing.joint, (P1, P2)
-    memories = friction.unstressed(joint, 0.0, pressures)
-    assert float(friction.friction_torque(joint, memories, 0.0, 0.0, pressures)) == pytest.approx(0.0, abs=1e-12)
-    up = float(friction.friction_torque(joint, memories, 0.1, 0.5, pressures))
-    down = float(friction.friction_torque(joint, memories, -0.1, -0.5, pressures))
+    states = joint.init_state(0.0, pressures)
+    assert float(joint.friction_torque(0.0, 0.0, pressures, states)) == pytest.approx(0.0, abs=1e-12)
+    up = float(joint.friction_torque(0.1, 0.5, pressures, states))
+    down = float(joint.friction_torque(-0.1, -0.5, pressures, states))
     assert up < -0.5 and down > 0.5
-    pulled = friction.pull(joint, memories, 0.1, 0.5, pressures)
+    pulled = joint.forces(0.1, 0.5, pressures, states)
     arm1, arm2 = joint.geometry.moment_arms(0.1)
     assert float(pulled.torque) == pytest.approx(float(pulled.tensions[1] * arm2 - pulled.tensions[0] * arm1))
     assert float(pulled.tensions[0]) > float(joint.tensions(0.1, pressures)[0])  # muscle 1 is being stretched
-    settled = friction.settled(joint, memories, 0.1, pressures)
-    again = friction.friction_torque(joint, settled, 0.1, 0.5, pressures)
+    updated = joint.update_state(states, 0.1, pressures)
+    again = joint.friction_torque(0.1, 0.5, pressures, updated)
     assert float(again) == pytest.approx(up, abs=1e-12)
 
 
 def test_with_a_series_spring_muscle_and_spring_carry_the_same(knee):
     spring = SeriesSpring(stiffness=20e3, preload=10.0, travel=18 * mm)
     joint = with_friction(knee, dataclasses.replace(SLIP, viscous=0.0), tendon=spring)
-    memories = friction.unstressed(joint, 0.0, (P1, P2))
-    pulled = friction.pull(joint, memories, 0.15, 0.0, (P1, P2))
+    states = joint.init_state(0.0, (P1, P2))
+    pulled = joint.forces(0.15, 0.0, (P1, P2), states)
     for muscle, tension, contraction, path in zip(
         (joint.muscle1, joint.muscle2),
         pulled.tensions,
@@ -209,7 +209,7 @@ def test_a_derivative_is_that_of_a_small_change(rubbing, playback):
     @jax.jit
     def final(width):
         chosen = eqx.tree_at(lambda p: p.joint.muscle1.friction.half_width, rubbing, width)
-        start = chosen.remembering(PlantState(*map(jnp.asarray, (0.1, 0.8, P1, P2))))
+        start = chosen.complete_state(PlantState(0.1, 0.8, (P1, P2)))
         with many_runs():  # a smaller program
             return jax.jvp(
                 lambda w: (

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RangeError
+from mckibben.joint import Measurement
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors, SampledSensors
-from mckibben.plant.sensors import Reading
 from mckibben.units import deg
 
 PERIOD, PERIODS = 1e-3, 4000
@@ -17,24 +17,24 @@ STEP, NOISE = 0.022 * deg, 4e3
 
 
 @jax.jit
-def _told(sensors, true):
+def _measured(sensors, true):
     def next_period(last, at):
-        return sensors.read(last, *at)
+        return sensors.measure(last, *at)
 
-    first = sensors.first(jax.tree.map(lambda x: x[0], true))
+    first = sensors.init(jax.tree.map(lambda x: x[0], true))
     return jax.lax.scan(next_period, first, (jnp.arange(PERIODS, dtype=true.angle.dtype), true))[1]
 
 
-def told(sensors, true, kind=jnp.float64):
+def measured(sensors, true, kind=jnp.float64):
     """What sensors tell of readings over time."""
-    return Reading(*map(np.asarray, _told(*cast((numeric(sensors), jax.tree.map(jnp.asarray, true)), kind))))
+    return jax.tree.map(np.asarray, _measured(*cast((numeric(sensors), jax.tree.map(jnp.asarray, true)), kind)))
 
 
 @pytest.fixture(scope="module")
 def true():
     """An angle and two pressures that change all the time."""
     times = PERIOD * np.arange(PERIODS)
-    return Reading(0.2 * np.sin(times), 3e5 + 2e4 * times, 4e5 - 1e4 * times)
+    return Measurement(0.2 * np.sin(times), (3e5 + 2e4 * times, 4e5 - 1e4 * times))
 
 
 @pytest.fixture(scope="module")
@@ -42,32 +42,31 @@ def noise(true):
     """Of both pressures, shape (2, periods), for some seeds."""
 
     def of(seed, kind=jnp.float64, size=NOISE):
-        found = told(
-            SampledSensors(pressure_noise=size, seed=seed), Reading(0 * true.angle, *[0 * true.angle] * 2), kind
+        found = measured(
+            SampledSensors(pressure_noise=size, seed=seed), Measurement(0 * true.angle, (0 * true.angle,) * 2), kind
         )
-        return np.stack([found.pressure1, found.pressure2])
+        return np.stack(found.pressures)
 
     return {seed: of(seed) for seed in (0, 1, 2**31 - 1)} | {"32 bits": of(1, jnp.float32), "none": of(1, size=0.0)}
 
 
 def test_perfect_sensors_tell_the_truth_at_once():
-    here = Reading(jnp.asarray(0.1), jnp.asarray(2e5), jnp.asarray(3e5))
+    here = Measurement(jnp.asarray(0.1), (jnp.asarray(2e5), jnp.asarray(3e5)))
     sensors = PerfectSensors()
-    assert sensors.first(here) == ()
-    assert sensors.read((), 3, here) == ((), here)
+    assert sensors.init(here) == ()
+    assert sensors.measure((), 3, here) == ((), here)
 
 
 def test_without_faults_sampled_sensors_are_perfect(true):
-    for told_, truth in zip(told(SampledSensors(seed=3), true), true, strict=True):
-        np.testing.assert_array_equal(told_, truth)
+    jax.tree.map(np.testing.assert_array_equal, measured(SampledSensors(seed=3), true), true)
 
 
 def test_an_encoder_counts_whole_steps_and_takes_the_nearest(true):
-    found = told(SampledSensors(encoder=STEP), true)
+    found = measured(SampledSensors(encoder=STEP), true)
     counts = found.angle / STEP
     np.testing.assert_allclose(counts, np.rint(true.angle / STEP), atol=1e-9)
     assert np.abs(found.angle - true.angle).max() == pytest.approx(STEP / 2, rel=0.01)
-    np.testing.assert_array_equal(found.pressure1, true.pressure1)
+    np.testing.assert_array_equal(found.pressures[0], true.pressures[0])
 
 
 def test_the_noise_is_white_normal_and_of_the_size_that_was_said(noise):
@@ -90,8 +89,8 @@ def test_another_seed_is_another_noise_and_the_same_the_same(noise, true):
     for one, other in ((0, 1), (1, 2**31 - 1), (0, 2**31 - 1)):
         assert np.abs(np.mean(noise[one] * noise[other], axis=1)).max() / NOISE**2 < 4 / np.sqrt(PERIODS)
     np.testing.assert_array_equal(noise["none"], 0.0)
-    found = told(SampledSensors(pressure_noise=NOISE, seed=1), true)  # whatever is measured
-    np.testing.assert_allclose(found.pressure1 - true.pressure1, noise[1][0], atol=1e-9)
+    found = measured(SampledSensors(pressure_noise=NOISE, seed=1), true)  # whatever is measured
+    np.testing.assert_allclose(found.pressures[0] - true.pressures[0], noise[1][0], atol=1e-9)
 
 
 def test_in_32_bits_the_noise_is_the_same(noise):
@@ -103,8 +102,8 @@ def test_in_32_bits_the_noise_is_the_same(noise):
 def test_a_reading_is_late_by_a_part_of_a_period(true, delay):
     """The noise is that of when it was sampled, and so are the counts."""
     sensors = {"encoder": STEP, "pressure_noise": NOISE, "seed": 1}
-    at_once, late = told(SampledSensors(**sensors), true), told(SampledSensors(**sensors, delay=delay), true)
-    for now, then in zip(at_once, late, strict=True):
+    at_once, late = measured(SampledSensors(**sensors), true), measured(SampledSensors(**sensors, delay=delay), true)
+    for now, then in zip(jax.tree.leaves(at_once), jax.tree.leaves(late), strict=True):
         before = np.concatenate([now[:1], now[:-1]])  # nothing was before the first
         np.testing.assert_allclose(then, (1 - delay) * now + delay * before, rtol=1e-13, atol=1e-15)
 

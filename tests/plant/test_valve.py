@@ -9,12 +9,12 @@ from mckibben.plant import FirstOrderValve, IdealValve
 
 def test_an_ideal_valve_is_at_its_command_at_once_and_stays():
     valve = IdealValve()
-    assert float(valve.switched(1e5, 3e5)) == float(valve.pressure_after(1e5, 3e5, 0.01)) == 3e5
+    assert float(valve.after_command(1e5, 3e5)) == float(valve.pressure_after(1e5, 3e5, 0.01)) == 3e5
     assert float(valve.command_for(1e5, 7e6)) == 1e5
 
 
 def test_a_first_order_valve_does_not_jump():
-    assert float(FirstOrderValve(0.02).switched(1e5, 3e5)) == 1e5
+    assert float(FirstOrderValve(0.02).after_command(1e5, 3e5)) == 1e5
 
 
 @pytest.mark.parametrize("step", [1e-3, 0.02, 1.0])
@@ -36,4 +36,4 @@ def test_valves_take_arrays():
     command, pressure = np.array([1e5, 2e5]), np.array([3e5, 3e5])
     after = FirstOrderValve(0.1).pressure_after(pressure, command, jnp.array([0.0, 1e9]))
     np.testing.assert_allclose(after, [3e5, 2e5])
-    np.testing.assert_array_equal(IdealValve().switched(pressure, command), command)
+    np.testing.assert_array_equal(IdealValve().after_command(pressure, command), command)

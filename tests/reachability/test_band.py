@@ -108,7 +108,7 @@ def test_the_commands_of_the_criterion_make_the_plant_follow(knee, load, paper_p
 
     commands = np.array([command(time + 5e-4) for time in times])  # held over a period: its middle counts
     wish = Reference(Samples(times, commands[:, 0]), Samples(times, commands[:, 1]))
-    start = PlantState(0.0, a * 2 * np.pi * f, *tried.pressures(0.0, 15.0)[0])
+    start = PlantState(0.0, a * 2 * np.pi * f, tuple(tried.pressures(0.0, 15.0)[0]))
     with pytest.warns(ReachabilityWarning):  # the wish is pressures, not an angle and a stiffness
         run = simulate(plant, playback, wish, duration=0.5, initial=start).table
     moved = run["angle"].to_numpy()

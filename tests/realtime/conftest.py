@@ -40,7 +40,7 @@ class StiffJoint:
     """In place of a `PlantProgram`: the joint stands still, its valves lag by 20 ms. Nothing is compiled."""
 
     def state(self, state):
-        return np.array([0.0, 0.0, float(state.pressure1), float(state.pressure2)])
+        return np.array([0.0, 0.0, *map(float, state.pressures)])
 
     def over(self, state, command1, command2, time):
         angle, velocity, pressure1, pressure2 = state.tolist()
@@ -79,7 +79,7 @@ class Knee(NamedTuple):
         times = np.arange(periods) * PERIOD
         angle = 10 * deg * np.sin(np.pi * times) if wish is None else np.full(periods, wish)
         wishes = np.stack([angle, np.full(periods, 13.0)], axis=1)
-        pressures = float(self.start.pressure1), float(self.start.pressure2)
+        pressures = tuple(map(float, self.start.pressures))
         return Course(wishes, PERIOD, raising, settling, pressures, ((0.0, 8 * bar), (0.0, 8 * bar)))
 
     def run(self, joint=None, *, course=None, limits=None, recorder=None, **options):
@@ -97,7 +97,7 @@ def stiff():
     """A knee that stands still: cheap enough for hundreds of runs."""
     scenario = Scenario.read(EXAMPLE)
     plant = scenario.plant()
-    start = PlantState(*map(np.asarray, (0.0, 0.0, 3 * bar, 3 * bar)))
+    start = PlantState(np.asarray(0.0), np.asarray(0.0), (np.asarray(3 * bar), np.asarray(3 * bar)))
     return Knee(scenario, plant, start, SteadyControl(), StiffJoint())
 
 

@@ -74,7 +74,7 @@ def test_beyond_a_limit_it_stops(knee, limits, text):
     joint = knee.joint()
     ending, kept = knee.run(joint, limits=JointLimits(**given))
     assert ending.kind == "stopped"
-    assert text.replace("3 bar", f"{float(knee.start.pressure1) / bar:.4g} bar") in ending.text
+    assert text.replace("3 bar", f"{float(knee.start.pressures[0]) / bar:.4g} bar") in ending.text
     assert kept.columns["sample"][-1] < 100 + 70
 
 

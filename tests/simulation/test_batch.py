@@ -254,7 +254,9 @@ def test_the_table_names_the_values_and_the_outcomes(everything):
 
 # Another structure: ideal valves, springs, Chou's law, learning loops, samples, several sines, given states.
 SEEDS = np.array([0, 1, 2, 3, 2**31 - 1])
-STATES = PlantState(np.linspace(-0.02, 0.02, 5), np.array([0.0, 0.1, -0.1, 0.0, 0.2]), 2.2e5, np.linspace(2e5, 3e5, 5))
+STATES = PlantState(
+    np.linspace(-0.02, 0.02, 5), np.array([0.0, 0.1, -0.1, 0.0, 0.2]), (2.2e5, np.linspace(2e5, 3e5, 5))
+)
 TIMES = np.linspace(0.0, 0.099, 4)
 KNOTS = np.array(  # constant; rises, then rests; changes to the end; falls; changes first of all
     [[14, 14, 14, 14], [13, 13, 15, 15], [13, 13.5, 14, 14.5], [15, 14, 14, 14], [13, 14, 14, 14.0]]
@@ -303,7 +305,7 @@ def test_springs_samples_and_learning_loops_with_seeds_are_the_single_runs(sprin
     assert np.isnan(batch.metrics["coupling"]).tolist() == [True, False, True, False, False]
     alone = []
     for row in range(5):
-        state = PlantState(*(x if np.ndim(x) == 0 else x[row] for x in STATES[:4]))
+        state = jax.tree.map(lambda x, row=row: x if np.ndim(x) == 0 else x[row], STATES)
         heavy = put(springy, "load.gravity", gravity[row])
         alone.append(single(heavy, learner(knee, int(SEEDS[row])), sampled_wish(KNOTS[row]), initial=state, **SHORT))
     assert_singles(batch, alone, rtol=1e-10)
@@ -410,7 +412,7 @@ def test_one_value_for_all_runs_may_stand_beside_values_for_each(parts, most):
 def test_samples_by_name_have_one_row_a_run_and_a_start_in_whole_numbers_is_a_start(parts):
     plant, control = parts
     pressures = [320_000, 330_000, 320_000, 325_000, 320_000]
-    start = PlantState(0, 0, np.array(pressures), 320_000)
+    start = PlantState(0, 0, (np.array(pressures), 320_000))
     asked = {"initial": start, "metrics": FEW, "chunk": 16, **SHORT}
     wish = Reference(angle=0.0, stiffness=Samples(TIMES, KNOTS[0]))
     named = simulate_many(plant, control, wish, over={"reference.stiffness.values": KNOTS}, **asked)
@@ -420,7 +422,7 @@ def test_samples_by_name_have_one_row_a_run_and_a_start_in_whole_numbers_is_a_st
     alone = []
     for knots, pressure in zip(KNOTS, pressures, strict=True):
         wish = Reference(angle=0.0, stiffness=Samples(TIMES, knots))
-        alone.append(single(plant, control, wish, initial=PlantState(0, 0, pressure, 320_000), **SHORT))
+        alone.append(single(plant, control, wish, initial=PlantState(0, 0, (pressure, 320_000)), **SHORT))
     assert len({*named.metrics["stiffness_rmse"]}) == 5
     assert_singles(given, alone, rtol=1e-11)
 

@@ -144,7 +144,7 @@ OTHERS = (
     "controller.model.muscle1.law.a1",
     "controller.position.learning_rate",
     "controller.stiffness.base.ki",
-    "initial.pressure1",
+    "initial.pressures.0",
 )
 
 
@@ -156,7 +156,7 @@ def others(parts):
     control = PositionStiffnessControl(learning, BackpropPID(control.stiffness, **scales), model=control.model)
     times = np.linspace(0.0, 0.05, 5)
     wish = Reference(angle=Samples(times, [0.0, 0.03, 0.05, 0.02, 0.03]), stiffness=Samples(times, KNOTS))
-    return plant, control, wish, PlantState(0.0, 0.05, 3.5e5, 3.6e5)
+    return plant, control, wish, PlantState(0.0, 0.05, (3.5e5, 3.6e5))
 
 
 def test_learning_and_samples_in_reverse_are_those_of_finite_differences(others):

@@ -27,7 +27,7 @@ def run(request, plant, ideal_plant, control):
     """Ten seconds in closed loop, with either valve."""
     chosen = plant if request.param == "first order" else ideal_plant
     setpoints = sampled(REFERENCE, 10_000 * PERIOD, PERIOD)[1]
-    record = compiled_episode(chosen, control, setpoints, numeric(chosen.at_rest(0.0)), jnp.asarray(PERIOD), 4)
+    record = compiled_episode(chosen, control, setpoints, numeric(chosen.equilibrium(0.0)), jnp.asarray(PERIOD), 4)
     return request.param, setpoints, *record
 
 
@@ -51,7 +51,7 @@ def solved(paper, record, time_constant):
         return jax.tree.map(lambda x: x[-1], answer.ys), y[0]
 
     state, commands = record.state, (record.command1 / 1e5, record.command2 / 1e5)
-    start = (state.angle[0], state.velocity[0], state.pressure1[0] / 1e5, state.pressure2[0] / 1e5)
+    start = (state.angle[0], state.velocity[0], state.pressures[0][0] / 1e5, state.pressures[1][0] / 1e5)
     return jax.jit(lambda y, c: lax.scan(period, y, c)[1])(start, commands)
 
 
@@ -66,7 +66,7 @@ def test_it_agrees_with_an_independent_solver_to_1e_8_rad_over_10_s(run, paper_p
 def test_a_valve_much_faster_than_the_step_is_nearly_an_ideal_one(plant, ideal_plant, control, time_constant):
     setpoints = sampled(REFERENCE, 500 * PERIOD, PERIOD)[1]
     fast = eqx.tree_at(lambda p: p.valve.time_constant, plant, jnp.asarray(time_constant))
-    start = numeric(plant.at_rest(0.0))
+    start = numeric(plant.equilibrium(0.0))
     angles = [
         compiled_episode(p, control, setpoints, start, jnp.asarray(PERIOD), 4)[1].state.angle
         for p in (fast, ideal_plant)
@@ -90,7 +90,7 @@ def test_the_record_holds_the_start_of_each_period(run):
     assert float(record.state.angle[0]) == 0.0
     assert float(record.state.velocity[0]) == 0.0
     if valve == "ideal":  # the pressure of the last period is its command
-        np.testing.assert_array_equal(record.state.pressure1[1:], record.command1[:-1])
+        np.testing.assert_array_equal(record.state.pressures[0][1:], record.command1[:-1])
 
 
 def test_the_commands_are_those_of_the_controller_stepped_by_hand(run, control):
@@ -98,7 +98,7 @@ def test_the_commands_are_those_of_the_controller_stepped_by_hand(run, control):
 
     _, setpoints, _, record = run
     step = jax.jit(lambda memory, wish, seen: control.step(memory, wish, seen, PERIOD))
-    at = lambda k: Measurement(record.state.angle[k], (record.state.pressure1[k], record.state.pressure2[k]))  # noqa: E731
+    at = lambda k: Measurement(record.state.angle[k], (record.state.pressures[0][k], record.state.pressures[1][k]))  # noqa: E731
     memory = control.init(at(0))
     for k in range(5):
         memory, commands = step(memory, Setpoint(setpoints.angle[k], setpoints.stiffness[k]), at(k))
@@ -112,7 +112,7 @@ def test_halving_the_step_divides_the_error_by_sixteen(plant, playback):
     jumps = Setpoint(
         jnp.asarray([4.2e5, 4e5, 4.4e5, 4.1e5, 4e5, 4.3e5]), jnp.asarray([4.4e5, 4.5e5, 4e5, 4.2e5, 4.3e5, 4e5])
     )
-    start = numeric(PlantState(0.02, 0.0, 4.2e5, 4.2e5))
+    start = numeric(PlantState(0.02, 0.0, (4.2e5, 4.2e5)))
     run = lambda n: compiled_episode(plant, playback, jumps, start, jnp.asarray(0.05), np.asarray(n))[0]  # noqa: E731
     final = {n: run(n) for n in (1, 2, 4, 8, 16, 256)}  # a number of steps that is traced: one program for all
     errors = [abs(float(final[n].angle - final[256].angle)) for n in (2, 4, 8, 16)]
@@ -124,7 +124,7 @@ def test_halving_the_step_divides_the_error_by_sixteen(plant, playback):
 
 def test_a_batch_is_its_single_runs(plant, control):
     setpoints = sampled(REFERENCE, 300 * PERIOD, PERIOD)[1]
-    start = numeric(plant.at_rest(0.0))
+    start = numeric(plant.equilibrium(0.0))
     masses, gains = jnp.asarray([0.3, 0.5, 0.8]), jnp.asarray([1e5, 1.5e5, 2e5])
 
     def one(mass, gain):
@@ -136,20 +136,20 @@ def test_a_batch_is_its_single_runs(plant, control):
     for k in range(3):
         single = alone(masses[k], gains[k])
         np.testing.assert_allclose(together.angle[k], single.angle, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(together.pressure1[k], single.pressure1, rtol=1e-10)
+        np.testing.assert_allclose(together.pressures[0][k], single.pressures[0], rtol=1e-10)
     assert float(jnp.abs(together.angle[0] - together.angle[2]).max()) > 1e-4
 
 
 def test_the_same_run_twice_is_the_same_to_the_last_bit(plant, control):
     setpoints = sampled(REFERENCE, 10_000 * PERIOD, PERIOD)[1]  # as long as `run`: its program
-    start = numeric(plant.at_rest(0.0))
+    start = numeric(plant.equilibrium(0.0))
     one, two = (compiled_episode(plant, control, setpoints, start, jnp.asarray(PERIOD), 4)[1] for _ in range(2))
     np.testing.assert_array_equal(one.state.angle, two.state.angle)
 
 
 def test_its_derivative_is_that_of_finite_differences(plant, control):
     setpoints = sampled(REFERENCE, 100 * PERIOD, PERIOD)[1]
-    start = numeric(plant.at_rest(0.0))
+    start = numeric(plant.equilibrium(0.0))
 
     def cost(gain):
         tuned = eqx.tree_at(lambda c: c.position.kp, control, gain)
@@ -167,7 +167,7 @@ def test_in_single_precision_it_runs_and_stays_single(plant, control):
         lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, numeric(tree)
     )
     setpoints = sampled(REFERENCE, 300 * PERIOD, PERIOD)[1]
-    start = plant.at_rest(0.0)
+    start = plant.equilibrium(0.0)
     longer = sampled(REFERENCE, 10_000 * PERIOD, PERIOD)[1]  # as long as `run`: its program
     exact = compiled_episode(plant, control, longer, numeric(start), jnp.asarray(PERIOD), 4)[1]
     _, record = compiled_episode(*(single(x) for x in (plant, control, setpoints, start)), jnp.float32(PERIOD), 4)

@@ -135,7 +135,7 @@ def test_no_error_has_no_slope():
 
 # Whole episodes: the two halves of the wish are the commands of the muscles (see `Playback`).
 SIZE = 60
-START = PlantState(*(jnp.asarray(x) for x in (0.0, 0.1, 3.2e5, 3.3e5)))
+START = PlantState(jnp.asarray(0.0), jnp.asarray(0.1), (jnp.asarray(3.2e5), jnp.asarray(3.3e5)))
 
 
 def commands(*changes: tuple[int, float]) -> Setpoint:
@@ -254,7 +254,7 @@ def test_in_reverse_derivatives_are_those_of_finite_differences(plant, playback)
         mass, delay, pressure, step = jnp.array([0.5, 0.02, 3.2e5, 3e4]) * by
         moved = eqx.tree_at(lambda p: (p.load.mass2, p.valve.time_constant), plant, (mass, delay))
         stepped = wish._replace(stiffness=3.3e5 + jnp.where(jnp.arange(SIZE) < 20, 0.0, step))
-        start = START._replace(pressure1=pressure)
+        start = START._replace(pressures=(pressure, START.pressures[1]))
         with many_runs():
             run = (moved, playback, stepped, start, PERIOD, 1)
             found = measured_episode(*run, change=change, split=20, checkpoint=checkpoint).metrics
@@ -274,7 +274,7 @@ def test_in_reverse_springs_have_the_slopes_of_finite_differences(plant):
     def acceleration(by):
         stiffness, preload, angle, pressure = jnp.array([20e3, 5.0, 0.05, 3.2e5]) * by
         moved = eqx.tree_at(lambda p: (p.joint.tendon.stiffness, p.joint.tendon.preload), springy, (stiffness, preload))
-        state = START._replace(angle=angle, pressure1=pressure)
+        state = START._replace(angle=angle, pressures=(pressure, START.pressures[1]))
         return moved.rate(state).velocity[None]
 
     slopes = jax.jit(jax.jacrev(acceleration))(jnp.ones(4))

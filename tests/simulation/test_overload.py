@@ -21,7 +21,7 @@ def moved():
     pressure1, pressure2 = jnp.full(4, 1 * bar), jnp.asarray([1.0, 2.0, 6.0, 1.0]) * bar
     zeros = jnp.zeros(4)
     record = Record(
-        PlantState(angle, zeros, pressure1, pressure2),
+        PlantState(angle, zeros, (pressure1, pressure2)),
         pressure1,
         pressure2,
         jnp.zeros(4, bool),

@@ -116,7 +116,7 @@ def test_diverged(diverged):
 def test_slack_is_said_of_a_run_that_completed(plant, knee, playback):
     wish = Reference(angle=Constant(0.0), stiffness=Constant(3e5))  # playback: p1 = 0, p2 = 3 bar
     with pytest.warns(ReachabilityWarning):
-        result = simulate(plant, playback, wish, duration=0.2, initial=PlantState(0.0, 0.0, 0.0, 1e5))
+        result = simulate(plant, playback, wish, duration=0.2, initial=PlantState(0.0, 0.0, (0.0, 1e5)))
     slack = (result.table["force1"] <= 0) | (result.table["force2"] <= 0)
     assert slack.any()
     np.testing.assert_array_equal(result.table["slack"], slack)
@@ -264,7 +264,7 @@ def test_a_damaged_file_is_an_error_of_ours_whatever_the_damage(completed, tmp_p
 
 def test_a_run_that_never_was_finite_can_be_described(plant, knee, playback):
     wish = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
-    result = simulate(plant, playback, wish, duration=0.2, initial=PlantState(np.nan, 0.0, 1e5, 1e5))
+    result = simulate(plant, playback, wish, duration=0.2, initial=PlantState(np.nan, 0.0, (1e5, 1e5)))
     assert result.outcome is Outcome.DIVERGED
     assert "diverged" in result.describe()
 
@@ -272,6 +272,6 @@ def test_a_run_that_never_was_finite_can_be_described(plant, knee, playback):
 def test_a_pressure_outside_the_domain_is_not_silent(plant, knee):
     wish = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
     control = PositionStiffnessControl(POSITION, STIFFNESS, model=knee)
-    result = simulate(plant, control, wish, duration=0.2, initial=PlantState(0.0, 0.0, 9 * bar, 9 * bar))
+    result = simulate(plant, control, wish, duration=0.2, initial=PlantState(0.0, 0.0, (9 * bar, 9 * bar)))
     assert float(result.table["pressure1"][0]) > float(eqx.filter(knee, True).muscle1.domain.pressure_max)
     assert result.outcome is Outcome.LEFT_DOMAIN

@@ -93,14 +93,14 @@ def test_it_starts_at_rest_on_the_wish_unless_told(plant, control):
     assert float(table["velocity"][0]) == 0.0
     low, high = float(table["lowest_stiffness"][0]), float(table["highest_stiffness"][0])
     assert float(table["stiffness"][0]) == pytest.approx((low + high) / 2, rel=1e-6)  # affine: amid the co-contractions
-    given = simulate(plant, control, shifted, duration=0.2, initial=PlantState(0.02, 0.3, 2e5, 2.5e5)).table
+    given = simulate(plant, control, shifted, duration=0.2, initial=PlantState(0.02, 0.3, (2e5, 2.5e5))).table
     for name, value in (("angle", 0.02), ("velocity", 0.3), ("pressure1", 2e5), ("pressure2", 2.5e5)):
         assert float(given[name][0]) == value
 
 
 def test_a_start_in_whole_numbers_is_a_start(plant, control):
-    whole = simulate(plant, control, WISH, duration=0.2, initial=PlantState(0, 0, 200_000, 200_000))
-    real = simulate(plant, control, WISH, duration=0.2, initial=PlantState(0.0, 0.0, 2e5, 2e5))
+    whole = simulate(plant, control, WISH, duration=0.2, initial=PlantState(0, 0, (200_000, 200_000)))
+    real = simulate(plant, control, WISH, duration=0.2, initial=PlantState(0.0, 0.0, (2e5, 2e5)))
     assert whole.table.identical(real.table)
 
 
@@ -117,7 +117,7 @@ def test_out_of_reach_is_a_warning_in_words(as_printed, load, plant, control):
 
 def test_a_true_model_estimates_truly_and_a_wrong_one_wrongly(plant, knee, other_knee):
     true, wrong = (
-        simulate(plant, control_of(model), WISH, duration=0.2, initial=PlantState(0.0, 0.0, 2.5e5, 2.5e5))
+        simulate(plant, control_of(model), WISH, duration=0.2, initial=PlantState(0.0, 0.0, (2.5e5, 2.5e5)))
         for model in (knee, other_knee)
     )
     assert true.metrics()["estimate_rmse"] < 1e-9
@@ -132,7 +132,7 @@ def test_a_true_model_estimates_truly_and_a_wrong_one_wrongly(plant, knee, other
 
 
 def test_the_controller_does_not_see_the_plants_law(plant, control, other_knee):
-    start = PlantState(0.01, 0.0, 2.5e5, 2.7e5)
+    start = PlantState(0.01, 0.0, (2.5e5, 2.7e5))
     other = eqx.tree_at(lambda p: p.joint, plant, other_knee)
     one = simulate(plant, control, WISH, duration=0.2, initial=start).table
     two = simulate(other, control, WISH, duration=0.2, initial=start).table

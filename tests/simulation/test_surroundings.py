@@ -24,7 +24,7 @@ PERIOD, PERIODS, AT = 1e-3, 60, 30
 COUNT, NOISE = 0.022 * deg, 4e3
 REAL = SampledSensors(encoder=COUNT, pressure_noise=NOISE, delay=1.0, seed=5)
 PULSES = TorquePulses(0.5, 0.01, 0.02, 0.005)
-START = PlantState(0.05, 0.0, 4e5, 3.6e5)
+START = PlantState(0.05, 0.0, (4e5, 3.6e5))
 WISH = Reference(angle=Constant(0.0), stiffness=Step(13.0, 17.0, AT * PERIOD))
 
 
@@ -62,7 +62,7 @@ def heard(plant):
     def heard(sensors=REAL, disturbance=PULSES, *, share=0.0, start=START, step=True, kind=jnp.float64):
         other = JointPlant(plant.joint, plant.load, plant.valve, sensors, disturbance)
         setpoints = wishes if step else without_last_change(wishes)
-        given = numeric(other), numeric(Listener(share)), setpoints, other.remembering(numeric(start)), PERIOD
+        given = numeric(other), numeric(Listener(share)), setpoints, other.complete_state(numeric(start)), PERIOD
         given = cast(jax.tree.map(jnp.asarray, numeric(given)), kind)
         if kind == jnp.float32:
             return jax.eval_shape(lambda *given: episode(*given, 2), *given)[::-1]
@@ -88,26 +88,26 @@ def test_a_controller_is_told_what_the_sensors_make_of_the_state(alone):
 def test_sensors_without_faults_and_pushes_of_nothing_change_nothing(heard, plant):
     """And where neither is given nothing of them is in the program: state and reading pass as they are."""
     plain, ours = heard(PerfectSensors(), NoDisturbance()), heard(SampledSensors(), TorquePulses(0.0))
-    assert plain[0].state.around == () and ours[0].state.around != ()
-    for name in ("angle", "velocity", "pressure1", "pressure2"):
+    assert plain[0].state.io == () and ours[0].state.io != ()
+    for name in ("angle", "velocity", "pressures"):
         np.testing.assert_allclose(getattr(plain[0].state, name), getattr(ours[0].state, name), rtol=1e-12, atol=1e-14)
     np.testing.assert_array_equal(plain[1], np.stack([plain[0].state.angle, *plain[0].state.pressures], axis=1))
     np.testing.assert_allclose(plain[1], ours[1], rtol=1e-12)
     sheltered = JointPlant(plant.joint, plant.load, plant.valve)
-    state, told = sheltered.begun(START, PERIOD)
-    assert sheltered.remembering(START) is state is START
+    state, told = sheltered.sample(START, PERIOD)
+    assert sheltered.complete_state(START) == state == START
     assert told == (START.angle, *START.pressures)
 
 
 def test_a_run_that_goes_on_hears_and_feels_what_comes_next(heard, alone):
     _, _, final = alone
     record, seen, _ = heard(start=final)
-    assert np.asarray(record.state.around.periods).tolist() == list(range(PERIODS + 1, 2 * PERIODS + 1))
-    np.testing.assert_array_equal(seen[0], np.stack(final.around.sensed))
-    off = seen[1:, 1] - np.asarray(record.state.pressure1)[:-1]
-    before = alone[1][1:, 1] - np.asarray(alone[0].state.pressure1)[:-1]
+    assert np.asarray(record.state.io.index).tolist() == list(range(PERIODS + 1, 2 * PERIODS + 1))
+    np.testing.assert_array_equal(seen[0], np.stack(final.io.sensors))
+    off = seen[1:, 1] - np.asarray(record.state.pressures[0])[:-1]
+    before = alone[1][1:, 1] - np.asarray(alone[0].state.pressures[0])[:-1]
     assert np.abs(off - before).min() > 0  # the noise does not begin anew
-    went_on = np.concatenate([alone[0].state.around.push, record.state.around.push])
+    went_on = np.concatenate([alone[0].state.io.disturbance, record.state.io.disturbance])
     since = np.arange(2 * PERIODS) - 5  # 10 periods to, 10 of rest, 10 fro, 10 of rest
     np.testing.assert_array_equal(
         went_on, np.select([since < 0, since % 40 < 10, since // 10 % 4 == 2], [0, 0.5, -0.5])

@@ -167,7 +167,7 @@ MISTAKES = {
     "share": (("    share: 2\n", "    share: 0\n"), ("references.sine and step.share", "    share: 2", "")),
     "names belong": (
         ("joint_share: 3", "joint_share: 3\nx: 1"),
-        ("x", "other_joints:", "is no key"),
+        ("x", "other_joints:", "is not a known key"),
     ),
     "period": (("control_period: 2 ms", "control_period: 7 ms"), ("control_period", "control_period:", "whole number")),
     "friction": (
@@ -198,7 +198,7 @@ def test_a_mistake_is_told_with_its_line_and_field(name):
         pairs.append(("untuned: [as it is]", "untuned: [pid-3]"))
     found = problems(*pairs)
     assert [problem.field for problem in found] == [field], [str(problem) for problem in found]
-    expected = TEXT.splitlines().index("  decoupling:") + 1 if marked.boundswith("@") else line_of(marked)
+    expected = TEXT.splitlines().index("  decoupling:") + 1 if marked.endswith("@") else line_of(marked)
     assert found[0].line == expected
     assert said in str(found[0])
 
@@ -243,7 +243,7 @@ def test_runs_have_to_differ():
 def test_parts_stand_where_parts_belong():
     for key in ("references", "controllers"):
         rest = re.sub(rf"^{key}:\n(  .*\n)+", f"{key}: some\n", TEXT, flags=re.M)
-        with pytest.raises(ScenarioError, match="'some' stands where names and parts belong"):
+        with pytest.raises(ScenarioError, match="'some' stands where names and sections belong"):
             Suite.parse(rest)
         with pytest.raises(ScenarioError, match="is empty; give at least one"):
             Suite.parse(rest.replace("some", "{}"))
@@ -258,3 +258,13 @@ def test_a_suite_is_no_scenario_nor_the_other_way_round():
         Suite.read(ROOT / "examples" / "pre-contracted-step-pid.yaml")
     with pytest.raises(ScenarioError, match="give the path of a suite"):
         Suite.read("nowhere.yaml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("wishes", "references"), ("fastest", "max_angular_acceleration"), ("unseen", "evaluation")]
+)
+def test_the_old_name_of_a_key_is_told_the_new_one(old, new):
+    with pytest.raises(ScenarioError) as caught:
+        Suite.parse(re.sub(f"^{new}:", f"{old}:", TEXT, flags=re.M))
+    (problem,) = caught.value.problems
+    assert (problem.field, problem.remedy) == (old, f"it was renamed to {new!r}")

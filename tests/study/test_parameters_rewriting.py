@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mckibben.errors import ParameterError, ScenarioError
-from mckibben.study.parameters import edit_yaml, find_parameter, list_parameters, with_values
+from mckibben.study.parameters import edit_scenario, find_parameter, list_parameters, with_values
 from mckibben.study.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -84,12 +84,12 @@ def test_only_what_was_asked_for_changes(text, values, old, new, newline):
         new = old.replace("\n\n", "\n  connector_length: 200 mm\n\n")
     assert text.count(old) == 1
     expected = text.replace(old, new).replace("\n", newline)
-    assert edit_yaml(text.replace("\n", newline), values) == expected
+    assert edit_scenario(text.replace("\n", newline), values) == expected
 
 
 def test_an_empty_mapping_is_filled():
     text = re.sub(r"start: \{.*\}", "start: {}", PID)
-    assert "start: {angle: 0 deg}" in edit_yaml(text, {"start.angle": 0.0})
+    assert "start: {angle: 0 deg}" in edit_scenario(text, {"start.angle": 0.0})
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_stranger_forms_of_yaml_still_read_as_what_was_asked_for(strange):
     before = Scenario.parse(strange)
     for name in ("load.mass2", "valve.time_constant", "controller.position.kp", "joint.geometry.joint_radius"):
         value = find_parameter(before, name).nominal * 1.01
-        assert Scenario.parse(edit_yaml(strange, {name: value})) == with_values(before, {name: value})
+        assert Scenario.parse(edit_scenario(strange, {name: value})) == with_values(before, {name: value})
 
 
 @settings(max_examples=40)
@@ -128,20 +128,20 @@ def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
         else:
             nominal = address.nominal if address.nominal is not None else 13.0
             values[address.name] = nominal * data.draw(st.floats(0.995, 1.005))
-    changed = edit_yaml(text, values, folder=EXAMPLES)
+    changed = edit_scenario(text, values, folder=EXAMPLES)
     assert Scenario.parse(changed, folder=EXAMPLES) == with_values(scenario, values)
     for comment in re.findall(r"#.*", text):
         assert comment in changed
     again = {address.name: address for address in list_parameters(Scenario.parse(changed, folder=EXAMPLES))}
     for name, value in values.items():
         assert again[name].nominal == value
-    assert edit_yaml(changed, values, folder=EXAMPLES) == changed
+    assert edit_scenario(changed, values, folder=EXAMPLES) == changed
 
 
 def test_what_is_no_scenario_or_no_value_is_refused():
     with pytest.raises(ScenarioError):
-        edit_yaml("name: x", {"load.mass2": 1.0})
+        edit_scenario("name: x", {"load.mass2": 1.0})
     with pytest.raises(ParameterError, match="outside"):
-        edit_yaml(PID, {"load.mass2": -1.0})
+        edit_scenario(PID, {"load.mass2": -1.0})
     with pytest.raises(ParameterError, match="differ in sign"):
-        edit_yaml(PID, {"controller.position.kp": -1.0})
+        edit_scenario(PID, {"controller.position.kp": -1.0})

@@ -27,7 +27,7 @@ def test_it_builds_what_it_says_and_comes_back_from_its_text():
     joint = scenario.plant().joint
     assert joint.muscle1.creep == joint.muscle2.creep == MaxwellCreep(500.0, 8.0)
     start = scenario.initial(scenario.plant())
-    assert [float(x) for arms in start.relaxing for x in arms] == [0.0, 0.0]
+    assert [float(x) for muscle in start.muscles for x in muscle.creep] == [0.0, 0.0]
     written = scenario.dumps()
     assert Scenario.parse(written) == scenario and "creep: {stiffness: 0.5 N/mm, time_constant: 8 s}" in written
 

@@ -50,7 +50,7 @@ def test_it_builds_what_it_says():
     assert isinstance(control, FrictionCompensation)
     assert control.model.muscle1.friction == expected
     assert isinstance(control.controller, PositionStiffnessControl)
-    assert len(scenario.initial(scenario.plant()).memory1) == 6
+    assert len(scenario.initial(scenario.plant()).muscles[0].friction) == 6
 
 
 def test_without_it_all_is_as_before():

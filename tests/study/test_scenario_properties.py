@@ -7,9 +7,10 @@ from pathlib import Path
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from mckibben.config import fields
 from mckibben.config.fields import Quantity
 from mckibben.errors import ScenarioError
-from mckibben.study.scenario import Scenario, fields
+from mckibben.study.scenario import Scenario
 from mckibben.units import factor
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

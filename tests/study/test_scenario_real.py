@@ -168,7 +168,7 @@ def test_what_is_not_there_cannot_be_varied(name, what):
         (text(sensors="sensors: {encoder: -1 deg}\n"), "sensors.encoder", "outside 0 to 90 deg"),
         (text(sensors="sensors: {encoder: 1 mm}\n"), "sensors.encoder", "unit"),
         (text(sensors="sensors: {seed: 1.5}\n"), "sensors.seed", "1.5"),
-        (text(sensors="sensors: {noise: 1 kPa}\n"), "sensors.noise", "is no key"),
+        (text(sensors="sensors: {noise: 1 kPa}\n"), "sensors.noise", "is not a known key"),
         (text(disturbance="disturbance: {}\n"), "disturbance.pulses", "is missing"),
         (text(disturbance=PULSES.replace(", start: 250 ms", "")), "disturbance.pulses.start", "is missing"),
         (text(disturbance=PULSES.replace("1 s", "0 s")), "disturbance.pulses.interval", "outside above 0"),

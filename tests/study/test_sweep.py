@@ -429,7 +429,7 @@ def test_a_file_that_is_no_sweep(tmp_path, kept):
         kept[0].scenario(72)
 
 
-def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_path, monkeypatch):
+def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_path):
     killed = []
 
     def kill(done: int, runs: int) -> None:
@@ -440,7 +440,6 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_
                 killed.append(child.pid)
                 return
 
-    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "programs"))  # compiled here, taken up by every worker
     asked = {**SOME, "metrics": ["angle_rmse"]}
     sweep(scenario, OVER, out=tmp_path / "here", **asked)
     sweep(scenario, OVER, out=tmp_path / "there", dask="local", workers=2, progress=kill, **asked)

@@ -1,4 +1,4 @@
-"""The command line: parse, call a study, print. No physics here, and heavy imports only inside the commands."""
+"""Command line: parse, call, print. Heavy imports are inside the commands."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import mckibben
 from mckibben.cli.compare import compare
 from mckibben.cli.envelope import envelope
 from mckibben.cli.identify import identify, validate
-from mckibben.cli.options import Json, Out, metric, progress, said, table
+from mckibben.cli.options import Json, Out, metric, notify, progress, table
 from mckibben.cli.plan import plan
 from mckibben.cli.points import points
 from mckibben.cli.rig import rig
@@ -41,20 +41,20 @@ app = typer.Typer(
 
 @app.command()
 def reproduce(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the report goes.")] = Path("mckibben-report"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the report.")] = Path("mckibben-report"),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer repeats, seeds and tuning steps.")] = False,
     json: Json = False,
 ) -> None:
-    """Run the paper end to end: test, identification, knee, control; to a report with figures."""
-    make_folder(out)  # before the work, so that nothing is lost
+    """Reproduce the paper: test, identification, knee and control, with a report and figures."""
+    make_folder(out)  # fails before the computation
     from mckibben.study.reporting import to_json
 
     with progress() as report:
         from mckibben.paper import reproduce as run
 
         done = run(quick=quick, progress=lambda what, part: report(what, 0.8 * part))
-        report("keeping the numbers", 0.8)
-        done.save(out)  # before anything is drawn
+        report("writing results", 0.8)
+        done.save(out)  # before the figures
         from mckibben.report import write_report
 
         report("figures and report", 0.85)
@@ -81,11 +81,11 @@ app.command()(validate)
 
 @app.command()
 def simulate(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="What to run; see examples/.")],
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
     json: Json = False,
     out: Out = None,
 ) -> None:
-    """Run a controller on a joint, from a scenario file."""
+    """Simulate a scenario: a controller on a joint."""
     if out:
         make_folder(out)
     from mckibben.study.scenario import Scenario
@@ -94,20 +94,20 @@ def simulate(
     from mckibben.study.reporting import METRICS, shown, to_json, write_json
     from mckibben.study.scenario.running import run_scenario
 
-    result, reach = run_scenario(read, source=str(scenario))
-    out_of_reach = "" if reach.reachable else reach.describe()
+    result, feasibility = run_scenario(read, source=str(scenario))
+    infeasible = "" if feasibility.reachable else feasibility.describe()
     numbers = {
         "scenario": read.name,
         "outcome": result.outcome.name.lower(),
         "described": result.describe(),
-        "out_of_reach": out_of_reach,
+        "infeasible": infeasible,
         "metrics": shown(result.metrics()),
     }
     if json:
         typer.echo(to_json(numbers))
     else:
-        if out_of_reach:
-            typer.echo(f"warning: {out_of_reach}", err=True)
+        if infeasible:
+            typer.echo(f"warning: {infeasible}", err=True)
         rows = [
             (METRICS[name][0].replace("_", " "), metric(name, value), METRICS[name][1])
             for name, value in numbers["metrics"].items()
@@ -117,7 +117,7 @@ def simulate(
     if out:
         _keep_run(out, read, result)
         write_json(out / "results.json", numbers)
-        said(f"kept result.nc, results.json, scenario.yaml and tracking.png and .svg in {out}", json)
+        notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
     if result.outcome.lost:
         raise typer.Exit(1)
 
@@ -132,7 +132,7 @@ app.add_typer(rig)
 
 @app.command()
 def laws(json: Json = False) -> None:
-    """The force laws that can be fitted, and the published parameter sets."""
+    """List the force laws and the published parameter sets."""
     from mckibben import catalog
     from mckibben.muscle import LAWS
     from mckibben.study.reporting import to_json
@@ -151,7 +151,7 @@ def laws(json: Json = False) -> None:
 
 @app.command()
 def specimens(json: Json = False) -> None:
-    """The makes of muscle that the catalog knows, and its measured datasets."""
+    """List the specimens and measured datasets of the catalog."""
     from mckibben import catalog
     from mckibben.study.reporting import to_json
     from mckibben.units import mm
@@ -187,7 +187,7 @@ def _root(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
 
 def main() -> None:
-    """Run the command line; errors of ours become one message and exit code 2, others exit code 1."""
+    """Run the command line: exit code 2 with a message for bad input, 1 for other failures."""
     from mckibben.numerics.runtime import keep_programs
 
     keep_programs()
@@ -209,11 +209,7 @@ def main() -> None:
 
 
 def run() -> None:
-    """The installed command: `main` in a process of its own.
-
-    Imports and the tracing of programs make many objects that stay. To look through them for garbage again and again is
-    a fifth of a command's time, and once more at the exit another fifth.
-    """
+    """Entry point of the installed command; garbage collection of permanent objects would take 40 % of its time."""
     gc.set_threshold(100_000, 10, 10)
     try:
         main()

@@ -1,4 +1,4 @@
-"""`mckibben compare`: controllers tuned alike, and ranked on runs that none of them has seen."""
+"""`mckibben compare`: controllers tuned with one budget and compared on the same unseen runs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mckibben.cli.options import INTERRUPTED, Json, late_progress, metric, table
+from mckibben.cli.options import Json, long_job, metric, required_folder, table
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.storage.files import atomic_write, make_folder
 
@@ -18,25 +18,24 @@ _KEPT = ("results.json", "runs.nc", "suite.yaml", "comparison.html")
 
 
 def compare(
-    suite: Annotated[Path, typer.Argument(metavar="SUITE.yaml", help="What is compared, and on what; see examples/.")],
+    suite: Annotated[Path, typer.Argument(metavar="SUITE.yaml", help="Suite file; see examples/comparison.")],
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Keep the searches, all runs, tuned scenarios and a report here.")
+        Path | None, typer.Option(metavar="DIR", help="Output folder: searches, all runs, tuned scenarios, report.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the searches in DIR.")] = False,
-    runs: Annotated[int | None, typer.Option(metavar="N", help="Evaluation runs, in place of the suite's.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="A look: a tenth of the tuning, at most 128 runs.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the searches in DIR.")] = False,
+    runs: Annotated[int | None, typer.Option(metavar="N", help="Number of unseen runs, overriding the suite.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A tenth of the tuning budget, at most 128 runs.")] = False,
     repeat: Annotated[
         str | None,
         typer.Option(
             metavar="'CONTROLLER RUN'",
-            help="Print one run of what is kept in DIR as a scenario for `mckibben simulate`, such as 'PID 17'.",
+            help="Print one run of the comparison in DIR as a scenario for `mckibben simulate`, such as 'PID 17'.",
         ),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Tune controllers with the same budget, and rank them on runs that none of them has seen."""
-    if out is None:
-        raise ParameterError("there is no folder for the comparison", remedy="say where to keep it: --out DIR")
+    """Tune controllers with the same budget, and compare them on the same unseen runs."""
+    out = required_folder(out, "comparison")
     from mckibben.study.benchmark import Suite
 
     read = _smaller(Suite.read(suite), runs, quick)
@@ -49,21 +48,17 @@ def compare(
     searches = out / "tuning"
     if not resume:
         if searches.is_dir() and any(searches.glob("*.journal")):
-            remedy = "go on with them (--resume), or choose another folder"
+            remedy = "continue them with --resume, or choose another folder"
             raise FileError(str(searches), [Problem("there are histories of searches already", remedy=remedy)])
         check_free(out, _KEPT)
     make_folder(out)
-    try:
-        with late_progress(quiet=json) as bar:
-            contest = run(read, folder=searches, resume=resume, progress=bar)
-    except KeyboardInterrupt:
-        typer.echo(f"interrupted: what was tried is kept in {searches}; go on with --resume", err=True)
-        raise typer.Exit(INTERRUPTED) from None
+    with long_job(quiet=json, kept=f"the evaluated points are in {searches}; continue with --resume") as bar:
+        contest = run(read, folder=searches, resume=resume, progress=bar)
     _show(contest, out, json)
 
 
 def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
-    """The suite with fewer runs or less tuning."""
+    """Return the suite with fewer runs or a smaller tuning budget."""
     tuning, evaluation = suite.tuning, suite.evaluation
     if quick:
         tuning = tuning.model_copy(update={"generations": max(tuning.generations // 10, 1), "starts": 1})
@@ -76,7 +71,7 @@ def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
 
 
 def _alone(out: Path, repeat: str) -> str:
-    """A run of the suite that is kept, as the text of a scenario."""
+    """Return one run of a finished comparison as the text of a scenario."""
     import json
 
     from mckibben.study.benchmark import Suite, draw
@@ -112,13 +107,13 @@ def _show(contest: BenchmarkResult, out: Path, json: bool) -> None:
     with atomic_write(out / "suite.yaml", overwrite=True) as part:
         part.write_text(contest.suite.dumps(folder=out), encoding="utf-8")
     kept = _tuned_scenarios(contest, out)
-    page = report.write_contest(contest, numbers, out)
+    page = report.write_benchmark(contest, numbers, out)
     if json:
         typer.echo(to_json(numbers))
     else:
         _tables(numbers)
     typer.echo(
-        f"kept results.json, runs.nc, suite.yaml, tuning/, {kept} tuned scenarios and figures; the report is {page}",
+        f"wrote results.json, runs.nc, suite.yaml, tuning/, {kept} tuned scenarios and figures; the report is {page}",
         err=json,
     )
 
@@ -131,7 +126,7 @@ def _tables(numbers: dict[str, Any]) -> None:
         return "-" if spread is None else metric(key, spread[what])
 
     table(
-        f"{numbers['suite']}: {numbers['runs'] - numbers['no_start']} evaluation runs",
+        f"{numbers['suite']}: {numbers['runs'] - numbers['no_start']} unseen runs",
         ("controller", "angle rmse, deg", "95 %", "stiffness rmse", "95 %", "coupling, deg", "air, L", "unstable"),
         [
             (
@@ -154,12 +149,10 @@ def _tables(numbers: dict[str, Any]) -> None:
         [(name, *_ratios(found[name]["ratio_to_first"])) for name in numbers["order"] if name != first],
     )
     if numbers["no_start"]:
-        typer.echo(f"{numbers['no_start']} runs could not start: no pressures hold their plant at the start")
+        typer.echo(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
     for name, each in found.items():
         if each["at_bound"]:
-            typer.echo(
-                f"{name}: at an end of its range: {', '.join(each['at_bound'])}; a wider one may hold better ones"
-            )
+            typer.echo(f"{name}: at a bound of the range: {', '.join(each['at_bound'])}; consider a wider range")
 
 
 def _ratios(against: dict[str, dict[str, float]]) -> list[str]:
@@ -171,7 +164,7 @@ def _ratios(against: dict[str, dict[str, float]]) -> list[str]:
 
 
 def _tuned_scenarios(contest: BenchmarkResult, out: Path) -> int:
-    """Write each controller with its tuned numbers as a scenario of the plant as it believes it."""
+    """Write each tuned controller as a scenario with the plant of its model."""
     from mckibben.study.benchmark.benchmark import filename
     from mckibben.study.parameters import with_values
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mckibben.cli.options import Json, Out, quantity_of, quantity_or_none, said, table
+from mckibben.cli.options import Json, Out, notify, parse_optional_quantity, parse_quantity, table
 from mckibben.errors import ParameterError
 from mckibben.storage.files import make_folder
 
@@ -49,10 +49,10 @@ def envelope(
     """Show what a joint can hold, whether the reference can be followed, and the nearest that can; or design it."""
     if out:
         make_folder(out)
-    part = quantity_of("--margin", margin, "1")
-    time = quantity_or_none("--rounding", rounding, "s")
-    spare = quantity_of("--spare-torque", spare_torque, "N*m")
-    tension = quantity_of("--minimum-tension", minimum_tension, "N")
+    part = parse_quantity("--margin", margin, "1")
+    time = parse_optional_quantity("--rounding", rounding, "s")
+    spare = parse_quantity("--spare-torque", spare_torque, "N*m")
+    tension = parse_quantity("--minimum-tension", minimum_tension, "N")
     if design is None and (vary or spare or tension):
         raise ParameterError(
             "--vary, --spare-torque and --minimum-tension are for a design",
@@ -102,7 +102,7 @@ def _show(found: Envelope, json: bool, out: Path | None) -> None:
             names += keep_offer(found.scenario, offer, out, f"nearest-{offer.kept.name.lower()}")
         write_json(out / "results.json", numbers)
         save(draw(found), out, "envelope")
-        said(f"kept {', '.join(names)} and envelope.png and .svg in {out}", json)
+        notify(f"kept {', '.join(names)} and envelope.png and .svg in {out}", json)
 
 
 def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None) -> None:
@@ -135,4 +135,4 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
         write_json(out / "results.json", numbers)
         about = sum(found.wanted.angles) / 2
         save(draw(found, holdable(scenario.plant(), about=about)), out, "design")
-        said(f"kept {', '.join(names)} and design.png and .svg in {out}", json)
+        notify(f"kept {', '.join(names)} and design.png and .svg in {out}", json)

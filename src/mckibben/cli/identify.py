@@ -1,4 +1,4 @@
-"""`mckibben identify` and `mckibben validate`: laws from measured points, and laws against them."""
+"""`mckibben identify` and `mckibben validate`: force laws from measured points, and their validation."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from mckibben.cli.options import (
     Out,
     SkipCorrupt,
     SlackForce,
-    measured,
+    notify,
     progress,
-    said,
+    read_data,
     table,
 )
 from mckibben.errors import ParameterError
@@ -25,7 +25,7 @@ from mckibben.storage.files import make_folder
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
-    from mckibben.identification import Ranked, Ranking
+    from mckibben.identification import RankedLaw, Ranking
 
 _ALL, _LEVEL = "all", 0.95
 
@@ -33,15 +33,14 @@ _ALL, _LEVEL = "all", 0.95
 def identify(
     data: Data,
     law: Annotated[
-        str, typer.Option(help="Which law, such as exponential (Eq. 2); 'mckibben laws' lists them. all: rank them.")
+        str, typer.Option(help="Force law, such as exponential (Eq. 2); 'mckibben laws' lists them; 'all' ranks them.")
     ] = "exponential",
-    level: Annotated[float, typer.Option(help="Of the intervals: the share that holds the truth.")] = _LEVEL,
-    profile: Annotated[
-        bool, typer.Option("--profile", help="Profile the shape parameters: are they determined?")
-    ] = False,
-    bootstrap: Annotated[int, typer.Option(metavar="N", help="Refit N times to blocks of points drawn anew.")] = 0,
+    level: Annotated[float, typer.Option(help="Confidence level of the intervals.")] = _LEVEL,
+    profile: Annotated[bool, typer.Option("--profile", help="Profile likelihood of the shape parameters.")] = False,
+    bootstrap: Annotated[int, typer.Option(metavar="N", help="Block bootstrap with N resamples.")] = 0,
     hysteresis: Annotated[
-        bool, typer.Option("--hysteresis", help="Find friction and sensor drift with the law, from both directions.")
+        bool,
+        typer.Option("--hysteresis", help="Identify friction and sensor drift with the law."),
     ] = False,
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
@@ -50,22 +49,22 @@ def identify(
     json: Json = False,
     out: Out = None,
 ) -> None:
-    """Fit a force law to measured points: estimates with standard errors, and errors at unseen pressures.
+    """Fit a force law to measured points: estimates with standard errors, and cross-validation errors.
 
-    With --law all every law is fitted, and they are ranked by their errors at whole pressures, directions and repeats
-    left out. With --hysteresis the friction between loading and unloading is found with the law.
+    With --law all every law is fitted, and they are ranked by cross-validation over pressures, directions and repeats.
+    With --hysteresis the friction between loading and unloading is identified with the law.
     """
     if out:
         make_folder(out)
     from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law) if law != _ALL else None
-    points = measured(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
+    points = read_data(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
     if law_type is None:
         if profile or bootstrap or hysteresis or level != _LEVEL:
             raise ParameterError(
-                "--level, --profile, --bootstrap and --hysteresis are about one law",
-                remedy="name it, such as --law exponential",
+                "--level, --profile, --bootstrap and --hysteresis apply to a single law",
+                remedy="choose one, such as --law exponential",
             )
         _rank(points, json, out)
         return
@@ -81,14 +80,14 @@ def identify(
         write_json,
     )
 
-    way = identify_hysteresis(law_type, points) if hysteresis else None
-    static = way.corrected(points) if way else points
+    friction = identify_hysteresis(law_type, points) if hysteresis else None
+    static = friction.corrected(points) if friction else points
     fit = run(law_type, static)
     found = further(fit, level=level, profiles=profile, refits=bootstrap)
     numbers = {**fit_numbers(fit), "uncertainty": interval_numbers(fit, found)}
-    if way:
-        numbers["hysteresis"] = hysteresis_numbers(way)
-    texts = [way.report() + "\n\nThe law, of the points without friction and drift:\n" if way else ""]
+    if friction:
+        numbers["hysteresis"] = hysteresis_numbers(friction)
+    texts = [friction.report() + "\n\nForce law of the points corrected for friction and drift:\n" if friction else ""]
     texts += [fit.report(level), further_report(fit, found)]
     typer.echo(to_json(numbers) if json else "\n".join(filter(None, texts)))
     if out:
@@ -99,16 +98,16 @@ def identify(
         write_json(out / "results.json", numbers)
         figures = {"fit": report.isobaric(static, fit), "bands": report.force_bands(static, fit, level=level)}
         figures |= {f"profile-{one.name}": report.profile_likelihood(one, fit) for one in found.profiles}
-        figures |= {"loops": report.loops(points, way)} if way else {}
+        figures |= {"loops": report.loops(points, friction)} if friction else {}
         for name, figure in figures.items():
             report.save(figure, out, name)
-        said(f"kept fit.yaml, data.nc, results.json and {', '.join(figures)} as .png and .svg in {out}", json)
+        notify(f"wrote fit.yaml, data.nc, results.json and {', '.join(figures)} as .png and .svg to {out}", json)
 
 
 def validate(
     law: Annotated[str, typer.Argument(metavar="LAW", help="A fit file, a law of the catalog, or 'chou'.")],
     data: Data,
-    specimen: Annotated[str, typer.Option(help="Whose braid angle and diameter 'chou' takes.")] = "",
+    specimen: Annotated[str, typer.Option(help="Specimen whose braid angle and diameter 'chou' uses.")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     column: Column = None,
@@ -116,13 +115,13 @@ def validate(
     json: Json = False,
     out: Out = None,
 ) -> None:
-    """Hold a force law against measured points: errors by pressure and direction."""
+    """Validate a force law with measured points: errors by pressure and direction."""
     if out:
         make_folder(out)
     from mckibben.study.inputs import law_named
 
     known = law_named(law, specimen=specimen)
-    points = measured(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
+    points = read_data(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
     from mckibben.identification import validate as run
     from mckibben.study.reporting import to_json, write_json
 
@@ -131,7 +130,7 @@ def validate(
     typer.echo(to_json(numbers) if json else validation.report())
     if out:
         write_json(out / "results.json", numbers)
-        said(f"kept results.json in {out}", json)
+        notify(f"wrote results.json to {out}", json)
 
 
 def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
@@ -165,7 +164,7 @@ def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
         write_json(out / "results.json", numbers)
         report.save(report.ranking(ranking), out, "ranking")
         report.save(report.isobaric(points, best.fit), out, "fit")
-        said(f"kept fit.yaml ({best.law}), fits/, data.nc, results.json, ranking.png and fit.png in {out}", json)
+        notify(f"wrote fit.yaml ({best.law}), fits/, data.nc, results.json, ranking.png and fit.png to {out}", json)
 
 
 def _show(ranking: Ranking) -> None:
@@ -174,40 +173,43 @@ def _show(ranking: Ranking) -> None:
     least = min((entry.aicc for entry in fitted if entry.aicc == entry.aicc), default=0.0)
     headers = (
         "law",
-        "numbers",
+        "parameters",
         "RMSE N",
-        *(f"unseen {name}s N" for name in ranking.blocks),
+        *(f"held-out {name}s N" for name in ranking.blocks),
         "AICc",
-        "pattern left along",
+        "residual pattern over",
     )
     rows = [
         (
             _short(entry),
             str(entry.parameters),
             f"{entry.fit.rmse:.2f}" if entry.fit else "-",
-            *(f"{entry.unseen[name].rmse:.2f}" if name in entry.unseen else "-" for name in ranking.blocks),
+            *(
+                f"{entry.cross_validation[name].rmse:.2f}" if name in entry.cross_validation else "-"
+                for name in ranking.blocks
+            ),
             f"+{entry.aicc - least:.1f}" if entry.aicc == entry.aicc else "-",
-            (entry.structure.pattern if entry.structure else "") or "-",
+            (entry.residual_correlation.pattern if entry.residual_correlation else "") or "-",
         )
         for entry in fitted
     ]
-    table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack left out", headers, rows)
+    table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)
     for name, reason in ranking.missing.items():
-        typer.echo(f"no error at unseen {name}s: {reason}")
+        typer.echo(f"no cross-validation over {name}s: {reason}")
     if not ranking.blocks:
-        typer.echo("no block of points could be held out: ranked by AICc, which says nothing of unseen points")
+        typer.echo("no block of points could be held out: ranked by AICc")
     for entry in ranking.entries:
         _remark(entry)
     best, first = ranking.best, ranking.entries[0]
     if best is not first:
-        typer.echo(f"taken for the best: {_short(best)}, since {_short(first)} is flagged and hardly better")
+        typer.echo(f"selected: {_short(best)}; {_short(first)} is flagged and not substantially better")
 
 
-def _remark(entry: Ranked) -> None:
-    for what, texts in (("refused", [entry.refused]), ("flagged", entry.flags), ("remark on", entry.remarks)):
+def _remark(entry: RankedLaw) -> None:
+    for what, texts in (("not fitted", [entry.refused]), ("flagged", entry.flags), ("note on", entry.remarks)):
         if any(texts):
             typer.echo(f"{what} {_short(entry)}: {'; '.join(texts)}")
 
 
-def _short(entry: Ranked) -> str:
+def _short(entry: RankedLaw) -> str:
     return entry.law.removesuffix("Law")

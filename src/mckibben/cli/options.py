@@ -1,4 +1,4 @@
-"""Options, tables, progress and interruption of the commands."""
+"""Options, tables, progress and the skeleton of long jobs that the commands share."""
 
 from __future__ import annotations
 
@@ -10,74 +10,73 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mckibben.errors import UnitError
+from mckibben.errors import ParameterError, UnitError
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print machine-readable results instead of a table.")]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Keep results, figures and data here.")]
-Data = Annotated[str, typer.Argument(metavar="DATA", help="A file of measurements, or a dataset of the catalog.")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write results, figures and data here.")]
+Data = Annotated[str, typer.Argument(metavar="DATA", help="A data file, or the name of a dataset in the catalog.")]
 InitialLength = Annotated[
-    str, typer.Option(metavar="LENGTH", help="Of the deflated muscle, such as '180 mm'; where a file has lengths only.")
+    str,
+    typer.Option(metavar="LENGTH", help="Length of the deflated muscle, such as '180 mm', where a file has lengths."),
 ]
 SlackForce = Annotated[
-    str, typer.Option(metavar="FORCE", help="Up to this force a muscle counts as slack, such as '1 N'.")
+    str, typer.Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
 ]
 Column = Annotated[
     list[str] | None,
-    typer.Option(metavar="'HEADER=NAME'", help="Read a column under another name; may be given several times."),
+    typer.Option(metavar="'HEADER=NAME'", help="Read the column HEADER as the quantity NAME; repeatable."),
 ]
 
 
-SkipCorrupt = Annotated[
-    bool, typer.Option("--skip-corrupt", help="Leave out rows that hold no number, and report them.")
-]
+SkipCorrupt = Annotated[bool, typer.Option("--skip-corrupt", help="Skip rows that contain no number, and report them.")]
 
 
-def measured(
+def read_data(
     data: str, columns: list[str] | None, initial_length: str, slack_force: str, *, skip_corrupt: bool = False
 ) -> IsobaricDataset:
-    """The data that a command names; columns of the file that are not read are named on standard error."""
+    """Read a data file or a dataset of the catalog; ignored columns are reported on standard error."""
     from mckibben.study.inputs import data_named
 
     found = data_named(
         data,
-        columns=renamed(columns),
-        initial_length=quantity_or_none("--initial-length", initial_length, "m"),
-        slack_force=quantity_or_none("--slack-force", slack_force, "N"),
+        columns=parse_columns(columns),
+        initial_length=parse_optional_quantity("--initial-length", initial_length, "m"),
+        slack_force=parse_optional_quantity("--slack-force", slack_force, "N"),
         skip_corrupt=skip_corrupt,
     )
-    say_ignored(found.table.attrs)
+    report_ignored_columns(found.table.attrs)
     return found
 
 
-def say_ignored(attributes: Mapping[str, Any]) -> None:
-    """Name the columns of a file that were not read, on standard error."""
+def report_ignored_columns(attributes: Mapping[str, Any]) -> None:
+    """Report the columns of a file that were not read, on standard error."""
     ignored = attributes.get("ignored_columns")
     if ignored:
         typer.echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
 
 
-def said(text: str, json: bool) -> None:
-    """Say what was done: beside the results, not among them, where these are for a machine."""
+def notify(text: str, json: bool) -> None:
+    """Print a message; on standard error where standard output is JSON."""
     typer.echo(text, err=json)
 
 
-def renamed(columns: list[str] | None) -> dict[str, str] | None:
-    """The names that --column gives, by header; None for none."""
+def parse_columns(columns: list[str] | None) -> dict[str, str] | None:
+    """Quantity names by column header from --column; None if there are none."""
     named = {}
     for text in columns or []:
         header, equals, name = text.rpartition("=")
         if not equals:
-            raise UnitError(f"--column {text!r} names no column", remedy="write --column 'Druck [bar]=pressure_bar'")
+            raise UnitError(f"--column {text!r} is not HEADER=NAME", remedy="write --column 'Druck [bar]=pressure_bar'")
         named[header] = name
     return named or None
 
 
-def quantity_of(option: str, text: str, unit: str) -> float:
-    """What an option says, in SI; an error names the option."""
+def parse_quantity(option: str, text: str, unit: str) -> float:
+    """Value of an option in SI units; an error names the option."""
     from mckibben.units import quantity
 
     try:
@@ -86,16 +85,16 @@ def quantity_of(option: str, text: str, unit: str) -> float:
         raise UnitError(f"{option}: {error}", value=text, unit=unit) from None
 
 
-def quantity_or_none(option: str, text: str, unit: str) -> float | None:
-    """The same, and None where it was not given."""
-    return quantity_of(option, text, unit) if text else None
+def parse_optional_quantity(option: str, text: str, unit: str) -> float | None:
+    """Value of an option in SI units, None if it was not given."""
+    return parse_quantity(option, text, unit) if text else None
 
 
-_PIPED_WIDTH = 240  # columns of a table that goes into a file or a pipe
+_PIPED_WIDTH = 240  # columns of a table written to a file or a pipe
 
 
 def table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
-    """Print a table under its title; cells are plain text."""
+    """Print a titled table; cells are plain text."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -111,7 +110,7 @@ def table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> 
 
 @contextmanager
 def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on standard error, itself so many columns wide."""
+    """Progress bar of `width` columns on standard error."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -127,31 +126,46 @@ def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
 
 
 def metric(name: str, value: float) -> str:
-    """A number, or that there is none: never settled, or not defined for this run."""
+    """Format a metric; NaN is "never" for a settling time, else "-"."""
     if value == value:
         return f"{value:.4g}"
     return "never" if name == "stiffness_settling_s" else "-"
 
 
 INTERRUPTED = 130
-"""The exit code after Ctrl-C, as shells have it."""
+"""Exit code after Ctrl-C, by the convention of shells."""
 
 
 @contextmanager
-def late_progress(*, quiet: bool, width: int = 40) -> Iterator[Callable[[str, float], None] | None]:
-    """A progress bar that is not there before it is told of progress: what is wrong with the options comes first.
-
-    None where it is to be quiet.
-    """
+def job_progress(*, quiet: bool, width: int = 40) -> Iterator[Callable[[str, float], None] | None]:
+    """Progress bar that appears with the first report, None if `quiet`: errors in the options come before it."""
     if quiet:
         yield None
         return
-    with ExitStack() as shown:
+    with ExitStack() as stack:
         bars: list[Callable[[str, float], None]] = []
 
         def report(what: str, part: float) -> None:
             if not bars:
-                bars.append(shown.enter_context(progress(width=width)))
+                bars.append(stack.enter_context(progress(width=width)))
             bars[0](what, part)
 
         yield report
+
+
+@contextmanager
+def long_job(*, quiet: bool, kept: str) -> Iterator[Callable[[str, float], None] | None]:
+    """Skeleton of a long command: progress, and after Ctrl-C exit code 130 with a message of what is kept."""
+    try:
+        with job_progress(quiet=quiet) as report:
+            yield report
+    except KeyboardInterrupt as interrupt:
+        typer.echo(f"interrupted: {str(interrupt) or kept}", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def required_folder(out: Path | None, job: str) -> Path:
+    """The folder of --out, which a long job requires."""
+    if out is None:
+        raise ParameterError(f"the {job} needs an output folder", remedy="give one with --out DIR")
+    return out

@@ -13,10 +13,10 @@ from mckibben.cli.options import (
     Json,
     Out,
     SlackForce,
-    measured,
-    quantity_of,
-    quantity_or_none,
-    said,
+    notify,
+    parse_optional_quantity,
+    parse_quantity,
+    read_data,
     table,
 )
 from mckibben.errors import ParameterError, UnitError
@@ -99,7 +99,7 @@ def plan(
     known = catalog.specimen(specimen) if specimen else None
     asked = read_quantity(of, law_type, lambda: joint_named(joint))
     begun = law_named(guess, specimen=specimen) if guess else None
-    read = measured(data, column, initial_length, slack_force)
+    read = read_data(data, column, initial_length, slack_force)
     name = known or (catalog.specimen(n) if (n := read.table.attrs["specimen"]) in catalog.names("specimens") else None)
     length = read.table.attrs.get("initial_length") or (float(name.initial_length) if name else None)
     found = run(
@@ -110,12 +110,12 @@ def plan(
         limits=_limits(contraction, pressure, name),
         specimen=known,
         contraction_step=_contraction_step(contraction_step, length),
-        pressure_step=quantity_of("--pressure-step", pressure_step, "Pa"),
+        pressure_step=parse_quantity("--pressure-step", pressure_step, "Pa"),
         directions=_DIRECTIONS[directions],
         repeats=repeats,
         friction=friction,
-        noise=quantity_or_none("--noise", noise, "N"),
-        stroke_error=quantity_or_none("--stroke-error", stroke_error, "N"),
+        noise=parse_optional_quantity("--noise", noise, "N"),
+        stroke_error=parse_optional_quantity("--stroke-error", stroke_error, "N"),
         guess=begun,
     )
     numbers = found.records()
@@ -130,7 +130,7 @@ def plan(
         found.to_csv(out / "plan.csv")
         write_json(out / "results.json", numbers)
         save(planned(found), out, "plan")
-        said(f"kept plan.csv, results.json and plan.png and .svg in {out}", json)
+        notify(f"kept plan.csv, results.json and plan.png and .svg in {out}", json)
 
 
 def _show(found: Plan, specimen: str) -> None:
@@ -178,7 +178,7 @@ def _contraction_step(text: str, length: float | None) -> float | None:
     try:
         return quantity(text, "1")
     except UnitError:
-        step = quantity_of("--contraction-step", text, "m")
+        step = parse_quantity("--contraction-step", text, "m")
     if length is None:
         raise ParameterError(
             f"--contraction-step {text!r} is a length, and the initial length of the muscle is not known",

@@ -1,4 +1,4 @@
-"""`mckibben points`: a raw recording to points that can be identified from."""
+"""`mckibben points`: steady-state points of a raw recording."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from mckibben.cli.options import (
     Json,
     SkipCorrupt,
     SlackForce,
-    quantity_of,
-    quantity_or_none,
-    renamed,
-    said,
-    say_ignored,
+    notify,
+    parse_columns,
+    parse_optional_quantity,
+    parse_quantity,
+    report_ignored_columns,
     table,
 )
 from mckibben.errors import DatasetError, Problem, UnitError
 
 if TYPE_CHECKING:
-    from mckibben.dataset import Points, Recording
+    from mckibben.dataset import ExtractedPoints, Recording
 
-_SHOWN = 40  # points in the table
+_SHOWN = 40  # rows of the table
 _LEADING_NUMBER = re.compile(r"^[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
 
 
@@ -39,74 +39,76 @@ def points(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Keep the points here: .csv, or .nc with the spread of the force."),
+        typer.Option(metavar="FILE", help="Output file: .csv, or .nc with the spread of the force."),
     ] = None,
     isometric: Annotated[
         bool,
-        typer.Option("--isometric", help="Filled and vented at a fixed length: points at pressures, not plateaus."),
+        typer.Option("--isometric", help="Isometric test: points at pressure levels at a fixed length."),
     ] = False,
     levels: Annotated[
-        str, typer.Option(metavar="'1, 2, 3 bar'", help="The pressures of --isometric; evenly spaced unless given.")
+        str, typer.Option(metavar="'1, 2, 3 bar'", help="Pressure levels of --isometric (default: evenly spaced).")
     ] = "",
-    count: Annotated[
-        int, typer.Option(metavar="N", help="How many pressures --isometric has unless they are given.")
-    ] = 12,
+    count: Annotated[int, typer.Option(metavar="N", help="Number of evenly spaced levels of --isometric.")] = 12,
     contraction: Annotated[
-        str, typer.Option(metavar="RATIO", help="At which the muscle was held, such as '10 %', if no column says it.")
+        str,
+        typer.Option(metavar="RATIO", help="Contraction of the recording, such as '10 %', if no column gives it."),
     ] = "",
-    pressure_tolerance: Annotated[str, typer.Option(metavar="PRESSURE", help="Of a plateau.")] = "2 kPa",
+    pressure_tolerance: Annotated[str, typer.Option(metavar="PRESSURE", help="Tolerance of a plateau.")] = "2 kPa",
     contraction_tolerance: Annotated[
-        str, typer.Option(metavar="RATIO", help="Of a plateau, or of a fixed length; 0.1 % or 0.5 % unless given.")
+        str,
+        typer.Option(
+            metavar="RATIO",
+            help="Tolerance of a plateau (default 0.1 %) or of --isometric (0.5 %).",
+        ),
     ] = "",
-    force_tolerance: Annotated[
-        str, typer.Option(metavar="FORCE", help="Of a plateau; the force may creep unless given.")
-    ] = "",
-    dwell: Annotated[str, typer.Option(metavar="TIME", help="A plateau is steady for at least so long.")] = "1 s",
-    settle: Annotated[str, typer.Option(metavar="TIME", help="Its beginning that is left out.")] = "0 s",
+    force_tolerance: Annotated[str, typer.Option(metavar="FORCE", help="Tolerance of a plateau (default: none).")] = "",
+    dwell: Annotated[str, typer.Option(metavar="TIME", help="Shortest duration of a plateau.")] = "1 s",
+    settle: Annotated[str, typer.Option(metavar="TIME", help="Excluded start of a plateau.")] = "0 s",
     gap: Annotated[
-        str, typer.Option(metavar="TIME", help="Samples further apart are not joined; 10 intervals unless given.")
+        str,
+        typer.Option(metavar="TIME", help="Gap that ends a plateau (default: 10 sampling intervals)."),
     ] = "",
-    sample_rate: Annotated[str, typer.Option(metavar="RATE", help="Such as '1000 Hz', of a file without times.")] = "",
+    sample_rate: Annotated[str, typer.Option(metavar="RATE", help="Of a file without times, such as '1000 Hz'.")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
-    specimen: Annotated[str, typer.Option(metavar="NAME", help="The make of the muscle.")] = "",
+    specimen: Annotated[str, typer.Option(metavar="NAME", help="Name of the specimen.")] = "",
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
     json: Json = False,
 ) -> None:
-    """Find the points in a raw recording: steady plateaus, or pressures passed at a fixed length."""
+    """Extract points from a raw recording: steady plateaus, or pressure levels at a fixed length."""
     if out is not None:
         _check_new(out)
-    wanted = _levels(levels)
+    pressures = _levels(levels)
     from mckibben.dataset import read_recording
 
     read = read_recording(
         recording,
-        columns=renamed(column),
-        initial_length=quantity_or_none("--initial-length", initial_length, "m"),
-        contraction=None if isometric else quantity_or_none("--contraction", contraction, "1"),
-        sample_rate=quantity_or_none("--sample-rate", sample_rate, "Hz"),
+        columns=parse_columns(column),
+        initial_length=parse_optional_quantity("--initial-length", initial_length, "m"),
+        contraction=None if isometric else parse_optional_quantity("--contraction", contraction, "1"),
+        sample_rate=parse_optional_quantity("--sample-rate", sample_rate, "Hz"),
         specimen=specimen,
-        slack_force=quantity_or_none("--slack-force", slack_force, "N"),
+        slack_force=parse_optional_quantity("--slack-force", slack_force, "N"),
         on_corrupt="report" if skip_corrupt else "raise",
     )
-    between = quantity_or_none("--gap", gap, "s")
-    tolerance = quantity_or_none("--contraction-tolerance", contraction_tolerance, "1")
+    between = parse_optional_quantity("--gap", gap, "s")
+    tolerance = parse_optional_quantity("--contraction-tolerance", contraction_tolerance, "1")
     if isometric:
         found = read.isometric(
-            wanted,
+            pressures,
             count=count,
-            contraction=quantity_or_none("--contraction", contraction, "1"),
+            contraction=parse_optional_quantity("--contraction", contraction, "1"),
             contraction_tolerance=0.005 if tolerance is None else tolerance,
             gap=between,
         )
     else:
         found = read.plateaus(
-            pressure_tolerance=quantity_of("--pressure-tolerance", pressure_tolerance, "Pa"),
+            pressure_tolerance=parse_quantity("--pressure-tolerance", pressure_tolerance, "Pa"),
             contraction_tolerance=0.001 if tolerance is None else tolerance,
-            force_tolerance=quantity_or_none("--force-tolerance", force_tolerance, "N"),
-            dwell=quantity_of("--dwell", dwell, "s"),
-            settle=quantity_of("--settle", settle, "s"),
+            force_tolerance=parse_optional_quantity("--force-tolerance", force_tolerance, "N"),
+            dwell=parse_quantity("--dwell", dwell, "s"),
+            settle=parse_quantity("--settle", settle, "s"),
             gap=between,
         )
     if out is not None:
@@ -114,13 +116,13 @@ def points(
         write(out)
     _show(read, found, recording, json)
     if out is not None:
-        said(f"kept {len(found.dataset)} points in {out}; fit a law with: mckibben identify {out}", json)
+        notify(f"wrote {len(found.dataset)} points to {out}; fit a law with: mckibben identify {out}", json)
 
 
-def _show(read: Recording, found: Points, path: Path, json: bool) -> None:
+def _show(read: Recording, found: ExtractedPoints, path: Path, json: bool) -> None:
     from mckibben.study.reporting import to_json
 
-    say_ignored(read.table.attrs)
+    report_ignored_columns(read.table.attrs)
     rows = _rows(found)
     if json:
         names = ("time_s", "pressure_bar", "contraction_percent", "force_N", "spread_N", "samples", "came_by")
@@ -133,23 +135,24 @@ def _show(read: Recording, found: Points, path: Path, json: bool) -> None:
         typer.echo(to_json(numbers))
         return
     shown = [
-        (f"{t:.5g}", f"{p:.5g}", f"{c:.4g}", f"{f:.5g}", f"{d:.2g}", str(n), way) for t, p, c, f, d, n, way in rows
+        (f"{t:.5g}", f"{p:.5g}", f"{c:.4g}", f"{f:.5g}", f"{d:.2g}", str(n), direction)
+        for t, p, c, f, d, n, direction in rows
     ]
-    more = f" (the first {_SHOWN} are shown)" if len(shown) > _SHOWN else ""
+    more = f" (first {_SHOWN} shown)" if len(shown) > _SHOWN else ""
     table(
         f"{path.name}: {len(rows)} points of {len(read)} samples{more}",
-        ("time s", "pressure bar", "contraction %", "force N", "spread N", "samples", "reached by"),
+        ("time s", "pressure bar", "contraction %", "force N", "spread N", "samples", "direction"),
         shown[:_SHOWN],
     )
     typer.echo(found.describe())
 
 
-def _rows(found: Points) -> list[tuple[float, float, float, float, float, int, str]]:
+def _rows(found: ExtractedPoints) -> list[tuple[float, float, float, float, float, int, str]]:
     from mckibben.units import bar, percent
 
     data = found.dataset.table
     empty = [""] * len(found.dataset)
-    ways = zip(
+    directions = zip(
         *(data[name].to_numpy().tolist() if name in data else empty for name in ("direction", "phase")), strict=True
     )
     columns = (
@@ -160,21 +163,24 @@ def _rows(found: Points) -> list[tuple[float, float, float, float, float, int, s
         data["force_spread"].to_numpy().tolist(),
         found.samples.tolist(),
     )
-    return [(*row, way[0] or way[1] or "-") for row, way in zip(zip(*columns, strict=True), ways, strict=True)]
+    return [
+        (*row, direction or phase or "-")
+        for row, (direction, phase) in zip(zip(*columns, strict=True), directions, strict=True)
+    ]
 
 
 def _check_new(out: Path) -> None:
-    """Refuse, before the work, a file that could not be written after it, or is there already."""
+    """Check, before the computation, that the output file is new and can be written."""
     if out.suffix.lower() not in (".csv", ".nc"):
-        raise DatasetError(str(out), [Problem("is neither .csv nor .nc", remedy="name it points.csv")])
+        raise DatasetError(str(out), [Problem("is neither .csv nor .nc", remedy="use the ending .csv or .nc")])
     if not out.parent.is_dir():
-        raise DatasetError(str(out), [Problem(f"there is no folder {out.parent}", remedy="make it, or name another")])
+        raise DatasetError(str(out), [Problem(f"there is no folder {out.parent}", remedy="create it")])
     if out.exists():
-        raise DatasetError(str(out), [Problem("is there already", remedy="name another file, or delete it")])
+        raise DatasetError(str(out), [Problem("exists already", remedy="choose another file, or delete it")])
 
 
 def _levels(text: str) -> list[float] | None:
-    """Pressures with a unit for all, such as "1, 2.5, 4 bar", or one each, such as "100 kPa, 2 bar"."""
+    """Parse pressures with one unit for all ("1, 2.5, 4 bar") or one each ("100 kPa, 2 bar")."""
     if not text:
         return None
     parts = [part.strip() for part in text.split(",")]
@@ -184,9 +190,9 @@ def _levels(text: str) -> list[float] | None:
     if not all(units):
         if any(units[:-1]) or not all(parts):
             raise UnitError(
-                f"--levels {text!r} is no list of pressures",
+                f"--levels {text!r} is not a list of pressures",
                 value=text,
-                remedy="write one unit for all, '1, 2, 3 bar', or one each, '1 bar, 200 kPa'",
+                remedy="write one unit for all, '1, 2, 3 bar', or one for each, '1 bar, 200 kPa'",
             )
         parts[:-1] = [f"{part} {units[-1]}" for part in parts[:-1]]
-    return [quantity_of("--levels", part, "Pa") for part in parts]
+    return [parse_quantity("--levels", part, "Pa") for part in parts]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mckibben.cli.options import Json, late_progress, metric, quantity_or_none, said, table
+from mckibben.cli.options import Json, job_progress, metric, notify, parse_optional_quantity, table
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def control(
     from mckibben.storage.files import check_free, make_folder
     from mckibben.study.scenario import Scenario
 
-    read = _lasting(Scenario.read(scenario), quantity_or_none("--duration", duration, "s"))
+    read = _lasting(Scenario.read(scenario), parse_optional_quantity("--duration", duration, "s"))
     on = None if rig is None else JointRig.read(rig)
     if on is not None and on.nidaqmx is not None and unpaced:
         raise ParameterError("--unpaced is for the virtual joint", remedy="leave it out")
@@ -102,7 +102,7 @@ def _report(ran: Ran, session: Session, out: Path, *, paced: bool, json: bool) -
         "described": ran.ending.text,
         "vented_after_s": ran.ending.vented_after,
         "outcome": result.outcome.name.lower() if result is not None else None,
-        "out_of_reach": "" if ran.reach.reachable else ran.reach.describe(),
+        "infeasible": "" if ran.reach.reachable else ran.reach.describe(),
         "metrics": metrics,
         "priority": ran.priority,
         "timing": timing.to_json() if paced else None,
@@ -141,7 +141,7 @@ def _report(ran: Ran, session: Session, out: Path, *, paced: bool, json: bool) -
             if vented is None
             else f"both muscles below 0.2 bar {vented * 1e3:.0f} ms after the vent"
         )
-    said(f"kept {', '.join(kept)} in {out}", json)
+    notify(f"kept {', '.join(kept)} in {out}", json)
 
 
 class _Line:
@@ -242,7 +242,7 @@ def run(
     from mckibben.study.rig.document import read_test
     from mckibben.study.rig.running import check, check_room
 
-    standing = quantity_or_none("--standing-at", standing_at, "1")
+    standing = parse_optional_quantity("--standing-at", standing_at, "1")
     if standing is not None and not resume:
         raise ParameterError("--standing-at is for a test that goes on", remedy="add --resume")
     test, document = read_test(protocol)
@@ -269,7 +269,7 @@ def run(
         typer.echo(to_json({**_numbers(checked), "data": str(name), "points": len(data)}))
     else:
         typer.echo(repr(data))
-    said(f"recorded in {out} within {time.monotonic() - begun:.0f} s; next: mckibben identify {name}", json)
+    notify(f"recorded in {out} within {time.monotonic() - begun:.0f} s; next: mckibben identify {name}", json)
 
 
 @rig.command()
@@ -324,7 +324,7 @@ def _shown(checked: Checked, *, quiet: bool) -> Iterator[Report | None]:
 
     found = checked.outline
     total = max(1, found.plateaus)
-    with late_progress(quiet=quiet, width=8) as bars:
+    with job_progress(quiet=quiet, width=8) as bars:
         if bars is None:
             yield None
             return

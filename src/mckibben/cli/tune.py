@@ -1,4 +1,4 @@
-"""`mckibben tune`: the numbers of scenarios that cost least."""
+"""`mckibben tune`: scenario parameters that minimise a cost."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mckibben.cli.options import INTERRUPTED, Json, late_progress, metric, table
+from mckibben.cli.options import Json, long_job, metric, required_folder, table
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError
 from mckibben.storage.files import atomic_write
 
@@ -21,48 +21,51 @@ _METHODS = ("gradient", "evolution", "cma")
 
 def tune(
     scenarios: Annotated[
-        list[Path], typer.Argument(metavar="SCENARIO.yaml...", help="The runs that count, all at once.")
+        list[Path], typer.Argument(metavar="SCENARIO.yaml...", help="Scenarios whose costs are combined.")
     ],
     parameters: Annotated[
         list[str] | None,
         typer.Option(
             metavar="'NAME=RANGE'",
-            help="Search this number over a range, such as 'controller.position.kp=0.2..20 bar/rad log' or "
-            "'load.damping=+-50 %'; a name alone goes from a hundredth to a hundredfold. May be given several times; "
-            "all gains unless given. `mckibben sweep SCENARIO.yaml --list` shows the names.",
+            help="Parameter and its range, such as 'controller.position.kp=0.2..20 bar/rad log' or "
+            "'load.damping=+-50 %'; a name alone spans 0.01 to 100 times its value. Repeatable (default: all gains). "
+            "`mckibben sweep SCENARIO.yaml --list` lists the names.",
         ),
     ] = None,
     known: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="A tuned number of the plant that the controller's model follows, or all of them; may be "
-            "given several times. Unless given, the model stays that of the file.",
+            help="Tuned plant parameter that the controller's model follows, or 'all'; repeatable. By default the "
+            "controller's model keeps the values of the file.",
         ),
     ] = None,
     cost: Annotated[
-        str, typer.Option(metavar="TERMS", help="Metrics over what of each costs 1, added up.")
+        str, typer.Option(metavar="TERMS", help="Sum of metrics, each divided by its scale.")
     ] = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
-    method: Annotated[str, typer.Option(metavar="|".join(_METHODS), help="How to search.")] = "gradient",
+    method: Annotated[str, typer.Option(metavar="|".join(_METHODS), help="Search method.")] = "gradient",
     margin: Annotated[
-        float, typer.Option(metavar="FACTOR", help="By which all tuned gains may rise without harm; 1 for no margin.")
+        float,
+        typer.Option(
+            metavar="FACTOR",
+            help="Gain margin: the cost also covers gains FACTOR times as large.",
+        ),
     ] = 1.5,
-    worst: Annotated[bool, typer.Option("--worst", help="The worst scenario counts, not the mean of all.")] = False,
-    starts: Annotated[int, typer.Option(metavar="N", help="From how many points a gradient is followed.")] = 4,
+    worst: Annotated[bool, typer.Option("--worst", help="Minimise the worst scenario, not the mean.")] = False,
+    starts: Annotated[int, typer.Option(metavar="N", help="Starting points of the gradient method.")] = 4,
     iterations: Annotated[int, typer.Option(metavar="N", help="Steps of each descent, or generations.")] = 30,
-    population: Annotated[int, typer.Option(metavar="N", help="Points a generation.")] = 32,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the search: the same seed finds the same.")] = 0,
+    population: Annotated[int, typer.Option(metavar="N", help="Points per generation.")] = 32,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the search.")] = 0,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Keep the history, the tuned scenarios and a figure here.")
+        Path | None, typer.Option(metavar="DIR", help="Output folder: history, tuned scenarios, figure.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the search in DIR.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the search in DIR.")] = False,
     json: Json = False,
 ) -> None:
-    """Search gains, or other numbers, of scenarios for the least cost; what was tried is never lost."""
-    if out is None:
-        raise ParameterError("there is no folder for the search", remedy="say where to keep it: --out DIR")
+    """Minimise a cost over gains or other parameters of scenarios; a search can be resumed."""
+    out = required_folder(out, "search")
     if method not in _METHODS:
-        raise ParameterError(f"{method!r} is no method", value=method, remedy=f"choose of {', '.join(_METHODS)}")
+        raise ParameterError(f"{method!r} is not a method", value=method, remedy=f"choose one of {', '.join(_METHODS)}")
     from mckibben.storage.files import check_free
     from mckibben.study.scenario import Scenario
 
@@ -73,29 +76,25 @@ def tune(
     ranges = parse_ranges(parameters or [], read[0])
     asked = parse_cost(cost, gain_margin=margin, worst=worst)
     history = out / "history.journal"
-    if not resume and not history.exists():  # else `run` says what to do
+    if not resume and not history.exists():  # an existing search is reported by `run`
         check_free(out, ("results.json", "tuning.png", "tuning.svg", *_tuned_names(scenarios)))
-    try:
-        with late_progress(quiet=json) as bar:
-            shown = None if bar is None else _Shown(bar)
-            tuned = run(
-                read,
-                ranges,
-                asked,
-                method=Method(method),
-                starts=starts,
-                iterations=iterations,
-                population=population,
-                seed=seed,
-                history=history,
-                resume=resume,
-                known="all" if known == ["all"] else known or (),
-                progress=shown and shown.part,
-                least=shown and shown.least,
-            )
-    except KeyboardInterrupt:
-        typer.echo(f"interrupted: what was tried is kept in {history}; go on with --resume", err=True)
-        raise typer.Exit(INTERRUPTED) from None
+    with long_job(quiet=json, kept=f"the evaluated points are in {history}; continue with --resume") as bar:
+        status = None if bar is None else _Status(bar)
+        tuned = run(
+            read,
+            ranges,
+            asked,
+            method=Method(method),
+            starts=starts,
+            iterations=iterations,
+            population=population,
+            seed=seed,
+            history=history,
+            resume=resume,
+            known="all" if known == ["all"] else known or (),
+            progress=status and status.part,
+            least=status and status.least,
+        )
     _show(tuned, read, scenarios, ranges, out, json)
 
 
@@ -105,7 +104,7 @@ def _show(tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges
 
     kept = _keep_scenarios(tuned, paths, out)
     runs = [
-        {"scenario": old.name, "before": _measured(old), "tuned": _measured(new)}
+        {"scenario": old.name, "before": _metrics(old), "tuned": _metrics(new)}
         for old, new in zip(before, tuned.scenarios, strict=True)
     ]
     shown_values = {each.name: each.parameter.show(tuned.values[each.name]) for each in ranges}
@@ -127,7 +126,7 @@ def _show(tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges
             for each, now in zip(ranges, shown_values.values(), strict=True)
         ]
         table(
-            f"cost {metric('cost', tuned.cost_before)} -> {tuned.cost:.4g}, {tuned.evaluated} points tried",
+            f"cost {metric('cost', tuned.cost_before)} -> {tuned.cost:.4g}, {tuned.evaluated} points evaluated",
             ("parameter", "before", "tuned"),
             rows,
         )
@@ -139,12 +138,12 @@ def _show(tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges
             ]
             table(run["scenario"], ("metric", "before", "tuned", "unit"), rows)
         if tuned.at_bound:
-            typer.echo(f"at an end of its range: {', '.join(tuned.at_bound)}; a wider range may hold better ones")
-    typer.echo(f"kept {', '.join(kept)}, history.journal, results.json and tuning.png and .svg in {out}", err=json)
+            typer.echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
+    typer.echo(f"wrote {', '.join(kept)}, history.journal, results.json, tuning.png and tuning.svg to {out}", err=json)
 
 
-def _measured(scenario: Scenario) -> dict[str, float]:
-    """The metrics as they are shown; NaN where the scenario cannot be run: tuning may have mended just that."""
+def _metrics(scenario: Scenario) -> dict[str, float]:
+    """Metrics in shown units; NaN if the scenario cannot be run (an untuned one may be infeasible)."""
     from mckibben.study.reporting import METRICS, shown
     from mckibben.study.scenario.running import run_scenario
 
@@ -155,18 +154,18 @@ def _measured(scenario: Scenario) -> dict[str, float]:
 
 
 def _keep_scenarios(tuned: TuningResult, paths: list[Path], out: Path) -> list[str]:
-    """Write the tuned scenarios: the user's own text with other numbers, where it reads the same in its new place."""
-    from mckibben.study.parameters import edit_yaml
+    """Write the tuned scenarios, editing the user's text in place where its relative paths still hold."""
+    from mckibben.study.parameters import edit_scenario
     from mckibben.study.scenario import Scenario
 
     names = _tuned_names(paths)
     for name, scenario, path in zip(names, tuned.scenarios, paths, strict=True):
-        text = edit_yaml(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
+        text = edit_scenario(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
         try:
             same = Scenario.parse(text, folder=out) == scenario
         except ScenarioError:
             same = False
-        if not same:  # a path in it is relative to where it stood
+        if not same:  # a relative path in it does not hold in the new folder
             scenario.to_yaml(out / name)
             continue
         with atomic_write(out / name, overwrite=True) as part:
@@ -175,7 +174,7 @@ def _keep_scenarios(tuned: TuningResult, paths: list[Path], out: Path) -> list[s
 
 
 def _tuned_names(paths: list[Path]) -> list[str]:
-    """What the tuned scenarios are called, no two of them the same."""
+    """Unique file names of the tuned scenarios."""
     names: list[str] = []
     for i, path in enumerate(paths, start=1):
         name = f"{path.stem}-tuned.yaml"
@@ -183,8 +182,8 @@ def _tuned_names(paths: list[Path]) -> list[str]:
     return names
 
 
-class _Shown:
-    """A bar with the part of the search that is done, and the least cost so far."""
+class _Status:
+    """Progress of a search with the lowest cost so far."""
 
     def __init__(self, bar: Callable[[str, float], None]) -> None:
         self._bar, self._least = bar, ""
@@ -193,4 +192,4 @@ class _Shown:
         self._bar(f"searching{self._least}", part)
 
     def least(self, cost: float) -> None:
-        self._least = f", least cost so far {cost:.4g}"
+        self._least = f", lowest cost {cost:.4g}"

@@ -1,62 +1,93 @@
-"""YAML text as plain data with the line of every value, and back."""
+"""YAML and JSON text to plain data with the line of every value; plain data to YAML; values edited in place."""
 
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from mckibben.errors import Problem
+from mckibben.errors import Problem, ScenarioError
 
 Place = tuple[str | int, ...]
-"""Where something is in a document: keys and indices, from the top."""
+"""Keys and indices from the top of a document to a value."""
 
 LONGEST_TEXT = 262_144
-"""Characters of a scenario; a real one has a few thousand."""
+"""Characters of a configuration file; a real one has a few thousand."""
 
 _DEEPEST = 12
 
 
+@dataclass(frozen=True)
+class Span:
+    """Position of a value in the text.
+
+    Attributes
+    ----------
+    start, end
+        Of a scalar its text, quotes included; of a mapping its first and last entry.
+    mapping, flow
+        Whether it is a mapping, and whether it is inside braces (or in braces itself).
+    column
+        Column of a mapping's first key.
+    """
+
+    start: int
+    end: int
+    mapping: bool
+    flow: bool
+    column: int = 0
+
+
 @dataclass
 class Document:
-    """Mappings, tuples and text, and where they stand.
+    """Parsed text.
 
     Attributes
     ----------
     data
-        Mappings (of text), tuples, text; None where something was refused.
+        Mappings, tuples and text (scalars are not converted); None where a value was rejected.
     lines
-        The line of each key and each item of a list; the empty place is the document's.
+        Line of each key and list item; that of the empty place is the document's.
+    spans
+        Position of each mapping and scalar.
     problems
-        What was wrong with the text itself.
-    refused
-        Places whose value is among the problems: nothing more need be said of them.
+        Mistakes in the text itself.
+    rejected
+        Places whose value is among the problems.
     readable
-        False if the text was no YAML: `data` then means nothing.
+        False if the text is not YAML; `data` is then meaningless.
     """
 
     data: Any = None
     lines: dict[Place, int] = field(default_factory=dict)
+    spans: dict[Place, Span] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
-    refused: set[Place] = field(default_factory=set)
+    rejected: set[Place] = field(default_factory=set)
     readable: bool = True
 
     def line(self, place: Place) -> int | None:
-        """The line of a place, or of the nearest thing around it."""
+        """The line of a place, or of the nearest enclosing one."""
         while place and place not in self.lines:
             place = place[:-1]
         return self.lines.get(place)
 
-    def refuse(self, place: Place, line: int, message: str, remedy: str) -> None:
-        """Note that a place holds something that no scenario may hold."""
+    def reject(self, place: Place, line: int, message: str, remedy: str) -> None:
+        """Add a problem for a value that is not allowed."""
         self.problems.append(Problem(message, line, dotted(place), remedy))
-        self.refused.add(place)
+        self.rejected.add(place)
+
+    def fail(self, message: str, *, line: int | None = None, remedy: str = "") -> Document:
+        """Mark the whole document as unreadable."""
+        self.problems.append(Problem(message, line, remedy=remedy))
+        self.readable = False
+        return self
 
 
 def dotted(place: Place) -> str:
-    """A place as people write it.
+    """A place as text.
 
     >>> dotted(("reference", "angle", "multisine", "amplitudes", 2))
     'reference.angle.multisine.amplitudes[2]'
@@ -66,7 +97,10 @@ def dotted(place: Place) -> str:
 
 
 def read_document(text: str) -> Document:
-    r"""Read YAML text; whatever it is, the answer is a document.
+    r"""Parse YAML text. Never raises: mistakes are in `Document.problems`.
+
+    Aliases, tags, duplicate keys and keys that are not text are rejected, as are texts of more than `LONGEST_TEXT`
+    characters or 12 levels.
 
     >>> document = read_document("duration: 10 s\nstart: {angle: 5 deg}")
     >>> document.data
@@ -79,20 +113,19 @@ def read_document(text: str) -> Document:
 
     document = Document()
     if len(text) > LONGEST_TEXT:
-        return _unreadable(
-            document,
+        return document.fail(
             f"is longer than {LONGEST_TEXT} characters",
-            remedy="give long series of samples in a CSV file (samples: {file: wish.csv})",
+            remedy="give long series of samples in a CSV file (samples: {file: reference.csv})",
         )
+    yaml = YAML(typ="safe", pure=True)
     try:
-        events = YAML(typ="safe", pure=True).parse(text)
-        _read_stream(events, document)
+        _Reader(yaml.parse(text), document).read_stream()
     except YAMLError as error:
         _explain(error, text, document)
     except _TooDeepError as error:
-        _unreadable(document, f"is nested more than {_DEEPEST} deep", line=error.line)
-    except ValueError as error:  # ruamel lets through what int() and chr() say of malformed directives and escapes
-        _unreadable(document, f"not YAML: {error}")
+        document.fail(f"is nested more than {_DEEPEST} deep", line=error.line)
+    except (ValueError, ArithmeticError, AssertionError, LookupError) as error:  # malformed directives and escapes
+        document.fail(f"not YAML: {error}", line=yaml.reader.line + 1)
     return document
 
 
@@ -102,164 +135,291 @@ class _TooDeepError(Exception):
         self.line = line
 
 
-def _read_stream(events: Iterator[Any], document: Document) -> None:
-    from ruamel.yaml import events as kinds
+class _Reader:
+    """From YAML events to a document."""
 
-    documents = 0
-    for event in events:
-        if not isinstance(event, kinds.DocumentStartEvent):
-            continue
-        documents += 1
-        first = next(events)
-        if documents == 1:
+    def __init__(self, events: Iterator[Any], document: Document) -> None:
+        from ruamel.yaml import events as kinds
+
+        self.events, self.document, self.kinds = events, document, kinds
+
+    def read_stream(self) -> None:
+        document, documents = self.document, 0
+        for event in self.events:
+            if not isinstance(event, self.kinds.DocumentStartEvent):
+                continue
+            documents += 1
+            if documents > 1:
+                document.fail(
+                    "a second document starts here", line=event.start_mark.line + 1, remedy="keep one document a file"
+                )
+                return
+            first = next(self.events)
             document.lines[()] = first.start_mark.line + 1
-            document.data = _read_node(first, events, (), document)
-        else:
-            line = event.start_mark.line + 1
-            _unreadable(document, "a second document starts here", line=line, remedy="keep one scenario a file")
-            return
-    if document.data in (None, "") and not document.problems:
-        _unreadable(document, "is empty", remedy="see examples/ for scenarios to start from")
+            document.data = self.read_node(first, (), flow=False)[0]
+        if document.data in (None, "") and not document.problems:
+            document.fail("is empty", remedy="see examples/ for files to start from")
 
-
-def _read_node(event: Any, events: Iterator[Any], place: Place, document: Document) -> Any:
-    from ruamel.yaml import events as kinds
-
-    line = event.start_mark.line + 1
-    if len(place) > _DEEPEST:
-        raise _TooDeepError(line)
-    if isinstance(event, kinds.AliasEvent):
-        document.refuse(place, line, f"*{_short(event.anchor)} is an alias", "write the value out")
-        return None
-    if event.tag is not None:
-        document.refuse(place, line, f"{_short(str(event.tag))} is a tag", "leave it out")
-    if isinstance(event, kinds.ScalarEvent):
-        return event.value
-    if isinstance(event, kinds.SequenceStartEvent):
-        return _read_list(events, place, document)
-    return _read_mapping(events, place, document)
-
-
-def _read_list(events: Iterator[Any], place: Place, document: Document) -> tuple[Any, ...]:
-    from ruamel.yaml import events as kinds
-
-    items = []
-    for event in events:
-        if isinstance(event, kinds.SequenceEndEvent):
-            break
-        here = (*place, len(items))
-        document.lines[here] = event.start_mark.line + 1
-        items.append(_read_node(event, events, here, document))
-    return tuple(items)
-
-
-def _read_mapping(events: Iterator[Any], place: Place, document: Document) -> dict[str, Any]:
-    from ruamel.yaml import events as kinds
-
-    items: dict[str, Any] = {}
-    for event in events:
-        if isinstance(event, kinds.MappingEndEvent):
-            break
+    def read_node(self, event: Any, place: Place, *, flow: bool) -> tuple[Any, int]:
+        """The value that begins with an event, and where it ends in the text."""
         line = event.start_mark.line + 1
-        if not isinstance(event, kinds.ScalarEvent):
-            _read_node(event, events, (*place, "?"), Document())
-            _read_node(next(events), events, (*place, "?"), Document())
-            document.refuse((*place, "?"), line, "a key is no word", "write `key: value`")
-            continue
-        key = event.value
-        here = (*place, key)
-        if key in items:
-            _read_node(next(events), events, here, Document())
-            first = document.lines[here]
-            document.problems.append(
-                Problem(f"stands twice, first in line {first}", line, dotted(here), "keep one of them")
-            )
-            continue
-        document.lines[here] = line
-        items[key] = _read_node(next(events), events, here, document)
-    return items
+        if len(place) > _DEEPEST:
+            raise _TooDeepError(line)
+        if isinstance(event, self.kinds.AliasEvent):
+            self.document.reject(place, line, f"*{_short(event.anchor)} is an alias", "write the value out")
+            return None, event.end_mark.index
+        if event.tag is not None:
+            self.document.reject(place, line, f"{_short(str(event.tag))} is a tag", "leave it out")
+        if isinstance(event, self.kinds.MappingStartEvent):
+            return self.read_mapping(event, place)
+        if isinstance(event, self.kinds.SequenceStartEvent):
+            return self.read_list(event, place, flow=flow)
+        if not event.value.isascii() and any("\ud800" <= char <= "\udfff" for char in event.value):
+            self.document.reject(place, line, "has an escape of half a character", "write the character itself")
+        self.document.spans[place] = Span(event.start_mark.index, event.end_mark.index, mapping=False, flow=flow)
+        return event.value, event.end_mark.index
 
+    def read_list(self, event: Any, place: Place, *, flow: bool) -> tuple[tuple[Any, ...], int]:
+        items: list[Any] = []
+        end = event.end_mark.index
+        while not isinstance(item := next(self.events), self.kinds.SequenceEndEvent):
+            here = (*place, len(items))
+            self.document.lines[here] = item.start_mark.line + 1
+            value, end = self.read_node(item, here, flow=flow)
+            items.append(value)
+        return tuple(items), item.end_mark.index if event.flow_style else end
 
-def _unreadable(document: Document, message: str, *, line: int | None = None, remedy: str = "") -> Document:
-    document.problems.append(Problem(message, line, remedy=remedy))
-    document.readable = False
-    return document
+    def read_mapping(self, event: Any, place: Place) -> tuple[dict[str, Any], int]:
+        items: dict[str, Any] = {}
+        flow = bool(event.flow_style)
+        start = end = event.start_mark.index + 1 if flow else event.start_mark.index
+        while not isinstance(key := next(self.events), self.kinds.MappingEndEvent):
+            line = key.start_mark.line + 1
+            if not isinstance(key, self.kinds.ScalarEvent):
+                self.skip(key, (*place, "?"))
+                end = self.skip(next(self.events), (*place, "?"))
+                self.document.reject((*place, "?"), line, "a key is not text", "write `key: value`")
+            elif (here := (*place, key.value)) and key.value in items:
+                end = self.skip(next(self.events), here)
+                first = self.document.lines[here]
+                self.document.problems.append(
+                    Problem(f"is given twice, first in line {first}", line, dotted(here), "keep one of them")
+                )
+            else:
+                self.document.lines[here] = line
+                items[key.value], end = self.read_node(next(self.events), here, flow=flow)
+        self.document.spans[place] = Span(start, end, mapping=True, flow=flow, column=event.start_mark.column)
+        return items, key.end_mark.index if flow else end
+
+    def skip(self, event: Any, place: Place) -> int:
+        """Read past a value; where it ends."""
+        return _Reader(self.events, Document()).read_node(event, place, flow=False)[1]
 
 
 def _explain(error: Any, text: str, document: Document) -> None:
-    """A YAML error in our words, with its line."""
+    """A YAML error with its line and a remedy."""
     marks = [getattr(error, name, None) for name in ("problem_mark", "context_mark")]
     problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "it cannot be parsed"
-    if "end of stream" in problem:  # where it began says more than that the text ended
+    if "end of stream" in problem:  # the beginning of what is not closed says more than the end of the text
         marks.reverse()
     mark = marks[0] or marks[1]
     position = getattr(error, "position", None)
     if mark is None:
         line = text.count("\n", 0, position) + 1 if isinstance(position, int) else None
-        _unreadable(document, f"not YAML: {problem}", line=line, remedy="is it a text file?")
+        document.fail(f"not YAML: {problem}", line=line, remedy="is it a text file?")
         return
     lines = text.splitlines()
     line = mark.line + 1
     written = lines[mark.line] if mark.line < len(lines) else ""
     if "\t" in written[: len(written) - len(written.lstrip())] or written[mark.column : mark.column + 1] == "\t":
-        _unreadable(document, "a tab in the indentation", line=line, remedy="indent with spaces")
+        document.fail("a tab in the indentation", line=line, remedy="indent with spaces")
         return
-    remedy = "write `key: value`, one to a line, indented with spaces, and quote text that holds ': ' or ' #'"
-    _unreadable(document, f"not YAML: {problem}", line=line, remedy=remedy)
+    remedy = "write `key: value`, one to a line, indented with spaces, and quote text that contains ': ' or ' #'"
+    document.fail(f"not YAML: {problem}", line=line, remedy=remedy)
 
 
 def _short(text: str) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-_WIDTH = 100
-_PLAIN = re.compile(r"[A-Za-z0-9_./+-](?:[A-Za-z0-9_./*^()+ -]*[A-Za-z0-9_./*^()+-])?")
+def read_json(text: str, source: str) -> Any:
+    """Parse JSON text.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not JSON, is too long or too deep, or gives a key twice.
+    """
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            keys = [key for key, _ in pairs]
+            twice = next(key for key in keys if keys.count(key) > 1)
+            raise ValueError(f"the key {_short(twice)!r} is given twice")
+        return found
+
+    problem = None
+    if len(text) > LONGEST_TEXT:
+        problem = Problem(f"is longer than {LONGEST_TEXT} characters")
+    else:
+        try:
+            return json.loads(text, object_pairs_hook=unique)
+        except json.JSONDecodeError as error:
+            problem = Problem(f"cannot be read as JSON: {error.msg}", error.lineno)
+        except RecursionError:
+            problem = Problem("cannot be read as JSON: is nested too deep")
+        except ValueError as error:  # a key given twice, or an integer of thousands of digits
+            problem = Problem(f"cannot be read as JSON: {error}")
+    raise ScenarioError(source, [problem])
+
+
+def edit_yaml(text: str, values: Mapping[Place, str]) -> str:
+    r"""YAML text with other scalars; comments, order and layout stay as they are.
+
+    Parameters
+    ----------
+    text
+        Valid YAML.
+    values
+        New text of each value by its place; a value that is missing is added to its mapping, and a mapping that is
+        missing to the one around it. Where the text has a name alone in place of a mapping, the name becomes its key
+        ``from``.
+
+    Examples
+    --------
+    >>> edit_yaml("load: {mass: 1 kg}  # both\nstart: 2 s", {("load", "mass"): "3 kg", ("valve", "lag"): "5 ms"})
+    'load: {mass: 3 kg}  # both\nstart: 2 s\nvalve: {lag: 5 ms}'
+    """
+    for place, written in values.items():
+        text = _edited(text, place, written)
+    return text
+
+
+def _edited(text: str, place: Place, written: str) -> str:
+    spans = read_document(text).spans
+    *parent, key = place
+    here, around = spans.get(place), spans.get(tuple(parent))
+    if here is not None:
+        return text[: here.start] + written + text[here.end :]
+    if around is None:
+        return _edited(text, tuple(parent), f"{{{key}: {written}}}")
+    if around.mapping:
+        return _added(text, around, f"{key}: {written}")
+    if key != "constant":  # a signal that is a quantity alone
+        written = f"{{from: {text[around.start : around.end]}, {key}: {written}}}"
+    return text[: around.start] + written + text[around.end :]
+
+
+def _added(text: str, mapping: Span, entry: str) -> str:
+    """The text with another entry at the end of a mapping."""
+    before, after = text[: mapping.end], text[mapping.end :]
+    if mapping.flow:
+        return f"{before}{entry if mapping.start == mapping.end else f', {entry}'}{after}"
+    line = f"{' ' * mapping.column}{entry}"
+    newline = "\r\n" if "\r\n" in text else "\n"
+    if before.endswith("\n"):  # a block scalar ends with its line
+        return f"{before}{line}{newline}{after}"
+    rest, ends, following = after.partition(newline)
+    return f"{before}{rest}{newline}{line}{ends}{following}"
+
+
+_PLAIN = re.compile(r"[A-Za-z0-9_./+-](?:[A-Za-z0-9_./*^()+ %-]*[A-Za-z0-9_./*^()+%-])?")
 _PLAIN_IN_BLOCK = re.compile(rf"{_PLAIN.pattern}(?:,(?: ?{_PLAIN.pattern})?)*")
 _MEANS_ANOTHER = re.compile(r"(?i)-|---|\.\.\.|true|false|yes|no|on|off|null")
 
 
-def to_text(data: dict[str, Any]) -> str:
-    """YAML text of mappings, lists and scalars; what is None is left out.
+def to_text(data: Mapping[str, Any], comments: Mapping[Place, str] | None = None, *, width: int = 100) -> str:
+    """YAML text of mappings, lists and scalars; entries that are None are left out.
 
+    Parameters
+    ----------
+    data
+        Numbers are written with all digits.
+    comments
+        By the place of the value at whose line they stand.
+    width
+        Characters of a line with a mapping in braces; a wider one is written one entry a line.
+
+    Examples
+    --------
     >>> print(to_text({"duration": "10 s", "start": {"angle": "5 deg", "stiffness": None}}), end="")
     duration: 10 s
     start: {angle: 5 deg}
     """
-    return "".join(f"{line}\n" for line in _block(data, 0))
+    return "".join(f"{line}\n" for line in _Writer(comments or {}, width).block(data, (), 0))
 
 
-def _block(data: dict[str, Any], indent: int) -> list[str]:
-    lines = []
-    pad = "  " * indent
-    for key, value in data.items():
-        if value is None:
-            continue
-        one_line = f"{pad}{key}: {_flow(value) if isinstance(value, dict | list) else _scalar(value)}"
-        if not isinstance(value, dict) or (len(one_line) <= _WIDTH and (indent > 0 or not _is_nested(value))):
-            lines.append(one_line)
-        else:
-            lines += [f"{pad}{key}:", *_block(value, indent + 1)]
-    return lines
+@dataclass(frozen=True)
+class _Writer:
+    """Lines of YAML."""
+
+    comments: Mapping[Place, str]
+    width: int
+
+    def block(self, data: Mapping[str, Any], place: Place, indent: int) -> list[str]:
+        lines = []
+        for key, value in data.items():
+            here = (*place, key)
+            if value is None:
+                continue
+            head = f"{'  ' * indent}{_scalar(str(key))}:"
+            comment = f"  # {self.comments[here]}" if here in self.comments else ""
+            one_line = f"{head} {_flow(value)}"
+            if isinstance(value, dict) and not self.fits(one_line, value, here):
+                lines += [f"{head}{comment}", *self.block(value, here, indent + 1)]
+            elif isinstance(value, list) and _has_rows(value):
+                lines += [f"{head}{comment}", *self.rows(value, here, indent + 1)]
+            else:
+                lines.append(f"{one_line}{comment}")
+        return lines
+
+    def fits(self, one_line: str, value: dict[str, Any], place: Place) -> bool:
+        """Whether a mapping is written on one line."""
+        nested = len(place) == 1 and any(isinstance(one, dict) for one in value.values())
+        commented = any(other[: len(place)] == place != other for other in self.comments)
+        return len(one_line) <= self.width and not (nested or commented or _has_rows(value))
+
+    def rows(self, items: list[Any], place: Place, indent: int) -> list[str]:
+        lines, pad = [], "  " * indent
+        for item in items:
+            inner = self.block(item, (*place, ""), indent + 1) if isinstance(item, dict) else []
+            if inner:  # the first entry stands beside the dash
+                lines += [f"{pad}- {inner[0].lstrip()}", *inner[1:]]
+            else:
+                lines.append(f"{pad}- {_flow(item)}")
+        return lines
 
 
-def _flow(value: Any) -> str:
+def _has_rows(value: Any) -> bool:
+    """Whether there is a list in it that is written one item a line."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {_flow(item)}" for key, item in value.items() if item is not None) + "}"
+        return any(_has_rows(item) for item in value.values())
+    return isinstance(value, list) and any(isinstance(item, dict | list) for item in value)
+
+
+def _flow(value: Any, *, flow: bool = False) -> str:
+    if isinstance(value, dict):
+        entries = (
+            f"{_scalar(str(key), flow=True)}: {_flow(item, flow=True)}"
+            for key, item in value.items()
+            if item is not None
+        )
+        return "{" + ", ".join(entries) + "}"
     if isinstance(value, list):
-        return "[" + ", ".join(_flow(item) for item in value) + "]"
-    return _scalar(value, flow=True)
+        return "[" + ", ".join(_flow(item, flow=True) for item in value) + "]"
+    return _scalar(value, flow=flow)
 
 
 def _scalar(value: Any, *, flow: bool = False) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
+    if isinstance(value, float) and not math.isfinite(value):
+        return ".nan" if math.isnan(value) else ".inf" if value > 0 else "-.inf"
     if not isinstance(value, str):
-        return str(value)
+        return repr(value)
     plain = (_PLAIN if flow else _PLAIN_IN_BLOCK).fullmatch(value)
     if plain and not _MEANS_ANOTHER.fullmatch(value) and not value.startswith("- "):
         return value
-    return json.dumps(value, ensure_ascii=not value.isprintable())
-
-
-def _is_nested(value: dict[str, Any]) -> bool:
-    return any(isinstance(item, dict) for item in value.values())
+    text = json.dumps(value, ensure_ascii=False)
+    return "".join(char if char.isprintable() else f"\\U{ord(char):08x}" for char in text)

@@ -9,9 +9,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.joint import AntagonisticJoint, Load, friction
+from mckibben.joint import AntagonisticJoint, Load
+from mckibben.joint.antagonistic import MuscleStates
 from mckibben.joint.geometry import Pair
-from mckibben.muscle import stronger
+from mckibben.muscle import scaled_law
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp, floating, sincos
 
@@ -42,8 +43,8 @@ class Adapted(NamedTuple):
         Each signal behind one, two and three lags.
     before
         The signals behind three lags a period ago, and the angle two periods ago.
-    memories
-        What the model's muscles remember along the measured angle.
+    muscles
+        Internal states of the model's muscles along the measured angle.
     age
         How long it has listened, in time constants of the filter.
     """
@@ -55,7 +56,7 @@ class Adapted(NamedTuple):
     covariance: tuple[tuple[Scalar, ...], ...]
     filtered: tuple[tuple[Scalar, ...], ...]
     before: tuple[Scalar, ...]
-    memories: friction.Memories
+    muscles: MuscleStates
     age: Scalar
 
 
@@ -112,8 +113,8 @@ class LawAdaptation(eqx.Module):
     def init(self, model: AntagonisticJoint, load: Load, angle: ArrayLike, pressures: Pair) -> Adapted:
         """Before the first period, at rest at a measured angle [rad] and pressures [Pa]: the model as it is."""
         angle = floating(angle)
-        memories = friction.unstressed(model, angle, pressures)
-        signals = self._signals(model, load, memories, angle, pressures)
+        muscles = model.init_state(angle, pressures)
+        signals = self._signals(model, load, muscles, angle, pressures)
         nothing, one = jnp.zeros_like(angle), jnp.ones_like(angle)
         count = len(signals) - 2
         return Adapted(
@@ -124,7 +125,7 @@ class LawAdaptation(eqx.Module):
             covariance=tuple(tuple(one if i == j else nothing for j in range(count)) for i in range(count)),
             filtered=tuple((signal,) * _STAGES for signal in signals),
             before=(*signals, signals[0]),
-            memories=memories,
+            muscles=muscles,
             age=nothing,
         )
 
@@ -151,8 +152,8 @@ class LawAdaptation(eqx.Module):
             The control period [s].
         """
         angle = floating(angle)
-        memories = friction.settled(model, adapted.memories, angle, pressures)
-        signals = self._signals(model, load, memories, angle, pressures)
+        muscles = model.update_state(adapted.muscles, angle, pressures)
+        signals = self._signals(model, load, muscles, angle, pressures)
         passed = 1 - exp(-jnp.asarray(self.bandwidth) * period)
         pairs = zip(adapted.filtered, signals, strict=True)
         filtered = tuple(_filtered(stages, signal, passed) for stages, signal in pairs)
@@ -183,12 +184,12 @@ class LawAdaptation(eqx.Module):
             covariance=covariance,
             filtered=filtered,
             before=(*now, here),
-            memories=memories,
+            muscles=muscles,
             age=age,
         )
 
     def _signals(
-        self, model: AntagonisticJoint, load: Load, memories: friction.Memories, angle: Scalar, pressures: Pair
+        self, model: AntagonisticJoint, load: Load, muscles: MuscleStates, angle: Scalar, pressures: Pair
     ) -> tuple[Scalar, ...]:
         """Angle [rad] and torques [N*m]: gravity, both muscles, a kilogram more, friction where the model has it."""
         contraction1, contraction2 = model.contractions(angle, pressures)
@@ -199,15 +200,15 @@ class LawAdaptation(eqx.Module):
         sign = 1.0 if load.hanging else -1.0
         hung = sign * load.distance2 * load.gravity * (hanging_sine * cosine - hanging_cosine * sine)
         signals = (angle, load.gravity_torque(angle), torque1, torque2, hung)
-        if not friction.has_friction(model):
+        if not model.has_friction:
             return signals
-        return (*signals, friction.friction_torque(model, memories, angle, 0.0, pressures))
+        return (*signals, model.friction_torque(angle, 0.0, pressures, muscles))
 
 
 def strengthened(model: AntagonisticJoint, strengths: Pair) -> AntagonisticJoint:
     """The model with muscles that are so many times as strong."""
     muscle1, muscle2 = (
-        dataclasses.replace(muscle, law=stronger(muscle.law, strength))
+        dataclasses.replace(muscle, law=scaled_law(muscle.law, strength))
         for muscle, strength in zip((model.muscle1, model.muscle2), strengths, strict=True)
     )
     return dataclasses.replace(model, muscle1=muscle1, muscle2=muscle2)

@@ -9,6 +9,7 @@ import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.reference import Signal, as_signal
+from mckibben.joint import Measurement
 
 Scalar = Float[Array, ""]
 
@@ -18,13 +19,6 @@ class Setpoint(NamedTuple):
 
     angle: Scalar
     stiffness: Scalar
-
-
-class Measurement(NamedTuple):
-    """What sensors tell: the angle [rad] and the gauge pressures [Pa], (p1, p2)."""
-
-    angle: Scalar
-    pressures: tuple[Scalar, Scalar]
 
 
 class Reference(eqx.Module):

@@ -11,7 +11,8 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.control.position_stiffness import within_limits
 from mckibben.errors import RangeError
-from mckibben.joint import AntagonisticJoint, friction
+from mckibben.joint import AntagonisticJoint
+from mckibben.joint.antagonistic import MuscleStates
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_kind
@@ -20,13 +21,13 @@ Scalar = Float[Array, ""]
 
 
 class FrictionCompensationState(NamedTuple):
-    """The state of the controller inside; what the model's muscles remember; the friction torque expected [N*m].
+    """The state of the controller inside; internal states of the model's muscles; the friction torque expected [N*m].
 
     And whether a command was at a limit.
     """
 
     inner: Any
-    memories: friction.Memories
+    muscles: MuscleStates
     torque: Scalar
     saturated: Array
 
@@ -64,16 +65,16 @@ class FrictionCompensation(Controller):
             controller=(self.controller, Controller),
             model=(self.model, AntagonisticJoint),
         )
-        if not friction.has_friction(self.model):
+        if not self.model.has_friction:
             raise RangeError(
                 "FrictionCompensation: no muscle of its model has friction",
                 remedy="give the model's muscles a MaxwellSlip, or leave the compensation out",
             )
 
     def init(self, measurement: Measurement) -> FrictionCompensationState:
-        memories = friction.unstressed(self.model, measurement.angle, measurement.pressures)
+        muscles = self.model.init_state(measurement.angle, measurement.pressures)
         nothing = jnp.zeros_like(measurement.angle)
-        return FrictionCompensationState(self.controller.init(measurement), memories, nothing, jnp.asarray(False))
+        return FrictionCompensationState(self.controller.init(measurement), muscles, nothing, jnp.asarray(False))
 
     def step(
         self,
@@ -84,8 +85,8 @@ class FrictionCompensation(Controller):
     ) -> tuple[FrictionCompensationState, tuple[Scalar, Scalar]]:
         inner, (command1, command2) = self.controller.step(state.inner, setpoint, measurement, period)
         pressures = measurement.pressures
-        memories = friction.settled(self.model, state.memories, setpoint.angle, pressures)
-        torque = friction.friction_torque(self.model, memories, setpoint.angle, 0.0, pressures)
+        muscles = self.model.update_state(state.muscles, setpoint.angle, pressures)
+        torque = self.model.friction_torque(setpoint.angle, 0.0, pressures, muscles)
         shift = -torque * self._pressure_per_torque(measurement)
 
         tension = getattr(self.controller, "minimum_tension", None)
@@ -98,7 +99,7 @@ class FrictionCompensation(Controller):
         else:
             asked = (command2 - command1) / 2 + shift, (command1 + command2) / 2
             (shifted1, shifted2), saturated = within_limits(self.model, tension, measurement.angle, asked, period)
-        return FrictionCompensationState(inner, memories, torque, saturated), (shifted1, shifted2)
+        return FrictionCompensationState(inner, muscles, torque, saturated), (shifted1, shifted2)
 
     def telemetry(self, state: FrictionCompensationState) -> dict[str, Scalar]:
         inner = self.controller.telemetry(state.inner)

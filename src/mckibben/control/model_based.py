@@ -17,7 +17,8 @@ from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.control.observer import Motion, Observer, PressureObserver
 from mckibben.control.reference import Course, followed, standing
 from mckibben.errors import RangeError
-from mckibben.joint import AffineMap, AntagonisticJoint, Load, TorqueStiffnessMap, friction
+from mckibben.joint import AffineMap, AntagonisticJoint, Load, TorqueStiffnessMap
+from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.batching import apart
@@ -55,7 +56,7 @@ class Beliefs(NamedTuple):
     motion: Motion
     pressures: Pair
     course: Course
-    memories: friction.Memories
+    muscles: MuscleStates
     adapted: Adapted | tuple[()]
     torque: Scalar
     estimate: Scalar
@@ -93,7 +94,7 @@ class ModelBasedControl(Controller):
             check_kind(name, adaptation=(self.adaptation, LawAdaptation))
         check_positive(name, "s", zero=True, valve_time_constant=self.valve_time_constant)
         check_positive(name, "N", zero=True, minimum_tension=self.minimum_tension)
-        if self.friction_compensation and not friction.has_friction(self.model):
+        if self.friction_compensation and not self.model.has_friction:
             raise RangeError(
                 f"{name}: no muscle of its model has friction to make up for",
                 remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
@@ -113,7 +114,7 @@ class ModelBasedControl(Controller):
             motion=self.observers[0].init(angle, self.acceleration(angle, nothing, torque)),
             pressures=pressures,
             course=standing(angle),
-            memories=friction.unstressed(self.model, angle, pressures) if self.friction_compensation else ((), ()),
+            muscles=self.model.init_state(angle, pressures) if self.friction_compensation else NO_STATES,
             adapted=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
             torque=torque,
             estimate=estimate,
@@ -132,7 +133,7 @@ class ModelBasedControl(Controller):
         pressures = pressure_observer.step(before.pressures, before.commands, measurement.pressures, share, period)
         adapted, model = self._adapted(before.adapted, measurement, period)
         torque, estimate = apart(model.torque_and_stiffness, angle, pressures, witness=period)
-        memories, rubbing = self._friction(before.memories, setpoint.angle, pressures)
+        muscles, rubbing = self._friction(before.muscles, setpoint.angle, pressures)
         known = self.acceleration(angle, before.motion.velocity, torque + rubbing)
         motion = observer.step(before.motion, angle, known, period)
         course = followed(before.course, setpoint.angle, period)
@@ -140,7 +141,7 @@ class ModelBasedControl(Controller):
             motion=motion,
             pressures=pressures,
             course=course,
-            memories=memories,
+            muscles=muscles,
             adapted=adapted,
             torque=torque,
             estimate=estimate,
@@ -189,14 +190,12 @@ class ModelBasedControl(Controller):
         adapted = self.adaptation.step(adapted, self.model, self.load, *measurement, period)
         return adapted, strengthened(self.model, adapted.strengths)
 
-    def _friction(
-        self, memories: friction.Memories, wish: ArrayLike, pressures: Pair
-    ) -> tuple[friction.Memories, Scalar]:
+    def _friction(self, muscles: MuscleStates, wish: ArrayLike, pressures: Pair) -> tuple[MuscleStates, Scalar]:
         """What the model's muscles remember along the wish [rad], and the torque [N*m] of their friction there."""
         if not self.friction_compensation:
-            return memories, jnp.zeros_like(pressures[0])
-        memories = friction.settled(self.model, memories, wish, pressures)
-        return memories, friction.friction_torque(self.model, memories, wish, 0.0, pressures)
+            return muscles, jnp.zeros_like(pressures[0])
+        muscles = self.model.update_state(muscles, wish, pressures)
+        return muscles, self.model.friction_torque(wish, 0.0, pressures, muscles)
 
 
 _ASIDE = 0.02  # rad: where the model is asked a second time, to tell how it changes with the angle

@@ -1,8 +1,8 @@
 """Measurements: points of isobaric tests, raw recordings, and readers for the files that labs have."""
 
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.points import Points
+from mckibben.dataset.points import ExtractedPoints
 from mckibben.dataset.reading import read_dataset, read_recording
 from mckibben.dataset.recording import Recording
 
-__all__ = ["IsobaricDataset", "Points", "Recording", "read_dataset", "read_recording"]
+__all__ = ["ExtractedPoints", "IsobaricDataset", "Recording", "read_dataset", "read_recording"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from mckibben import units
-from mckibben.dataset.sheet import Sheet
+from mckibben.dataset.sheet import RawTable
 from mckibben.errors import Problem
 
 _PRESSURE = ("bar", "kPa", "MPa", "Pa", "mbar", "psi")
@@ -76,7 +76,7 @@ _GAUGE = re.compile(r"(.*?)(?:\s*\((?:g|gauge|rel)\)| ?gauge| rel| g|(?<=bar|psi
 _ABSOLUTE = re.compile(r"(.*?)(?:\s*\((?:a|abs|absolute)\)|[ _]?abs(?:olute)?| a|(?<=bar|psi)a)", re.IGNORECASE)
 
 
-class Column(NamedTuple):
+class Header(NamedTuple):
     """What a header says: a key of `ACCEPTED`, and its unit; `direction`, `repeat` and `phase` have none."""
 
     quantity: str
@@ -93,7 +93,7 @@ def names(quantity: str) -> str:
     return " or ".join(filter(None, [", ".join(spelled[:-1]), spelled[-1]]))
 
 
-def recognise(header: str, unit: str = "") -> Column | None:
+def recognise(header: str, unit: str = "") -> Header | None:
     """What a header says, or None where it is not one of ours.
 
     The case of letters is free, except that of a leading m in a unit: MPa is not mPa, mbar is not Mbar.
@@ -116,7 +116,7 @@ def recognise(header: str, unit: str = "") -> Column | None:
     for quantity, spelled in _readings(header, unit):
         for known in ACCEPTED[quantity] or ("",):
             if _same_unit(spelled, known, quantity):
-                return Column(quantity, known)
+                return Header(quantity, known)
     return None
 
 
@@ -209,12 +209,12 @@ class Layout:
         What is wrong with the header.
     """
 
-    places: dict[str, tuple[int, Column]] = field(default_factory=dict)
+    places: dict[str, tuple[int, Header]] = field(default_factory=dict)
     ignored: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
 
 
-def lay_out(sheet: Sheet, mapping: Mapping[str, str], needed: Sequence[str]) -> Layout:
+def lay_out(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) -> Layout:
     """Find the columns of ours in a file.
 
     Parameters
@@ -228,9 +228,9 @@ def lay_out(sheet: Sheet, mapping: Mapping[str, str], needed: Sequence[str]) -> 
 
     Examples
     --------
-    >>> from mckibben.dataset.sheet import Channel
+    >>> from mckibben.dataset.sheet import RawColumn
     >>> headers = ["Druck [bar]", "contraction_percent", "note"]
-    >>> sheet = Sheet([Channel(header, [], []) for header in headers], header_line=1)
+    >>> sheet = RawTable([RawColumn(header, [], []) for header in headers], header_line=1)
     >>> layout = lay_out(sheet, {"Druck [bar]": "pressure_bar"}, ["pressure", "contraction", "force"])
     >>> layout.places["pressure"], layout.ignored
     ((0, Column(quantity='pressure', unit='bar')), ['note'])
@@ -278,7 +278,7 @@ def lay_out(sheet: Sheet, mapping: Mapping[str, str], needed: Sequence[str]) -> 
     return layout
 
 
-def _same_length(sheet: Sheet, layout: Layout) -> None:
+def _same_length(sheet: RawTable, layout: Layout) -> None:
     """Columns are read together row by row: they must be of one length."""
     read = [sheet.channels[index] for index, _ in layout.places.values()]
     for channel in read[1:]:

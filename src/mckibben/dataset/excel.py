@@ -1,4 +1,4 @@
-"""Excel workbooks (.xlsx) to a `Sheet`."""
+"""Excel workbooks (.xlsx) to a `RawTable`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mckibben.dataset.columns import is_unit
-from mckibben.dataset.sheet import Channel, RowProblem, Sheet, settled
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, settled
 from mckibben.errors import DatasetError, Problem
 
 _ROWS = 1_048_576  # of a sheet of Excel
@@ -19,7 +19,7 @@ _SQUEEZED = 300  # times smaller than its content a workbook may be; sheets of n
 _LARGEST = 2**30  # bytes of a workbook's content
 
 
-def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Sheet:
+def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> RawTable:
     """Read the sheets of a workbook that have a row of names. Formulas are read as the values they had when saved.
 
     With one such sheet the columns are named as in it; with several ``sheet/column``.
@@ -49,13 +49,13 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Sh
         text = (str(error) or type(error).__name__).splitlines()[0]
         problem = Problem(f"cannot be read as a workbook: {text}", remedy="save it again, or as CSV")
         raise DatasetError(str(path), [problem]) from error
-    sheet = Sheet(kind=RowProblem)
+    sheet = RawTable(kind=RowProblem)
     found = {title: _table(rows, known) for title, rows in tables.items()}
     filled = {title: channels for title, channels in found.items() if channels}
     for title, channels in filled.items():
         prefix = f"{title}/" if len(filled) > 1 else ""
         sheet.channels += [
-            Channel(f"{prefix}{each.name}" if each.name else "", each.cells, each.lines, each.name, each.unit)
+            RawColumn(f"{prefix}{each.name}" if each.name else "", each.cells, each.lines, each.name, each.unit)
             for each in channels
         ]
     if not sheet.channels:
@@ -76,7 +76,7 @@ def _rows(path: Path, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
     return rows
 
 
-def _table(rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, str], bool]) -> list[Channel]:
+def _table(rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, str], bool]) -> list[RawColumn]:
     """The columns of a sheet."""
     if len(rows) < 2:
         return []
@@ -95,7 +95,7 @@ def _table(rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, st
     units = (under if has_units else []) + [""] * len(header)
     lines = [number for number, _ in body]
     return [
-        Channel(name, settled([row[i] if i < len(row) else None for _, row in body]), lines, unit=units[i])
+        RawColumn(name, settled([row[i] if i < len(row) else None for _, row in body]), lines, unit=units[i])
         for i, name in enumerate(header)
     ]
 

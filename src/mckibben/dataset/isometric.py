@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.points import Ledger, Points, account, check
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, account, check
 from mckibben.errors import RangeError
 from mckibben.units import bar, kPa
 
@@ -26,14 +26,14 @@ def isometric(
     band: float | None,
     reversal: float,
     gap: float | None,
-) -> Points:
+) -> ExtractedPoints:
     """`Recording.isometric`, of the recording's table."""
     check("reversal", reversal, "Pa")
     check("contraction_tolerance", contraction_tolerance, "1")
     time, pressure, force = (table[name].to_numpy() for name in ("time", "pressure", "force"))
     if not len(time):
         raise RangeError("the recording has no samples")
-    ledger = Ledger(table, gap)
+    ledger = SampleAccount(table, gap)
     held = _held(table, contraction, contraction_tolerance, ledger)
     usable = ledger.of < 0
     wanted = _levels(pressure[usable], levels, count)
@@ -90,10 +90,10 @@ def isometric(
     )
     spread = ("point", sums.spread[index])
     dataset = IsobaricDataset(dataset.table.assign(force_spread=spread).assign_attrs(table.attrs))
-    return Points(dataset, sums.samples[index], counts, tuple(ledger.notes))
+    return ExtractedPoints(dataset, sums.samples[index], counts, tuple(ledger.notes))
 
 
-def _held(table: xr.Dataset, contraction: float | None, tolerance: float, ledger: Ledger) -> float:
+def _held(table: xr.Dataset, contraction: float | None, tolerance: float, ledger: SampleAccount) -> float:
     """The contraction at which the muscle was held [-]."""
     if "contraction" not in table:
         if contraction is None:

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from mckibben.dataset.mat5 import DamagedError, Opaque, Value, variables
-from mckibben.dataset.sheet import Channel, RowProblem, Sheet, settled
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, settled
 from mckibben.errors import DatasetError, Problem
 
 _SIGNATURE, _HEADER, _PART = b"GCOL\x01\x00\x00\x00", 16, 16
 
 
-def heaps_are_sound(content: bytes | mmap.mmap) -> bool:
+def global_heaps_are_valid(content: bytes | mmap.mmap) -> bool:
     """Whether the parts of all global heap collections of a file follow one another to the end of each.
 
     HDF5 File Format Specification 3.0, III.E. Files whose lengths are not of 8 bytes, which no program of today
@@ -32,9 +32,9 @@ def heaps_are_sound(content: bytes | mmap.mmap) -> bool:
     --------
     >>> heap = b"GCOL" + bytes([1, 0, 0, 0]) + (56).to_bytes(8, "little")
     >>> text = (1).to_bytes(8, "little") + (3).to_bytes(8, "little") + b"bar" + bytes(5)
-    >>> heaps_are_sound(heap + text + bytes(8) + (16).to_bytes(8, "little"))
+    >>> global_heaps_are_valid(heap + text + bytes(8) + (16).to_bytes(8, "little"))
     True
-    >>> heaps_are_sound(heap + text + bytes(8) + (0).to_bytes(8, "little"))
+    >>> global_heaps_are_valid(heap + text + bytes(8) + (0).to_bytes(8, "little"))
     False
     """
     at = content.find(_SIGNATURE)
@@ -68,7 +68,7 @@ _TABLE = "is an object of MATLAB (a table?), which only MATLAB can open"
 _TABLE_REMEDY = "save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')"
 
 
-def read_matlab(path: Path, data: bytes) -> Sheet:
+def read_matlab(path: Path, data: bytes) -> RawTable:
     """Read the variables of a file of versions 4 to 7.
 
     A column is a vector, named as the variable (``p``) or field (``rig.p``), or a column of a matrix (``rig(:,2)``).
@@ -78,7 +78,7 @@ def read_matlab(path: Path, data: bytes) -> Sheet:
     DatasetError
         If it cannot be read, or holds no column.
     """
-    sheet = Sheet(kind=RowProblem)
+    sheet = RawTable(kind=RowProblem)
     try:
         for name, value in variables(data):
             _add(sheet, name, value, 0)
@@ -87,7 +87,7 @@ def read_matlab(path: Path, data: bytes) -> Sheet:
     return _checked(path, sheet)
 
 
-def read_hdf5(path: Path, data: bytes) -> Sheet:
+def read_hdf5(path: Path, data: bytes) -> RawTable:
     """Read an HDF5 file: one of MATLAB 7.3, whose columns are named as above, or another, with ``group/name``.
 
     Raises
@@ -97,9 +97,9 @@ def read_hdf5(path: Path, data: bytes) -> Sheet:
     """
     import h5py
 
-    if not heaps_are_sound(data):
+    if not global_heaps_are_valid(data):
         raise _unreadable(path, "an HDF5 file", ValueError("a heap of texts is damaged"))
-    sheet = Sheet(kind=RowProblem)
+    sheet = RawTable(kind=RowProblem)
     matlab = data.startswith(b"MATLAB 7.3")
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
@@ -112,7 +112,7 @@ def read_hdf5(path: Path, data: bytes) -> Sheet:
     return _checked(path, sheet)
 
 
-def _checked(path: Path, sheet: Sheet) -> Sheet:
+def _checked(path: Path, sheet: RawTable) -> RawTable:
     if not sheet.channels and not sheet.problems:
         ignored = f"; it has {', '.join(sheet.ignored[:20])}" if sheet.ignored else ""
         raise DatasetError(str(path), [Problem(f"has no column of numbers{ignored}")])
@@ -124,7 +124,7 @@ def _unreadable(path: Path, what: str, error: Exception) -> DatasetError:
     return DatasetError(str(path), [Problem(f"cannot be read as {what}: {text}", remedy="save it again")])
 
 
-def _add(sheet: Sheet, name: str, value: Value, depth: int) -> None:
+def _add(sheet: RawTable, name: str, value: Value, depth: int) -> None:
     """Add what a variable of an old file holds."""
     if isinstance(value, dict):
         if depth >= _DEEPEST:
@@ -138,7 +138,7 @@ def _add(sheet: Sheet, name: str, value: Value, depth: int) -> None:
         _columns(sheet, name, value)
     elif isinstance(value, list) and len(value) > 1:
         cells = settled([_one(cell) for cell in value])
-        sheet.channels.append(Channel(name, cells, range(1, len(cells) + 1), short=name.rpartition(".")[2]))
+        sheet.channels.append(RawColumn(name, cells, range(1, len(cells) + 1), short=name.rpartition(".")[2]))
     else:
         sheet.ignored.append(name)
 
@@ -150,7 +150,7 @@ def _one(cell: Value) -> object:
     return cell if isinstance(cell, str) else None
 
 
-def _columns(sheet: Sheet, name: str, array: np.ndarray) -> None:
+def _columns(sheet: RawTable, name: str, array: np.ndarray) -> None:
     """Add the columns of a matrix of numbers, as MATLAB counts them."""
     matrix = array.reshape(-1, 1) if array.ndim == 1 or (array.ndim == 2 and 1 in array.shape) else array
     if len(sheet.channels) >= _MOST or matrix.ndim > 2 or matrix.size <= 1 or matrix.shape[1] > _WIDEST:
@@ -158,7 +158,7 @@ def _columns(sheet: Sheet, name: str, array: np.ndarray) -> None:
         return
     for column, values in enumerate(np.ascontiguousarray(matrix.T, dtype=np.float64)):
         full = name if matrix.shape[1] == 1 else f"{name}(:,{column + 1})"
-        sheet.channels.append(Channel(full, values, range(1, len(values) + 1), short=full.rpartition(".")[2]))
+        sheet.channels.append(RawColumn(full, values, range(1, len(values) + 1), short=full.rpartition(".")[2]))
 
 
 def _nodes(group: Any, separator: str, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -176,7 +176,7 @@ def _nodes(group: Any, separator: str, prefix: str = "", depth: int = 0) -> Iter
             yield name, node
 
 
-def _add_node(sheet: Sheet, name: str, node: Any, matlab: bool) -> None:
+def _add_node(sheet: RawTable, name: str, node: Any, matlab: bool) -> None:
     kind = _text(node.attrs, "MATLAB_class") if matlab else ""
     if node.is_virtual or node.external or node.ndim > 2 or node.shape is None:
         sheet.ignored.append(name)
@@ -189,7 +189,7 @@ def _add_node(sheet: Sheet, name: str, node: Any, matlab: bool) -> None:
         sheet.problems.append(Problem(_TABLE, field=name, remedy=_TABLE_REMEDY))
     elif kind == "cell":
         words = [_referred(node.file, reference) for reference in np.ravel(node[()])[:]]
-        sheet.channels.append(Channel(name, words, range(1, len(words) + 1), short=name.rpartition(".")[2]))
+        sheet.channels.append(RawColumn(name, words, range(1, len(words) + 1), short=name.rpartition(".")[2]))
     elif kind == "char" or node.dtype.kind not in "biuf":
         sheet.ignored.append(name)
     else:
@@ -199,7 +199,7 @@ def _add_node(sheet: Sheet, name: str, node: Any, matlab: bool) -> None:
         if not matlab:
             unit = _text(node.attrs, "units") or _text(node.attrs, "unit")
             sheet.channels[before:] = [
-                Channel(each.name, each.cells, each.lines, each.name.rpartition("/")[2], unit)
+                RawColumn(each.name, each.cells, each.lines, each.name.rpartition("/")[2], unit)
                 for each in sheet.channels[before:]
             ]
 

@@ -20,7 +20,7 @@ _ROUNDING = 1e-9  # of the range
 _SHARE = 0.2  # of the samples of a stretch, at an end that was found
 
 
-def glued(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
+def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
     """Which samples stick to the lowest or the highest value of a channel.
 
     An end of the channel is an extreme value that comes at least 10 times in a row, and 10 times longer than the run in
@@ -43,9 +43,9 @@ def glued(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
     --------
     >>> noise = np.random.default_rng(0).normal(size=1000)
     >>> clipped = np.maximum(np.where(np.arange(1000) < 300, noise - 5, noise + 3), 0)
-    >>> {end: int(where.sum()) for end, where in glued(clipped).items()}
+    >>> {end: int(where.sum()) for end, where in saturated_samples(clipped).items()}
     {'floor': 308}
-    >>> glued(noise)
+    >>> saturated_samples(noise)
     {}
     """
     count = len(values)
@@ -103,7 +103,7 @@ _NAMED = 5  # places that a note names
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class ExtractedPoints:
     """The points of a recording, with an account of all its samples.
 
     Attributes
@@ -128,7 +128,7 @@ class Points:
         return account(self.counts, self.notes)
 
 
-class Ledger:
+class SampleAccount:
     """What becomes of each sample, as it is found out; the first reason counts."""
 
     def __init__(self, table: xr.Dataset, gap: float | None) -> None:
@@ -174,7 +174,7 @@ class Ledger:
     def _ends(self, name: str) -> None:
         """Leave out what sticks to the floor or the ceiling of a channel."""
         values = self.table[name].to_numpy()
-        for end, where in glued(values).items():
+        for end, where in saturated_samples(values).items():
             value = values.min() if end == "floor" else values.max()
             unit = "bar" if name == "pressure" else "N"
             runs = int(np.count_nonzero(np.diff(where.view(np.int8), prepend=0) == 1))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mckibben.dataset.columns import lay_out
 from mckibben.dataset.schema import VACUUM, WORDS, unplain
-from mckibben.dataset.sheet import Sheet, decimal_sign, read_numbers
+from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError
 from mckibben.units import factor, quantity
 
@@ -41,11 +41,11 @@ _WORD_REMEDY = {
 }
 
 
-class Quantities:
+class ColumnConverter:
     """One file on its way from cells to SI columns; `problems`, `corrupt` and `suspicions` gather as it goes."""
 
     def __init__(
-        self, sheet: Sheet, mapping: Mapping[str, str], initial_length: float | None, needed: Sequence[str]
+        self, sheet: RawTable, mapping: Mapping[str, str], initial_length: float | None, needed: Sequence[str]
     ) -> None:
         self.sheet = sheet
         self.initial_length = initial_length

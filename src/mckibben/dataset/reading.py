@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from mckibben.dataset.columns import recognise
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.quantities import OnCorrupt, Quantities
+from mckibben.dataset.quantities import ColumnConverter, OnCorrupt
 from mckibben.dataset.recording import Recording
-from mckibben.dataset.sheet import Sheet
+from mckibben.dataset.sheet import RawTable
 from mckibben.dataset.text import SIGNATURE, decode, read_bytes, read_lvm, read_text
 from mckibben.errors import DatasetError, McKibbenWarning, Problem
 
@@ -22,7 +22,7 @@ _OLD_WORKBOOK = b"\xd0\xcf\x11\xe0"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def read_sheet(path: Path, mapping: Mapping[str, str]) -> Sheet:
+def read_sheet(path: Path, mapping: Mapping[str, str]) -> RawTable:
     """The columns of a file of any kind that is read.
 
     Parameters
@@ -137,7 +137,7 @@ def read_dataset(
     if path.suffix.lower() == ".nc":
         return _from_netcdf(path, columns, initial_length, specimen, slack_force)
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
-    file = Quantities(read_sheet(path, mapping), mapping, initial_length, _NEEDED)
+    file = ColumnConverter(read_sheet(path, mapping), mapping, initial_length, _NEEDED)
     attrs = file.attributes(path, specimen, slack_force)
     data, found = file.settle(path, file.columns(), on_corrupt)
     try:
@@ -223,7 +223,7 @@ def read_recording(
         return _recording_from_netcdf(path, columns, initial_length, contraction, specimen, slack_force)
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
     sheet = read_sheet(path, mapping)
-    file = Quantities(sheet, mapping, initial_length, ("pressure", "force"))
+    file = ColumnConverter(sheet, mapping, initial_length, ("pressure", "force"))
     attrs = file.attributes(path, specimen, slack_force)
     data = {name: values for name, values in file.columns().items() if name in _KEPT}
     file.ignored += [

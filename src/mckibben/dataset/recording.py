@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isometric import isometric
-from mckibben.dataset.points import Points
+from mckibben.dataset.points import ExtractedPoints
 from mckibben.dataset.schema import VACUUM, held_in, spanned, write_netcdf
 from mckibben.dataset.segmentation import plateaus
 from mckibben.errors import DatasetError, Problem
@@ -158,7 +158,7 @@ class Recording:
         settle: float = 0.0,
         level_tolerance: float = 10 * kPa,
         gap: float | None = None,
-    ) -> Points:
+    ) -> ExtractedPoints:
         """The steady segments of the record, a point each: means of pressure, contraction and force.
 
         Parameters
@@ -211,7 +211,7 @@ class Recording:
         band: float | None = None,
         reversal: float = 10 * kPa,
         gap: float | None = None,
-    ) -> Points:
+    ) -> ExtractedPoints:
         """Points at given pressures of a record at a fixed length, apart for each filling and venting.
 
         Nothing needs to be steady. At each level the force is the value of a straight line through the samples whose

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import mmap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -13,7 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from mckibben.dataset.matlab import heaps_are_sound
+from mckibben.dataset.matlab import global_heaps_are_valid
 from mckibben.errors import DatasetError, Problem
 from mckibben.storage.files import atomic_write
 
@@ -234,7 +235,7 @@ def load_netcdf(path: Path) -> xr.Dataset:
         with path.open("rb") as file:  # so that what the system objects to is told from what is wrong with the content
             if file.seek(0, 2) > 0:
                 with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                    if not heaps_are_sound(content):
+                    if not global_heaps_are_valid(content):
                         raise ValueError("a heap of texts is damaged")
         return xr.load_dataset(path, engine="h5netcdf", decode_times=False).drop_encoding()
     except ImportError:
@@ -313,3 +314,17 @@ def _cells(values: np.ndarray) -> list[str]:
     if values.dtype.kind == "f":
         return ["" if value != value else repr(value) for value in values.tolist()]
     return [str(value) or "unknown" for value in values.tolist()]  # directions and phases
+
+
+def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()) -> str:
+    """Table for a notebook: a title, a header, rows, and notes below.
+
+    >>> html_table("<Fit>", ["a"], [[1]], ["note"])
+    '<p>&lt;Fit&gt;</p><table><tr><th>a</th></tr><tr><td>1</td></tr></table><p>note</p>'
+    """
+
+    def row(cells: Sequence[object], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"
+
+    table = row(header, "th") + "".join(row(cells, "td") for cells in rows)
+    return f"<p>{escape(title)}</p><table>{table}</table>" + "".join(f"<p>{escape(note)}</p>" for note in notes)

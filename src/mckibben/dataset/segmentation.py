@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.points import Ledger, Points, account, check
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, account, check
 from mckibben.errors import RangeError
 from mckibben.units import kPa
 
@@ -149,7 +149,7 @@ def plateaus(
     settle: float,
     level_tolerance: float,
     gap: float | None,
-) -> Points:
+) -> ExtractedPoints:
     """`Recording.plateaus`, of the recording's table."""
     check("pressure_tolerance", pressure_tolerance, "Pa")
     check("contraction_tolerance", contraction_tolerance, "1")
@@ -167,7 +167,7 @@ def plateaus(
     time, pressure, contraction, force = (
         table[name].to_numpy() for name in ("time", "pressure", "contraction", "force")
     )
-    ledger = Ledger(table, gap)
+    ledger = SampleAccount(table, gap)
     forward = np.diff(time)
     forward = forward[forward > 0]
     if not len(forward):
@@ -234,7 +234,7 @@ def plateaus(
         **attrs,
     )
     dataset = IsobaricDataset(dataset.table.assign(force_spread=("point", spread)).assign_attrs(table.attrs))
-    return Points(dataset, samples, counts, tuple(ledger.notes))
+    return ExtractedPoints(dataset, samples, counts, tuple(ledger.notes))
 
 
 def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], int]:

@@ -26,7 +26,7 @@ class RowProblem(Problem):
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
+class RawColumn:
     """One column of a file.
 
     Attributes
@@ -56,7 +56,7 @@ class Channel:
 
 
 @dataclass
-class Sheet:
+class RawTable:
     """The columns of a file.
 
     Attributes
@@ -83,7 +83,7 @@ class Sheet:
         `Problem` of lines or `RowProblem`.
     """
 
-    channels: list[Channel] = field(default_factory=list)
+    channels: list[RawColumn] = field(default_factory=list)
     header_line: int | None = None
     comments: dict[str, tuple[int, str]] = field(default_factory=dict)
     delimiter: str = ";"

@@ -1,4 +1,4 @@
-"""TDMS files (LabVIEW, FlexLogger, DIAdem) to a `Sheet`."""
+"""TDMS files (LabVIEW, FlexLogger, DIAdem) to a `RawTable`."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.dataset.sheet import Channel, RowProblem, Sheet, settled
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, settled
 from mckibben.errors import DatasetError, Problem
 
 
-def read_tdms(path: Path, data: bytes) -> Sheet:
+def read_tdms(path: Path, data: bytes) -> RawTable:
     """Read the channels of a TDMS file, named ``group/channel``, with the units that their properties say.
 
     Scaled channels are read scaled. Where channels are waveforms, their increment is the interval of the samples.
@@ -31,7 +31,7 @@ def read_tdms(path: Path, data: bytes) -> Sheet:
     except ImportError:
         remedy = 'pip install "mckibben[tdms]"'
         raise DatasetError(str(path), [Problem("is a TDMS file, and npTDMS is not installed", remedy=remedy)]) from None
-    sheet = Sheet(kind=RowProblem)
+    sheet = RawTable(kind=RowProblem)
     intervals: set[float] = set()
     try:
         with _heard() as warned:
@@ -63,7 +63,7 @@ def read_tdms(path: Path, data: bytes) -> Sheet:
     return sheet
 
 
-def _even(channels: list[Channel]) -> list[Channel]:
+def _even(channels: list[RawColumn]) -> list[RawColumn]:
     """Channels of groups as long as the longest in each, so that rows of which a part is missing are named."""
     longest: dict[str, int] = {}
     for channel in channels:
@@ -97,7 +97,7 @@ def _heard() -> Iterator[list[str]]:
             logger.handlers, logger.propagate = handlers, propagate
 
 
-def _add(sheet: Sheet, name: str, channel: Any, intervals: set[float]) -> None:
+def _add(sheet: RawTable, name: str, channel: Any, intervals: set[float]) -> None:
     values = channel[:]
     if values is None or not len(values):
         sheet.ignored.append(name)
@@ -116,4 +116,4 @@ def _add(sheet: Sheet, name: str, channel: Any, intervals: set[float]) -> None:
     if isinstance(step, (int, float)) and np.isfinite(step) and step > 0:
         intervals.add(float(step))
     rows = range(1, len(cells) + 1)
-    sheet.channels.append(Channel(name, cells, rows, short=channel.name, unit=unit))
+    sheet.channels.append(RawColumn(name, cells, rows, short=channel.name, unit=unit))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.dataset.columns import is_unit
-from mckibben.dataset.sheet import Channel, Sheet
+from mckibben.dataset.sheet import RawColumn, RawTable
 from mckibben.errors import DatasetError, Problem
 
 _DELIMITERS = (",", ";", "\t")
@@ -24,7 +24,7 @@ _SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]*[\])])?|\S+")
 _Known = Callable[[str, str], bool]
 
 
-def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> Sheet:
+def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTable:
     """Read a text of cells.
 
     The delimiter is that of comma, semicolon and tab which gives the header most names that are `known`,
@@ -63,7 +63,7 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> Sheet
     lines, number = _header(line, stream, number, known)
     lines += islice(stream, max(0, 2 - len(lines)))
     delimiter = _delimiter(lines[0], known)
-    sheet = Sheet(header_line=number, comments=comments, delimiter=delimiter)
+    sheet = RawTable(header_line=number, comments=comments, delimiter=delimiter)
     if (numbers := _numbers(lines, stream, number, sheet)) is None:
         _cells(lines, stream, number, sheet)
     else:
@@ -123,7 +123,7 @@ def _reader(lines: Iterator[str] | Sequence[str], delimiter: str) -> Iterator[li
     return csv.reader(lines, delimiter=delimiter)
 
 
-def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: Sheet) -> list[Channel] | None:
+def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -> list[RawColumn] | None:
     """The columns of a file that has nothing but rows of numbers, read by NumPy; None where there is anything else.
 
     A row a line, so that millions of samples are read in seconds, and each still knows its line.
@@ -151,7 +151,9 @@ def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: Sheet) ->
     units = under if skipped > 1 else [""] * len(header)
     rows = range(first + skipped, first + skipped + count)
     columns = np.ascontiguousarray(numbers.T)
-    return [Channel(name, column, rows, unit=unit) for name, column, unit in zip(header, columns, units, strict=False)]
+    return [
+        RawColumn(name, column, rows, unit=unit) for name, column, unit in zip(header, columns, units, strict=False)
+    ]
 
 
 class _Row(NamedTuple):
@@ -162,7 +164,7 @@ class _Row(NamedTuple):
     last: int
 
 
-def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: Sheet) -> None:
+def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -> None:
     """The columns of any other file, and the rows of it that are none."""
     rows: list[_Row] = []
     reader = _reader(chain(lines, stream), sheet.delimiter)
@@ -198,7 +200,7 @@ def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: Sheet) -> N
     numbers = [row.line for row in good]
     units += [""] * (len(header) - len(units))
     sheet.channels = [
-        Channel(name, cells, numbers, unit=unit) for name, cells, unit in zip(header, columns, units, strict=False)
+        RawColumn(name, cells, numbers, unit=unit) for name, cells, unit in zip(header, columns, units, strict=False)
     ]
 
 
@@ -233,7 +235,7 @@ def _is_units(row: Sequence[str]) -> bool:
     return 2 * found >= len(cells) > 0 < found and not any(_NUMBER.fullmatch(cell) for cell in cells)
 
 
-def _look_at_the_end(text: str, zeros: int, sheet: Sheet) -> None:
+def _look_at_the_end(text: str, zeros: int, sheet: RawTable) -> None:
     """Say of a last line that was cut off that it was."""
     last = text.count("\n") + 1
     lengths = [channel.lines[-1] for channel in sheet.channels if len(channel.lines)]
@@ -344,7 +346,7 @@ SIGNATURE = "LabVIEW Measurement"
 _END = "***End_of_Header***"
 
 
-def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros: int = 0) -> Sheet:
+def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros: int = 0) -> RawTable:
     """Read a file of one segment: the columns under its second header, units from ``Y_Unit_Label``.
 
     ``X_Value`` is the time [s] where the file says that its dimension is time.
@@ -372,7 +374,7 @@ def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros
     if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
         units["X_Value"] = "s"
     sheet.channels = [
-        Channel(
+        RawColumn(
             each.name,
             each.cells,
             each.lines,

@@ -87,7 +87,7 @@ class States:
             )
         grid = contractions[None, :], pressures[:, None]
         force = forces(law, *grid)
-        meant = np.asarray(type(law).holds.contains(*grid))
+        meant = np.asarray(type(law).formula_domain.contains(*grid))
         with np.errstate(invalid="ignore"):
             allowed = np.isfinite(force) & meant & (force > setting.lowest_force) & (force <= setting.highest_force)
         if not allowed.any():

@@ -14,7 +14,7 @@ from mckibben.errors import IdentificationError, ParameterError
 from mckibben.experiment_design.information import Spread, estimated_spread
 from mckibben.identification import Fit, Grouping, identify
 from mckibben.identification.intervals import force_gradients
-from mckibben.identification.uncertainty import finest_recorded, group_labels
+from mckibben.identification.uncertainty import finest_grouping, group_labels
 from mckibben.muscle import Domain, ForceLaw, forces
 
 _CHART = "festo-tool-10mm"
@@ -142,7 +142,7 @@ class AtHand:
             If there is neither a fit nor a kind of law.
         """
         fit, why = (data, "") if isinstance(data, Fit) else _fit(data, law_type)
-        measured = data.plateau_means() if isinstance(data, IsobaricDataset) else data.known_evidence().points
+        measured = data.plateau_means() if isinstance(data, IsobaricDataset) else data.require_regression().points
         points = measured.taut
         notes: list[str] = []
         residuals = np.zeros(len(points))
@@ -151,7 +151,7 @@ class AtHand:
             law, origin = guessed_law(law_type, points, guess)
             notes.append(f"the plan begins with a guess, {origin}, because there is no fit: {why}")
         else:
-            law, residuals = fit.law, fit.known_evidence().solution.residuals
+            law, residuals = fit.law, fit.require_regression().solution.residuals
         modelled = bool(len(points.directions)) if friction is None else friction
         signs = np.zeros(len(points))
         if "direction" in points.table:
@@ -161,9 +161,9 @@ class AtHand:
         rows = np.concatenate([rows, signs[:, None]], axis=1) if modelled else rows
         by, ungrouped = Grouping.POINT, "there is no fit"
         if fit is not None:
-            by, ungrouped = fit.known_evidence().rule
+            by, ungrouped = fit.require_regression().default_grouping
         if stroke_error is not None:
-            by = finest_recorded(points) if stroke_error else Grouping.POINT
+            by = finest_grouping(points) if stroke_error else Grouping.POINT
         strokes = group_labels(points, by) if len(points) else np.empty(0, np.int64)
         spread = _spread(rows, residuals, strokes if by is not Grouping.POINT else None, measured, noise, stroke_error)
         if fit is None and noise is None:
@@ -183,7 +183,7 @@ def _fit(data: IsobaricDataset, law_type: type[ForceLaw] | None) -> tuple[Fit | 
     try:
         return identify(law_type, data), ""
     except IdentificationError as error:
-        return None, str(error).removesuffix(f"; {error.remedy}")
+        return None, error.message
 
 
 def _spread(

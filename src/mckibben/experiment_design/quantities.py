@@ -144,7 +144,7 @@ class Force(Quantity):
             contraction, pressure = (axis.ravel() for axis in np.meshgrid(*sides))
             force = forces(law, contraction, pressure)
             with np.errstate(invalid="ignore"):
-                taut = (force > 0) & np.asarray(type(law).holds.contains(contraction, pressure))
+                taut = (force > 0) & np.asarray(type(law).formula_domain.contains(contraction, pressure))
             if not taut.any():
                 raise RangeError(
                     f"nothing in the region {box} is known to pull: the law has no force there",

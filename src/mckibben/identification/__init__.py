@@ -3,37 +3,37 @@
 from mckibben.identification.bootstrap import Bootstrap, bootstrap
 from mckibben.identification.creep import CreepFit, identify_creep
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
-from mckibben.identification.fitting import Structure, identify
-from mckibben.identification.hysteresis import Drift, HysteresisFit, identify_hysteresis
-from mckibben.identification.intervals import Band, ForceBand, Interval
+from mckibben.identification.fitting import ResidualCorrelation, identify
+from mckibben.identification.hysteresis import HysteresisFit, SensorDrift, identify_hysteresis
+from mckibben.identification.intervals import ForceIntervals, Interval, IntervalEstimate
+from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.posterior import Noise, Posterior, posterior
-from mckibben.identification.problem import design_matrix
 from mckibben.identification.profile import Profile, profile
-from mckibben.identification.ranking import Ranked, Ranking, rank
+from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.storage import read_law
 from mckibben.identification.uncertainty import Grouping
-from mckibben.identification.validation import Errors, HoldOut, Validation, hold_out, validate
+from mckibben.identification.validation import ErrorStatistics, HoldOut, Validation, hold_out, validate
 
 __all__ = [
-    "Band",
     "Bootstrap",
     "CreepFit",
     "DatasetSummary",
-    "Drift",
-    "Errors",
+    "ErrorStatistics",
     "Fit",
-    "ForceBand",
+    "ForceIntervals",
     "Grouping",
     "HoldOut",
     "HysteresisFit",
     "Interval",
+    "IntervalEstimate",
     "LeaveOnePressureOut",
     "Noise",
     "Posterior",
     "Profile",
-    "Ranked",
+    "RankedLaw",
     "Ranking",
-    "Structure",
+    "ResidualCorrelation",
+    "SensorDrift",
     "Validation",
     "bootstrap",
     "design_matrix",

@@ -1,10 +1,10 @@
-"""What an identification of creep found: the arm, how sure it is, and what it adds to each measured point."""
+"""Identification of creep from the samples within plateaus."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,47 +12,46 @@ from numpy.typing import ArrayLike, NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import DatasetSummary
-from mckibben.identification.relaxation import Arm, Courses, Moves
+from mckibben.identification.relaxation import MaxwellElementFit, RelaxationCurves, TimedLoadingPaths
 from mckibben.muscle import MaxwellCreep, NoCreep
 from mckibben.units import percent, show
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CreepFit:
-    """Creep seen in the samples of plateaus, or that there is none to be seen; `identify_creep` makes it.
+    """Creep in the samples of plateaus, or its absence; `identify_creep` makes it.
 
     Attributes
     ----------
     creep
-        One arm; `NoCreep` where the data show none.
+        Creep model of one Maxwell element; `NoCreep` where the data show none.
     significance
-        How many standard errors the force drifts back within a plateau, against the direction of the move before it;
-        creep is seen from 3 on. Negative: it goes on in that direction.
+        Relaxation rate in standard errors; significant from 3 on. Negative: the force goes on in the direction of the
+        move.
     rate, rate_error
-        How fast it does so on average, and the standard error of that [N/s].
+        Mean rate of the force against the direction of the move before, and its standard error [N/s].
     standard_errors
-        Of ``stiffness`` [N/m] and ``time_constant`` [s]; NaN where the data do not determine them. They allow for
-        noise that is correlated within a plateau.
+        Cluster-robust standard errors of ``stiffness`` [N/m] and ``time_constant`` [s]; NaN where not determined.
     correlation
-        Of the two errors; NaN where they are.
-    between
-        The interval of 95 % of the time constant by its profile [s]; 0 or infinity where the data set no end.
-    strength
-        The arm's stiffness per that of the muscle itself, the median over the moves [-].
-    relaxing
-        Shape (points,), in the order of the dataset: the force in the arm at the first sample [N].
-    mean
-        Shape (points,): its mean over the samples, which is what creep has added to a plateau mean [N].
+        Correlation of the two; NaN where not determined.
+    time_constant_interval
+        Profile interval of 95 % [s]; 0 or infinite where the data set no bound.
+    relative_stiffness
+        Stiffness of the element per median stiffness of the muscle [-].
+    initial_force
+        Shape (points,), in the order of the dataset: force in the element at the first sample [N].
+    mean_force
+        Shape (points,): its mean over the samples, the part of creep in a plateau mean [N].
     common_rate
-        A drift within plateaus that is the same in both directions, as of a sensor [N/s].
+        Rate common to both directions, as of a drifting sensor [N/s].
     interval
-        Between two samples [s].
+        Sampling interval [s].
     points_used
-        How many plateaus the fit rests on.
+        Number of plateaus used.
     warnings
-        Sentences: what a reader should know before trusting the numbers.
+        Reasons not to rely on the results.
     dataset
-        Which data.
+        Summary of the data.
     """
 
     creep: MaxwellCreep | NoCreep
@@ -61,10 +60,10 @@ class CreepFit:
     rate_error: float
     standard_errors: dict[str, float]
     correlation: float
-    between: tuple[float, float]
-    strength: float
-    relaxing: NDArray[np.float64] = field(repr=False)
-    mean: NDArray[np.float64] = field(repr=False)
+    time_constant_interval: tuple[float, float]
+    relative_stiffness: float
+    initial_force: NDArray[np.float64]
+    mean_force: NDArray[np.float64]
     common_rate: float
     interval: float
     points_used: int
@@ -72,99 +71,103 @@ class CreepFit:
     dataset: DatasetSummary
 
     @property
-    def seen(self) -> bool:
-        """Whether the data show creep."""
+    def is_significant(self) -> bool:
+        """True if the data show creep."""
         return isinstance(self.creep, MaxwellCreep)
 
-    def course(self, times: ArrayLike) -> NDArray[np.float64]:
-        """The force of creep [N] at each point, so many seconds after its first sample; shape (points, times)."""
+    def relaxation(self, times: ArrayLike) -> NDArray[np.float64]:
+        """Force of creep [N] at each point at times [s] after its first sample; shape (points, times)."""
         times = np.asarray(times, np.float64)
         if isinstance(self.creep, NoCreep):
-            return np.zeros((len(self.relaxing), len(times)))
-        return self.relaxing[:, None] * np.exp(-times / self.creep.time_constant)
+            return np.zeros((len(self.initial_force), len(times)))
+        return self.initial_force[:, None] * np.exp(-times / self.creep.time_constant)
 
     def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
-        """The plateau means of the dataset that this was identified from, without creep.
+        """Plateau means of the identified dataset without creep.
 
         Raises
         ------
         IdentificationError
-            If it has another number of points.
+            If the dataset has another number of points.
         """
         means = dataset.plateau_means()
-        if len(means) != len(self.mean):
+        if len(means) != len(self.mean_force):
             raise IdentificationError(
-                f"{means!r} is not the dataset that the creep was identified from", remedy="give the same, whole"
+                f"{means!r} is not the dataset that the creep was identified from", remedy="give the whole dataset"
             )
-        return IsobaricDataset(means.table.assign(force=("point", means.force - self.mean)))
+        return IsobaricDataset(means.table.assign(force=("point", means.force - self.mean_force)))
 
     def report(self) -> str:
-        """The fit as text."""
-        head = f"{self.dataset.specimen or 'unnamed specimen'}: {self.points_used} plateaus used"
-        drift = (
-            f"within a plateau the force goes back by {self.rate:.3g} N/s (standard error {self.rate_error:.2g}), "
-            f"{self.significance:.1f} standard errors"
-        )
-        lines = [head, drift]
+        """Fit as text."""
+        lines = [
+            f"{self.dataset.specimen or 'unnamed specimen'}: {self.points_used} plateaus used",
+            f"relaxation rate within a plateau: {self.rate:.3g} N/s (standard error {self.rate_error:.2g}), "
+            f"{self.significance:.1f} standard errors",
+        ]
         if isinstance(self.creep, MaxwellCreep):
-            creep, errors = self.creep, self.standard_errors
+            creep, errors, (lower, upper) = self.creep, self.standard_errors, self.time_constant_interval
             lines += [
                 "",
-                f"{'':13}  {'estimate':>8}  {'error':>7}",
-                f"{'stiffness':13}  {creep.stiffness / 1e3:>8.4g}  {errors['stiffness'] / 1e3:>7.2g}  N/mm, "
-                f"{self.strength / percent:.2g} % of the muscle's own",
-                f"{'time constant':13}  {creep.time_constant:>8.4g}  {errors['time_constant']:>7.2g}  s, "
-                f"95 %: {self.between[0]:.3g} to {self.between[1]:.3g} s",
-                f"largest at a first sample: {show(float(np.abs(self.relaxing).max(initial=0.0)), 'N', 3)}",
+                f"{'':13}  {'estimate':>8}  {'standard error':>14}",
+                f"{'stiffness':13}  {creep.stiffness / 1e3:>8.4g}  {errors['stiffness'] / 1e3:>14.2g}  N/mm, "
+                f"{self.relative_stiffness / percent:.2g} % of the muscle's",
+                f"{'time constant':13}  {creep.time_constant:>8.4g}  {errors['time_constant']:>14.2g}  s, "
+                f"95 % interval {lower:.3g} .. {upper:.3g} s",
+                f"largest force at a first sample: {show(float(np.abs(self.initial_force).max(initial=0.0)), 'N', 3)}",
             ]
         else:
-            lines.append("no creep seen")
+            lines.append("no significant creep")
         lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
+    def __repr__(self) -> str:
+        found = "no significant creep"
+        if isinstance(self.creep, MaxwellCreep):
+            found = f"{self.creep.stiffness / 1e3:.3g} N/mm, {self.creep.time_constant:.3g} s"
+        return f"<CreepFit: {found}, {self.points_used} plateaus>"
 
-_SEEN = 3.0  # standard errors
-_FEWEST = 3  # samples that have a course
-_PLATEAUS = 10  # on each side
-_PART = 0.25  # of the force: where more than that relaxes, the arm may have slipped
+
+_SIGNIFICANT = 3.0  # standard errors
+_FEWEST_SAMPLES = 3
+_FEWEST_PLATEAUS = 10  # in each direction
+_SLIP = 0.25  # of the force: where more relaxes, the element may have slipped
 _ROUNDS = 2
-_WIDE = 2.5  # from one end of the interval of a time constant to the other: a wider one says that it is not determined
-_QUICK, _SLOW = 0.1, 3.0  # time constants looked for: from so much of the wait on, up to so much of the longest way
-_REGULATOR = 0.2  # of the force's drift: what more of it the pressure's explains is said
+_WIDE = 2.5  # ratio of the ends of the interval of a time constant above which it is not determined
+_QUICK, _SLOW = 0.1, 3.0  # range of time constants, in dwells and in durations of the longest path
+_REGULATOR = 0.2  # of the drift of the force: a larger part explained by the pressure's is reported
 
 
 def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, speed: float) -> CreepFit:
-    r"""Look for creep in the samples of plateaus: a Maxwell arm beside a law that need not be known.
+    r"""Identify creep from the samples within plateaus as a Maxwell element beside a law that need not be known.
 
-    Whether there is any, the mean slopes of the force within plateaus tell, after stretching against after shortening:
-    creep goes back, friction and law stand still, a sensor drifts the same way after both. Where there is, the arm is
-    drawn along the whole course of the test, and its two numbers are those for which the samples of a plateau, less
-    their mean, differ least from
+    Significance is tested by the mean slopes of the force within plateaus after stretching and after shortening: creep
+    relaxes against the direction of the move, law and friction are constant, a sensor drifts equally after both. The
+    element is then fitted along all loading paths: the samples of plateau j, less their mean, are
 
     .. math:: x_j e^{-t/\tau} + v t, \qquad x_j = e^{-t_\mathrm{dwell}/\tau} k\, g_j(\tau)
 
-    with a rate v in common. The stretch :math:`g_j` that the arm still holds after the move to a plateau follows from
-    all moves before it at that pressure, before which it is taken for relaxed; so a time constant beyond the time
-    at a plateau is known as well, if a stroke takes long enough. A slack muscle holds none.
+    with a common rate v. The deflection :math:`g_j` after the move to a plateau follows from all moves before it at
+    that pressure, before which the element is relaxed; so a time constant beyond the duration of a plateau can be
+    determined if a stroke takes long enough. A slack muscle has no deflection.
 
     Parameters
     ----------
     dataset
-        With raw samples of the force, directions and the initial length; the nominal pressure where measured ones
-        scatter. Its rows are in the order of the test, or it has times, those of the first samples.
+        Dataset with raw samples of the force, directions and the initial length, with nominal pressures where measured
+        ones scatter. Its rows are in the order of the test, or it has times, those of the first samples.
     interval
-        Between two samples [s].
+        Sampling interval [s].
     dwell
-        From the end of a move to the first sample [s].
+        Time from the end of a move to the first sample [s].
     speed
-        Of the moves [m/s].
+        Speed of the moves [m/s].
 
     Raises
     ------
     IdentificationError
-        If there are no samples, or too few plateaus, or one direction alone, or times that do not suit the speed.
+        If there are no samples, too few plateaus, one direction alone, or times that do not agree with the speed.
     RangeError
-        If one of the numbers makes no sense.
+        If `interval`, `dwell` or `speed` is not positive.
 
     Examples
     --------
@@ -185,11 +188,11 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
             raise RangeError(f"{name} is {value:g} {unit}", value=value, unit=unit, remedy="give a positive number")
     force = _samples(dataset)
     means = dataset.plateau_means()
-    moves = Moves.of(means, dwell, speed, interval * force.shape[1])
-    arm = Arm(Courses.of(force, interval), moves)
+    paths = TimedLoadingPaths.of(means, dwell, speed, interval * force.shape[1])
+    element = MaxwellElementFit(RelaxationCurves.of(force, interval), paths)
     taut = ~means.slack & (means.force > 0)
-    rate, error, common = _drift(arm.courses.slopes, moves, taut)
-    warnings = _pressure_warning(dataset, interval, moves, taut, rate, means)
+    rate, error, common = _drift(element.curves.slopes, paths, taut)
+    warnings = _pressure_warning(dataset, interval, paths, taut, rate, means)
     found = CreepFit(
         creep=NoCreep(),
         significance=rate / error,
@@ -197,146 +200,146 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
         rate_error=error,
         standard_errors={"stiffness": math.nan, "time_constant": math.nan},
         correlation=math.nan,
-        between=(math.nan, math.nan),
-        strength=0.0,
-        relaxing=np.zeros(len(means)),
-        mean=np.zeros(len(means)),
+        time_constant_interval=(math.nan, math.nan),
+        relative_stiffness=0.0,
+        initial_force=np.zeros(len(means)),
+        mean_force=np.zeros(len(means)),
         common_rate=common,
         interval=interval,
         points_used=int(taut.sum()),
         warnings=tuple(warnings),
-        dataset=_summary(means, taut),
+        dataset=DatasetSummary.of(means.select(taut)),
     )
-    span = dwell + arm.courses.duration
-    if found.significance < _SEEN:
-        return dataclasses.replace(found, warnings=(*warnings, *_unseen(arm, taut, found, span, dwell)))
+    span = dwell + element.curves.duration
+    if found.significance < _SIGNIFICANT:
+        return dataclasses.replace(found, warnings=(*warnings, *_insignificant(element, taut, found, span, dwell)))
 
-    ends = max(0.01, _QUICK * dwell, 3 * interval), max(_SLOW * moves.longest, 10 * span)
-    used, tau = taut, arm.time_constant(taut, *ends)
-    for _ in range(_ROUNDS):  # without the points at which so much relaxes that the arm may have slipped
-        held = np.abs(arm.numbers(tau, used)[0] * moves.held(tau))
-        within = taut & (held < _PART * means.force)
-        if within.sum() < taut.sum() / 2:  # then the arm is a guess, as where its time constant is not determined
+    ends = max(0.01, _QUICK * dwell, 3 * interval), max(_SLOW * paths.longest, 10 * span)
+    used, tau = taut, element.time_constant(taut, *ends)
+    for _ in range(_ROUNDS):  # without the points at which the element may have slipped
+        relaxing = np.abs(element.stiffness_and_rate(tau, used)[0] * paths.deflection(tau))
+        within = taut & (relaxing < _SLIP * means.force)
+        if within.sum() < taut.sum() / 2:  # the element is a guess, as where its time constant is not determined
             break
-        _check_sides(moves, within)
+        _check_directions(paths, within)
         used = within
-        tau = arm.time_constant(used, *ends)
-    stiffness, common = arm.numbers(tau, used)
+        tau = element.time_constant(used, *ends)
+    stiffness, common = element.stiffness_and_rate(tau, used)
     if not stiffness > 0:
         raise IdentificationError(
-            "the force drifts as with creep, but not along the course of the test",
-            remedy="look at dwell, speed and the order of the rows",
+            "the force drifts as with creep, but not along the loading paths of the test",
+            remedy="check dwell, speed and the order of the rows",
         )
-    errors, correlation, excess = arm.uncertainty(tau, used)
-    between = arm.between(tau, used, *ends, excess)
-    if not between[1] < _WIDE * between[0]:
-        warnings.append(_undetermined(between, stiffness / tau, span, dwell))
+    errors, correlation, inflation = element.uncertainty(tau, used)
+    time_constants = element.time_constant_interval(tau, used, *ends, inflation)
+    if not time_constants[1] < _WIDE * time_constants[0]:
+        warnings.append(_undetermined(time_constants, stiffness / tau, span, dwell))
         errors, correlation = dict.fromkeys(errors, math.nan), math.nan
     bound = np.maximum(means.force, 0.0) / 2
-    relaxing = np.where(taut, np.clip(stiffness * moves.held(tau), -bound, bound), 0.0)
+    initial = np.where(taut, np.clip(stiffness * paths.deflection(tau), -bound, bound), 0.0)
     return dataclasses.replace(
         found,
         creep=MaxwellCreep(stiffness, tau),
         standard_errors=errors,
         correlation=correlation,
-        between=between,
-        strength=stiffness / moves.stiffness(means, used),
-        relaxing=relaxing,
-        mean=relaxing * np.exp(-arm.courses.times / tau).mean(),
+        time_constant_interval=time_constants,
+        relative_stiffness=stiffness / paths.stiffness(means, used),
+        initial_force=initial,
+        mean_force=initial * np.exp(-element.curves.times / tau).mean(),
         common_rate=common,
         points_used=int(used.sum()),
         warnings=tuple(warnings),
-        dataset=_summary(means, used),
+        dataset=DatasetSummary.of(means.select(used)),
     )
 
 
 def _samples(dataset: IsobaricDataset) -> NDArray:
-    if "force_samples" not in dataset.table or dataset.table.sizes["sample"] < _FEWEST:
+    if "force_samples" not in dataset.table or dataset.table.sizes["sample"] < _FEWEST_SAMPLES:
         raise IdentificationError(
-            "the dataset has no raw samples of the force: plateau means do not show what moves within a plateau",
-            remedy=f"keep at least {_FEWEST} samples a plateau (NetCDF keeps them, CSV does not)",
+            "the dataset has no raw samples of the force: plateau means do not show relaxation",
+            remedy=f"keep at least {_FEWEST_SAMPLES} samples a plateau (NetCDF keeps them, CSV does not)",
         )
     return dataset.table["force_samples"].to_numpy()
 
 
-def _check_sides(moves: Moves, used: NDArray[np.bool_]) -> None:
+def _check_directions(paths: TimedLoadingPaths, used: NDArray[np.bool_]) -> None:
     for side, word in ((1, "stretching"), (-1, "shortening")):
-        count = int(np.count_nonzero(used & (moves.sides == side)))
-        if count < _PLATEAUS:
+        count = int(np.count_nonzero(used & (paths.sides == side)))
+        if count < _FEWEST_PLATEAUS:
             raise IdentificationError(
                 f"{count} taut plateaus follow a move by {word}",
                 value=count,
-                lower=_PLATEAUS,
-                remedy=f"measure at least {_PLATEAUS} in each direction",
+                lower=_FEWEST_PLATEAUS,
+                remedy=f"measure at least {_FEWEST_PLATEAUS} in each direction",
             )
 
 
-def _drift(slopes: NDArray[np.float64], moves: Moves, used: NDArray[np.bool_]) -> tuple[float, float, float]:
-    """How fast the force goes back after a move, the standard error of that, and what is the same in both [N/s]."""
-    _check_sides(moves, used)
-    up, down = (slopes[used & (moves.sides == side)] for side in (1, -1))
+def _drift(
+    slopes: NDArray[np.float64], paths: TimedLoadingPaths, used: NDArray[np.bool_]
+) -> tuple[float, float, float]:
+    """Rate against the direction of the move, its standard error, and the common rate of both directions [N/s]."""
+    _check_directions(paths, used)
+    up, down = (slopes[used & (paths.sides == side)] for side in (1, -1))
     rate = float(down.mean() - up.mean()) / 2
     error = math.sqrt(up.var(ddof=1) / len(up) + down.var(ddof=1) / len(down)) / 2
     return rate, max(error, 1e-300), float(down.mean() + up.mean()) / 2
 
 
-def _unseen(arm: Arm, used: NDArray[np.bool_], found: CreepFit, span: float, dwell: float) -> list[str]:
-    """What to say where there is no creep to be seen."""
-    bound = arm.numbers(span, used)[0] + _SEEN * arm.stiffness_error(span, used)
+def _insignificant(
+    element: MaxwellElementFit, used: NDArray[np.bool_], found: CreepFit, span: float, dwell: float
+) -> list[str]:
+    """Warnings where there is no significant creep."""
+    bound = element.stiffness_and_rate(span, used)[0] + _SIGNIFICANT * element.stiffness_error(span, used)
     onwards = (
-        f"the force goes on in the direction of the move ({-found.rate:.2g} N/s): no relaxation does that; look at the "
-        "pressure regulator, and at when samples begin"
+        f"the force goes on in the direction of the move ({-found.rate:.2g} N/s), which is no relaxation; check the "
+        "pressure regulator, and when samples begin"
     )
-    hidden = (
-        f"an arm of {span:.3g} s would show from {bound / 1e3:.2g} N/mm on; quicker ones are over before the first "
-        f"sample ({dwell:g} s), slower ones hardly move within {arm.courses.duration:.3g} s"
+    detectable = (
+        f"an element of {span:.3g} s is detectable from {bound / 1e3:.2g} N/mm on; faster ones have relaxed before the "
+        f"first sample ({dwell:g} s), slower ones hardly relax within {element.curves.duration:.3g} s"
     )
-    return [onwards, hidden] if found.significance < -_SEEN else [hidden]
+    return [onwards, detectable] if found.significance < -_SIGNIFICANT else [detectable]
 
 
-def _undetermined(between: tuple[float, float], ratio: float, span: float, dwell: float) -> str:
-    """What to say of a time constant that the data leave open."""
-    low, high = between
+def _undetermined(interval: tuple[float, float], ratio: float, span: float, dwell: float) -> str:
+    """Warning of a time constant that the data do not determine."""
+    low, high = interval
     if high == math.inf:
         return (
-            f"the time constant is not determined: anything from {low:.3g} s on would do, a plateau of {span:.3g} s is "
-            f"too short to tell; what is known is stiffness per time constant, {ratio / 1e3:.3g} N/mm/s"
+            f"the time constant is not determined: at least {low:.3g} s, as a plateau of {span:.3g} s is too short; "
+            f"stiffness per time constant is {ratio / 1e3:.3g} N/mm/s"
         )
     if low == 0:
         return (
-            f"the time constant is not determined: anything up to {high:.3g} s would do, the wait of {dwell:g} s "
-            "before the first sample is too long to tell; sample sooner"
+            f"the time constant is not determined: at most {high:.3g} s, as the wait of {dwell:g} s before the first "
+            "sample is too long; sample sooner"
         )
     return (
-        f"the time constant is not determined: anything from {low:.3g} to {high:.3g} s would do; sample for longer "
-        f"than {span - dwell:.3g} s, sooner after a move, or more plateaus"
+        f"the time constant is not determined: {low:.3g} to {high:.3g} s; sample for longer than {span - dwell:.3g} s, "
+        "sooner after a move, or more plateaus"
     )
 
 
 def _pressure_warning(
     dataset: IsobaricDataset,
     interval: float,
-    moves: Moves,
+    paths: TimedLoadingPaths,
     used: NDArray[np.bool_],
     rate: float,
     means: IsobaricDataset,
 ) -> list[str]:
-    """What to say where the pressure drifts within plateaus as well, after one direction other than after the other."""
+    """Warning of a pressure that drifts within plateaus with the direction of the move."""
     if "pressure_samples" not in dataset.table:
-        return ["without samples of the pressure, a regulator that follows slowly cannot be told from creep"]
-    slopes = Courses.of(dataset.table["pressure_samples"].to_numpy(), interval).slopes
-    back, error, _ = _drift(slopes, moves, used)
-    pressed = used & (means.pressure > 0)
-    equivalent = back * float(np.median(means.force[pressed] / means.pressure[pressed])) if pressed.any() else 0.0
-    if abs(back) < _SEEN * error or abs(equivalent) < _REGULATOR * abs(rate):
+        return ["without samples of the pressure, a slow pressure regulator cannot be told from creep"]
+    slopes = RelaxationCurves.of(dataset.table["pressure_samples"].to_numpy(), interval).slopes
+    drift, error, _ = _drift(slopes, paths, used)
+    pressurised = used & (means.pressure > 0)
+    if not pressurised.any():
+        return []
+    equivalent = drift * float(np.median(means.force[pressurised] / means.pressure[pressurised]))
+    if abs(drift) < _SIGNIFICANT * error or abs(equivalent) < _REGULATOR * abs(rate):
         return []
     return [
-        f"the pressure drifts too, by {back:.3g} Pa/s against the direction of the move, which is worth some "
+        f"the pressure drifts too, by {drift:.3g} Pa/s against the direction of the move, which explains some "
         f"{equivalent:.2g} N/s of the {rate:.2g} N/s: that part is the regulator's, not creep"
     ]
-
-
-def _summary(means: IsobaricDataset, used: NDArray[np.bool_]) -> DatasetSummary:
-    attributes = means.table.attrs
-    pressures = tuple(means.select(used).pressures.tolist())
-    return DatasetSummary(str(attributes["specimen"]), str(attributes["source"]), pressures)

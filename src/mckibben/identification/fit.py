@@ -1,4 +1,4 @@
-"""What an identification found: the law, how well the data determine it, and how well it describes them."""
+"""Result of an identification: the law, the uncertainty of its parameters, and its errors."""
 
 from __future__ import annotations
 
@@ -10,34 +10,26 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.schema import html_table
 from mckibben.errors import IdentificationError
-from mckibben.identification.intervals import (
-    Evidence,
-    ForceBand,
-    Interval,
-    RobustErrors,
-    force_band,
-    parameter_interval,
-)
+from mckibben.identification.intervals import ForceIntervals, Interval, RobustErrors, parameter_interval
+from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import Grouping
-from mckibben.muscle import ForceLaw
+from mckibben.muscle import Domain, ForceLaw
 from mckibben.units import bar, factor
 
 
 @dataclass(frozen=True)
 class LeaveOnePressureOut:
-    """Errors at pressures that the fit had not seen.
-
-    For each pressure the whole law, its shape included, is fitted to the points of all others. By whole
-    pressures and not by single points, because the neighbours of a point on its own curve all but give it
-    away.
+    """Leave-one-pressure-out cross-validation: each pressure is predicted by the fit to all others.
 
     Attributes
     ----------
     rmse, max_error
-        Over all held-out points together [N].
+        Over all points [N].
     by_pressure
-        RMSE [N] at each held-out pressure [Pa].
+        RMSE [N] by pressure [Pa].
     """
 
     rmse: float
@@ -47,60 +39,67 @@ class LeaveOnePressureOut:
 
 @dataclass(frozen=True)
 class DatasetSummary:
-    """Which data a fit is based on.
+    """Dataset of a fit.
 
     Attributes
     ----------
     specimen, source
-        As the dataset says.
+        Attributes of the dataset.
     pressures
-        The levels [Pa] of the points used, ascending.
+        Levels [Pa] of the points used, ascending.
     """
 
     specimen: str
     source: str
     pressures: tuple[float, ...]
 
+    @classmethod
+    def of(cls, points: IsobaricDataset) -> DatasetSummary:
+        """Summary of the points used."""
+        attrs = points.table.attrs
+        return cls(str(attrs["specimen"]), str(attrs["source"]), tuple(points.pressures.tolist()))
 
-@dataclass(frozen=True, eq=False)
+
+def domain_of(points: IsobaricDataset) -> Domain:
+    """Range of contractions and pressure levels of some points."""
+    contraction, levels = points.contraction, points.levels
+    return Domain(float(contraction.min()), float(contraction.max()), float(levels.min()), float(levels.max()))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Fit:
-    """A force law identified from data; `identify` makes it, `from_yaml` reads it.
+    """Force law identified from data, by `identify`.
 
     Attributes
     ----------
     law
-        The law with the estimates; its domain is the range of the points used.
+        Law with the estimates; its domain is the range of the points used.
     standard_errors
-        By parameter, in SI; NaN where the parameter is at a bound. These are the classical ones, which take the
-        points as independent: see `mckibben.identification.uncertainty`, and `robust` for better ones.
+        Classical standard errors by parameter, in SI, for independent points; NaN where the parameter is at a bound.
     correlations
         Shape (parameters, parameters), in the order of `estimates`.
-    rmse
-        Root of the mean squared residual over the points used [N].
-    max_error
-        The largest residual, without sign [N].
+    rmse, max_error
+        Root mean square and largest absolute residual [N].
     points_used, points_slack
-        Plateaus that the fit rests on, and those left out because the muscle was slack.
+        Number of taut plateaus, and of slack ones, which are left out.
     leave_one_pressure_out
-        Errors at unseen pressures; None where they cannot be had, and a warning then says why.
+        Cross-validation errors; None where they cannot be had, as a warning explains.
     warnings
-        Sentences: what a reader should know before trusting the numbers.
+        Reasons not to rely on the results.
     dataset
-        Which data.
+        Summary of the data.
     residuals
-        Shape (points_used,): measured minus fitted force [N], in the order of the taut points of the
-        dataset; None in a fit that was read from a file.
+        Shape (points_used,): measured minus fitted force [N], in the order of the taut points; None if read from a
+        file.
     robust
-        Standard errors for points that may share an error, as the points of a stroke do: what the intervals rest on.
-        None where too few groups of points are there to have them; a warning then says why.
-    evidence
-        The points and the solution at them, from which bands, profiles and bootstraps are made; None in a fit that
-        was read from a file.
+        Cluster-robust standard errors, on which the intervals rest; None with too few groups, as a warning explains.
+    regression
+        Points and least-squares solution; None if read from a file.
     """
 
     law: ForceLaw
     standard_errors: Mapping[str, float]
-    correlations: NDArray[np.float64] = field(repr=False)
+    correlations: NDArray[np.float64]
     rmse: float
     max_error: float
     points_used: int
@@ -108,37 +107,36 @@ class Fit:
     leave_one_pressure_out: LeaveOnePressureOut | None
     warnings: tuple[str, ...]
     dataset: DatasetSummary
-    residuals: NDArray[np.float64] | None = field(default=None, repr=False)
-    robust: RobustErrors | None = field(default=None, repr=False)
-    evidence: Evidence | None = field(default=None, repr=False)
+    residuals: NDArray[np.float64] | None = None
+    robust: RobustErrors | None = None
+    regression: Regression | None = None
 
     @property
     def estimates(self) -> dict[str, float]:
-        """The parameters by name, in SI, linear ones first."""
+        """Parameters by name, in SI, linear ones first."""
         return {p.name: float(getattr(self.law, p.name)) for p in self.law.parameters()}
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """Shape (parameters, parameters), in products of SI units."""
+        """Classical covariance, shape (parameters, parameters), in products of SI units."""
         errors = np.array([self.standard_errors[name] for name in self.estimates])
         return self.correlations * np.outer(errors, errors)
 
     def intervals(self, level: float = 0.95, *, by: Grouping | None = None) -> dict[str, Interval]:
-        """By parameter, in SI: an interval that holds the true value in this share of data sets.
+        """Confidence intervals by parameter, in SI.
 
         Parameters
         ----------
         level
-            That share.
+            Confidence level.
         by
-            Which points may share an error; unless said, as `mckibben.identification.intervals.Evidence.rule` has it:
-            those of a stroke, or of a pressure where strokes are not known. ``Grouping.POINT`` gives the classical
-            intervals.
+            Points that may share an error; unless given, those of a stroke, or of a pressure where strokes are not
+            known. ``Grouping.POINT`` gives the classical intervals.
 
         Raises
         ------
         IdentificationError
-            If there are no such groups, or the fit was read from a file that does not keep what is asked for.
+            If there are no such groups, or the fit was read from a file that does not hold the errors asked for.
         """
         errors, freedom = self._errors(by)
         return {
@@ -146,45 +144,38 @@ class Fit:
             for name, value in self.estimates.items()
         }
 
-    def force_band(
+    def force_intervals(
         self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95, by: Grouping | None = None
-    ) -> ForceBand:
-        """The force of the law [N] with its uncertainty, and where a further measurement would lie.
+    ) -> ForceIntervals:
+        """Pointwise confidence interval and prediction interval of the force [N].
 
         Parameters
         ----------
         contraction, pressure
-            Where [-], [Pa]; they broadcast.
+            Contraction [-] and pressure [Pa]; they broadcast.
         level, by
-            As for `intervals`; the intervals hold point by point, not for a whole curve at once.
+            As for `intervals`.
 
         Returns
         -------
-        ForceBand
-            Of the law, which may turn negative where the muscle is slack. It holds the force of the muscle if the law
-            is of the right kind: how far a wrong one is from the muscle is not in it.
+        ForceIntervals
+            Intervals of the law's force, which may be negative where the muscle is slack.
 
         Raises
         ------
         IdentificationError
-            As `intervals`; and if the fit was read from a file, which does not keep the points.
+            As `intervals`; and if the fit was read from a file, which does not hold the points.
         """
-        return force_band(self.law, self.known_evidence(), contraction, pressure, level=level, by=by)
+        return self.require_regression().force_intervals(self.law, contraction, pressure, level=level, by=by)
 
-    def known_evidence(self) -> Evidence:
-        """What the fit rests on.
-
-        Raises
-        ------
-        IdentificationError
-            If the fit was read from a file, which does not keep the points.
-        """
-        if self.evidence is None:
+    def require_regression(self) -> Regression:
+        """Return the regression, or raise an `IdentificationError` if the fit was read from a file."""
+        if self.regression is None:
             raise IdentificationError(
-                f"this fit of {type(self.law).__name__} was read from a file, which does not keep its points",
+                f"this fit of {type(self.law).__name__} was read from a file, which does not hold its points",
                 remedy="identify it again from the data",
             )
-        return self.evidence
+        return self.regression
 
     def _errors(self, by: Grouping | None) -> tuple[Mapping[str, float], Mapping[str, float]]:
         """Standard errors and degrees of freedom by parameter."""
@@ -193,11 +184,11 @@ class Fit:
         if by in (None, Grouping.POINT):
             free = sum(not np.isnan(error) for error in self.standard_errors.values())
             return self.standard_errors, dict.fromkeys(self.standard_errors, float(self.points_used - free))
-        found = self.known_evidence().robust_errors(by)
+        found = self.require_regression().robust_errors(by)
         return found.standard_errors, found.degrees_of_freedom
 
     def strongest_correlations(self, count: int = 3) -> list[tuple[str, str, float]]:
-        """The pairs of parameters that the data tell apart worst, worst first."""
+        """Pairs of parameters with the largest absolute correlation, largest first."""
         names = list(self.estimates)
         pairs = [
             (names[i], names[j], float(self.correlations[i, j]))
@@ -208,12 +199,30 @@ class Fit:
         return sorted(pairs, key=lambda pair: -abs(pair[2]))[:count]
 
     def report(self, level: float = 0.95) -> str:
-        """The fit as text: parameters in the units of publications, errors, intervals, correlations, warnings."""
-        law = type(self.law)
+        """Fit as text: parameters in published units, errors, intervals, correlations, warnings."""
+        levels = np.array(self.dataset.pressures) / bar
+        lines = [
+            f"{type(self.law).__name__}: {self.law.equation}",
+            f"{self.dataset.specimen or 'unnamed specimen'}: {self.points_used} points used, "
+            f"{self.points_slack} slack left out; {len(levels)} pressures {levels.min():g}..{levels.max():g} bar",
+            f"domain: {self.law.domain}",
+            "",
+            *_aligned(self._rows(level)),
+            self._error_note(),
+            "",
+            f"residuals: RMSE {self.rmse:.3g} N, maximum {self.max_error:.3g} N",
+        ]
+        if lopo := self.leave_one_pressure_out:
+            lines.append(f"leave-one-pressure-out: RMSE {lopo.rmse:.3g} N, maximum {lopo.max_error:.3g} N")
+        if pairs := self.strongest_correlations():
+            lines.append("strongest correlations: " + ", ".join(f"{a}, {b} {r:+.4f}" for a, b, r in pairs))
+        lines += [f"warning: {warning}" for warning in self.warnings]
+        return "\n".join(lines)
+
+    def _rows(self, level: float) -> list[tuple[str, ...]]:
         errors, intervals = self._errors(None)[0], self.intervals(level)
-        share = f"{100 * level:g} % interval"
-        rows = [("parameter", "estimate", "standard error", "unit", share, "meaning")]
-        for p in law.parameters():
+        rows = [("parameter", "estimate", "standard error", "unit", f"{100 * level:g} % interval", "meaning")]
+        for p in type(self.law).parameters():
             scale = factor(p.shown)
             error, (low, high) = errors[p.name] / scale, intervals[p.name]
             known = bool(np.isfinite(error))
@@ -227,47 +236,42 @@ class Fit:
                     p.meaning,
                 )
             )
-        levels = np.array(self.dataset.pressures) / bar
-        lines = [
-            f"{law.__name__}: {law.equation}",
-            f"{self.dataset.specimen or 'unnamed specimen'}: {self.points_used} points used, "
-            f"{self.points_slack} slack left out; {len(levels)} pressures {levels.min():g}..{levels.max():g} bar",
-            f"domain: {self.law.domain}",
-            "",
-            *_table(rows),
-            self._said_of_errors(),
-            "",
-            f"residuals: RMSE {self.rmse:.3g} N, maximum {self.max_error:.3g} N",
-        ]
-        if lopo := self.leave_one_pressure_out:
-            lines.append(f"leaving one pressure out: RMSE {lopo.rmse:.3g} N, maximum {lopo.max_error:.3g} N")
-        if pairs := self.strongest_correlations():
-            lines.append("strongest correlations: " + ", ".join(f"{a}, {b} {r:+.4f}" for a, b, r in pairs))
-        lines += [f"warning: {warning}" for warning in self.warnings]
-        return "\n".join(lines)
+        return rows
 
-    def _said_of_errors(self) -> str:
+    def _error_note(self) -> str:
         if self.robust is None:
-            return "standard errors: classical, as if the errors of all points were independent"
+            return "standard errors: classical, for independent points"
         ratios = [
             e / self.standard_errors[n] for n, e in self.robust.standard_errors.items() if self.standard_errors[n]
         ]
         freedom = list(self.robust.degrees_of_freedom.values())
         return (
-            f"standard errors: the points of a {self.robust.by.value} may share an error "
-            f"({self.robust.by.counted(self.robust.groups)}; CR2, {np.nanmin(freedom):.1f}..{np.nanmax(freedom):.1f} "
+            f"standard errors: cluster-robust (CR2) by {self.robust.by.value} "
+            f"({self.robust.by.counted(self.robust.groups)}, {np.nanmin(freedom):.1f}..{np.nanmax(freedom):.1f} "
             f"degrees of freedom); {np.nanmin(ratios):.2g}..{np.nanmax(ratios):.2g} times the classical ones"
         )
 
+    def __repr__(self) -> str:
+        name = f" of {self.dataset.specimen}" if self.dataset.specimen else ""
+        lopo = self.leave_one_pressure_out
+        unseen = f", leave-one-pressure-out {lopo.rmse:.3g} N" if lopo else ""
+        warned = f", {len(self.warnings)} warning{'s' if len(self.warnings) > 1 else ''}" if self.warnings else ""
+        law = type(self.law).__name__
+        return f"<Fit {law}{name}: {self.points_used} points, RMSE {self.rmse:.3g} N{unseen}{warned}>"
+
+    def _repr_html_(self) -> str:
+        header, *rows = self._rows(0.95)
+        return html_table(repr(self), header, rows, (self._error_note(), *self.warnings))
+
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
-        """Write all but the residuals to a file for people and `from_yaml`; numbers come back exactly."""
+        """Write all but the residuals to a file that `from_yaml` reads back exactly."""
         from mckibben.identification.storage import write_fit
 
         write_fit(self, Path(path))
 
     @classmethod
     def from_yaml(cls, path: str | os.PathLike[str]) -> Fit:
-        """Read what `to_yaml` wrote.
+        """Read a file that `to_yaml` wrote.
 
         Raises
         ------
@@ -279,7 +283,7 @@ class Fit:
         return read_fit(Path(path))
 
 
-def _table(rows: list[tuple[str, ...]]) -> list[str]:
+def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return [
         "  ".join(

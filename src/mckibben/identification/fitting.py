@@ -10,45 +10,48 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.cross_validation import UndeterminedError, held, pressure_blocks
-from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
-from mckibben.identification.intervals import Evidence
-from mckibben.identification.problem import FitProblem, Solution
-from mckibben.identification.solvers import project, search, solve
-from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition, uncertainty, undetermined
+from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, domain_of
+from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
+from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
+from mckibben.identification.uncertainty import (
+    CONDITION_LIMIT,
+    Grouping,
+    condition_number,
+    uncertainty,
+    unidentifiable,
+)
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.units import bar, percent, show
 
 _STRONG_CORRELATION = 0.999
-_FRICTION = 1.0  # a gap between the directions above this part of the RMSE is what the residuals consist of
+_FRICTION = 1.0  # of the RMSE: a larger difference between the directions dominates the residuals
+_CONTRACTION_NOISE = 0.1 * percent  # beyond the validity of a law that is measurement noise
 
 
 def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Domain | None = None) -> Fit:
     """Fit a force law to measured points by least squares.
 
-    The fit rests on the plateau means of the taut points: at a slack point the force says only "not above".
-    The shape parameters are looked for over their whole range, on a grid first; then they are refined, by
-    variable projection for a law that is linear in other parameters and by Levenberg-Marquardt for one that
-    is not.
+    The fit is to the plateau means of the taut points: at a slack point the force is only known to be small. Shape
+    parameters are searched on a grid over their range, then refined by variable projection.
 
     Parameters
     ----------
     law_type
-        Such as `ExponentialLaw`.
+        Class of the law, such as `ExponentialLaw`.
     dataset
         Measured points.
     domain
-        Where to trust the law; by default the contractions and pressure levels of the points used.
+        Domain of the law; by default the contractions and pressure levels of the points used.
 
     Returns
     -------
     Fit
-        The law with standard errors, correlations, residuals, errors at unseen pressures and warnings.
+        Law with standard errors, correlations, residuals, cross-validation errors and warnings.
 
     Raises
     ------
     IdentificationError
-        If the points cannot determine the parameters; it says by how much and which.
+        If the points do not determine the parameters; the error names them.
 
     Examples
     --------
@@ -60,100 +63,51 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     """
     if not (isinstance(law_type, type) and issubclass(law_type, ForceLaw) and isinstance(dataset, IsobaricDataset)):
         raise IdentificationError(
-            f"identify takes a kind of law and a dataset, not {law_type!r:.60} and {type(dataset).__name__}",
+            f"identify takes a class of law and a dataset, not {law_type!r:.60} and {type(dataset).__name__}",
             remedy="write identify(ExponentialLaw, read_dataset('rig.csv'))",
         )
     means = dataset.plateau_means()
-    points = means.taut
+    taut = means.taut
     parameters = law_type.parameters()
-    _check_count(law_type, points, slack=len(means) - len(points))
-    _check_holds(law_type, points)
+    _check_count(law_type, taut, slack=len(means) - len(taut))
+    points = _within_validity(law_type, taut)
     problem = FitProblem.of(law_type, points)
 
-    start = search(problem)
-    solution = solve(problem, start)
-    at_bound = held(problem, solution)
+    solution = solve(problem, grid_search(problem))
+    at_bound = solution.at_bound
     _check_determined(problem, solution, at_bound, points)
     if at_bound.all():
         raise IdentificationError(
-            f"every parameter of {law_type.__name__} is at a bound of its range: no value of it comes near the points",
+            f"every parameter of {law_type.__name__} is at a bound of its range: the law cannot describe the points",
             remedy="look for wrong units in the data",
         )
-    spread = uncertainty(solution.jacobian, solution.residuals, at_bound)
-    evidence = Evidence(points, problem, solution, at_bound)
-    grouping, ungrouped = evidence.rule
+    residuals = solution.residuals
+    found = uncertainty(solution.jacobian, residuals, at_bound)
+    regression = Regression(points, problem, solution, at_bound)
+    grouping, ungrouped = regression.default_grouping
 
     warnings = _bound_warnings(law_type, solution, at_bound)
-    warnings += _correlation_warnings(problem.names, spread.correlations)
-    warnings += _friction_warnings(points, solution.residuals, grouping)
-    warnings += evidence.doubts
-    warnings += [f"the standard errors take all points as independent: {ungrouped}"] if ungrouped else []
-    unseen, reason = _leave_one_pressure_out(evidence)
+    warnings += _correlation_warnings(problem.names, found.correlations)
+    warnings += _friction_warnings(points, residuals, grouping)
+    warnings += regression.warnings
+    warnings += [f"the standard errors are for independent points: {ungrouped}"] if ungrouped else []
+    lopo, reason = _leave_one_pressure_out(regression)
     warnings += [reason] if reason else []
     return Fit(
-        law=dataclasses.replace(problem.law(solution.values), domain=domain or _domain_of(points)),
-        standard_errors={p.name: float(error) for p, error in zip(parameters, spread.standard_errors, strict=True)},
-        correlations=spread.correlations,
-        rmse=float(np.sqrt(np.mean(solution.residuals**2))),
-        max_error=float(np.abs(solution.residuals).max()),
+        law=dataclasses.replace(problem.law(solution.values), domain=domain or domain_of(points)),
+        standard_errors={p.name: float(error) for p, error in zip(parameters, found.standard_errors, strict=True)},
+        correlations=found.correlations,
+        rmse=float(np.sqrt(np.mean(residuals**2))),
+        max_error=float(np.abs(residuals).max()),
         points_used=len(points),
         points_slack=len(means) - len(points),
-        leave_one_pressure_out=unseen,
+        leave_one_pressure_out=lopo,
         warnings=tuple(warnings),
-        dataset=DatasetSummary(
-            str(means.table.attrs["specimen"]),
-            str(means.table.attrs["source"]),
-            tuple(points.pressures.tolist()),
-        ),
-        residuals=solution.residuals,
-        robust=None if grouping is Grouping.POINT else evidence.robust_errors(grouping),
-        evidence=evidence,
+        dataset=DatasetSummary.of(points),
+        residuals=residuals,
+        robust=None if grouping is Grouping.POINT else regression.robust_errors(grouping),
+        regression=regression,
     )
-
-
-def _friction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64], grouping: Grouping) -> list[str]:
-    """Friction shows in residuals that differ by direction or phase: then they are not independent of each other."""
-    sentences = []
-    rms = float(np.sqrt(np.mean(residuals**2)))
-    for column, words in (("direction", points.directions), ("phase", points.phases)):
-        if len(words) < 2:
-            continue
-        own = points.table[column].to_numpy()
-        means = [float(np.mean(residuals[own == word])) for word in words]
-        gap = max(means) - min(means)
-        if gap < _FRICTION * rms:
-            continue
-        consequence = (
-            "the classical standard errors are not to be relied on, those by stroke take each pass for one error"
-            if grouping is Grouping.STROKE
-            else "the standard errors are not to be relied on"
-        )
-        sentences.append(
-            f"{' and '.join(words)} differ by {gap:.3g} N on average: most of the residual is friction, which is no "
-            f"independent error, so {consequence}"
-        )
-    return sentences
-
-
-def _leave_one_pressure_out(evidence: Evidence) -> tuple[LeaveOnePressureOut | None, str]:
-    """The errors at unseen pressures, or why there are none."""
-    levels, reason = pressure_blocks(evidence.points)
-    if levels is None:
-        return None, f"{_NO_UNSEEN}: {reason}"
-    try:
-        left_out = evidence.left_out("pressure", levels)
-    except UndeterminedError as error:
-        return None, f"without the points at {show(float(error.block), 'bar')} {error.reason}: {_NO_UNSEEN}"
-    by_pressure = {float(level): error for level, error in left_out.by_block.items()}
-    return LeaveOnePressureOut(left_out.rmse, left_out.max_error, by_pressure), ""
-
-
-_NO_UNSEEN = "no error at unseen pressures can be given"
-
-
-def _domain_of(points: IsobaricDataset) -> Domain:
-    contraction, levels = points.contraction, points.levels
-    return Domain(float(contraction.min()), float(contraction.max()), float(levels.min()), float(levels.max()))
 
 
 def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) -> None:
@@ -168,14 +122,22 @@ def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) 
         )
 
 
-def _check_holds(law_type: type[ForceLaw], points: IsobaricDataset) -> None:
-    beyond = ~np.asarray(law_type.holds.contains(points.contraction, points.levels))
+def _within_validity(law_type: type[ForceLaw], points: IsobaricDataset) -> IsobaricDataset:
+    """Move points beyond the law's range of contraction by no more than noise to its limit; refuse others."""
+    valid = law_type.formula_domain
+    contraction = np.clip(points.contraction, float(valid.contraction_min), float(valid.contraction_max))
+    near = np.abs(contraction - points.contraction) <= _CONTRACTION_NOISE
+    contraction = np.where(near, contraction, points.contraction)
+    beyond = ~np.asarray(valid.contains(contraction, points.levels))
     if beyond.any():
         raise IdentificationError(
-            f"{law_type.__name__} means nothing at {np.count_nonzero(beyond)} of the {len(points)} taut points: it is "
-            f"made for {law_type.holds.bounds()}",
+            f"{law_type.__name__} is not valid at {np.count_nonzero(beyond)} of the {len(points)} taut points: it is "
+            f"made for {valid.bounds()}",
             remedy="leave these points out, or take another law",
         )
+    if np.array_equal(contraction, points.contraction):
+        return points
+    return IsobaricDataset(points.table.assign(contraction=("point", contraction)))
 
 
 def _check_determined(
@@ -183,18 +145,18 @@ def _check_determined(
 ) -> None:
     free = solution.jacobian[:, ~at_bound]
     names = [name for name, out in zip(problem.names, at_bound, strict=True) if not out]
-    number = condition(free)
+    number = condition_number(free)
     if at_bound.any() and number < CONDITION_LIMIT:
-        # A shape that nothing determines may come to rest at a bound: then it is undetermined amid its range as well.
+        # A shape that nothing determines may end at a bound: then it is not determined amid its range either.
         middle = project(problem, np.full_like(solution.position, 0.5))
         amid = problem.response(middle.values)[1]
-        if np.isfinite(middle.cost) and not condition(amid) < CONDITION_LIMIT:
-            free, names, number = amid, list(problem.names), condition(amid)
+        if np.isfinite(middle.cost) and not condition_number(amid) < CONDITION_LIMIT:
+            free, names, number = amid, list(problem.names), condition_number(amid)
     if not number < CONDITION_LIMIT:
         contractions = len(np.unique(points.contraction.round(6)))
         raise IdentificationError(
             f"{len(points)} taut points at {len(points.pressures)} pressure(s) and {contractions} contraction(s) "
-            f"do not determine {', '.join(undetermined(free, names))} of {problem.law_type.__name__} "
+            f"do not determine {', '.join(unidentifiable(free, names))} of {problem.law_type.__name__} "
             f"(condition number {number:.1e})",
             value=number,
             upper=CONDITION_LIMIT,
@@ -209,27 +171,67 @@ def _check_determined(
 
 
 def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: NDArray[np.bool_]) -> list[str]:
-    sentences = []
+    warnings = []
     for p, value, bound in zip(law_type.parameters(), solution.values, at_bound, strict=True):
         low, high = show(p.lower, p.shown), show(p.upper, p.shown)
         if bound:
-            sentences.append(
-                f"{p.name} is at the bound of its range {low} .. {high}: the data ask for a value beyond it, and "
-                "its standard error is not known"
+            warnings.append(
+                f"{p.name} is at the bound of its range {low} .. {high}: it has no standard error, and the law is "
+                "probably misspecified"
             )
         elif not p.lower <= value <= p.upper:
-            sentences.append(f"{p.name} = {show(value, p.shown)} is outside its range {low} .. {high}")
-    return sentences
+            warnings.append(f"{p.name} = {show(value, p.shown)} is outside its range {low} .. {high}")
+    return warnings
 
 
 def _correlation_warnings(names: tuple[str, ...], correlations: NDArray[np.float64]) -> list[str]:
     return [
-        f"{names[i]} and {names[j]} are correlated by {correlations[i, j]:+.5f}: the data determine a "
-        "combination of them well and each alone badly"
+        f"{names[i]} and {names[j]} are correlated by {correlations[i, j]:+.5f}: the data determine a combination of "
+        "them, and each alone badly"
         for i in range(len(names))
         for j in range(i + 1, len(names))
         if abs(correlations[i, j]) > _STRONG_CORRELATION
     ]
+
+
+def _friction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64], grouping: Grouping) -> list[str]:
+    """Warnings of residuals that differ by direction or phase, and so are not independent."""
+    warnings = []
+    rms = float(np.sqrt(np.mean(residuals**2)))
+    for column, words in (("direction", points.directions), ("phase", points.phases)):
+        if len(words) < 2:
+            continue
+        own = points.table[column].to_numpy()
+        means = [float(np.mean(residuals[own == word])) for word in words]
+        gap = max(means) - min(means)
+        if gap < _FRICTION * rms:
+            continue
+        consequence = (
+            "the classical standard errors are not valid; those by stroke count each pass as one error"
+            if grouping is Grouping.STROKE
+            else "the standard errors are not valid"
+        )
+        warnings.append(
+            f"{' and '.join(words)} differ by {gap:.3g} N on average: most of the residual is friction, which is not "
+            f"independent from point to point, so {consequence}"
+        )
+    return warnings
+
+
+_NO_CROSS_VALIDATION = "there is no cross-validation by pressure"
+
+
+def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut | None, str]:
+    """Cross-validation errors, or the reason why there are none."""
+    levels, reason = pressure_blocks(regression.points)
+    if levels is None:
+        return None, f"{_NO_CROSS_VALIDATION}: {reason}"
+    try:
+        found = regression.cross_validated("pressure", levels)
+    except NotIdentifiableError as error:
+        return None, f"without the points at {show(float(error.block), 'bar')} {error.reason}: {_NO_CROSS_VALIDATION}"
+    by_pressure = {float(level): error for level, error in found.by_block.items()}
+    return LeaveOnePressureOut(found.rmse, found.max_error, by_pressure), ""
 
 
 _CONTRACTIONS, _PRESSURES = 57, 33
@@ -237,14 +239,19 @@ _ROUNDING = 1e-9  # of the largest force
 
 
 def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
-    """Where the law has no force, or its taut muscle would pull harder when shorter or less at more pressure; or empty.
+    """Check that a taut muscle's force is defined, falls with contraction and rises with pressure.
 
     Parameters
     ----------
     law
-        To be looked at.
+        Law to check.
     domain
-        On a grid over it, edges included; over the law's own unless given.
+        Range of a grid, edges included; the law's own unless given.
+
+    Returns
+    -------
+    str
+        First violation; empty where there is none.
 
     Examples
     --------
@@ -259,19 +266,15 @@ def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
     contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
     pressure = np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
     force = forces(law, contraction[:, None], pressure)
-    nowhere = ~np.isfinite(force)
-    if nowhere.any():
-        i, j = np.unravel_index(np.argmax(nowhere), nowhere.shape)
-        return f"it has no force at {contraction[i] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
-    rounding = _ROUNDING * float(np.abs(force).max())
-    for what, change, taut in (
-        ("rises with contraction", np.diff(force, axis=0), force[:-1] > 0),
-        ("falls with pressure", -np.diff(force, axis=1), force[:, :-1] > 0),
+    rounding = _ROUNDING * float(np.nanmax(np.abs(force), initial=0.0))
+    for violation, wrong in (
+        ("it has no force", ~np.isfinite(force)),
+        ("its force rises with contraction", (force[:-1] > 0) & (np.diff(force, axis=0) > rounding)),
+        ("its force falls with pressure", (force[:, :-1] > 0) & (-np.diff(force, axis=1) > rounding)),
     ):
-        wrong = taut & (change > rounding)
         if wrong.any():
             i, j = np.unravel_index(np.argmax(wrong), wrong.shape)
-            return f"its force {what} at {contraction[i] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
+            return f"{violation} at {contraction[i] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
     return ""
 
 
@@ -281,16 +284,16 @@ _SAME_CONTRACTION = 0.1 * percent
 
 
 @dataclass(frozen=True)
-class Structure:
-    """How alike the residuals of neighbouring points are.
+class ResidualCorrelation:
+    """Correlation of the residuals of neighbouring points.
 
     Attributes
     ----------
     along_contraction, along_pressure
         Correlation of neighbours on the same curve, and of neighbours at the same contraction (to 0.1 %) on
-        neighbouring curves: 0 for independent errors, near 1 for a pattern; None for fewer than ten pairs.
+        neighbouring curves; None for fewer than ten pairs.
     pairs_contraction, pairs_pressure
-        How many neighbours there are.
+        Numbers of pairs.
     """
 
     along_contraction: float | None
@@ -300,10 +303,9 @@ class Structure:
 
     @property
     def pattern(self) -> str:
-        r"""In which direction a pattern is left, as text; empty where there is none.
+        r"""Directions of significant correlation as text; empty where there is none.
 
-        A correlation counts from twice the standard deviation that it has for independent residuals,
-        :math:`1/\sqrt{pairs}`.
+        Significant is twice the standard deviation for independent residuals, :math:`1/\sqrt{pairs}`.
         """
         found = [
             name
@@ -316,8 +318,8 @@ class Structure:
         return " and ".join(found)
 
 
-def beyond_directions(residuals: NDArray[np.float64], points: IsobaricDataset) -> NDArray[np.float64]:
-    """Residuals [N] without the mean of each direction (and phase): that is friction, and no fault of a static law."""
+def without_direction_means(residuals: NDArray[np.float64], points: IsobaricDataset) -> NDArray[np.float64]:
+    """Residuals [N] less the mean of each direction and phase, which is friction and no error of a static law."""
     rest = np.array(residuals, float)
     for name in ("direction", "phase"):
         if name in points.table:
@@ -327,18 +329,18 @@ def beyond_directions(residuals: NDArray[np.float64], points: IsobaricDataset) -
     return rest
 
 
-def structure_of(points: IsobaricDataset, residuals: NDArray[np.float64]) -> Structure:
-    """The structure of residuals [N], shape (points,).
+def residual_correlation(points: IsobaricDataset, residuals: NDArray[np.float64]) -> ResidualCorrelation:
+    """Correlation of neighbouring residuals [N], shape (points,).
 
     Examples
     --------
     >>> pressure, contraction = (values.ravel() for values in np.meshgrid(np.arange(1, 7) * 1e5, np.arange(8) / 40))
     >>> points = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.ones(48))
-    >>> found = structure_of(points, np.cos(20 * contraction))
+    >>> found = residual_correlation(points, np.cos(20 * contraction))
     >>> round(found.along_contraction, 2), round(found.along_pressure, 2), found.pattern
     (0.9, 1.0, 'contraction and pressure')
     """
-    residuals = beyond_directions(residuals, points)
+    residuals = without_direction_means(residuals, points)
     passes = np.zeros(len(points), np.int64)
     for name in ("direction", "phase", "repeat"):
         if name in points.table:
@@ -346,15 +348,15 @@ def structure_of(points: IsobaricDataset, residuals: NDArray[np.float64]) -> Str
             passes = passes * (int(codes.max()) + 1) + codes
     levels = np.unique(points.levels, return_inverse=True)[1].reshape(-1)
     places = np.round(points.contraction / _SAME_CONTRACTION)
-    curve, curve_pairs = _neighbours(residuals, (passes, levels), points.contraction)
-    place, place_pairs = _neighbours(residuals, (passes, places), points.levels)
-    return Structure(curve, place, curve_pairs, place_pairs)
+    curve, curve_pairs = _lag_one(residuals, (passes, levels), points.contraction)
+    place, place_pairs = _lag_one(residuals, (passes, places), points.levels)
+    return ResidualCorrelation(curve, place, curve_pairs, place_pairs)
 
 
-def _neighbours(
+def _lag_one(
     residuals: NDArray[np.float64], within: tuple[NDArray, NDArray], along: NDArray[np.float64]
 ) -> tuple[float | None, int]:
-    """The correlation of points next to each other along something, within groups; and how many pairs there are."""
+    """Correlation of consecutive points within groups, and the number of pairs."""
     order = np.lexsort((along, within[1], within[0]))
     same = np.ones(len(order) - 1, bool)
     for group in within:

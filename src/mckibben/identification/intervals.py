@@ -1,11 +1,11 @@
-"""Confidence and prediction intervals of quantities that depend on the parameters."""
+"""Confidence and prediction intervals of the parameters and of quantities that depend on them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -13,40 +13,26 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification.cross_validation import LeftOut, leave_out
-from mckibben.identification.problem import FitProblem, Solution, design_matrix
-from mckibben.identification.uncertainty import (
-    ClusterRobust,
-    ErrorModel,
-    Grouping,
-    Independent,
-    finest_recorded,
-    group_labels,
-)
-from mckibben.muscle import ForceLaw, forces
-
-_LOOKED_AT = 300  # points, evenly among all: enough to tell how sure the force is
-FEWEST_GROUPS = 5
-"""With fewer, what their points have in common cannot be told from what the groups scatter."""
-_FAR_SMALLER = 0.5  # with the right law, 12 of 1000 data sets of 5 groups are below; with 10 none of 3000
+from mckibben.errors import RangeError
+from mckibben.identification.least_squares import design_matrix
+from mckibben.identification.uncertainty import ErrorModel, Grouping
+from mckibben.muscle import ForceLaw
 
 
 @dataclass(frozen=True)
 class RobustErrors:
-    """Standard errors that allow the points of a group to share an error.
+    """Cluster-robust standard errors: points of a group may share an error.
 
     Attributes
     ----------
     by
-        What the groups are.
+        Grouping of the points.
     groups
-        How many.
+        Number of groups.
     standard_errors
         By parameter, in SI; NaN where the parameter is at a bound.
     degrees_of_freedom
-        Of the t interval, by parameter.
+        Degrees of freedom of the t interval, by parameter.
     """
 
     by: Grouping
@@ -55,179 +41,133 @@ class RobustErrors:
     degrees_of_freedom: Mapping[str, float] = field(repr=False)
 
 
+class Interval(NamedTuple):
+    """Interval in SI units; NaN where it is not known."""
+
+    lower: float
+    upper: float
+
+
 @dataclass(frozen=True, eq=False)
-class Evidence:
-    """The points behind a fit and its solution there.
+class IntervalEstimate:
+    """Estimate of a quantity with its pointwise confidence interval; all arrays have the shape of `value`.
 
     Attributes
     ----------
-    points
-        The taut plateau means.
-    problem, solution
-        What was asked of the solver, and its answer.
-    held
-        Shape (parameters,): those at a bound, whose value the data did not choose.
+    level
+        Confidence level.
+    value
+        Estimate.
+    standard_error
+        Standard error of the estimate.
+    degrees_of_freedom
+        Degrees of freedom of the t interval.
+    lower, upper
+        Ends of the interval.
     """
 
-    points: IsobaricDataset = field(repr=False)
-    problem: FitProblem = field(repr=False)
-    solution: Solution = field(repr=False)
-    held: NDArray[np.bool_] = field(repr=False)
+    level: float
+    value: NDArray[np.float64]
+    standard_error: NDArray[np.float64]
+    degrees_of_freedom: NDArray[np.float64]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
 
-    @property
-    def free(self) -> NDArray[np.int64]:
-        """The parameters that the data chose, by number."""
-        return np.flatnonzero(~self.held)
 
-    @cached_property
-    def rule(self) -> tuple[Grouping, str]:
-        """How the errors are grouped unless said, and where they are not, why.
+@dataclass(frozen=True, eq=False)
+class ForceIntervals:
+    """Confidence and prediction interval of the force [N] of a fitted law.
 
-        By stroke where directions, phases or repeats are known, else by pressure; the points count as independent if
-        there are fewer than five groups, if most groups are a single point, if one group alone determines a parameter,
-        or if all parameters are at a bound, so that there are no errors to group.
-        The rule looks at where was measured, never at what was measured: a choice made by the residuals would spoil the
-        intervals that it leads to.
-        """
-        if self.held.all():
-            return Grouping.POINT, "all parameters are at a bound, so that none has an error"
-        by = finest_recorded(self.points)
-        labels = self._labels(by)
-        count = int(labels.max()) + 1
-        if count < FEWEST_GROUPS:
-            return Grouping.POINT, f"{by.counted(count)} are too few to tell what their points have in common"
-        if 2 * count > len(labels):
-            return Grouping.POINT, (
-                f"the {len(labels)} points are at {by.counted(count)}, hardly two at each; "
-                "record the set pressure of each point where the measured one differs"
-            )
-        if self._robust(by).alone:
-            return Grouping.POINT, f"one {by.value} alone determines a parameter"
-        return by, ""
+    Attributes
+    ----------
+    confidence
+        Interval of the law's force. It contains no systematic error of a misspecified law: see
+        `mckibben.identification.regression.Regression.warnings` and the residuals.
+    prediction
+        Interval of one more plateau mean of the same muscle on the same rig: wider by the residual variance.
+    """
 
-    def left_out(self, kind: str, blocks: ArrayLike) -> LeftOut:
-        """The errors at whole blocks of points left out; worked out once for each kind of block.
+    confidence: IntervalEstimate
+    prediction: IntervalEstimate
 
-        Parameters
-        ----------
-        kind
-            Such as "pressure".
-        blocks
-            As for `leave_out`; the same for the same kind.
 
-        Raises
-        ------
-        UndeterminedError
-            As `leave_out`.
-        """
-        if kind not in self._left_out:
-            self._left_out[kind] = leave_out(self.problem, self.solution, blocks)
-        return self._left_out[kind]
+def check_level(level: float) -> float:
+    """Return the confidence level, or raise a `RangeError` if it is not between 0 and 1."""
+    if not 0 < level < 1:
+        remedy = "write 0.95 for 95 %" if level >= 1 else ""
+        raise RangeError(f"a level of {level:g} is no probability", value=level, lower=0.0, upper=1.0, remedy=remedy)
+    return level
 
-    @cached_property
-    def doubts(self) -> tuple[str, ...]:
-        """Sentences: why the errors by the rule are not to be relied on; none where all is well.
 
-        A law of the wrong kind leaves residuals that are of one shape in every group. What is the same in all groups
-        does not scatter from group to group, and the errors by group hardly see it. It shows in the uncertainty of the
-        force at the points, all together: of single parameters one or another is often that small by chance.
-        """
-        by = self.rule[0]
-        if by is Grouping.POINT:
-            return ()
-        every = -(-len(self.solution.jacobian) // _LOOKED_AT)
-        gradients = self.solution.jacobian[::every, self.free]
-        grouped, independent = (
-            float(np.sum(model.variance(gradients)[0])) for model in (self._robust(by), self._independent)
-        )
-        if not grouped < _FAR_SMALLER**2 * independent:
-            return ()
-        return (
-            f"by {by.value}, the force is {np.sqrt(grouped / independent):.2g} times as uncertain as for independent "
-            f"points: the residuals are alike from {by.value} to {by.value}, so the law is likely of the wrong kind, "
-            "and the intervals do not say how far the force of the muscle is from it",
-        )
+def t_quantile(level: float, freedom: ArrayLike) -> NDArray[np.float64]:
+    """Half-width of a two-sided t interval in standard errors.
 
-    def error_model(self, by: Grouping | None = None) -> ErrorModel:
-        """How the free parameters scatter, for errors grouped in a way; by the rule unless said.
+    >>> t_quantile(0.95, [4.0, 1e9]).round(3)
+    array([2.776, 1.96 ])
+    """
+    from scipy.special import stdtrit
 
-        Raises
-        ------
-        IdentificationError
-            If the groups are not recorded, are fewer than two, or one alone determines a parameter.
-        """
-        by = self.rule[0] if by is None else by
-        if by is Grouping.POINT:
-            return self._independent
-        model = self._robust(by)
-        if len(model.scores) < 2 or model.alone:
-            why = "one of them alone determines a parameter" if model.alone else "they are less than two"
-            raise IdentificationError(
-                f"no errors can be given for {by.counted(len(model.scores))}: {why}",
-                value=len(model.scores),
-                lower=2,
-                remedy="group the points otherwise, or measure at more pressures",
-            )
-        return model
+    return np.asarray(stdtrit(np.minimum(freedom, 1e12), (1 + check_level(level)) / 2))
 
-    def robust_errors(self, by: Grouping) -> RobustErrors:
-        """Errors of the parameters for errors grouped in a way.
 
-        Raises
-        ------
-        IdentificationError
-            As `error_model`.
-        """
-        model, names = self.error_model(by), self.problem.names
-        errors, freedom = np.full((2, len(names)), np.nan)
-        variance, freedom[self.free] = model.variance(np.eye(len(self.free)))
-        errors[self.free] = np.sqrt(variance)
-        return RobustErrors(
-            by,
-            int(self._labels(by).max()) + 1,
-            dict(zip(names, errors.tolist(), strict=True)),
-            dict(zip(names, freedom.tolist(), strict=True)),
-        )
+def t_interval(
+    level: float,
+    value: ArrayLike,
+    variances: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
+) -> IntervalEstimate:
+    """T interval from independent variance components V with nu degrees of freedom each.
 
-    @cached_property
-    def _left_out(self) -> dict[str, LeftOut]:
-        return {}
+    Their sum has Satterthwaite's degrees of freedom, (sum V)^2 / sum(V^2/nu).
+    """
+    value = np.asarray(value, np.float64)
+    total = np.sum([variance for variance, _ in variances], axis=0).reshape(value.shape)
+    parts = np.sum([variance**2 / freedom for variance, freedom in variances], axis=0).reshape(value.shape)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        freedom = np.where(parts > 0, total**2 / parts, np.inf)
+    error = np.sqrt(total)
+    half_width = t_quantile(level, freedom) * error
+    return IntervalEstimate(level, value, error, freedom, value - half_width, value + half_width)
 
-    @cached_property
-    def _independent(self) -> Independent:
-        return Independent.of(self.solution.jacobian[:, self.free], self.solution.residuals)
 
-    def _robust(self, by: Grouping) -> ClusterRobust:
-        if by not in self._models:
-            jacobian, residuals = self.solution.jacobian[:, self.free], self.solution.residuals
-            self._models[by] = ClusterRobust.of(jacobian, residuals, self._labels(by))
-        return self._models[by]
+def parameter_interval(estimate: float, error: float, freedom: float, level: float) -> Interval:
+    """T interval of one parameter."""
+    if math.isnan(error):
+        return Interval(math.nan, math.nan)
+    half_width = float(t_quantile(level, freedom)) * error
+    return Interval(estimate - half_width, estimate + half_width)
 
-    def _labels(self, by: Grouping) -> NDArray[np.int64]:
-        if by not in self._numbered:
-            self._numbered[by] = group_labels(self.points, by)
-        return self._numbered[by]
 
-    @cached_property
-    def _numbered(self) -> dict[Grouping, NDArray[np.int64]]:
-        return {}
+def variance_of(model: ErrorModel, gradients: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Variance and degrees of freedom, shape (...), for gradients of shape (..., parameters)."""
+    variance, freedom = model.variance(gradients.reshape(-1, gradients.shape[-1]))
+    return variance.reshape(gradients.shape[:-1]), freedom.reshape(gradients.shape[:-1])
 
-    @cached_property
-    def _models(self) -> dict[Grouping, ClusterRobust]:
-        return {}
+
+def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> NDArray:
+    """Derivative of the force with respect to the named parameters, shape (points, parameters).
+
+    Points are padded to a power of two, so that calls of different sizes share compiled code.
+    """
+    contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
+    count = contraction.size
+    if not count:
+        return np.empty((0, len(free)))
+    pad = (0, max(128, 1 << (count - 1).bit_length()) - count)
+    padded = (np.pad(column.ravel(), pad, mode="edge") for column in (contraction, pressure))
+    return design_matrix(law, free, *padded)[:count]
 
 
 def law_forces(
     law_type: type[ForceLaw], draws: ArrayLike, contraction: ArrayLike, pressure: ArrayLike
 ) -> NDArray[np.float64]:
-    """The force of each of many laws.
+    """Force of each of many laws.
 
     Parameters
     ----------
     law_type, draws
-        A kind of law and parameters in SI, shape (draws, parameters), in its order.
+        Class of the law, and parameters in SI, shape (draws, parameters).
     contraction, pressure
-        Where [-], [Pa]; they broadcast.
+        Contraction [-] and pressure [Pa]; they broadcast.
 
     Returns
     -------
@@ -254,163 +194,3 @@ def _forces(law_type: type[ForceLaw], draws: Array, contraction: Array, pressure
         return law_type(**dict(zip(names, values, strict=True))).force(contraction, pressure)
 
     return jax.vmap(force)(draws)
-
-
-class Interval(NamedTuple):
-    """From lowest to highest, in SI; NaN where none is known."""
-
-    lower: float
-    upper: float
-
-
-@dataclass(frozen=True, eq=False)
-class Band:
-    """A quantity and how sure it is, pointwise.
-
-    Attributes
-    ----------
-    level
-        The share of data sets for which the interval at a point holds the truth.
-    value
-        The estimate; its shape is that of all else, its unit too.
-    standard_error
-        Of the estimate.
-    degrees_of_freedom
-        Of the t interval.
-    lower, upper
-        Its ends.
-    """
-
-    level: float
-    value: NDArray[np.float64]
-    standard_error: NDArray[np.float64]
-    degrees_of_freedom: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class ForceBand:
-    """The force [N] of a fitted law, and that of a further measurement.
-
-    Attributes
-    ----------
-    mean
-        Where the law would lie if it were fitted to ever more such points. That is where the force of the muscle lies
-        if the law is of the right kind; by how much a wrong one misses it is not in here, see
-        `mckibben.identification.intervals.Evidence.doubts` and the residuals.
-    measurement
-        Where one more plateau mean of the same muscle on the same rig would lie: wider by the residuals' spread.
-    """
-
-    mean: Band
-    measurement: Band
-
-
-def check_level(level: float) -> float:
-    """The level if it is one.
-
-    Raises
-    ------
-    RangeError
-        If it is not between 0 and 1.
-    """
-    if not 0 < level < 1:
-        remedy = "write 0.95 for 95 %" if level >= 1 else ""
-        raise RangeError(f"a level of {level:g} is no probability", value=level, lower=0.0, upper=1.0, remedy=remedy)
-    return level
-
-
-def quantile(level: float, freedom: ArrayLike) -> NDArray[np.float64]:
-    """How many standard errors a two-sided t interval reaches to each side.
-
-    >>> quantile(0.95, [4.0, 1e9]).round(3)
-    array([2.776, 1.96 ])
-    """
-    from scipy.special import stdtrit
-
-    return np.asarray(stdtrit(np.minimum(freedom, 1e12), (1 + check_level(level)) / 2))
-
-
-def band(
-    level: float,
-    value: ArrayLike,
-    variances: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
-) -> Band:
-    """A band from independent contributions to its variance, each with its degrees of freedom.
-
-    Their sum has the degrees of freedom of Satterthwaite, (sum V)^2 / sum(V^2/nu).
-    """
-    value = np.asarray(value, np.float64)
-    total = np.sum([variance for variance, _ in variances], axis=0).reshape(value.shape)
-    parts = np.sum([variance**2 / freedom for variance, freedom in variances], axis=0).reshape(value.shape)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        freedom = np.where(parts > 0, total**2 / parts, np.inf)
-    error = np.sqrt(total)
-    reach = quantile(level, freedom) * error
-    return Band(level, value, error, freedom, value - reach, value + reach)
-
-
-def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> NDArray:
-    """The derivative of the force with respect to the named parameters, shape (points, parameters).
-
-    Points are padded to a power of two, so that bands of different sizes share what is compiled.
-    """
-    contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
-    count = contraction.size
-    if not count:
-        return np.empty((0, len(free)))
-    pad = (0, max(128, 1 << (count - 1).bit_length()) - count)
-    padded = (np.pad(column.ravel(), pad, mode="edge") for column in (contraction, pressure))
-    return design_matrix(law, free, *padded)[:count]
-
-
-def force_band(
-    law: ForceLaw,
-    evidence: Evidence,
-    contraction: ArrayLike,
-    pressure: ArrayLike,
-    *,
-    level: float = 0.95,
-    by: Grouping | None = None,
-) -> ForceBand:
-    """The force of a fitted law with its uncertainty.
-
-    Parameters
-    ----------
-    law
-        As fitted.
-    evidence
-        What it was fitted to.
-    contraction, pressure
-        Where [-], [Pa]; they broadcast.
-    level
-        Of the intervals, pointwise.
-    by
-        How errors are grouped; by the rule of the fit unless said.
-    """
-    check_level(level)
-    contraction, pressure = np.asarray(contraction, float), np.asarray(pressure, float)
-    value = forces(law, contraction, pressure)
-    free = [evidence.problem.names[i] for i in evidence.free]
-    gradients = force_gradients(law, free, contraction, pressure)
-    model = evidence.error_model(by)
-    variance, freedom = model.variance(gradients)
-    square, left = model.scatter
-    scatter = np.full_like(variance, square), np.full_like(freedom, left)
-    mean = band(level, value, [(variance, freedom)])
-    return ForceBand(mean, band(level, value, [(variance, freedom), scatter]))
-
-
-def parameter_interval(estimate: float, error: float, freedom: float, level: float) -> Interval:
-    """The t interval of one parameter."""
-    if math.isnan(error):
-        return Interval(math.nan, math.nan)
-    reach = float(quantile(level, freedom)) * error
-    return Interval(estimate - reach, estimate + reach)
-
-
-def variance_of(model: ErrorModel, gradients: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Variance and degrees of freedom for gradients of shape (..., parameters), in the shape (...)."""
-    variance, freedom = model.variance(gradients.reshape(-1, gradients.shape[-1]))
-    return variance.reshape(gradients.shape[:-1]), freedom.reshape(gradients.shape[:-1])

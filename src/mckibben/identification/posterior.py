@@ -1,12 +1,12 @@
-r"""The posterior of a law's parameters, drawn by NUTS: where intervals and bands are to come from a full noise model.
+r"""Bayesian posterior of a law's parameters, sampled by NUTS.
 
 .. math:: F_i = F_\theta(\varepsilon_i, p_i) + u_{g(i)} + e_i, \qquad u_g \sim N(0, \tau^2)
 
-The :math:`e_i` are Gaussian of the size :math:`\sigma`, or Student with unknown degrees of freedom, which lets outliers
-be; the :math:`u_g` are an error common to the points of a group, and may be left out. The priors: flat for linear
-parameters, even in the coordinate of the search (the logarithm where a range is positive) for the shape, 1/sigma for
-sigma, half a normal of twice the residuals' size for tau, Gamma(2, 0.1) for the degrees of freedom. So with Gaussian
-errors alone and a law linear in its parameters the posterior is the classical t distribution.
+The errors :math:`e_i` are Gaussian with standard deviation :math:`\sigma`, or Student t with unknown degrees of
+freedom, which is robust to outliers; the random effects :math:`u_g` of groups of points are optional. Priors: flat for
+linear parameters, uniform in the unit cube (logarithmic where a range is positive) for the shape, 1/sigma for sigma,
+half-normal of twice the residual standard deviation for tau, Gamma(2, 0.1) for the degrees of freedom. With Gaussian
+errors and a law linear in its parameters the posterior is the classical t distribution.
 
 It needs the package numpyro: ``pip install 'mckibben[bayes]'``.
 
@@ -30,8 +30,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import IdentificationError, ParameterError, RangeError
 from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import Band, Evidence, Interval, check_level, law_forces
-from mckibben.identification.problem import UnitCube
+from mckibben.identification.intervals import Interval, IntervalEstimate, check_level, law_forces
+from mckibben.identification.least_squares import UnitCube
+from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import Grouping, group_labels
 from mckibben.muscle import ForceLaw
 
@@ -40,14 +41,14 @@ _FEWEST_EFFECTIVE = 100
 
 
 class Noise(enum.Enum):
-    """How plateau means scatter about the law.
+    """Distribution of the errors of plateau means.
 
     Attributes
     ----------
     GAUSSIAN
-        Normally.
+        Normal distribution.
     STUDENT
-        With heavy tails: an outlier weighs less.
+        Student t distribution: outliers weigh less.
     """
 
     GAUSSIAN = "gaussian"
@@ -61,19 +62,19 @@ class Posterior:
     Attributes
     ----------
     law
-        The least-squares fit, at which the chains started.
+        Least-squares fit, where the chains started.
     draws
         Shape (draws, parameters), in SI, in the order of the law's parameters.
     noise
-        Draws of what describes the errors: ``sigma`` [N], with groups ``tau`` [N], with Student ``freedom`` [-].
+        Draws of the noise parameters: ``sigma`` [N], with groups ``tau`` [N], with Student ``freedom`` [-].
     by
-        Whose points share an error; None if none do.
+        Grouping of the random effects; None without.
     r_hat, effective
-        The worst potential scale reduction, and the smallest effective sample size, over all numbers.
+        Largest potential scale reduction, and smallest effective sample size.
     divergences
-        Of the sampler.
+        Number of divergent transitions.
     warnings
-        Sentences: what is not to be trusted.
+        Convergence problems.
     """
 
     law: ForceLaw
@@ -91,16 +92,16 @@ class Posterior:
         return dict(zip(self._names, np.std(self.draws, axis=0, ddof=1).tolist(), strict=True))
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
-        """By parameter, in SI: the share of the posterior with as much left out below as above."""
-        lower, upper = np.quantile(self.draws, _tails(level), axis=0)
+        """Equal-tailed credible intervals by parameter, in SI."""
+        lower, upper = np.t_quantile(self.draws, _tails(level), axis=0)
         return {n: Interval(*ends) for n, *ends in zip(self._names, lower.tolist(), upper.tolist(), strict=True)}
 
-    def force_band(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> Band:
-        """The force of the law [N] at contractions [-] and pressures [Pa]: posterior mean and interval."""
+    def force_interval(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> IntervalEstimate:
+        """Posterior mean and credible interval of the law's force [N] at contractions [-] and pressures [Pa]."""
         forces = law_forces(type(self.law), self.draws, contraction, pressure)
-        lower, upper = np.quantile(forces, _tails(level), axis=0)
+        lower, upper = np.t_quantile(forces, _tails(level), axis=0)
         value, error = forces.mean(axis=0), np.std(forces, axis=0, ddof=1)
-        return Band(level, value, error, np.full_like(value, np.inf), lower, upper)
+        return IntervalEstimate(level, value, error, np.full_like(value, np.inf), lower, upper)
 
     @property
     def _names(self) -> list[str]:
@@ -117,22 +118,22 @@ def posterior(
     chains: int = 2,
     seed: int = 0,
 ) -> Posterior:
-    """Draw from the posterior of the parameters.
+    """Sample the posterior of the parameters.
 
     Parameters
     ----------
     fit
-        As `identify` returned it; the chains start there.
+        Result of `identify`, where the chains start.
     noise
-        How plateau means scatter.
+        Distribution of the errors.
     by
-        Whose points share an error, such as `Grouping.STROKE`; none unless said.
+        Grouping of the random effects, such as `Grouping.STROKE`; none unless given.
     draws, warmup
-        Of each chain; what is drawn while the sampler adapts is thrown away.
+        Draws of each chain, and discarded adaptation steps before them.
     chains
-        How many, one after the other.
+        Number of chains, run one after the other.
     seed
-        The same seed gives the same draws.
+        Seed of the sampler.
 
     Raises
     ------
@@ -141,24 +142,26 @@ def posterior(
     IdentificationError
         If the fit was read from a file, a parameter is at its bound, or the groups are not recorded.
     RangeError
-        If there is nothing to draw.
+        If `draws`, `warmup` or `chains` is too small.
     """
     if importlib.util.find_spec("numpyro") is None:
         raise ParameterError("a posterior needs the package numpyro", remedy="pip install 'mckibben[bayes]'")
     for name, value, lowest in (("draws", draws, 100), ("warmup", warmup, 100), ("chains", chains, 1)):
         if value < lowest:
             raise RangeError(f"{name} = {value} is too few", value=value, lower=lowest, remedy=f"give {lowest} or more")
-    evidence = fit.known_evidence()
-    if evidence.held.any():
-        held = ", ".join(name for name, out in zip(evidence.problem.names, evidence.held, strict=True) if out)
+    regression = fit.require_regression()
+    if regression.at_bound.any():
+        at_bound = ", ".join(
+            name for name, out in zip(regression.problem.names, regression.at_bound, strict=True) if out
+        )
         raise IdentificationError(
-            f"{held} of {type(fit.law).__name__} is at its bound: a posterior would pile up there",
-            remedy="take a law that the data determine, or measure where the parameter matters",
+            f"{at_bound} of {type(fit.law).__name__} is at its bound: the posterior would concentrate there",
+            remedy="take a law that the data determine, or measure where the force depends on the parameter",
         )
 
     if by is Grouping.POINT:
         by = None
-    data = _data(evidence, by)
+    data = _data(regression, by)
 
     import jax
     from numpyro.diagnostics import (  # pyright: ignore[reportMissingImports]
@@ -168,7 +171,7 @@ def posterior(
     from numpyro.infer import MCMC, NUTS, init_to_value  # pyright: ignore[reportMissingImports]
 
     model = _model(type(fit.law), noise, by is not None)
-    start = {"white": np.zeros(len(evidence.problem.names)), "log_sigma": np.zeros(())}
+    start = {"white": np.zeros(len(regression.problem.names)), "log_sigma": np.zeros(())}
     if by is not None:
         start |= {"tau": np.asarray(0.5)}
     if noise is Noise.STUDENT:
@@ -191,12 +194,12 @@ def posterior(
     effective = min(float(np.min(effective_sample_size(values))) for values in found.values())
     white = found["white"].reshape(-1, found["white"].shape[-1])
     coordinates = data["centre"] + white @ data["whitening"].T
-    linear = evidence.problem.linear
+    linear = regression.problem.linear
     values = coordinates.copy()
-    for column, shape in enumerate(evidence.problem.cube.values(coordinates[:, linear:].T), start=linear):
+    for column, shape in enumerate(regression.problem.cube.values(coordinates[:, linear:].T), start=linear):
         values[:, column] = shape
     return Posterior(
-        fit.law, values, scatter, by, r_hat, effective, divergences, _doubts(r_hat, effective, divergences)
+        fit.law, values, scatter, by, r_hat, effective, divergences, _warnings(r_hat, effective, divergences)
     )
 
 
@@ -205,20 +208,20 @@ def _tails(level: float) -> list[float]:
     return [(1 - level) / 2, (1 + level) / 2]
 
 
-def _doubts(r_hat: float, effective: float, divergences: int) -> tuple[str, ...]:
-    doubts = []
+def _warnings(r_hat: float, effective: float, divergences: int) -> tuple[str, ...]:
+    warnings = []
     if not r_hat < _RHAT:
-        doubts.append(f"the chains do not agree (r_hat {r_hat:.3f}): draw more")
+        warnings.append(f"the chains have not converged (r_hat {r_hat:.3f}): draw more")
     if effective < _FEWEST_EFFECTIVE:
-        doubts.append(f"the draws are worth {effective:.0f} independent ones: draw more")
+        warnings.append(f"the effective sample size is {effective:.0f}: draw more")
     if divergences:
-        doubts.append(f"the sampler diverged {divergences} times: part of the posterior may be missing")
-    return tuple(doubts)
+        warnings.append(f"{divergences} transitions diverged: the draws may be biased")
+    return tuple(warnings)
 
 
-def _data(evidence: Evidence, by: Grouping | None) -> dict[str, Any]:
-    """What the model is about; its coordinates are white at the fit: centre + whitening times standard normals."""
-    problem, solution, points = evidence.problem, evidence.solution, evidence.points
+def _data(regression: Regression, by: Grouping | None) -> dict[str, Any]:
+    """Arguments of the model; its coordinates are whitened at the fit: centre + whitening @ white."""
+    problem, solution, points = regression.problem, regression.solution, regression.points
     rates = np.concatenate([np.ones(problem.linear), problem.cube.rates(solution.position)])
     jacobian = solution.jacobian * rates
     spread = float(np.sqrt(solution.residuals @ solution.residuals / (len(points) - len(rates))))
@@ -278,7 +281,7 @@ def _model(law_type: type[ForceLaw], noise: Noise, grouped: bool) -> Callable[..
                 residuals = residuals - tau * jnp.asarray(common)[labels]
             numpyro.factor("errors", jnp.sum(dist.StudentT(freedom, 0.0, sigma).log_prob(residuals)))
             return
-        # The common errors are integrated out: each group has the covariance sigma^2 I + tau^2 1 1^T.
+        # The random effects are integrated out: each group has the covariance sigma^2 I + tau^2 1 1^T.
         within = jnp.sum(residuals**2) / sigma**2 + 2 * len(residuals) * jnp.log(sigma)
         sums = jnp.zeros_like(counts).at[labels].add(residuals)
         ratio = tau**2 / sigma**2

@@ -1,14 +1,14 @@
-r"""Profile likelihood: how much worse the best fit gets when a shape parameter is held at other values.
+r"""Profile likelihood of a shape parameter.
 
-The force is curved in a shape parameter, so an interval of so many standard errors to each side is a guess, and where
-the data hardly see the parameter a bad one. The profile asks directly: with all others refitted, the sum of squares
-:math:`S(\theta)` gives the signed root
+With the parameter fixed at :math:`\theta` and all others refitted, the sum of squares :math:`S(\theta)` gives the
+signed root
 
 .. math:: \tau(\theta) = \mathrm{sign}(\theta - \hat\theta) \sqrt{(S(\theta) - S(\hat\theta)) / s^2}
 
 and the interval is where :math:`|\tau|` is below the quantile of t (its square is the F test with 1 degree of freedom).
-Where points may share an error, :math:`\tau` is divided by the ratio of the robust to the classical standard error, and
-t has the degrees of freedom of the robust one: a misspecified likelihood, rescaled.
+Where points may share an error, :math:`\tau` is divided by the ratio of the cluster-robust to the classical standard
+error, and t has the degrees of freedom of the former. A Wald interval, so many standard errors to each side, assumes
+that the force is linear in the parameter; the profile does not.
 
 References
 ----------
@@ -26,43 +26,39 @@ from numpy.typing import NDArray
 
 from mckibben.errors import IdentificationError, ParameterError
 from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import Evidence, Interval, parameter_interval, quantile
-from mckibben.identification.solvers import Refit, solve_holding
-from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition
+from mckibben.identification.intervals import Interval, parameter_interval, t_quantile
+from mckibben.identification.least_squares import Solution, solve
+from mckibben.identification.regression import Regression
+from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition_number
 from mckibben.units import show
 
 _CURVE_POINTS = 41
-_ELSEWHERE = 48  # steps over the range in which a second valley is looked for
+_MINIMA_STEPS = 48  # over the range in which other minima are searched
 _MARGIN = 0.3  # of the interval, shown beyond its ends
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The profile of one shape parameter.
+    """Profile likelihood of one shape parameter.
 
     Attributes
     ----------
-    name
-        Of the parameter.
-    estimate
-        In SI.
+    name, estimate
+        Parameter, and its estimate in SI.
     level
-        Of the interval.
+        Confidence level of the intervals.
     interval
-        Where the root is within the threshold, in SI; an end is infinite where the range of the parameter ends first:
-        the data do not bound it on that side.
+        Profile interval in SI; an end is infinite where the data do not bound the parameter within its range.
     wald
-        The interval of so many standard errors to each side, for comparison; NaN at a bound.
-    values
-        Shape (m,), in SI, ascending: where the curve was evaluated.
-    root
-        Shape (m,): the signed root tau there.
+        Interval of so many standard errors to each side; NaN at a bound.
+    values, root
+        Shape (m,): values of the parameter in SI, ascending, and the signed root tau there.
     threshold
-        Of the root.
+        Critical value of tau.
     by
-        Which points may share an error.
+        Grouping of the points.
     reasons
-        Sentences: why the interval is open, or not to be trusted; empty where all is well.
+        Why the interval is open or not reliable.
     """
 
     name: str
@@ -78,30 +74,28 @@ class Profile:
 
     @property
     def identified(self) -> bool:
-        """Whether the data bound the parameter on both sides."""
+        """True if the data bound the parameter on both sides."""
         return bool(np.all(np.isfinite(self.interval)))
 
 
 def profile(fit: Fit, name: str, *, level: float = 0.95, by: Grouping | None = None) -> Profile:
-    """The profile likelihood of a shape parameter and the interval that it gives.
+    """Profile likelihood of a shape parameter, and its confidence interval.
 
     Parameters
     ----------
     fit
-        As `identify` returned it.
+        Result of `identify`.
     name
-        Of a shape parameter, such as "decay".
-    level
-        The share of data sets for which the interval holds the true value.
-    by
-        Which points may share an error; as for `Fit.intervals`.
+        Shape parameter, such as "decay".
+    level, by
+        As for `Fit.intervals`.
 
     Raises
     ------
     ParameterError
         If the law has no such shape parameter.
     IdentificationError
-        If the fit was read from a file, or a fit with the parameter held does not converge.
+        If the fit was read from a file, or a fit with the parameter fixed does not converge.
 
     Examples
     --------
@@ -119,19 +113,18 @@ def profile(fit: Fit, name: str, *, level: float = 0.95, by: Grouping | None = N
         raise ParameterError(
             f"{name!r} is no shape parameter of {type(fit.law).__name__}",
             value=name,
-            remedy=f"profile one of {known}" if known else "it is linear in all: Fit.intervals is exact",
+            remedy=f"profile one of {known}" if known else "the law is linear in all: Fit.intervals is exact",
         )
     curve = _Curve(fit, index, by)
-    threshold = float(quantile(level, curve.freedom))
+    threshold = float(t_quantile(level, curve.freedom))
     lower, reasons_below = curve.end(-1, threshold)
     upper, reasons_above = curve.end(+1, threshold)
     reasons = [*curve.reasons, *reasons_below, *reasons_above]
     low, high = (0.0 if lower is None else lower), (1.0 if upper is None else upper)
-    far = curve.elsewhere(low, high, threshold)
-    if far:
-        parameter = shape[index]
-        at = ", ".join(show(curve.value(u), parameter.shown, 4) for u in far)
-        reasons.append(f"apart from the interval, {name} near {at} describes the data no worse: it has several valleys")
+    minima = curve.other_minima(low, high, threshold)
+    if minima:
+        at = ", ".join(show(curve.value(u), shape[index].shown, 4) for u in minima)
+        reasons.append(f"outside the interval, {name} near {at} fits the data as well: a local minimum")
     margin = _MARGIN * max(high - low, 1e-6)
     positions = np.linspace(max(low - margin, 0.0), min(high + margin, 1.0), _CURVE_POINTS)
     positions = np.unique(np.append(positions, curve.start))
@@ -152,30 +145,29 @@ def profile(fit: Fit, name: str, *, level: float = 0.95, by: Grouping | None = N
 
 
 class _Curve:
-    """The signed root over the coordinate of one parameter in the unit cube."""
+    """Signed root over the coordinate of one parameter in the unit cube."""
 
     def __init__(self, fit: Fit, index: int, by: Grouping | None) -> None:
-        evidence = fit.known_evidence()
-        self.problem, self.solution, self.index = evidence.problem, evidence.solution, index
+        regression = fit.require_regression()
+        self.problem, self.solution, self.index = regression.problem, regression.solution, index
         self.parameter = self.problem.law_type.shape_parameters[index]
         self.start = float(self.solution.position[index])
         self.least = float(self.solution.residuals @ self.solution.residuals)
-        self.by = evidence.rule[0] if by is None else by
+        self.by = regression.default_grouping[0] if by is None else by
         self.reasons: list[str] = []
-        best = Refit(self.solution.values, self.solution.position, self.least, True)
-        self._known: dict[float, Refit] = {self.start: best}
+        self._solutions: dict[float, Solution] = {self.start: self.solution}
         column = self.problem.linear + index
-        at_bound = bool(evidence.held[column])
+        at_bound = bool(regression.at_bound[column])
         if at_bound:
             self.reasons.append(f"the estimate of {self.parameter.name} is at the end of its range")
-        evidence = _freed(evidence, column)
-        gradient = (np.flatnonzero(~evidence.held) == column).astype(float)[None]
-        points, count = len(self.solution.residuals), np.count_nonzero(~evidence.held)
+        regression = _with_free(regression, column)
+        gradient = (np.flatnonzero(~regression.at_bound) == column).astype(float)[None]
+        points, count = len(self.solution.residuals), np.count_nonzero(~regression.at_bound)
         self.variance = self.least / (points - count)
         self.error, self.freedom, self.ratio = np.nan, float(points - count), 1.0
-        if condition(self.solution.jacobian[:, ~evidence.held]) < CONDITION_LIMIT:
-            variance, freedom = evidence.error_model(self.by).variance(gradient)
-            classical, _ = evidence.error_model(Grouping.POINT).variance(gradient)
+        if condition_number(self.solution.jacobian[:, ~regression.at_bound]) < CONDITION_LIMIT:
+            variance, freedom = regression.error_model(self.by).variance(gradient)
+            classical, _ = regression.error_model(Grouping.POINT).variance(gradient)
             self.error, self.freedom = float(np.sqrt(variance[0])), float(freedom[0])
             self.ratio = float(np.sqrt(variance[0] / classical[0])) if classical[0] > 0 else 1.0
         if at_bound:
@@ -184,32 +176,33 @@ class _Curve:
         self.width = float(np.clip(self.error / abs(rate), 1e-6, 0.1)) if np.isfinite(self.error) else 0.02
 
     def value(self, u: float) -> float:
-        """The parameter in SI."""
+        """Parameter in SI."""
         position = self.solution.position.copy()
         position[self.index] = u
         return float(self.problem.cube.values(position)[self.index])
 
     def root(self, u: float) -> float:
-        """How much worse the fit is with the parameter held there, with the side as its sign."""
+        """Signed root with the parameter fixed at a coordinate."""
         if u == self.start:
             return 0.0
-        if u not in self._known:
-            nearest = min(self._known, key=lambda known: abs(known - u))
-            found = solve_holding(self.problem, self._known[nearest].position, self.index, u)
+        if u not in self._solutions:
+            position = self._solutions[min(self._solutions, key=lambda known: abs(known - u))].position.copy()
+            position[self.index] = u
+            found = solve(self.problem, position, fixed=self.index)
             if not found.converged:
                 shown = show(self.value(u), self.parameter.shown)
                 raise IdentificationError(
-                    f"the fit with {self.parameter.name} held at {shown} did not converge",
+                    f"the fit with {self.parameter.name} fixed at {shown} did not converge",
                     value=self.value(u),
                     unit=self.parameter.unit,
                     remedy="look for outliers and wrong units in the data",
                 )
-            self._known[u] = found
-        worse = max(self._known[u].cost - self.least, 0.0)
+            self._solutions[u] = found
+        worse = max(self._solutions[u].cost - self.least, 0.0)
         return float(np.sign(u - self.start) * np.sqrt(worse / self.variance) / self.ratio) if worse else 0.0
 
     def end(self, side: int, threshold: float) -> tuple[float | None, list[str]]:
-        """Where the root passes the threshold on one side; None, and why, if the range ends first."""
+        """Coordinate where the root passes the threshold; None, and the reason, if the range ends first."""
         from scipy.optimize import brentq  # 0.1 s, which no import of the package should wait for
 
         bound = 1.0 if side > 0 else 0.0
@@ -223,19 +216,19 @@ class _Curve:
         end, p = self.value(bound), self.parameter
         word = "above" if side > 0 else "below"
         return None, [
-            f"the data do not bound {p.name} {word}: even at {show(end, p.shown)}, where its range ends, the others "
-            f"make up for it (tau = {self.root(bound):.2g}, the threshold is {threshold:.2g})"
+            f"the data do not bound {p.name} {word}: at {show(end, p.shown)}, the end of its range, the other "
+            f"parameters compensate for it (tau = {self.root(bound):.2g}, the threshold is {threshold:.2g})"
         ]
 
-    def elsewhere(self, low: float, high: float, threshold: float) -> list[float]:
-        """The bottoms of other valleys, outside an interval, in which the fit is no worse than at its ends."""
+    def other_minima(self, low: float, high: float, threshold: float) -> list[float]:
+        """Local minima outside of an interval where the root is below the threshold."""
         from scipy.optimize import minimize_scalar
 
-        places = np.arange(_ELSEWHERE + 1) / _ELSEWHERE
+        places = np.arange(_MINIMA_STEPS + 1) / _MINIMA_STEPS
         heights = np.array([abs(self.root(u)) for u in places.tolist()])
         found = []
         for i, u in enumerate(places.tolist()):
-            before, after = max(i - 1, 0), min(i + 1, _ELSEWHERE)
+            before, after = max(i - 1, 0), min(i + 1, _MINIMA_STEPS)
             if low <= u <= high or heights[i] > min(heights[before], heights[after]):
                 continue
             span = (float(places[before]), float(places[after]))
@@ -245,8 +238,8 @@ class _Curve:
         return found
 
 
-def _freed(evidence: Evidence, column: int) -> Evidence:
-    """The same with one parameter not held."""
-    held = evidence.held.copy()
-    held[column] = False
-    return dataclasses.replace(evidence, held=held)
+def _with_free(regression: Regression, column: int) -> Regression:
+    """Copy of a regression in which one parameter counts as free."""
+    at_bound = regression.at_bound.copy()
+    at_bound[column] = False
+    return dataclasses.replace(regression, at_bound=at_bound)

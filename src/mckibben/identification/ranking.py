@@ -1,4 +1,4 @@
-"""Every law fitted to the same points and ranked by what it makes of points that it has not seen."""
+"""Ranking of force laws by cross-validation."""
 
 from __future__ import annotations
 
@@ -10,114 +10,119 @@ from typing import Any
 import numpy as np
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.schema import html_table
 from mckibben.errors import IdentificationError
-from mckibben.identification.cross_validation import MOST_BLOCKS, LeftOut, UndeterminedError, pressure_blocks
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import Structure, beyond_directions, identify, structure_of, unphysical
+from mckibben.identification.fitting import (
+    ResidualCorrelation,
+    identify,
+    residual_correlation,
+    unphysical,
+    without_direction_means,
+)
+from mckibben.identification.regression import MOST_BLOCKS, CrossValidation, NotIdentifiableError, pressure_blocks
 from mckibben.muscle import LAWS, ForceLaw
 from mckibben.units import show
 
 BLOCKS = ("pressure", "direction", "phase", "repeat")
-"""What is left out as a whole, one after the other."""
+"""Kinds of cross-validation blocks."""
 
 _STRONG = 0.999  # correlation of two parameters
-_COUNTED_SCATTER = 1  # the scatter is a number of the model too
+_VARIANCE = 1  # the residual variance is a parameter too
 _AS_GOOD = 1.5  # times the least error
 _SUPPORTED = 2.0  # difference of AICc up to which a model has substantial support (Burnham and Anderson 2002, sec. 2.6)
 
 
 @dataclass(frozen=True)
-class Ranked:
-    """One law in a ranking.
+class RankedLaw:
+    """Entry of a ranking.
 
     Attributes
     ----------
     law
-        The name of its kind.
+        Name of the class.
     fit
-        To all taut points; None where it was refused.
+        Fit to all taut points; None where it was refused.
     refused
-        Why there is no fit; empty where there is one.
-    unseen
-        Errors at blocks of points left out, by "pressure", "direction", "phase" and "repeat", as far as these are
-        known; without what the directions differ by on average, which is friction.
+        Reason why there is no fit.
+    cross_validation
+        Errors by kind of block, "pressure", "direction", "phase" and "repeat", as far as recorded; without the mean
+        difference between the directions, which is friction.
     aicc
-        Akaike's criterion with the correction for few points; NaN where there are too few.
-    structure
-        What the residuals have in common.
+        Corrected Akaike information criterion; NaN with too few points.
+    residual_correlation
+        Correlation of neighbouring residuals.
     flags
-        Reasons not to take the law for this muscle, as sentences: a shape at its bound, forces that no muscle has.
+        Reasons not to take the law for this muscle, such as a parameter at its bound.
     remarks
-        What to know of its numbers: parameters that trade off, blocks without which it is not determined.
+        Correlated parameters, and blocks without which the law is not determined.
     """
 
     law: str
     fit: Fit | None = None
     refused: str = ""
-    unseen: dict[str, LeftOut] = field(default_factory=dict, repr=False)
+    cross_validation: dict[str, CrossValidation] = field(default_factory=dict, repr=False)
     aicc: float = math.nan
-    structure: Structure | None = None
+    residual_correlation: ResidualCorrelation | None = None
     flags: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
     @property
     def error(self) -> float:
-        """What it is ranked by: the largest of its RMSEs at blocks left out [N]; infinite without any."""
-        return max((left_out.rmse for left_out in self.unseen.values()), default=math.inf)
+        """Largest cross-validation RMSE over the kinds of blocks [N]; infinite without any."""
+        return max((found.rmse for found in self.cross_validation.values()), default=math.inf)
 
     @property
     def parameters(self) -> int:
-        """How many numbers the law has."""
+        """Number of parameters."""
         return len(LAWS[self.law].parameters()) if self.law in LAWS else len(self.fit.estimates) if self.fit else 0
 
     def record(self) -> dict[str, Any]:
-        """All numbers, for JSON; forces in N."""
-        unseen = {f"unseen_{name}_rmse_N": left_out.rmse for name, left_out in self.unseen.items()}
-        fit, structure = self.fit, self.structure
+        """Results for JSON; forces in N."""
+        fit, correlation = self.fit, self.residual_correlation
         return {
             "law": self.law,
             "parameters": self.parameters,
             "refused": self.refused or None,
             "rmse_N": fit.rmse if fit else None,
             "max_N": fit.max_error if fit else None,
-            **unseen,
+            **{f"unseen_{name}_rmse_N": found.rmse for name, found in self.cross_validation.items()},
             "aicc": self.aicc,
-            "residual_correlation_along_contraction": structure.along_contraction if structure else None,
-            "residual_correlation_along_pressure": structure.along_pressure if structure else None,
+            "residual_correlation_along_contraction": correlation.along_contraction if correlation else None,
+            "residual_correlation_along_pressure": correlation.along_pressure if correlation else None,
             "flags": list(self.flags),
             "remarks": list(self.remarks),
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Ranking:
-    """Laws by their errors at what they have not seen, the best first and the refused last.
+    """Laws by cross-validation error, the best first and the refused last.
 
-    A law that is not determined without some block stands behind those that are; where nothing can be left out,
-    Akaike's criterion decides.
+    A law that is not determined without some block comes after those that are; without any blocks AICc decides.
 
     Attributes
     ----------
     entries
-        One a law.
+        One per law.
     points
-        The taut plateau means that all were fitted to.
+        Taut plateau means of all fits.
     slack
-        How many slack points were left out.
+        Number of slack points left out.
     missing
-        Why a kind of block could not be left out, by its name.
+        Reason why a kind of block is not available, by its name.
     """
 
-    entries: tuple[Ranked, ...]
-    points: IsobaricDataset = field(repr=False)
+    entries: tuple[RankedLaw, ...]
+    points: IsobaricDataset
     slack: int
     missing: dict[str, str]
 
     @property
-    def best(self) -> Ranked:
-        """The first without a flag, if it is nearly as good as the very first; else the very first.
+    def best(self) -> RankedLaw:
+        """First entry without a flag, if it is nearly as good as the very first; else the very first.
 
-        Nearly is 1.5 times its error, or, where no block could be left out, an AICc at most 2 above its own.
+        Nearly is 1.5 times its error, or, without cross-validation, an AICc at most 2 above its own.
 
         Raises
         ------
@@ -131,8 +136,8 @@ class Ranking:
         first = fitted[0]
         return next((e for e in fitted if not e.flags and _nearly_as_good(e, first)), first)
 
-    def of(self, law: str) -> Ranked:
-        """The entry of a law by the name of its kind.
+    def of(self, law: str) -> RankedLaw:
+        """Entry of a law by the name of its class.
 
         Raises
         ------
@@ -146,18 +151,39 @@ class Ranking:
         raise IdentificationError(f"{law!r} was not ranked", value=law, remedy=f"ranked are {ranked}")
 
     def records(self) -> list[dict[str, Any]]:
-        """One dictionary a law, in order."""
+        """One dictionary per law, in order."""
         return [entry.record() for entry in self.entries]
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The kinds of blocks that were left out."""
-        return tuple(name for name in BLOCKS if any(name in entry.unseen for entry in self.entries))
+        """Kinds of blocks of the cross-validation."""
+        return tuple(name for name in BLOCKS if any(name in entry.cross_validation for entry in self.entries))
 
     @property
     def criterion(self) -> str:
-        """Ranking criterion: "unseen RMSE", or "AICc" where no block could be left out."""
-        return "unseen RMSE" if self.blocks else "AICc"
+        """Ranking criterion: "cross-validation RMSE", or "AICc" without blocks."""
+        return "cross-validation RMSE" if self.blocks else "AICc"
+
+    def __repr__(self) -> str:
+        fitted = [entry for entry in self.entries if entry.fit]
+        best = f", best {self.best.law}" if fitted else ""
+        refused = len(self.entries) - len(fitted)
+        return f"<Ranking of {len(fitted)} laws ({refused} refused) by {self.criterion}{best}>"
+
+    def _repr_html_(self) -> str:
+        header = ("law", "parameters", "RMSE N", *(f"{name} CV N" for name in self.blocks), "AICc", "flags")
+        rows = [
+            (
+                entry.law,
+                entry.parameters,
+                f"{entry.fit.rmse:.2f}" if entry.fit else "refused",
+                *(f"{cv[name].rmse:.2f}" if name in (cv := entry.cross_validation) else "-" for name in self.blocks),
+                f"{entry.aicc:.1f}",
+                "; ".join(entry.flags) or entry.refused,
+            )
+            for entry in self.entries
+        ]
+        return html_table(repr(self), header, rows)
 
 
 def rank(
@@ -166,21 +192,21 @@ def rank(
     *,
     progress: Callable[[str, float], None] | None = None,
 ) -> Ranking:
-    """Fit laws to a dataset and rank them by their errors at whole blocks of points left out.
+    """Fit laws to a dataset and rank them by their cross-validation errors.
 
     Parameters
     ----------
     dataset
         Measured points.
     laws
-        Kinds of laws; all unless given.
+        Classes of laws; all unless given.
     progress
-        Called with what is done and which part of the work is done, 0 to 1.
+        Called with the current law and the fraction done, 0 to 1.
 
     Returns
     -------
     Ranking
-        A law that the points cannot determine stands in it with the reason.
+        A law that the points do not determine is listed with the reason.
 
     Raises
     ------
@@ -194,6 +220,8 @@ def rank(
     >>> ranking = rank(catalog.dataset("dmsp-10-250-martens2017"), [ReynoldsLaw, ExponentialLaw])
     >>> [(entry.law, round(entry.error, 2)) for entry in ranking.entries]
     [('ExponentialLaw', 1.34), ('ReynoldsLaw', 32.37)]
+    >>> ranking
+    <Ranking of 2 laws (0 refused) by cross-validation RMSE, best ExponentialLaw>
     """
     means = dataset.plateau_means()
     points = means.taut
@@ -208,12 +236,17 @@ def rank(
         entries.append(_ranked(kind, means, blocks))
     if progress:
         progress("ranked", 1.0)
-    entries.sort(key=lambda entry: (entry.fit is None, -len(entry.unseen), entry.error, _last_if_nan(entry.aicc)))
+    entries.sort(key=_order)
     return Ranking(tuple(entries), points, len(means) - len(points), missing)
 
 
+def _order(entry: RankedLaw) -> tuple[bool, int, float, float]:
+    aicc = math.inf if math.isnan(entry.aicc) else entry.aicc
+    return entry.fit is None, -len(entry.cross_validation), entry.error, aicc
+
+
 def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """What can be left out, and why the rest cannot."""
+    """Labels by kind of block, and the reasons why other kinds are missing."""
     blocks: dict[str, np.ndarray] = {}
     missing: dict[str, str] = {}
     levels, reason = pressure_blocks(points)
@@ -233,58 +266,54 @@ def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, s
     return blocks, missing
 
 
-def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.ndarray]) -> Ranked:
+def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.ndarray]) -> RankedLaw:
     try:
         fit = identify(kind, means)
     except IdentificationError as error:
-        return Ranked(kind.__name__, refused=str(error))
-    evidence = fit.evidence
-    assert evidence is not None
-    unseen: dict[str, LeftOut] = {}
+        return RankedLaw(kind.__name__, refused=str(error))
+    regression = fit.require_regression()
+    cross_validation: dict[str, CrossValidation] = {}
     remarks = [
-        f"{first} and {second} trade off (correlation {correlation:+.4f})"
+        f"{first} and {second} are correlated by {correlation:+.4f}"
         for first, second, correlation in fit.strongest_correlations(len(fit.estimates) ** 2)
         if abs(correlation) > _STRONG
     ]
     for name, labels in blocks.items():
         try:
-            left_out = evidence.left_out(name, labels)
-        except UndeterminedError as error:
+            found = regression.cross_validated(name, labels)
+        except NotIdentifiableError as error:
             block = show(float(error.block), "bar") if name == "pressure" else f"{name} {error.block}"
             remarks.append(f"without {block} {error.reason}")
         else:
-            unseen[name] = LeftOut(beyond_directions(left_out.residuals, evidence.points), left_out.by_block)
-    bounds = [name for name, held in zip(fit.estimates, evidence.held, strict=True) if held]
-    flags = [f"{' and '.join(bounds)} at a bound: the data ask for what the law cannot be"] if bounds else []
+            residuals = without_direction_means(found.residuals, regression.points)
+            cross_validation[name] = CrossValidation(residuals, found.by_block)
+    bounds = [name for name, out in zip(fit.estimates, regression.at_bound, strict=True) if out]
+    flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if bounds else []
     if reason := unphysical(fit.law):
         flags.append(reason)
-    residuals = evidence.solution.residuals
-    return Ranked(
+    residuals = regression.solution.residuals
+    return RankedLaw(
         kind.__name__,
         fit,
-        unseen=unseen,
+        cross_validation=cross_validation,
         aicc=_aicc(residuals, len(fit.estimates)),
-        structure=structure_of(evidence.points, residuals),
+        residual_correlation=residual_correlation(regression.points, residuals),
         flags=tuple(flags),
         remarks=tuple(remarks),
     )
 
 
-def _nearly_as_good(entry: Ranked, first: Ranked) -> bool:
-    if first.unseen:
+def _nearly_as_good(entry: RankedLaw, first: RankedLaw) -> bool:
+    if first.cross_validation:
         return entry.error <= _AS_GOOD * first.error
     return entry.aicc <= first.aicc + _SUPPORTED
 
 
-def _last_if_nan(value: float) -> float:
-    return math.inf if math.isnan(value) else value
-
-
 def _aicc(residuals: np.ndarray, parameters: int) -> float:
-    """Akaike's criterion for errors of one unknown size, corrected for few points (Hurvich and Tsai 1989)."""
-    count, numbers = len(residuals), parameters + _COUNTED_SCATTER
-    left = count - numbers - 1
-    if left <= 0:
+    """Corrected Akaike information criterion for normal errors of unknown variance (Hurvich and Tsai 1989)."""
+    count, total = len(residuals), parameters + _VARIANCE
+    freedom = count - total - 1
+    if freedom <= 0:
         return math.nan
     squares = float(residuals @ residuals)
-    return count * math.log(max(squares, 1e-300) / count) + 2 * numbers + 2 * numbers * (numbers + 1) / left
+    return count * math.log(max(squares, 1e-300) / count) + 2 * total + 2 * total * (total + 1) / freedom

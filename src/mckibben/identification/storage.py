@@ -1,78 +1,79 @@
-"""Fits to files and back: YAML with a unit beside every number, in SI so that each number comes back exactly.
+"""Fit files: YAML with a unit beside every number, in SI so that each number is read back exactly.
 
-A file written by hand needs no more than the law, its parameters and its domain to be read by `read_law`; a
-parameter may be a text there, such as ``a2: 109 N/bar``.
+`read_law` reads a file written by hand as well: the law, its parameters and its domain suffice, and a parameter may be
+a text such as ``a2: 109 N/bar``.
 """
 
 from __future__ import annotations
 
-import json
-import math
 import os
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from pydantic import ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
-from mckibben.errors import Problem, ScenarioError, UnitError
+from mckibben.config.document import read_document, to_text
+from mckibben.config.fields import BoundedInt, Number, OneOf
+from mckibben.config.model import ConfigModel, fail_validation, problems_of, read_text
+from mckibben.errors import Problem, ScenarioError, UnitError, quoted, suggest
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.uncertainty import Grouping
-from mckibben.muscle import LAWS, Domain, ForceLaw, Parameter
+from mckibben.muscle import LAWS, Domain, ForceLaw
 from mckibben.storage.files import atomic_write
 from mckibben.units import factor, quantity, show
+
+_HEAD = "# A force law identified by mckibben. Numbers have their unit beside them, comments that of publications.\n"
 
 
 def write_fit(fit: Fit, path: Path) -> None:
     """Write a fit; the file appears complete or not at all."""
-    law = type(fit.law)
-    lines = [
-        "# A force law identified by mckibben. Numbers have their unit beside them, comments that of publications.",
-        f"law: {law.__name__}",
-        f"equation: {_text(law.equation)}",
-        "parameters:",
-    ]
+    law, domain, robust, lopo = type(fit.law), fit.law.domain, fit.robust, fit.leave_one_pressure_out
+    parameters: dict[str, Any] = {}
+    comments: dict[tuple[str | int, ...], str] = {("correlations",): "in the order of the parameters"}
     for p in law.parameters():
-        estimate, error = fit.estimates[p.name], fit.standard_errors[p.name]
-        numbers = f"estimate: {_number(estimate)}, standard_error: {_number(error)}"
-        if robust := fit.robust:
-            numbers += f", robust_error: {_number(robust.standard_errors[p.name])}"
-            numbers += f", degrees_of_freedom: {_number(robust.degrees_of_freedom[p.name])}"
-        lines.append(f"  {p.name}: {{{numbers}, unit: {_text(p.unit)}}}  # {show(estimate, p.shown)}: {p.meaning}")
-    if robust := fit.robust:
-        lines.append(f"robust: {{by: {robust.by.value}, groups: {robust.groups}}}  # whose points may share an error")
-    domain = fit.law.domain
-    lines += [
-        "domain:",
-        f"  contraction: {_span(domain.contraction_min, domain.contraction_max, '1')}",
-        f"  pressure: {_span(domain.pressure_min, domain.pressure_max, 'Pa')}",
-        f"residuals: {{rmse: {_number(fit.rmse)}, max: {_number(fit.max_error)}, unit: N}}",
-        f"points: {{used: {fit.points_used}, slack: {fit.points_slack}}}",
-    ]
-    if lopo := fit.leave_one_pressure_out:
-        lines += [
-            "leave_one_pressure_out:",
-            f"  rmse: {_number(lopo.rmse)}",
-            f"  max: {_number(lopo.max_error)}",
-            "  unit: N",
-            f"  pressures: {_numbers(lopo.by_pressure)}",
-            "  pressure_unit: Pa",
-            f"  rmse_by_pressure: {_numbers(lopo.by_pressure.values())}",
-        ]
-    lines.append("correlations:  # in the order of the parameters")
-    lines += [f"  - {_numbers(row)}" for row in fit.correlations]
-    lines.append("warnings:" if fit.warnings else "warnings: []")
-    lines += [f"  - {_text(warning)}" for warning in fit.warnings]
-    lines += [
-        "dataset:",
-        f"  specimen: {_text(fit.dataset.specimen)}",
-        f"  source: {_text(fit.dataset.source)}",
-        f"  pressures: {_numbers(fit.dataset.pressures)}",
-        "  pressure_unit: Pa",
-    ]
+        row: dict[str, Any] = {
+            "estimate": float(fit.estimates[p.name]),
+            "standard_error": float(fit.standard_errors[p.name]),
+        }
+        if robust:
+            row["robust_error"] = float(robust.standard_errors[p.name])
+            row["degrees_of_freedom"] = float(robust.degrees_of_freedom[p.name])
+        parameters[p.name] = {**row, "unit": p.unit}
+        comments["parameters", p.name] = f"{show(fit.estimates[p.name], p.shown)}: {p.meaning}"
+    data = {
+        "law": law.__name__,
+        "equation": law.equation,
+        "parameters": parameters,
+        "robust": {"by": robust.by.value, "groups": int(robust.groups)} if robust else None,
+        "domain": {
+            "contraction": _span(domain.contraction_min, domain.contraction_max, "1"),
+            "pressure": _span(domain.pressure_min, domain.pressure_max, "Pa"),
+        },
+        "residuals": {"rmse": float(fit.rmse), "max": float(fit.max_error), "unit": "N"},
+        "points": {"used": int(fit.points_used), "slack": int(fit.points_slack)},
+        "leave_one_pressure_out": {
+            "rmse": float(lopo.rmse),
+            "max": float(lopo.max_error),
+            "unit": "N",
+            "pressures": _floats(lopo.by_pressure),
+            "pressure_unit": "Pa",
+            "rmse_by_pressure": _floats(lopo.by_pressure.values()),
+        }
+        if lopo
+        else None,
+        "correlations": [_floats(row) for row in fit.correlations],
+        "warnings": list(fit.warnings),
+        "dataset": {
+            "specimen": fit.dataset.specimen,
+            "source": fit.dataset.source,
+            "pressures": _floats(fit.dataset.pressures),
+            "pressure_unit": "Pa",
+        },
+    }
     with atomic_write(path, overwrite=True) as sibling:
-        sibling.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+        sibling.write_text(_HEAD + to_text(data, comments, width=200), encoding="utf-8", newline="\n")
 
 
 def read_law(path: str | os.PathLike[str]) -> ForceLaw:
@@ -83,11 +84,7 @@ def read_law(path: str | os.PathLike[str]) -> ForceLaw:
     ScenarioError
         With every problem of the file and its line.
     """
-    page = _Page(Path(path))
-    law = page.law()
-    page.finish()
-    assert law is not None
-    return law
+    return _read(path, complete=False).force_law()
 
 
 def read_fit(path: Path) -> Fit:
@@ -98,249 +95,231 @@ def read_fit(path: Path) -> Fit:
     ScenarioError
         With every problem of the file and its line.
     """
-    page = _Page(path)
-    law, top = page.law(), page.top
-    parameters = type(law).parameters() if law else ()
-    listed = page.section(top, "parameters")
-    errors = {p.name: page.number(page.section(listed, p.name), "standard_error", p.unit, nan=True) for p in parameters}
-    residuals = page.section(top, "residuals")
-    points = page.section(top, "points")
-    lopo = page.section(top, "leave_one_pressure_out") if "leave_one_pressure_out" in top else None
-    unseen = None
-    if lopo is not None:
-        pressures = page.numbers(lopo, "pressures", "Pa", unit_key="pressure_unit")
-        by_pressure = page.numbers(lopo, "rmse_by_pressure", "N", count=len(pressures))
-        unseen = LeaveOnePressureOut(
-            page.number(lopo, "rmse", "N"),
-            page.number(lopo, "max", "N"),
-            dict(zip(pressures, by_pressure, strict=False)),
-        )
-    robust = page.robust(parameters) if "robust" in top else None
-    data = page.section(top, "dataset")
-    fit_fields = {
-        "standard_errors": errors,
-        "correlations": page.square(top, "correlations", len(parameters)),
-        "rmse": page.number(residuals, "rmse", "N"),
-        "max_error": page.number(residuals, "max", "N"),
-        "points_used": page.count(points, "used"),
-        "points_slack": page.count(points, "slack"),
-        "warnings": page.texts(top, "warnings"),
-        "dataset": DatasetSummary(
-            page.text(data, "specimen"),
-            page.text(data, "source"),
-            tuple(page.numbers(data, "pressures", "Pa", unit_key="pressure_unit")),
-        ),
-    }
-    page.finish()
-    assert law is not None
-    return Fit(law=law, leave_one_pressure_out=unseen, robust=robust, **fit_fields)
+    return _read(path, complete=True).fit()
 
 
-class _Page:
-    """A parsed file, and all that is found wrong with it."""
+class _Section(ConfigModel):
+    """Numbers in the unit that stands beside them; other keys are ignored."""
 
-    def __init__(self, path: Path) -> None:
-        from ruamel.yaml import YAML
-        from ruamel.yaml.error import MarkedYAMLError, YAMLError
+    model_config = ConfigDict(extra="ignore")
+    expected: ClassVar[str] = "N"
 
-        self.source = str(path)
-        self.problems: list[Problem] = []
+    unit: str
+
+    @field_validator("unit", mode="after")
+    @classmethod
+    def _of_that_kind(cls, value: str) -> str:
+        return _of_kind(value, cls.expected)
+
+    def si(self, name: str) -> float:
+        """One of the numbers in SI."""
+        return getattr(self, name) * factor(self.unit, self.expected)
+
+
+class _Estimate(_Section):
+    """A parameter, which may be a text such as "109 N/bar"."""
+
+    estimate: Annotated[float, Number()]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_text(cls, value: Any) -> Any:
+        if not isinstance(value, str):
+            return value
         try:
-            top = YAML(typ="rt", pure=True).load(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ScenarioError(self.source, [Problem(f"cannot be read: {error.strerror or error}")]) from error
-        except (UnicodeDecodeError, YAMLError) as error:
-            mark = error.problem_mark if isinstance(error, MarkedYAMLError) else None
-            reason = error.problem if isinstance(error, MarkedYAMLError) else str(error)
-            line = mark.line + 1 if mark else None
-            raise ScenarioError(self.source, [Problem(f"is not YAML: {reason}", line=line)]) from error
-        if not isinstance(top, Mapping):
-            raise ScenarioError(self.source, [Problem("holds no fit", remedy="write one with Fit.to_yaml")])
-        self.top: Mapping[str, Any] = top
-
-    def finish(self) -> None:
-        if self.problems:
-            unique = dict.fromkeys(self.problems)
-            raise ScenarioError(self.source, sorted(unique, key=lambda p: p.line or 0))
-
-    def law(self) -> ForceLaw | None:
-        """The law of the file; None where something is wrong with it."""
-        before = len(self.problems)
-        name = self.text(self.top, "law")
-        law_type = LAWS.get(name)
-        if law_type is None:
-            if len(self.problems) == before:
-                self.wrong(self.top, "law", f"there is no law {name!r}", f"take one of {', '.join(sorted(LAWS))}")
-            return None
-        listed = self.section(self.top, "parameters")
-        known = {p.name for p in law_type.parameters()}
-        for key in listed:
-            if key not in known:
-                self.wrong(listed, key, f"{name} has no such parameter", f"it has {', '.join(sorted(known))}")
-        values = {p.name: self.parameter(listed, p.name, p.unit) for p in law_type.parameters()}
-        domain = self.section(self.top, "domain")
-        contraction, pressure = self.section(domain, "contraction"), self.section(domain, "pressure")
-        box = Domain(
-            *(self.number(contraction, key, "1", infinite=True) for key in ("min", "max")),
-            *(self.number(pressure, key, "Pa", infinite=True) for key in ("min", "max")),
-        )
-        return law_type(**values, domain=box) if len(self.problems) == before else None
-
-    def robust(self, parameters: Sequence[Parameter]) -> RobustErrors | None:
-        """Errors by groups of points; None where something is wrong with them."""
-        before = len(self.problems)
-        section, listed = self.section(self.top, "robust"), self.section(self.top, "parameters")
-        by, known = self.text(section, "by"), [g.value for g in Grouping if g is not Grouping.POINT]
-        if by not in known and len(self.problems) == before:
-            self.wrong(section, "by", f"{by!r} is no group of points", f"take one of {', '.join(known)}")
-        errors, freedom = {}, {}
-        for p in parameters:
-            row = self.section(listed, p.name)
-            errors[p.name] = self.number(row, "robust_error", p.unit, nan=True)
-            freedom[p.name] = self.entry(row, "degrees_of_freedom")
-            if freedom[p.name] is not None and not _is_number(freedom[p.name]):
-                self.wrong(row, "degrees_of_freedom", f"{freedom[p.name]!r} is no number")
-        groups = self.count(section, "groups")
-        return RobustErrors(Grouping(by), groups, errors, freedom) if len(self.problems) == before else None
-
-    def wrong(self, section: Mapping[str, Any], key: str, message: str, remedy: str = "") -> None:
-        marks = getattr(section, "lc", None)
-        line = None
-        if marks is not None:
-            line = (marks.key(key)[0] if key in section else marks.line) + 1
-        self.problems.append(Problem(message, line=line, field=str(key), remedy=remedy))
-
-    def entry(self, section: Mapping[str, Any], key: str) -> Any:
-        """What stands at a key; None, and a problem, where there is nothing (a missing section is one problem)."""
-        if section is _MISSING:
-            return None
-        if section.get(key) is None:
-            self.wrong(section, key, "is missing")
-            return None
-        return section[key]
-
-    def section(self, section: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-        value = self.entry(section, key)
-        if value is None or isinstance(value, Mapping):
-            return _MISSING if value is None else value
-        self.wrong(section, key, f"{value!r} is no section", "write names and values below it")
-        return _MISSING
-
-    def text(self, section: Mapping[str, Any], key: str) -> str:
-        value = self.entry(section, key)
-        if value is not None and not isinstance(value, str):
-            self.wrong(section, key, f"{value!r} is no text")
-        return str(value)
-
-    def texts(self, section: Mapping[str, Any], key: str) -> tuple[str, ...]:
-        values = self.entry(section, key)
-        if not _is_list(values) or not all(isinstance(value, str) for value in values):
-            if values is not None:
-                self.wrong(section, key, "is no list of texts")
-            return ()
-        return tuple(str(value) for value in values)
-
-    def count(self, section: Mapping[str, Any], key: str) -> int:
-        value = self.entry(section, key)
-        if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value < 0):
-            self.wrong(section, key, f"{value!r} is no count")
-            return 0
-        return int(value or 0)
-
-    def parameter(self, section: Mapping[str, Any], key: str, unit: str) -> float:
-        """An estimate: a section with its unit, or a text such as "109 N/bar"."""
-        value = self.entry(section, key)
-        if isinstance(value, str):
-            try:
-                return quantity(value, unit)
-            except UnitError as error:
-                self.wrong(section, key, str(error))
-                return math.nan
-        return self.number(self.section(section, key), "estimate", unit)
-
-    def number(
-        self, section: Mapping[str, Any], key: str, unit: str, *, infinite: bool = False, nan: bool = False
-    ) -> float:
-        """A number in the unit that stands beside it, as SI."""
-        value = self.entry(section, key)
-        if value is None:
-            return math.nan
-        if not _is_number(value):
-            self.wrong(section, key, f"{value!r} is no number")
-        elif not (math.isfinite(value) or (infinite and math.isinf(value)) or (nan and math.isnan(value))):
-            self.wrong(section, key, f"{value!r} is not finite")
-        else:
-            return float(value) * self.scale(section, "unit", unit)
-        return math.nan
-
-    def numbers(
-        self,
-        section: Mapping[str, Any],
-        key: str,
-        unit: str,
-        *,
-        unit_key: str = "unit",
-        count: int | None = None,
-    ) -> list[float]:
-        values = self.entry(section, key)
-        if values is None:
-            return []
-        if not _is_list(values) or not all(_is_number(value) and math.isfinite(value) for value in values):
-            self.wrong(section, key, "is no list of numbers")
-            return []
-        if count is not None and len(values) != count:
-            self.wrong(section, key, f"has {len(values)} numbers instead of {count}")
-        scale = self.scale(section, unit_key, unit)
-        return [float(value) * scale for value in values]
-
-    def square(self, section: Mapping[str, Any], key: str, size: int) -> np.ndarray:
-        rows = self.entry(section, key)
-        if rows is None or not size:
-            return np.empty((0, 0))
-        good = _is_list(rows) and all(_is_list(row) and all(map(_is_number, row)) for row in rows)
-        if not good or len(rows) != size or any(len(row) != size for row in rows):
-            self.wrong(section, key, f"is no table of {size} rows of {size} numbers")
-            return np.empty((0, 0))
-        return np.array([[float(value) for value in row] for row in rows])
-
-    def scale(self, section: Mapping[str, Any], key: str, unit: str) -> float:
-        name = self.entry(section, key)
-        if name is None:
-            return math.nan
-        try:
-            return factor(str(name), unit)
+            return {"estimate": quantity(value, cls.expected), "unit": cls.expected}
         except UnitError as error:
-            self.wrong(section, key, str(error))
-            return math.nan
+            fail_validation(error.message, error.remedy, value=value, unit=cls.expected)
 
 
-_MISSING: Mapping[str, Any] = {}
+class _FittedEstimate(_Estimate):
+    standard_error: Annotated[float, Number(nan=True)]
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+class _RobustEstimate(_FittedEstimate):
+    robust_error: Annotated[float, Number(nan=True)]
+    degrees_of_freedom: Annotated[float, Number(nan=True, infinite=True)]
 
 
-def _is_list(value: object) -> bool:
-    return isinstance(value, Sequence) and not isinstance(value, str)
+class _Span(_Section):
+    min: Annotated[float, Number(infinite=True)]
+    max: Annotated[float, Number(infinite=True)]
 
 
-def _number(value: Any) -> str:
-    number = float(value)
-    if math.isnan(number):
-        return ".nan"
-    if math.isinf(number):
-        return ".inf" if number > 0 else "-.inf"
-    return repr(number)
+class _Ratios(_Span):
+    expected: ClassVar = "1"
 
 
-def _numbers(values: Any) -> str:
-    return f"[{', '.join(_number(value) for value in values)}]"
+class _Pressures(_Span):
+    expected: ClassVar = "Pa"
 
 
-def _span(low: Any, high: Any, unit: str) -> str:
-    return f"{{min: {_number(low)}, max: {_number(high)}, unit: {_text(unit)}}}"
+class _Domain(ConfigModel):
+    contraction: _Ratios
+    pressure: _Pressures
 
 
-def _text(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)
+class _Residuals(_Section):
+    rmse: Annotated[float, Number()]
+    max: Annotated[float, Number()]
+
+
+class _LeftOut(_Residuals):
+    pressure_unit: str
+    pressures: tuple[Annotated[float, Number()], ...]
+    rmse_by_pressure: tuple[Annotated[float, Number()], ...]
+
+    @field_validator("pressure_unit", mode="after")
+    @classmethod
+    def _pressure(cls, value: str) -> str:
+        return _of_kind(value, "Pa")
+
+    @field_validator("rmse_by_pressure", mode="after")
+    @classmethod
+    def _as_many(cls, value: Any, info: Any) -> Any:
+        count = len(info.data.get("pressures", value))
+        if len(value) != count:
+            fail_validation(f"has {len(value)} numbers instead of {count}", "give one for each pressure")
+        return value
+
+
+class _Points(ConfigModel):
+    used: Annotated[int, BoundedInt(0, 10**12)]
+    slack: Annotated[int, BoundedInt(0, 10**12)]
+
+
+class _Robust(ConfigModel):
+    by: Annotated[str, OneOf(tuple(g.value for g in Grouping if g is not Grouping.POINT))]
+    groups: Annotated[int, BoundedInt(0, 10**12)]
+
+
+class _Dataset(ConfigModel):
+    specimen: str
+    source: str
+    pressures: tuple[Annotated[float, Number()], ...]
+    pressure_unit: str
+
+    @field_validator("pressure_unit", mode="after")
+    @classmethod
+    def _pressure(cls, value: str) -> str:
+        return _of_kind(value, "Pa")
+
+
+class _LawFile(ConfigModel):
+    """Law, parameters and domain; other keys are ignored."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    law: str
+    parameters: Any
+    domain: _Domain
+
+    def force_law(self) -> ForceLaw:
+        law_type, contraction, pressure = LAWS[self.law], self.domain.contraction, self.domain.pressure
+        values = {name: row.si("estimate") for name, row in self.parameters}
+        limits = (contraction.si("min"), contraction.si("max"), pressure.si("min"), pressure.si("max"))
+        return law_type(**values, domain=Domain(*limits))
+
+
+class _FitFile(_LawFile):
+    robust: _Robust | None = None
+    residuals: _Residuals
+    points: _Points
+    leave_one_pressure_out: _LeftOut | None = None
+    correlations: tuple[tuple[Annotated[float, Number(nan=True)], ...], ...]
+    warnings: tuple[str, ...]
+    dataset: _Dataset
+
+    @field_validator("correlations", mode="after")
+    @classmethod
+    def _square(cls, value: Any, info: Any) -> Any:
+        size = len(LAWS[info.data["law"]].parameters()) if "law" in info.data else len(value)
+        if len(value) != size or any(len(row) != size for row in value):
+            fail_validation(f"is not a table of {size} rows of {size} numbers", "keep the order of the parameters")
+        return value
+
+    def fit(self) -> Fit:
+        law, lopo, robust, data = self.force_law(), self.leave_one_pressure_out, self.robust, self.dataset
+        rows = dict(self.parameters)
+        unseen = errors = None
+        if lopo:
+            scale, unit = factor(lopo.pressure_unit), factor(lopo.unit)
+            pressures = (pressure * scale for pressure in lopo.pressures)
+            by_pressure = (error * unit for error in lopo.rmse_by_pressure)
+            unseen = LeaveOnePressureOut(
+                lopo.si("rmse"), lopo.si("max"), dict(zip(pressures, by_pressure, strict=True))
+            )
+        if robust:
+            errors = RobustErrors(
+                Grouping(robust.by),
+                robust.groups,
+                {name: row.si("robust_error") for name, row in rows.items()},
+                {name: row.degrees_of_freedom for name, row in rows.items()},
+            )
+        pressures = tuple(pressure * factor(data.pressure_unit) for pressure in data.pressures)
+        return Fit(
+            law=law,
+            standard_errors={name: row.si("standard_error") for name, row in rows.items()},
+            correlations=np.array(self.correlations) if self.correlations else np.empty((0, 0)),
+            rmse=self.residuals.si("rmse"),
+            max_error=self.residuals.si("max"),
+            points_used=self.points.used,
+            points_slack=self.points.slack,
+            leave_one_pressure_out=unseen,
+            warnings=self.warnings,
+            dataset=DatasetSummary(data.specimen, data.source, pressures),
+            robust=errors,
+        )
+
+
+def _read(path: str | os.PathLike[str], *, complete: bool) -> Any:
+    """The checked content of a file: a `_FitFile`, or a `_LawFile` if it need not be complete."""
+    source = os.fspath(path)
+    document = read_document(read_text(path, "a fit", "docs/files.md"))
+    if not document.readable:
+        raise ScenarioError(source, document.problems)
+    data = document.data if isinstance(document.data, dict) else {}
+    law_type = LAWS.get(data["law"]) if isinstance(data.get("law"), str) else None
+    if law_type is None and "law" in data:
+        problem = Problem(
+            f"there is no law {quoted(data['law'])}",
+            document.line(("law",)),
+            "law",
+            suggest(str(data["law"]), sorted(LAWS)),
+            value=data["law"],
+        )
+        raise ScenarioError(source, [*document.problems, problem])
+    base, row = (_FitFile, _FittedEstimate) if complete else (_LawFile, _Estimate)
+    if complete and "robust" in data:
+        row = _RobustEstimate
+    model: type[ConfigModel] = base
+    if law_type is not None:
+        rows: dict[str, Any] = {
+            p.name: (type(row.__name__, (row,), {"expected": p.unit, "__module__": __name__}), ...)
+            for p in law_type.parameters()
+        }
+        parameters = create_model("Parameters", __base__=ConfigModel, **rows)
+        model = create_model("FitFile", __base__=base, parameters=(parameters, Field()))
+    try:
+        read = model.model_validate(document.data)
+    except ValidationError as error:
+        raise ScenarioError(source, problems_of(error, document, model)) from None
+    if document.problems:
+        raise ScenarioError(source, document.problems)
+    return read
+
+
+def _of_kind(unit: str, expected: str) -> str:
+    try:
+        factor(unit, expected)
+    except UnitError as error:
+        fail_validation(error.message, error.remedy, value=unit, unit=expected)
+    return unit
+
+
+def _floats(values: Any) -> list[float]:
+    return [float(value) for value in values]
+
+
+def _span(low: Any, high: Any, unit: str) -> dict[str, Any]:
+    return {"min": float(low), "max": float(high), "unit": unit}

@@ -1,4 +1,4 @@
-"""Standard errors and correlations of estimates, also for points that share errors."""
+"""Standard errors and correlations of estimates, classical and cluster-robust."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ from mckibben.errors import IdentificationError
 _BLOCK = 6144
 
 
-def triangle(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """R of the QR factors, shape (k, k), of a matrix of shape (n, k), n >= k; fastest where columns are contiguous.
+def tsqr_r(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """R factor of the QR decomposition, shape (k, k), of a matrix of shape (n, k), n >= k, by blocks of rows.
 
-    As stable as the ordinary factorisation: blocks of rows are factored each, then their stacked triangles. Q is never
-    needed: R of the columns [A, y] tells the least squares of A x = y, their residual, and the condition of A.
+    R of the columns [A, y] gives the least-squares solution of A x = y, its residual, and the condition number of A.
 
     References
     ----------
@@ -31,7 +30,7 @@ def triangle(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     Examples
     --------
     >>> matrix = np.vander(np.linspace(0, 1, 5000), 6)
-    >>> r = triangle(matrix)
+    >>> r = tsqr_r(matrix)
     >>> bool(np.allclose(r.T @ r, matrix.T @ matrix)), bool(np.all(np.tril(r, -1) == 0))
     (True, True)
     """
@@ -43,35 +42,48 @@ def triangle(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     rows = -(-count // blocks)
     if blocks * rows > count:
         matrix = np.concatenate([matrix, np.zeros((blocks * rows - count, width))])
-    triangles = np.asarray(np.linalg.qr(matrix.reshape(blocks, rows, width), mode="r"))
-    return triangle(triangles.reshape(blocks * width, width))
+    factors = np.asarray(np.linalg.qr(matrix.reshape(blocks, rows, width), mode="r"))
+    return tsqr_r(factors.reshape(blocks * width, width))
+
+
+def _tsqr(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Q, shape (n, k), and R; orthogonalised twice, so Q is orthogonal to rounding."""
+    q, r = matrix, np.eye(matrix.shape[1])
+    for _ in range(2):
+        factor = tsqr_r(q)
+        lengths = np.linalg.norm(factor, axis=0)
+        q = np.einsum("ni,ij->nj", q / lengths, np.linalg.inv(factor / lengths))  # no BLAS, no threads
+        r = factor @ r
+    return q, r
 
 
 CONDITION_LIMIT = 1e10
-"""Of the Jacobian with columns of length one: above it, about six digits of the sixteen are left."""
+"""Limit of the condition number of a Jacobian with columns of unit length: six of sixteen digits are left."""
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """What the data say about how well they determine the parameters.
+    """Classical uncertainty of least-squares estimates.
 
     Attributes
     ----------
     standard_errors
-        Shape (parameters,), in the unit of each; NaN where the parameter was held at a bound.
+        Shape (parameters,), in the unit of each; NaN at a bound.
     correlations
-        Shape (parameters, parameters); NaN in the rows and columns of these.
-    spread
-        s [N], the standard deviation of a plateau mean about the law.
+        Shape (parameters, parameters); NaN in the rows and columns of parameters at a bound.
+    standard_deviation
+        s [N], of a plateau mean about the law.
     """
 
     standard_errors: NDArray[np.float64]
     correlations: NDArray[np.float64]
-    spread: float
+    standard_deviation: float
 
 
-def uncertainty(jacobian: NDArray[np.float64], residuals: NDArray[np.float64], held: NDArray[np.bool_]) -> Uncertainty:
-    """Standard errors and correlations of the parameters that are not held.
+def uncertainty(
+    jacobian: NDArray[np.float64], residuals: NDArray[np.float64], at_bound: NDArray[np.bool_]
+) -> Uncertainty:
+    """Standard errors and correlations of the parameters that are not at a bound.
 
     Parameters
     ----------
@@ -79,131 +91,129 @@ def uncertainty(jacobian: NDArray[np.float64], residuals: NDArray[np.float64], h
         Shape (points, parameters): derivative of the force [N] with respect to the parameters.
     residuals
         Shape (points,) [N]; more points than free parameters.
-    held
-        Shape (parameters,): those at a bound, whose value the data did not choose.
+    at_bound
+        Shape (parameters,).
 
     Examples
     --------
     The mean of four numbers: s is their standard deviation, and the standard error is s/2.
 
     >>> u = uncertainty(np.ones((4, 1)), np.array([1.0, -1.0, 2.0, -2.0]), np.array([False]))
-    >>> round(u.spread, 4), u.standard_errors.round(4)
+    >>> round(u.standard_deviation, 4), u.standard_errors.round(4)
     (1.8257, array([0.9129]))
     """
     count = jacobian.shape[1]
-    free = np.flatnonzero(~held)
+    free = np.flatnonzero(~at_bound)
     lengths, singular, directions = _decompose(jacobian[:, free])
     inverse = directions.T / singular
     scaled = inverse @ inverse.T
-    spread = float(np.sqrt(residuals @ residuals / (len(residuals) - len(free))))
+    deviation = float(np.sqrt(residuals @ residuals / (len(residuals) - len(free))))
     widths = np.sqrt(np.diag(scaled))
     errors = np.full(count, np.nan)
-    errors[free] = spread * widths / lengths
+    errors[free] = deviation * widths / lengths
     correlations = np.full((count, count), np.nan)
     correlations[np.ix_(free, free)] = np.clip(scaled / np.outer(widths, widths), -1.0, 1.0)
     correlations[free, free] = 1.0
-    return Uncertainty(errors, correlations, spread)
+    return Uncertainty(errors, correlations, deviation)
 
 
-def condition(jacobian: NDArray[np.float64]) -> float:
-    """The condition number of a Jacobian with columns scaled to length one; infinite where singular."""
+def condition_number(jacobian: NDArray[np.float64]) -> float:
+    """Condition number of a Jacobian with columns scaled to unit length; infinite where singular."""
     _, singular, _ = _decompose(jacobian)
     if not len(singular):
         return 1.0
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
 
 
-def undetermined(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[str]:
-    """The parameters that can change together and leave all forces nearly as they are."""
+def unidentifiable(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[str]:
+    """Parameters with a part in the least identifiable direction."""
     _, _, directions = _decompose(jacobian)
     share = np.abs(directions[-1])
     return [name for name, part in zip(names, share, strict=True) if part > 0.05 * share.max()]
 
 
 def _decompose(jacobian: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Lengths of the columns; singular values and right singular vectors, as rows, of them at length one."""
-    factor = triangle(jacobian)
+    """Column lengths; singular values and right singular vectors, as rows, of the columns at unit length."""
+    factor = tsqr_r(jacobian)
     lengths = np.linalg.norm(factor, axis=0)
     lengths[lengths == 0] = 1.0
     _, singular, directions = np.linalg.svd(factor / lengths)
     return lengths, singular, directions
 
 
-_ALONE = 1e-8  # of the information in a direction: if the other groups have less, one group alone determines it
+_DECISIVE = 1e-8  # of the information in a direction: if the other groups have less, one group alone determines it
 
 Pairs = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 class ErrorModel(Protocol):
-    """What gives any quantity that depends on the parameters its variance."""
+    """Covariance of the estimates."""
 
     def variance(self, gradients: NDArray[np.float64]) -> Pairs:
-        """Variance and degrees of freedom, shape (m,) each, for gradients of shape (m, parameters)."""
+        """Variance and degrees of freedom, shape (m,) each, of quantities with gradients of shape (m, parameters)."""
         ...
 
     @property
-    def scatter(self) -> tuple[float, float]:
+    def residual_variance(self) -> tuple[float, float]:
         """Variance of a single plateau mean about the law [N^2], and its degrees of freedom."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
-class Independent:
-    """Errors of the points that are independent and equal: s^2 (X^T X)^-1, with n - k degrees of freedom.
+class IndependentErrors:
+    """Independent errors of equal variance: covariance s^2 (X^T X)^-1 with n - k degrees of freedom.
 
     Parameters
     ----------
     triangle
-        R of the Jacobian, shape (k, k).
-    spread
-        s [N].
-    freedom
-        n - k.
+        R factor of the Jacobian, shape (k, k).
+    residual_variance
+        s^2 [N^2], and its degrees of freedom.
     """
 
     triangle: NDArray[np.float64]
-    spread: float
-    freedom: int
+    residual_variance: tuple[float, float]
 
     @classmethod
-    def of(cls, jacobian: NDArray[np.float64], residuals: NDArray[np.float64]) -> Independent:
-        """From a Jacobian, shape (points, parameters), and residuals, shape (points,)."""
+    def of(cls, jacobian: NDArray[np.float64], residuals: NDArray[np.float64]) -> IndependentErrors:
+        """Error model from a Jacobian, shape (points, parameters), and residuals, shape (points,)."""
         freedom = len(residuals) - jacobian.shape[1]
-        spread = float(np.sqrt(residuals @ residuals / freedom))
-        return cls(np.asarray(np.linalg.qr(jacobian, mode="r")), spread, freedom)
-
-    @property
-    def scatter(self) -> tuple[float, float]:
-        return self.spread**2, float(self.freedom)
+        return cls(tsqr_r(jacobian), (float(residuals @ residuals / freedom), float(freedom)))
 
     def variance(self, gradients: NDArray[np.float64]) -> Pairs:
         z = _solve(self.triangle, gradients)
-        return self.spread**2 * np.einsum("mi,mi->m", z, z), np.full(len(z), float(self.freedom))
+        square, freedom = self.residual_variance
+        return square * np.einsum("mi,mi->m", z, z), np.full(len(z), freedom)
 
 
 @dataclass(frozen=True, eq=False)
-class ClusterRobust:
-    """Errors that points of a group may share.
+class ClusterRobustErrors:
+    """Cluster-robust covariance CR2 with Satterthwaite degrees of freedom: points of a group may share an error.
 
     Parameters
     ----------
     triangle
-        R of the Jacobian, shape (k, k).
+        R factor of the Jacobian, shape (k, k).
     scores
         Q_g^T A_g e_g, shape (groups, k).
     own, shared
         Q_g^T A_g^2 Q_g and Q_g^T A_g Q_g, shape (groups, k, k).
-    alone
-        The groups without which the parameters are not determined: for them there is no such estimate.
-    scatter
+    decisive
+        Groups without which the parameters are not determined: with them there is no such estimate.
+    residual_variance
         Variance of a single plateau mean about the law [N^2], from the corrected residuals A_g e_g, and its degrees of
-        freedom, which are few where the points of a group mostly err alike.
+        freedom.
+
+    References
+    ----------
+    R. Bell and D. McCaffrey, Survey Methodology 28 (2002) 169-181; J. Pustejovsky and E. Tipton, J. Business and
+    Economic Statistics 36 (2018) 672-683.
 
     Examples
     --------
     The mean of four numbers, each a group: the textbook's s/2, with 3 degrees of freedom.
 
-    >>> model = ClusterRobust.of(np.ones((4, 1)), np.array([1.0, -1.0, 2.0, -2.0]), np.arange(4))
+    >>> model = ClusterRobustErrors.of(np.ones((4, 1)), np.array([1.0, -1.0, 2.0, -2.0]), np.arange(4))
     >>> variance, freedom = model.variance(np.ones((1, 1)))
     >>> round(float(np.sqrt(variance[0])), 4), round(float(freedom[0]), 4)
     (0.9129, 3.0)
@@ -213,67 +223,67 @@ class ClusterRobust:
     scores: NDArray[np.float64]
     own: NDArray[np.float64]
     shared: NDArray[np.float64]
-    alone: tuple[int, ...]
-    scatter: tuple[float, float]
+    decisive: tuple[int, ...]
+    residual_variance: tuple[float, float]
 
     @classmethod
     def of(
         cls, jacobian: NDArray[np.float64], residuals: NDArray[np.float64], labels: NDArray[np.int64]
-    ) -> ClusterRobust:
-        """From a Jacobian, shape (points, parameters), residuals, shape (points,), and groups, from 0 without gaps."""
+    ) -> ClusterRobustErrors:
+        """Error model from a Jacobian, shape (points, parameters), residuals and group numbers, shape (points,)."""
         order = np.argsort(labels, kind="stable")
         starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
-        q, triangle = np.linalg.qr(jacobian[order])
-        # All that is needed of A_g is in the eigenvectors of Q_g^T Q_g: those of A_g within the space of Q_g.
+        q, triangle = _tsqr(jacobian[order])
+        # A_g = (I - Q_g Q_g^T)^-1/2 shares its eigenvectors in the space of Q_g with Q_g^T Q_g.
         information = np.add.reduceat(q[:, :, None] * q[:, None, :], starts)
         part, vectors = np.linalg.eigh(information)
         part = np.clip(part, 0.0, 1.0)
-        alone = tuple(np.flatnonzero(part.max(axis=1, initial=0.0) > 1 - _ALONE).tolist())
-        stretch = 1 / np.sqrt(np.maximum(1 - part, _ALONE))
-        pulls = np.add.reduceat(q * residuals[order, None], starts)
-        scores = np.einsum("gij,gj,gkj,gk->gi", vectors, stretch, vectors, pulls)
+        decisive = tuple(np.flatnonzero(part.max(axis=1, initial=0.0) > 1 - _DECISIVE).tolist())
+        stretch = 1 / np.sqrt(np.maximum(1 - part, _DECISIVE))
+        projected = np.add.reduceat(q * residuals[order, None], starts)
+        scores = np.einsum("gij,gj,gkj,gk->gi", vectors, stretch, vectors, projected)
         own = np.einsum("gij,gj,gkj->gik", vectors, part * stretch**2, vectors)
         shared = np.einsum("gij,gj,gkj->gik", vectors, part * stretch, vectors)
-        # A_g e_g itself: what of e_g is outside the space of Q_g stays, what is inside is stretched.
-        inverse = np.where(part > _ALONE, (stretch - 1) / np.maximum(part, _ALONE), 0.0)
-        added = np.einsum("gij,gj,gkj,gk->gi", vectors, inverse, vectors, pulls)
+        # A_g e_g: the part of e_g outside the space of Q_g stays, the part inside is stretched.
+        inverse = np.where(part > _DECISIVE, (stretch - 1) / np.maximum(part, _DECISIVE), 0.0)
+        added = np.einsum("gij,gj,gkj,gk->gi", vectors, inverse, vectors, projected)
         sizes = np.diff(np.append(starts, len(labels)))
         corrected = residuals[order] + np.einsum("ni,ni->n", q, np.repeat(added, sizes, axis=0))
-        return cls(triangle, scores, own, shared, alone, _scatter(corrected, starts, sizes, jacobian.shape[1]))
+        variance = _residual_variance(corrected, starts, sizes, jacobian.shape[1])
+        return cls(triangle, scores, own, shared, decisive, variance)
 
     def variance(self, gradients: NDArray[np.float64]) -> Pairs:
         z = _solve(self.triangle, gradients)
         variance = np.sum((z @ self.scores.T) ** 2, axis=1)
         # Omega_gh = delta_gh z'D_g z - w_g'w_h with w_g = E_g z; its trace and square sum without forming it.
-        own = np.einsum("mi,gij,mj->mg", z, self.own, z, optimize=True)
+        own = np.einsum("mgj,mj->mg", np.einsum("mi,gij->mgj", z, self.own), z)
         w = np.einsum("gij,mj->mgi", self.shared, z)
         squares = np.einsum("mgi,mgi->mg", w, w)
         total = np.einsum("mgi,mgj->mij", w, w)
         trace = np.sum(own - squares, axis=1)
         square_sum = np.sum((own - squares) ** 2 - squares**2, axis=1) + np.sum(total**2, axis=(1, 2))
-        with np.errstate(invalid="ignore"):  # a gradient of zeros has variance 0, and no degrees of freedom
+        with np.errstate(invalid="ignore"):  # a zero gradient has variance 0 and no degrees of freedom
             return variance, np.where(trace > 0, trace**2 / square_sum, np.inf)
 
 
-def _scatter(
+def _residual_variance(
     residuals: NDArray[np.float64], starts: NDArray[np.int64], sizes: NDArray[np.int64], parameters: int
 ) -> tuple[float, float]:
-    r"""Mean square of the residuals, and the degrees of freedom that their correlation within groups leaves it.
+    r"""Mean square of the residuals, and its degrees of freedom given their correlation within groups.
 
-    For n normal errors of equal size with the correlations R, :math:`e^T e` has the mean :math:`\sigma^2 n` and the
-    variance :math:`2 \sigma^4\,\mathrm{tr}\,R^2`, so as many degrees of freedom as :math:`n^2 / \mathrm{tr}\,R^2`;
-    with one correlation :math:`\rho` within groups of the sizes :math:`m_g` the trace is
-    :math:`n + \rho^2 \sum_g m_g (m_g - 1)`. That is n where :math:`\rho` is 0, the number of groups where it is 1
-    and they are of a size, and never more than n. The parameters take their share.
+    For n normal errors of equal variance with the correlation matrix R, :math:`e^T e` has the mean
+    :math:`\sigma^2 n` and the variance :math:`2 \sigma^4\,\mathrm{tr}\,R^2`, so :math:`n^2 / \mathrm{tr}\,R^2` degrees
+    of freedom; with one correlation :math:`\rho` within groups of the sizes :math:`m_g` the trace is
+    :math:`n + \rho^2 \sum_g m_g (m_g - 1)`. The parameters are subtracted in proportion.
     """
     count = len(residuals)
     square = float(residuals @ residuals) / count
     pairs = int(np.sum(sizes * (sizes - 1)))
     if not square or not pairs:
         return square, float(count - parameters)
-    agreement = float(np.sum(np.add.reduceat(residuals, starts) ** 2) - residuals @ residuals) / pairs / square
-    agreement = min(max(agreement, 0.0), 1.0)
-    return square, (count - parameters) / (1 + agreement**2 * pairs / count)
+    correlation = float(np.sum(np.add.reduceat(residuals, starts) ** 2) - residuals @ residuals) / pairs / square
+    correlation = min(max(correlation, 0.0), 1.0)
+    return square, (count - parameters) / (1 + correlation**2 * pairs / count)
 
 
 def _solve(triangle: NDArray[np.float64], gradients: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -284,20 +294,19 @@ def _solve(triangle: NDArray[np.float64], gradients: NDArray[np.float64]) -> NDA
 
 
 class Grouping(enum.Enum):
-    """Points within a group may share an error; groups are independent of each other.
+    """Grouping of points that may share an error; groups are independent of each other.
 
     Attributes
     ----------
     POINT
-        Every plateau mean is its own group: the errors are independent, as the classical formula has it.
+        Every plateau mean is a group: independent errors, the classical formula.
     STROKE
-        The points of one pass at one pressure: same level, repeat and way (see `ways`), as far as these are recorded.
-        What the zero of a force sensor, creep, or friction adds to a whole pass is then one error and not many.
+        Points of one pass at one pressure: same level, repeat and `approach_labels`, as far as recorded. A zero error
+        of the force sensor, creep or friction common to a pass then counts as one error.
     PRESSURE
-        All points of a pressure level: as well what the passes at a level have in common, such as how the law misses
-        the muscle there.
+        Points of one pressure level; their common error includes the misfit of the law there.
     REPEAT
-        All points of one repeat of the whole test.
+        Points of one repeat of the whole test.
     """
 
     POINT = "point"
@@ -306,17 +315,17 @@ class Grouping(enum.Enum):
     REPEAT = "repeat"
 
     def counted(self, count: int) -> str:
-        """Such as "1 stroke" or "26 strokes"."""
+        """Number of groups as text, such as "1 stroke" or "26 strokes"."""
         return f"{count} {self.value}{'' if count == 1 else 's'}"
 
 
 def group_labels(points: IsobaricDataset, grouping: Grouping) -> NDArray[np.int64]:
-    """The number of each point's group, from 0 without gaps, shape (points,).
+    """Group number of each point, from 0 without gaps, shape (points,).
 
     Raises
     ------
     IdentificationError
-        If the repeats are asked for and not recorded.
+        If repeats are asked for and not recorded.
 
     Examples
     --------
@@ -337,21 +346,21 @@ def group_labels(points: IsobaricDataset, grouping: Grouping) -> NDArray[np.int6
     if grouping in (Grouping.STROKE, Grouping.REPEAT) and "repeat" in points.table:
         columns.append(points.table["repeat"].to_numpy())
     if grouping is Grouping.STROKE:
-        columns.append(ways(points))
+        columns.append(approach_labels(points))
     if not columns:
         raise IdentificationError(
             "the data do not say which repeat a point belongs to",
             remedy="record a column 'repeat', or group by stroke or by pressure",
         )
-    return _numbered(columns)
+    return _row_numbers(columns)
 
 
-def ways(points: IsobaricDataset) -> NDArray[np.str_]:
-    """Which way each point was reached, shape (points,): what tells the passes at a level apart.
+def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
+    """Direction or phase of the pass that each point belongs to, shape (points,); empty where neither is known.
 
-    That is its direction, or its phase where no direction is known at its level and repeat; empty where neither is.
-    A point whose own is not known, as that at which a stroke begins after the muscle was filled, goes with the next
-    point of its level and repeat that has one, or with the last: it is no pass of its own.
+    The direction counts, or the phase where no direction is known at the same level and repeat. A point without a label
+    of its own, such as the first of a stroke after filling, belongs to the next labelled point of its level and repeat,
+    or to the last one.
 
     Examples
     --------
@@ -362,7 +371,7 @@ def ways(points: IsobaricDataset) -> NDArray[np.str_]:
     ...     direction=["", "unloading", "loading", "", ""],
     ...     phase=["filling", "", "", "filling", "venting"],
     ... )
-    >>> ways(points).tolist()
+    >>> approach_labels(points).tolist()
     ['unloading', 'unloading', 'loading', 'filling', 'venting']
     """
     direction, phase = (
@@ -370,7 +379,7 @@ def ways(points: IsobaricDataset) -> NDArray[np.str_]:
         for name in ("direction", "phase")
     )
     repeat = [points.table["repeat"].to_numpy()] if "repeat" in points.table else []
-    cells = _numbered([points.levels, *repeat])
+    cells = _row_numbers([points.levels, *repeat])
     has_direction = np.bincount(cells, direction != "") > 0
     order = np.argsort(cells, kind="stable")
     own, cell = np.where(has_direction[cells], direction, phase)[order], cells[order]
@@ -384,16 +393,16 @@ def ways(points: IsobaricDataset) -> NDArray[np.str_]:
     return found
 
 
-def finest_recorded(points: IsobaricDataset) -> Grouping:
+def finest_grouping(points: IsobaricDataset) -> Grouping:
     """Strokes where a direction, a phase or a repeat is known, else pressures."""
-    told_apart = bool(len(points.directions) or len(points.phases) or len(points.repeats))
-    return Grouping.STROKE if told_apart else Grouping.PRESSURE
+    has_passes = bool(len(points.directions) or len(points.phases) or len(points.repeats))
+    return Grouping.STROKE if has_passes else Grouping.PRESSURE
 
 
-def _numbered(columns: Sequence[np.ndarray]) -> NDArray[np.int64]:
-    """The number of each row among the distinct rows."""
+def _row_numbers(columns: Sequence[np.ndarray]) -> NDArray[np.int64]:
+    """Number of each row among the sorted distinct rows."""
     number = np.zeros(len(columns[0]), np.int64)
-    for column in columns:  # one after the other, so that numbers of rows are sorted and not rows
+    for column in columns:  # one after the other: numbers sort faster than rows
         codes = np.unique(column, return_inverse=True)[1].reshape(-1)
         number = np.unique(number * (int(codes.max(initial=0)) + 1) + codes, return_inverse=True)[1].reshape(-1)
     return number

@@ -1,14 +1,15 @@
-"""Validation: how far laws are from measured points, by pressure and direction, and at points held out."""
+"""Validation of force laws against measured points, by pressure and direction."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.schema import html_table
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
@@ -17,25 +18,25 @@ from mckibben.units import bar
 
 
 @dataclass(frozen=True)
-class Errors:
-    """The errors of one law over a group of points.
+class ErrorStatistics:
+    """Error statistics of one law over a group of points.
 
     Attributes
     ----------
     law
-        Its name.
+        Name of the law.
     pressure
-        The level [Pa]; None for all.
+        Level [Pa]; None for all.
     direction
         "loading" or "unloading"; None for all, or where it is not known.
     points
-        How many.
+        Number of points.
     rmse, max_error
-        Root of the mean square, and the largest without sign [N].
+        Root mean square and largest absolute error [N].
     bias
-        Mean of law minus measured [N]: positive where the law reads too high.
+        Mean of predicted minus measured force [N].
     outside
-        How many of the points lie outside the law's domain.
+        Number of points outside the law's domain.
     """
 
     law: str
@@ -48,32 +49,31 @@ class Errors:
     outside: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Validation:
     """Errors of laws at the taut points of a dataset.
 
     Attributes
     ----------
     errors
-        For each law: over all points, over each direction, over each pressure, and over each pressure and
-        direction.
+        For each law: over all points, each direction, each pressure, and each pressure and direction.
     slack
-        How many slack points were left out: a force is not measured there.
+        Number of slack points left out.
     specimen
-        As the dataset says.
+        Specimen of the dataset.
     """
 
-    errors: tuple[Errors, ...] = field(repr=False)
+    errors: tuple[ErrorStatistics, ...]
     slack: int
     specimen: str
 
     @property
     def laws(self) -> tuple[str, ...]:
-        """The names of the laws."""
+        """Names of the laws."""
         return tuple(dict.fromkeys(e.law for e in self.errors))
 
-    def of(self, law: str, *, pressure: float | None = None, direction: str | None = None) -> Errors:
-        """The errors of a law over all points, or at a pressure [Pa, met within 1 kPa], or in a direction.
+    def of(self, law: str, *, pressure: float | None = None, direction: str | None = None) -> ErrorStatistics:
+        """Errors of a law over all points, or at a pressure [Pa, within 1 kPa], or in a direction.
 
         Raises
         ------
@@ -94,25 +94,12 @@ class Validation:
         )
 
     def records(self) -> list[dict[str, str | float | int | None]]:
-        """One dictionary per group of points, for JSON or a table; SI units."""
+        """One dictionary per group of points, in SI units."""
         return [asdict(e) for e in self.errors]
 
     def report(self) -> str:
-        """A table as text."""
-        rows = [("law", "pressure", "direction", "points", "RMSE N", "max N", "bias N", "outside domain")]
-        rows += [
-            (
-                e.law,
-                "all" if e.pressure is None else f"{e.pressure / bar:.4g} bar",
-                e.direction or "all",
-                f"{e.points}",
-                f"{e.rmse:.2f}",
-                f"{e.max_error:.2f}",
-                f"{e.bias:+.2f}",
-                f"{e.outside}" if e.outside else "-",
-            )
-            for e in self.errors
-        ]
+        """Table as text."""
+        rows = [_HEADER, *map(_row, self.errors)]
         widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
         lines = [
             "  ".join(
@@ -121,23 +108,49 @@ class Validation:
             ).rstrip()
             for row in rows
         ]
-        name = self.specimen or "unnamed specimen"
-        return "\n".join([f"{name}: taut points; {self.slack} slack left out", *lines])
+        return "\n".join([self._title, *lines])
+
+    @property
+    def _title(self) -> str:
+        return f"{self.specimen or 'unnamed specimen'}: taut points; {self.slack} slack left out"
 
     def __str__(self) -> str:
         return self.report()
 
+    def __repr__(self) -> str:
+        found = ", ".join(f"{law} RMSE {self.of(law).rmse:.3g} N" for law in self.laws)
+        return f"<Validation on {self.specimen or 'unnamed specimen'}: {found}>"
+
+    def _repr_html_(self) -> str:
+        return html_table(self._title, _HEADER, map(_row, self.errors))
+
+
+_HEADER = ("law", "pressure", "direction", "points", "RMSE N", "max N", "bias N", "outside domain")
+
+
+def _row(e: ErrorStatistics) -> tuple[str, ...]:
+    return (
+        e.law,
+        "all" if e.pressure is None else f"{e.pressure / bar:.4g} bar",
+        e.direction or "all",
+        f"{e.points}",
+        f"{e.rmse:.2f}",
+        f"{e.max_error:.2f}",
+        f"{e.bias:+.2f}",
+        f"{e.outside}" if e.outside else "-",
+    )
+
 
 @dataclass(frozen=True)
 class HoldOut:
-    """A fit to one part of a dataset and its validation on the other.
+    """Fit to a training set and its validation on the held-out set.
 
     Attributes
     ----------
     fit
-        To the points that were kept.
+        Fit to the training set.
     validation
-        On the points held out; its law is named as its type.
+        Errors on the held-out set; the law is named by its class.
     """
 
     fit: Fit
@@ -149,12 +162,12 @@ def validate(
 ) -> Validation:
     """Compare laws with the plateau means of the taut points.
 
-    The laws are taken as they stand, inside and outside their domain; how many points are outside is counted.
+    Laws are evaluated inside and outside their domain; the points outside are counted.
 
     Parameters
     ----------
     laws
-        One law or fit, or several: by name, or named by their type (with a number where a type comes twice).
+        Law or fit, or several laws: by name, or named by their class (numbered where a class occurs twice).
     dataset
         Measured points.
 
@@ -188,19 +201,18 @@ def validate(
     points = means.taut
     if not named or not len(points):
         raise IdentificationError(
-            f"{len(named)} laws and {len(points)} taut points ({len(means) - len(points)} slack) are nothing to "
-            "compare",
+            f"{len(named)} laws and {len(points)} taut points ({len(means) - len(points)} slack) cannot be compared",
             remedy="give at least one of each",
         )
     groups = list(_groups(points))
-    errors: list[Errors] = []
+    errors: list[ErrorStatistics] = []
     for name, law in named.items():
         difference = forces(law, points.contraction, points.pressure) - points.force
         outside = ~np.asarray(law.domain.contains(points.contraction, points.levels))
         for pressure, direction, mask in groups:
             part = difference[mask]
             errors.append(
-                Errors(
+                ErrorStatistics(
                     law=name,
                     pressure=pressure,
                     direction=direction,
@@ -222,25 +234,24 @@ def hold_out(
     repeats: ArrayLike | None = None,
     directions: str | Sequence[str] | None = None,
 ) -> HoldOut:
-    """Fit a law to a part of a dataset and validate it on the rest.
+    """Fit a law to a training set and validate it on the held-out rest.
 
     Parameters
     ----------
     law_type
-        Such as `ExponentialLaw`.
+        Class of the law, such as `ExponentialLaw`.
     dataset
         Measured points.
     pressures, repeats, directions
-        What to hold out, as for `IsobaricDataset.split`. Where the pressures of a validation are among those
-        of the identification, as in the paper, hold out both by pressure and by repeat: the first asks
-        whether the law interpolates, the second whether the muscle repeats itself.
+        Points to hold out, as for `IsobaricDataset.split`. Pressures test whether the law interpolates, repeats
+        whether the muscle's behaviour is repeatable.
 
     Raises
     ------
     RangeError
-        If that holds out nothing, or everything.
+        If no point or every point is held out.
     IdentificationError
-        If the rest cannot determine the law, or the part held out has no taut point.
+        If the training set does not determine the law, or the held-out set has no taut point.
     """
     train, held_out = dataset.plateau_means().split(pressures=pressures, repeats=repeats, directions=directions)
     fit = identify(law_type, train)
@@ -256,7 +267,7 @@ def _named(laws: Sequence[ForceLaw]) -> dict[str, ForceLaw]:
 
 
 def _groups(points: IsobaricDataset) -> Iterator[tuple[float | None, str | None, NDArray[np.bool_]]]:
-    """All points, each direction, each pressure, each pressure with each direction; empty ones left out."""
+    """Masks of all points, each direction, each pressure, each pressure and direction; empty ones left out."""
     directions = points.table["direction"].to_numpy() if "direction" in points.table else None
     known = [str(d) for d in np.unique(directions)] if directions is not None else []
     levels = points.levels

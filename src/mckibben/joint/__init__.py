@@ -1,6 +1,6 @@
-"""The joint: geometry (Eqs. 4-5), torque and stiffness (Eqs. 7-8), and what can be attained."""
+"""The joint: geometry (Eqs. 4-5), torque and stiffness (Eqs. 7-8), load (Eq. 6) and attainable set."""
 
-from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, TorqueStiffnessMap
+from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, Measurement, TorqueStiffnessMap
 from mckibben.joint.geometry import KneeGeometry
 from mckibben.joint.load import Load
 from mckibben.joint.tendon import RigidTendon, SeriesSpring, Tendon
@@ -10,6 +10,7 @@ __all__ = [
     "AntagonisticJoint",
     "KneeGeometry",
     "Load",
+    "Measurement",
     "RigidTendon",
     "SeriesSpring",
     "Tendon",

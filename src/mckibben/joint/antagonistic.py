@@ -2,33 +2,45 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.errors import RangeError, UnreachableError
+from mckibben.errors import RangeError
 from mckibben.joint import attainable
 from mckibben.joint.geometry import KneeGeometry, Pair
 from mckibben.joint.tendon import RigidTendon, Tendon
-from mckibben.muscle import MaxwellSlip, Muscle, NoCreep, PressureAffineLaw
+from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw
+from mckibben.muscle.muscle import warn_outside
 from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.checks import check_kind, check_within
 from mckibben.numerics.elementary import floating
-from mckibben.units import deg
+
+MuscleStates = tuple[MuscleState, MuscleState]
+"""Internal states of muscles 1 and 2."""
+
+NO_STATES: MuscleStates = (NO_STATE, NO_STATE)
+
+
+class Measurement(NamedTuple):
+    """Measured angle [rad] and gauge pressures [Pa], (p1, p2), of a joint."""
+
+    angle: Float[Array, ""]
+    pressures: tuple[Float[Array, ""], Float[Array, ""]]
 
 
 def pressure_pair(pressures: tuple[ArrayLike, ArrayLike]) -> tuple[ArrayLike, ArrayLike]:
-    """The pressures of muscles 1 and 2, given as a pair; each is a number or an array.
+    """Return the pressures of muscles 1 and 2, given as a pair of numbers or arrays.
 
-    An array with more than one axis is refused, whatever its shape: which axis stands for the muscles is a guess.
+    An array with more than one axis is refused: the axis of the muscles would be a guess.
 
     Raises
     ------
     RangeError
-        If it is no pair.
+        If they are no pair.
     """
     shape = (len(pressures),) if isinstance(pressures, tuple | list) else jnp.shape(pressures)
     if shape != (2,):
@@ -40,29 +52,28 @@ def pressure_pair(pressures: tuple[ArrayLike, ArrayLike]) -> tuple[ArrayLike, Ar
 
 
 class AffineMap(NamedTuple):
-    """Something affine in the two pressures: value = offset + slope1 p1 + slope2 p2."""
+    """Quantity affine in the two pressures: offset + slope1 p1 + slope2 p2."""
 
     offset: Array
     slope1: Array
     slope2: Array
 
     def __call__(self, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
-        """The value at a pair of gauge pressures [Pa]."""
+        """Return the value at a pair of gauge pressures [Pa]."""
         pressure1, pressure2 = pressure_pair(pressures)
         return self.offset + self.slope1 * pressure1 + self.slope2 * pressure2
 
 
 class TorqueStiffnessMap(NamedTuple):
-    """Torque [N*m] and stiffness [N*m/rad] at one angle, over the pressures of two taut muscles."""
+    """Torque [N*m] and stiffness [N*m/rad] at one angle as functions of the pressures of two taut muscles."""
 
     torque: AffineMap
     stiffness: AffineMap
 
     def pressures_for(self, torque: ArrayLike, stiffness: ArrayLike) -> Pair:
-        """The two gauge pressures [Pa] that give both at once; they may lie outside any limits.
+        """Return the gauge pressures [Pa] that give a torque [N*m] and a stiffness [N*m/rad], without limits.
 
-        The exact inverse of the 2x2 map. It does not exist where both muscles move torque and stiffness in the same
-        proportion; there the answer is not finite.
+        The exact inverse of the 2x2 map; not finite where it is singular.
         """
         (torque0, t1, t2), (stiffness0, k1, k2) = self.torque, self.stiffness
         more_torque, more_stiffness = torque - torque0, stiffness - stiffness0
@@ -73,23 +84,35 @@ class TorqueStiffnessMap(NamedTuple):
         )
 
 
-class AntagonisticJoint(eqx.Module):
-    """Two muscles that pull a joint both ways.
+class MuscleForces(NamedTuple):
+    """Tensions [N], torque [N*m] and contractions [-] of the muscles, friction and creep included."""
 
-    Everywhere `pressures` is a pair of gauge pressures [Pa], (p1, p2), `angle` is in rad, and scalars and arrays
-    broadcast; what is no pair is refused with a `RangeError`. Torque and stiffness are those of the muscles alone;
-    gravity belongs to the load (`mckibben.plant`).
+    tensions: Pair
+    torque: Array
+    contractions: Pair
+
+
+class AntagonisticJoint(eqx.Module):
+    """A joint actuated by two antagonistic muscles.
+
+    In all methods `pressures` is a pair of gauge pressures [Pa], (p1, p2), `angle` is in rad, and scalars and arrays
+    broadcast; anything but a pair raises `RangeError`. Torque and stiffness are those of the muscles' laws; gravity
+    belongs to the `Load`. Outside a muscle's domain `torque`, `stiffness`, `torque_and_stiffness`, `tensions` and
+    `forces` issue a `DomainWarning`, except inside `jax.jit`.
+
+    Friction and creep act through internal states of the muscles: `init_state`, `state_rate`, `update_state`, and
+    `forces`, which contains them.
 
     Parameters
     ----------
     geometry
-        The muscles' paths.
+        Path lengths of the muscles.
     muscle1
-        The antagonist: it lengthens as the angle grows.
+        Antagonist: lengthens as the angle increases.
     muscle2
-        The agonist: it shortens as the angle grows.
+        Agonist: shortens as the angle increases.
     tendon
-        What connects each muscle to its path; rigid unless said.
+        Connection of each muscle to its path; rigid by default.
 
     Examples
     --------
@@ -113,28 +136,44 @@ class AntagonisticJoint(eqx.Module):
             muscle2=(self.muscle2, Muscle),
             tendon=(self.tendon, Tendon),
         )
-        if not isinstance(self.tendon, RigidTendon):  # then the rate of a muscle's length is no function of the state
+        if not isinstance(self.tendon, RigidTendon):  # the rate of the length is no function of the state
             owner = f"muscle in series with a {type(self.tendon).__name__}"
             for muscle in (self.muscle1, self.muscle2):
                 if isinstance(muscle.friction, MaxwellSlip):
                     check_within(owner, 0.0, 0.0, "N*s/m", viscous=muscle.friction.viscous)
-                if not isinstance(muscle.creep, NoCreep):
+                if muscle.has_creep:
                     raise RangeError(
                         f"{owner}: its creep follows the rate of its length, which is not known there",
                         remedy="leave out the creep or the spring",
                     )
 
-    def contractions(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
-        """The contraction [-] of each muscle."""
+    def __repr__(self) -> str:
+        return f"AntagonisticJoint({self.muscle1!r}, {self.muscle2!r}, {type(self.tendon).__name__})"
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether a muscle has friction."""
+        return self.muscle1.has_friction or self.muscle2.has_friction
+
+    @property
+    def has_creep(self) -> bool:
+        """Whether a muscle has creep."""
+        return self.muscle1.has_creep or self.muscle2.has_creep
+
+    def contractions(
+        self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike], states: MuscleStates = NO_STATES
+    ) -> Pair:
+        """Return the contraction [-] of each muscle."""
         pressure1, pressure2 = pressure_pair(pressures)
         path1, path2 = self.geometry.path_lengths(angle)
         return (
-            self.tendon.contraction(self.muscle1, path1, pressure1),
-            self.tendon.contraction(self.muscle2, path2, pressure2),
+            self.tendon.contraction(self.muscle1, path1, pressure1, states[0]),
+            self.tendon.contraction(self.muscle2, path2, pressure2, states[1]),
         )
 
     def tensions(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
-        """The pull [N] of each muscle, F1 and F2."""
+        """Return the tension [N] of each muscle, F1 and F2."""
+        _warn_outside(self, angle, pressures)
         pressure1, pressure2 = pressure_pair(pressures)
         path1, path2 = self.geometry.path_lengths(angle)
         return (
@@ -143,7 +182,8 @@ class AntagonisticJoint(eqx.Module):
         )
 
     def torque(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
-        """The muscles' torque [N*m], F2 d2 - F1 d1 (Eq. 7 without its gravity)."""
+        """Return the torque of the muscles [N*m], F2 d2 - F1 d1 (Eq. 7 without gravity)."""
+        _warn_outside(self, angle, pressures)
         pressure1, pressure2 = pressure_pair(pressures)
         (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
         tension1 = self.tendon.tension(self.muscle1, path1, pressure1)
@@ -151,25 +191,100 @@ class AntagonisticJoint(eqx.Module):
         return tension2 * arm2 - tension1 * arm1
 
     def stiffness(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
-        """The isobaric stiffness [N*m/rad]: minus the derivative of the torque at constant pressures (Eq. 8).
+        """Return the isobaric stiffness [N*m/rad]: minus the derivative of the torque at constant pressures (Eq. 8).
 
-        Positive where the joint returns by itself; the paper's sign is the opposite.
+        Positive for a stable joint; the sign in the paper is the opposite.
         """
-        return self.torque_and_stiffness(angle, pressures)[1]
+        _warn_outside(self, angle, pressures)
+        return self.evaluate(angle, pressures)[1]
 
     def torque_and_stiffness(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
-        """Both, from one pass."""
+        """Return torque [N*m] and stiffness [N*m/rad] from one pass."""
+        _warn_outside(self, angle, pressures)
+        return self.evaluate(angle, pressures)
+
+    def evaluate(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
+        """Return `torque_and_stiffness` without a check of the domain."""
         pressure1, pressure2 = pressure_pair(pressures)
         # The chain rule by hand between geometry and tension: a third of the operations of differentiating all at once.
         (paths, arms), (path_slopes, arm_slopes) = value_and_derivative(self.geometry.paths_and_arms, angle)
 
-        def pulled(i: int, muscle: Muscle, pressure: ArrayLike) -> Pair:
-            """One muscle's torque, without its sign, and the derivative with respect to the angle."""
+        def unsigned_torque(i: int, muscle: Muscle, pressure: ArrayLike) -> Pair:
+            """Tension times moment arm of one muscle, and its derivative with respect to the angle."""
             tension, by_path = value_and_derivative(lambda path: self.tendon.tension(muscle, path, pressure), paths[i])
             return tension * arms[i], by_path * path_slopes[i] * arms[i] + tension * arm_slopes[i]
 
-        (torque1, slope1), (torque2, slope2) = pulled(0, self.muscle1, pressure1), pulled(1, self.muscle2, pressure2)
+        torque1, slope1 = unsigned_torque(0, self.muscle1, pressure1)
+        torque2, slope2 = unsigned_torque(1, self.muscle2, pressure2)
         return torque2 - torque1, slope1 - slope2
+
+    def init_state(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> MuscleStates:
+        """Return unstressed, relaxed internal states of the muscles."""
+        if not (self.has_friction or self.has_creep):
+            return NO_STATES
+        contraction1, contraction2 = self.contractions(angle, pressures)
+        return self.muscle1.init_state(contraction1), self.muscle2.init_state(contraction2)
+
+    def state_rate(self, states: MuscleStates, angle: ArrayLike, velocity: ArrayLike) -> MuscleStates:
+        """Return the time derivatives of the internal states at an angular velocity [rad/s]."""
+        if not self.has_creep:
+            return NO_STATES
+        arm1, arm2 = self.geometry.moment_arms(angle)
+        return (
+            self.muscle1.state_rate(states[0], arm1 * velocity),  # muscle 1 lengthens as the angle increases
+            self.muscle2.state_rate(states[1], -arm2 * velocity),
+        )
+
+    def update_state(
+        self, states: MuscleStates, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]
+    ) -> MuscleStates:
+        """Return the internal states after a short move to an angle and pressures; no force changes by it."""
+        if not (self.has_friction or self.has_creep):
+            return states
+        contraction1, contraction2 = self.contractions(angle, pressures, states)
+        return (
+            self.muscle1.update_state(states[0], contraction1, pressures[0]),
+            self.muscle2.update_state(states[1], contraction2, pressures[1]),
+        )
+
+    def forces(
+        self,
+        angle: ArrayLike,
+        velocity: ArrayLike,
+        pressures: tuple[ArrayLike, ArrayLike],
+        states: MuscleStates = NO_STATES,
+    ) -> MuscleForces:
+        """Return tensions, torque and contractions with friction and creep, at an angular velocity [rad/s]."""
+        _warn_outside(self, angle, pressures)
+        pressure1, pressure2 = pressure_pair(pressures)
+        (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
+        velocity = floating(velocity)
+
+        def one(muscle: Muscle, state: MuscleState, path: Array, rate: Array, pressure: ArrayLike) -> Pair:
+            contraction = self.tendon.contraction(muscle, path, pressure, state)
+            tension = muscle.tension(contraction, pressure, state)
+            return tension + muscle.viscous_force(contraction, pressure, rate, state), contraction
+
+        tension1, contraction1 = one(self.muscle1, states[0], path1, arm1 * velocity, pressure1)
+        tension2, contraction2 = one(self.muscle2, states[1], path2, -arm2 * velocity, pressure2)
+        return MuscleForces((tension1, tension2), tension2 * arm2 - tension1 * arm1, (contraction1, contraction2))
+
+    def friction_torque(
+        self,
+        angle: ArrayLike,
+        velocity: ArrayLike,
+        pressures: tuple[ArrayLike, ArrayLike],
+        states: MuscleStates,
+    ) -> Array:
+        """Return the part of the torque [N*m] of `forces` that is friction."""
+        added = jnp.asarray(self.forces(angle, velocity, pressures, states).torque) - self.torque(angle, pressures)
+        return added - self.creep_torque(angle, pressures, states) if self.has_creep else added
+
+    def creep_torque(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike], states: MuscleStates) -> Array:
+        """Return the part of the torque [N*m] of `forces` that is creep."""
+        (arm1, arm2), (tension1, tension2) = self.geometry.moment_arms(angle), self.tensions(angle, pressures)
+        force1 = self.muscle1.creep.force(states[0].creep, tension1)
+        return self.muscle2.creep.force(states[1].creep, tension2) * arm2 - force1 * arm1
 
     def closed_valve_stiffness(
         self,
@@ -179,23 +294,23 @@ class AntagonisticJoint(eqx.Module):
         polytropic_index: float = 1.0,
         atmosphere: float = 101325.0,
     ) -> Float[Array, "..."]:
-        """The stiffness [N*m/rad] with the air locked in: p V^n stays constant, V from the braid.
+        """Return the stiffness [N*m/rad] with closed valves: p V^n is constant, V from the braid.
 
         Parameters
         ----------
         angle, pressures
-            The state at which the valves were closed, [rad] and [Pa].
+            State at which the valves were closed, [rad] and [Pa].
         polytropic_index
-            n: 1 for slow motion (isothermal), 1.4 for fast (adiabatic).
+            n: 1 for slow (isothermal), 1.4 for fast motion (adiabatic).
         atmosphere
-            The ambient pressure [Pa]; the gas law is about absolute pressure.
+            Ambient pressure [Pa].
         """
         pressure1, pressure2 = pressure_pair(pressures)
         path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
         path1, path2 = self.geometry.path_lengths(angle)
 
         def tension_slope(muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike) -> Array:
-            """The derivative of one muscle's tension with respect to the angle, its air locked in."""
+            """Derivative of one muscle's tension with respect to the angle, valve closed."""
             pressure = floating(pressure)
             contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)
             by_pressure = derivative(lambda p: self.tendon.contraction(muscle, path, p), pressure)
@@ -213,12 +328,12 @@ class AntagonisticJoint(eqx.Module):
         return slope1 * arm1 + tension1 * arm_slope1 - slope2 * arm2 - tension2 * arm_slope2
 
     def affine_map(self, angle: ArrayLike) -> TorqueStiffnessMap:
-        """Torque and stiffness at an angle as affine functions of the two pressures, while both muscles are taut.
+        """Return torque and stiffness at an angle as affine functions of the pressures of taut muscles.
 
         Raises
         ------
         TypeError
-            If the tendon gives or a law is not affine in pressure: then no such map exists.
+            If the tendon is elastic or a law is not affine in pressure.
         """
         for muscle in (self.muscle1, self.muscle2):
             if not isinstance(muscle.law, PressureAffineLaw):
@@ -242,7 +357,7 @@ class AntagonisticJoint(eqx.Module):
         pressure_limits: tuple[float, float] | None = None,
         minimum_tension: float = 0.0,
     ) -> Pair:
-        """The lowest and highest torque [N*m] that can be held at an angle; see `attainable_stiffness`."""
+        """Return the range of static torque [N*m] at an angle; arguments as for `attainable_stiffness`."""
         return attainable.torque_range(self, angle, pressure_limits, minimum_tension)
 
     def attainable_stiffness(
@@ -253,92 +368,52 @@ class AntagonisticJoint(eqx.Module):
         pressure_limits: tuple[float, float] | None = None,
         minimum_tension: float = 0.0,
     ) -> Pair:
-        """The lowest and highest stiffness [N*m/rad] that can be held at an angle while the muscles give a torque.
+        """Return the range of stiffness [N*m/rad] at which the taut muscles give a torque at an angle.
 
-        Both muscles are taut: with one that is slack at every pressure nothing is attainable.
-        With a rigid tendon and laws affine in pressure the set is a segment and its ends are exact. With a series
-        spring it is scanned at a few hundred tensions.
+        Exact with a rigid tendon and laws affine in pressure; with a series spring, from a scan of a few hundred
+        tensions.
 
         Parameters
         ----------
         angle, torque
-            Where [rad] and how hard [N*m] the muscles pull.
+            Angle [rad] and torque of the muscles [N*m].
         pressure_limits
-            Lowest and highest gauge pressure [Pa]; the muscles' domains unless given.
+            Lowest and highest gauge pressure [Pa]; the muscles' domains by default.
         minimum_tension
-            What each muscle must keep [N]; at 0 they are just taut.
+            Lowest tension [N] of each muscle.
 
         Returns
         -------
         lowest, highest
-            NaN where the torque cannot be held at that angle: for the pressures, because a muscle would leave the
-            contractions of its domain or is slack at every pressure within the limits, or because its tension would
-            exceed its specimen's rating.
+            NaN where the torque is not attainable: outside the pressures, the contractions of a muscle's domain or its
+            rated force, or because a muscle is slack at all pressures.
         """
         return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension)
 
-    def pressures_for(self, angle: float, torque: float, stiffness: float | None = None) -> Pair:
-        """The gauge pressures [Pa] within the muscles' domains that give a torque and a stiffness at an angle.
+    def pressures_for(self, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None = None) -> Pair:
+        """Return gauge pressures [Pa] within the muscles' domains that give a torque and a stiffness at an angle.
 
         Parameters
         ----------
         angle, torque
-            Where [rad] and how hard [N*m].
+            Angle [rad] and torque of the muscles [N*m].
         stiffness
-            How stiff [N*m/rad]; unless given, amid the slackest and the tightest state (the middle of the attainable
-            range, where the stiffness is affine in the pressures).
+            Stiffness [N*m/rad]; by default, that midway between the slackest and the tightest state.
 
         Raises
         ------
         UnreachableError
-            If there are none; it names the attainable range.
+            If there are none; with the attainable range.
         RangeError
             If a muscle would leave its domain, or a number is not finite.
         """
-        found = attainable.hold(self, angle, torque, math.nan if stiffness is None else stiffness)
-        return self.held(found, angle, torque, stiffness)
+        return attainable.pressures_for(self, angle, torque, stiffness)
 
-    def held(self, found: attainable.Hold, angle: float, torque: float, stiffness: float | None) -> Pair:
-        """The pressures of an answer of `attainable.hold` to these numbers; raises as `pressures_for` does."""
-        for name, value in (("angle", angle), ("torque", torque), ("stiffness", stiffness)):
-            if value is not None and not math.isfinite(value):
-                raise RangeError(f"the {name} is {value}", value=value, remedy="give a finite number")
-        if found.exists:
-            return found.pressures
-        where = f"at {float(angle) / deg:.4g} deg with a torque of {float(torque):.4g} N*m"
-        low, high = float(found.lowest), float(found.highest)
-        if not low <= high:
-            contractions = self.contractions(angle, attainable.pressure_limits_of(self)[1])
-            for muscle, contraction in zip((self.muscle1, self.muscle2), contractions, strict=True):
-                stretched = float(contraction) < float(muscle.domain.contraction_min)
-                muscle.domain.check_contraction(
-                    float(contraction),
-                    muscle.specimen.name,
-                    remedy="give the joint a series spring or a longer connector"
-                    if stretched
-                    else "give the joint a shorter connector or a longer muscle",
-                )
-            raise UnreachableError(
-                f"no pressures and tensions within limits hold the joint {where}",
-                value=angle,
-                unit="rad",
-                remedy="choose a smaller angle, a longer connector or a series spring",
-            )
-        if low <= (stiffness or 0.0) <= high:
-            raise UnreachableError(
-                f"stiffness {stiffness:.4g} N*m/rad {where} lies in a gap of the attainable {low:.4g}..{high:.4g} "
-                "N*m/rad: it jumps where a spring meets its stop",
-                value=stiffness,
-                lower=low,
-                upper=high,
-                unit="N*m/rad",
-                remedy="choose another stiffness, preload or travel",
-            )
-        raise UnreachableError(
-            f"stiffness {stiffness:.4g} N*m/rad {where} is outside the attainable {low:.4g}..{high:.4g} N*m/rad",
-            value=stiffness,
-            lower=low,
-            upper=high,
-            unit="N*m/rad",
-            remedy="choose a stiffness inside, or change the connector length",
-        )
+
+def _warn_outside(joint: AntagonisticJoint, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> None:
+    """Warn of concrete states outside a muscle's domain."""
+    pressure1, pressure2 = pressure_pair(pressures)
+    if not any(isinstance(value, Tracer) for value in (angle, pressure1, pressure2)):
+        contraction1, contraction2 = joint.contractions(angle, pressures)
+        points = (joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2)
+        warn_outside(*points, stacklevel=5)

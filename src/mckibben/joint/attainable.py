@@ -1,62 +1,75 @@
-"""What a joint can hold: the torques and stiffnesses that pressures within limits can give.
+"""Attainable set of a joint: static torques and stiffnesses for pressures within limits.
 
-Each muscle's tension can be anything between its tension at the lowest and at the highest pressure. A torque leaves one
-freedom, co-contraction: along T2 d2 - T1 d1 = torque both tensions rise together. Two taut muscles with affine laws and
-rigid tendons have a stiffness that is affine along that line, so its extremes are the two ends.
+The tension of each muscle lies between those at the lowest and the highest pressure. A torque leaves one degree of
+freedom, co-contraction: along T2 d2 - T1 d1 = torque both tensions rise together. With rigid tendons and laws affine in
+pressure the stiffness is affine along that segment, so its extremes are at the two ends.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+import math
+from typing import NamedTuple, NoReturn, Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
-from mckibben.joint.geometry import Pair
-from mckibben.joint.tendon import RigidTendon
+from mckibben.errors import RangeError, UnreachableError
+from mckibben.joint.geometry import KneeGeometry, Pair
+from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
-
-if TYPE_CHECKING:
-    from mckibben.joint.antagonistic import AntagonisticJoint
+from mckibben.units import deg
 
 _SCANNED = 401
-_MET = 1e-6  # how near a stiffness has to come to the wish, as a part of it
-_INSIDE = 1e-9  # how far inside its ends a segment is looked at, as a part of it: at the very end a muscle is slack
+_TOLERANCE = 1e-6  # relative, of a stiffness that was found
+_INSIDE = 1e-9  # distance from the ends of a segment, as a fraction: at the very end a muscle is slack
+
+
+class Joint(Protocol):
+    """Attributes of an `AntagonisticJoint` that its attainable set depends on."""
+
+    @property
+    def geometry(self) -> KneeGeometry: ...
+    @property
+    def muscle1(self) -> Muscle: ...
+    @property
+    def muscle2(self) -> Muscle: ...
+    @property
+    def tendon(self) -> Tendon: ...
+    def contractions(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair: ...
+    def evaluate(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair: ...
 
 
 def torque_range(
-    joint: AntagonisticJoint,
-    angle: ArrayLike,
-    pressure_limits: tuple[float, float] | None,
-    minimum_tension: float,
+    joint: Joint, angle: ArrayLike, pressure_limits: tuple[float, float] | None, minimum_tension: float
 ) -> Pair:
     """See `AntagonisticJoint.attainable_torque`."""
     paths, (arm1, arm2) = joint.geometry.paths_and_arms(floating(angle))
     low, high = _tension_ranges(joint, paths, pressure_limits, minimum_tension)
     lowest, highest = low[1] * arm2 - high[0] * arm1, high[1] * arm2 - low[0] * arm1
-    holdable = (low[0] <= high[0]) & (low[1] <= high[1])
-    return jnp.where(holdable, lowest, jnp.nan), jnp.where(holdable, highest, jnp.nan)
+    feasible = (low[0] <= high[0]) & (low[1] <= high[1])
+    return jnp.where(feasible, lowest, jnp.nan), jnp.where(feasible, highest, jnp.nan)
 
 
 def stiffness_range(
-    joint: AntagonisticJoint,
+    joint: Joint,
     angle: ArrayLike,
     torque: ArrayLike,
     pressure_limits: tuple[float, float] | None,
     minimum_tension: float,
 ) -> Pair:
     """See `AntagonisticJoint.attainable_stiffness`."""
-    segment = segment_of(joint, angle, torque, pressure_limits, minimum_tension)
-    return _range(segment, segment.along())
+    segment = cocontraction_segment(joint, angle, torque, pressure_limits, minimum_tension)
+    return _range(segment, segment.profile())
 
 
-class Hold(NamedTuple):
-    """An answer to `hold`: the pressures [Pa], whether they exist, and the attainable stiffness [N*m/rad]."""
+class StaticSolution(NamedTuple):
+    """Pressures [Pa] of a static state, whether it exists, and the attainable stiffness [N*m/rad]."""
 
     pressures: Pair
     exists: Array
@@ -65,174 +78,244 @@ class Hold(NamedTuple):
 
 
 @compiled
-def hold(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> Hold:
-    """The pressures that give a torque and a stiffness at an angle; amid the co-contractions for a stiffness of NaN."""
-    segment = segment_of(joint, angle, torque, None, 0.0)
-    return _held(segment.along(), segment.holdable, stiffness, _places(joint))
+def solve_static(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
+    """Return the pressures for a torque and a stiffness at an angle, midway for NaN."""
+    return _solve_static(joint, angle, torque, stiffness)
 
 
-def hold_and_range(joint: AntagonisticJoint, angle: Array, torque: Array, stiffness: ArrayLike) -> tuple[Hold, Pair]:
-    """`hold` at the first of several angles, and `stiffness_range` at all of them, from one pass.
+def _solve_static(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
+    segment = cocontraction_segment(joint, angle, torque, None, 0.0)
+    return _solve(segment.profile(), segment.feasible, stiffness, _fractions(joint))
+
+
+@compiled
+def _solve_many(joint: Joint, angle: Array, torque: Array, stiffness: Array) -> StaticSolution:
+    """Return the solutions for arrays of shape (n,)."""
+    return jax.vmap(lambda *numbers: _solve_static(joint, *numbers))(angle, torque, stiffness)
+
+
+def solve_static_and_range(
+    joint: Joint, angle: Array, torque: Array, stiffness: ArrayLike
+) -> tuple[StaticSolution, Pair]:
+    """Return `solve_static` at the first of several angles, and `stiffness_range` at all, from one pass.
 
     Parameters
     ----------
     joint
-        What holds.
+        The joint.
     angle, torque
         Shape (n,): [rad], [N*m].
     stiffness
-        At the first of them [N*m/rad].
+        At the first angle [N*m/rad].
     """
-    segment = segment_of(joint, angle, torque, None, 0.0)
-    along = segment.along()
-    return _held(along.first(), segment.holdable[0], stiffness, _places(joint)), _range(segment, along)
+    segment = cocontraction_segment(joint, angle, torque, None, 0.0)
+    profile = segment.profile()
+    first = _solve(profile.first(), segment.feasible[0], stiffness, _fractions(joint))
+    return first, _range(segment, profile)
 
 
-def _held(along: Along, holdable: Array, stiffness: ArrayLike, places: Array) -> Hold:
-    """The place along a segment where the stiffness is as wished."""
+def pressures_for(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None) -> Pair:
+    """See `AntagonisticJoint.pressures_for`."""
+    check_finite(angle=angle, torque=torque, stiffness=0.0 if stiffness is None else stiffness)
+    wanted = math.nan if stiffness is None else stiffness
+    numbers = np.broadcast_arrays(*(np.asarray(x, float) for x in (angle, torque, wanted)))
+    shape = numbers[0].shape
+    found = _solve_many(joint, *map(np.ravel, numbers)) if shape else solve_static(joint, *numbers)
+    missing = np.flatnonzero(~np.asarray(found.exists))
+    if missing.size:
+        first = jax.tree.map(lambda x: np.ravel(x)[missing[0]], found)
+        raise_unattainable(joint, first, *(float(np.ravel(x)[missing[0]]) for x in numbers))
+    return found.pressures[0].reshape(shape), found.pressures[1].reshape(shape)
 
-    def stiffness_at(place: ArrayLike) -> Array:
-        return along(place)[1]
 
-    scanned = stiffness_at(places)
+def check_finite(**numbers: ArrayLike) -> None:
+    """Raise `RangeError` unless all numbers are finite."""
+    for name, value in numbers.items():
+        if not np.all(np.isfinite(np.asarray(value, float))):
+            raise RangeError(f"the {name} is {value}", value=value, remedy="give a finite number")
+
+
+def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque: float, stiffness: float) -> NoReturn:
+    """Raise the reason why a static state does not exist; a stiffness of NaN stands for none in particular."""
+    where = f"at {angle / deg:.4g} deg with a torque of {torque:.4g} N*m"
+    low, high = float(found.lowest), float(found.highest)
+    if not low <= high:
+        contractions = joint.contractions(angle, pressure_limits_of(joint)[1])
+        for muscle, contraction in zip((joint.muscle1, joint.muscle2), contractions, strict=True):
+            stretched = float(contraction) < float(muscle.domain.contraction_min)
+            muscle.domain.check_contraction(
+                float(contraction),
+                muscle.specimen.name,
+                remedy="give the joint a series spring or a longer connector"
+                if stretched
+                else "give the joint a shorter connector or a longer muscle",
+            )
+        raise UnreachableError(
+            f"no pressures and tensions within limits hold the joint {where}",
+            value=angle,
+            unit="rad",
+            remedy="choose a smaller angle, a longer connector or a series spring",
+        )
+    attainable = {"value": stiffness, "lower": low, "upper": high, "unit": "N*m/rad"}
+    if low <= stiffness <= high:
+        raise UnreachableError(
+            f"stiffness {stiffness:.4g} N*m/rad {where} lies in a gap of the attainable {low:.4g}..{high:.4g} "
+            "N*m/rad: it jumps where a spring meets its stop",
+            remedy="choose another stiffness, preload or travel",
+            **attainable,
+        )
+    raise UnreachableError(
+        f"stiffness {stiffness:.4g} N*m/rad {where} is outside the attainable {low:.4g}..{high:.4g} N*m/rad",
+        remedy="choose a stiffness inside, or change the connector length",
+        **attainable,
+    )
+
+
+def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: Array) -> StaticSolution:
+    """Return the state along a segment with a given stiffness."""
+
+    def stiffness_at(fraction: ArrayLike) -> Array:
+        return profile(fraction)[1]
+
+    scanned = stiffness_at(fractions)
     lowest, highest = jnp.min(scanned), jnp.max(scanned)
 
-    # The wish lies between neighbours; a spring that meets a stop makes the stiffness jump: the smallest step is best.
+    # Bracket by neighbours. A spring that meets a stop makes the stiffness jump: take the smallest step.
     wanted = jnp.where(jnp.isnan(stiffness), lowest, stiffness)
     between = (scanned[1:] - wanted) * (scanned[:-1] - wanted) <= 0
     first = jnp.argmin(jnp.where(between, jnp.abs(scanned[1:] - scanned[:-1]), jnp.inf))
-    rising = scanned[first + 1] > scanned[first]
+    increasing = scanned[first + 1] > scanned[first]
 
-    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
+    def bisect(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
         middle = (low + high) / 2
-        beyond = (stiffness_at(middle) >= wanted) == rising
+        beyond = (stiffness_at(middle) >= wanted) == increasing
         return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
 
-    low, high = lax.fori_loop(0, 60, halve, (places[first], places[first + 1]))
-    anywhere = jnp.isnan(stiffness)
-    found = lax.stop_gradient((low + high) / 2)
-    # Bisection finds the place but not how it moves with the joint's numbers; one step of Newton's method does.
-    value, slope = value_and_derivative(stiffness_at, found)
+    low, high = lax.fori_loop(0, 60, bisect, (fractions[first], fractions[first + 1]))
+    unspecified = jnp.isnan(stiffness)
+    root = lax.stop_gradient((low + high) / 2)
+    # One step of Newton's method makes the root differentiable with respect to the numbers of the joint.
+    value, slope = value_and_derivative(stiffness_at, root)
     newton = (value - wanted) / jnp.where(slope == 0, jnp.inf, lax.stop_gradient(slope))
-    place = jnp.where(anywhere, 0.5, found - (newton - lax.stop_gradient(newton)))
-    pressures, reached = along(place)
-    met = jnp.abs(reached - wanted) <= _MET * jnp.abs(wanted)
-    return Hold(
+    fraction = jnp.where(unspecified, 0.5, root - (newton - lax.stop_gradient(newton)))
+    pressures, reached = profile(fraction)
+    met = jnp.abs(reached - wanted) <= _TOLERANCE * jnp.abs(wanted)
+    return StaticSolution(
         pressures,
-        holdable & (anywhere | (jnp.any(between) & met)),
-        jnp.where(holdable, lowest, jnp.nan),
-        jnp.where(holdable, highest, jnp.nan),
+        feasible & (unspecified | (jnp.any(between) & met)),
+        jnp.where(feasible, lowest, jnp.nan),
+        jnp.where(feasible, highest, jnp.nan),
     )
 
 
-def _range(segment: Segment, along: Along) -> Pair:
-    """The lowest and the highest stiffness of each segment."""
-    _, stiffness = along(_over(_places(segment.joint), segment.angle))
+def _range(segment: Segment, profile: Profile) -> Pair:
+    """Return the lowest and the highest stiffness of each segment."""
+    _, stiffness = profile(_leading_axis(_fractions(segment.joint), segment.angle))
     return (
-        jnp.where(segment.holdable, jnp.min(stiffness, axis=0), jnp.nan),
-        jnp.where(segment.holdable, jnp.max(stiffness, axis=0), jnp.nan),
+        jnp.where(segment.feasible, jnp.min(stiffness, axis=0), jnp.nan),
+        jnp.where(segment.feasible, jnp.max(stiffness, axis=0), jnp.nan),
     )
 
 
-def _places(joint: AntagonisticJoint) -> Array:
-    """Where to look at a segment: at its ends, or all along it."""
+def _fractions(joint: Joint) -> Array:
+    """Return the fractions of a segment at which to evaluate it: its two ends, or a scan."""
     return jnp.linspace(_INSIDE, 1 - _INSIDE, 2 if is_affine(joint) else _SCANNED)
 
 
-class _Straight(NamedTuple):
-    """Pressures and stiffness along a segment where all are affine in the place, from those at the first and last."""
+class _AffineProfile(NamedTuple):
+    """Pressures and stiffness along a segment, affine in the fraction, from those at its ends."""
 
     starts: tuple[Array, Array, Array]
     ends: tuple[Array, Array, Array]
 
-    def __call__(self, place: ArrayLike) -> tuple[Pair, Array]:
-        part = (place - _INSIDE) / (1 - 2 * _INSIDE)
+    def __call__(self, fraction: ArrayLike) -> tuple[Pair, Array]:
+        part = (fraction - _INSIDE) / (1 - 2 * _INSIDE)
         pressure1, pressure2, stiffness = (
             start + (end - start) * part for start, end in zip(self.starts, self.ends, strict=True)
         )
         return (pressure1, pressure2), stiffness
 
-    def first(self) -> _Straight:
+    def first(self) -> _AffineProfile:
         return jax.tree.map(lambda values: values[0], self)
 
 
-class _Bent(NamedTuple):
-    """Pressures and stiffness along a segment, worked out at each place."""
+class _EvaluatedProfile(NamedTuple):
+    """Pressures and stiffness along a segment, evaluated at each fraction."""
 
     segment: Segment
 
-    def __call__(self, place: ArrayLike) -> tuple[Pair, Array]:
-        return self.segment.at(place)
+    def __call__(self, fraction: ArrayLike) -> tuple[Pair, Array]:
+        return self.segment.at(fraction)
 
-    def first(self) -> _Bent:
+    def first(self) -> _EvaluatedProfile:
         joint, *numbers = self.segment
-        return _Bent(Segment(joint, *jax.tree.map(lambda values: values[0], numbers)))
+        return _EvaluatedProfile(Segment(joint, *jax.tree.map(lambda values: values[0], numbers)))
 
 
-Along = _Straight | _Bent
-"""Pressures and stiffness as a function of the place on a segment; `first` is that of the first of several segments."""
+Profile = _AffineProfile | _EvaluatedProfile
+"""Pressures and stiffness as a function of the fraction of a segment; `first` is that of the first of several."""
 
 
 class Segment(NamedTuple):
-    """The states that give one torque at one angle, from the slackest (place 0) to the tightest (place 1)."""
+    """States with one torque at one angle, from the slackest (fraction 0) to the tightest (fraction 1)."""
 
-    joint: AntagonisticJoint
+    joint: Joint
     angle: Array
     torque: Array
     paths: Pair
     arms: Pair
-    first: Array  # tension of muscle 1 [N] at place 0
-    last: Array  # and at place 1
-    holdable: Array
+    first: Array  # tension of muscle 1 [N] at fraction 0
+    last: Array  # and at fraction 1
+    feasible: Array
 
-    def pressures(self, place: ArrayLike) -> Pair:
+    def pressures(self, fraction: ArrayLike) -> Pair:
         joint = self.joint
-        tension1 = self.first + (self.last - self.first) * place
+        tension1 = self.first + (self.last - self.first) * fraction
         tension2 = (self.torque + tension1 * self.arms[0]) / self.arms[1]
         return (
             joint.tendon.pressure_for(joint.muscle1, self.paths[0], tension1),
             joint.tendon.pressure_for(joint.muscle2, self.paths[1], tension2),
         )
 
-    def at(self, place: ArrayLike) -> tuple[Pair, Array]:
-        pressures = self.pressures(place)
-        return pressures, self.joint.stiffness(jnp.broadcast_to(self.angle, pressures[0].shape), pressures)
+    def at(self, fraction: ArrayLike) -> tuple[Pair, Array]:
+        pressures = self.pressures(fraction)
+        return pressures, self.joint.evaluate(jnp.broadcast_to(self.angle, pressures[0].shape), pressures)[1]
 
-    def along(self) -> Along:
-        """Pressures and stiffness over the place: both muscles are taut, so with affine laws all is affine in it."""
+    def profile(self) -> Profile:
+        """Return pressures and stiffness over the fraction; affine for two taut muscles with affine laws."""
         if not is_affine(self.joint):
-            return _Bent(self)
-        # A loop over the two ends, though they would vectorise: XLA then computes what goes into it once, not once more
-        # in each fusion that uses it, and makes a third of the code to compile and to load.
-        pressures, stiffness = lax.map(self.at, _places(self.joint))
-        return _Straight(*((pressures[0][end], pressures[1][end], stiffness[end]) for end in (0, 1)))
+            return _EvaluatedProfile(self)
+        # A loop over the two ends, though they would vectorise: XLA then computes their inputs once, not in each
+        # fusion, and makes a third of the code to compile and to load.
+        pressures, stiffness = lax.map(self.at, _fractions(self.joint))
+        return _AffineProfile(*((pressures[0][end], pressures[1][end], stiffness[end]) for end in (0, 1)))
 
 
-def _over(values: Array, angle: Array) -> Array:
-    """Values along an axis of their own, before those of the angle."""
+def _leading_axis(values: Array, angle: Array) -> Array:
+    """Return values along an axis before those of the angle."""
     return values.reshape(-1, *[1] * angle.ndim)
 
 
-def segment_of(
-    joint: AntagonisticJoint,
+def cocontraction_segment(
+    joint: Joint,
     angle: ArrayLike,
     torque: ArrayLike,
     pressure_limits: tuple[float, float] | None,
     minimum_tension: float,
 ) -> Segment:
-    """The states that give torques [N*m] at angles [rad]; limits as for `AntagonisticJoint.attainable_stiffness`."""
+    """Return the states with torques [N*m] at angles [rad]; limits as for `AntagonisticJoint.attainable_stiffness`."""
     angle, torque = jnp.broadcast_arrays(floating(angle), floating(torque))
     paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
     low, high = _tension_ranges(joint, paths, pressure_limits, minimum_tension)
     first = jnp.maximum(low[0], (low[1] * arm2 - torque) / arm1)
     last = jnp.minimum(high[0], (high[1] * arm2 - torque) / arm1)
-    holdable = (first <= last) & (low[0] <= high[0]) & (low[1] <= high[1])
-    return Segment(joint, angle, torque, paths, (arm1, arm2), first, last, holdable)
+    feasible = (first <= last) & (low[0] <= high[0]) & (low[1] <= high[1])
+    return Segment(joint, angle, torque, paths, (arm1, arm2), first, last, feasible)
 
 
-def pressure_limits_of(joint: AntagonisticJoint) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """The lowest and the highest gauge pressure [Pa] of each muscle's domain: ((low1, low2), (high1, high2))."""
+def pressure_limits_of(joint: Joint) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return the gauge pressure limits [Pa] of the muscles' domains: ((low1, low2), (high1, high2))."""
     domains = joint.muscle1.domain, joint.muscle2.domain
     low1, low2 = (floating(domain.pressure_min) for domain in domains)
     high1, high2 = (floating(domain.pressure_max) for domain in domains)
@@ -240,15 +323,12 @@ def pressure_limits_of(joint: AntagonisticJoint) -> tuple[tuple[Array, Array], t
 
 
 def _tension_ranges(
-    joint: AntagonisticJoint,
-    paths: Pair,
-    pressure_limits: tuple[float, float] | None,
-    minimum_tension: float,
+    joint: Joint, paths: Pair, pressure_limits: tuple[float, float] | None, minimum_tension: float
 ) -> tuple[Pair, Pair]:
-    """The lowest and the highest tension of each muscle.
+    """Return the lowest and the highest tension [N] of each muscle.
 
-    Pressures are within limits, contractions within the domain, tensions below the specimen's rating. A muscle that is
-    slack at the highest pressure, and so at all, cannot be taut: its highest tension is -inf, and nothing is holdable.
+    Within the pressure limits, the contractions of the domain and the rated force. The highest tension of a muscle that
+    is slack at the highest pressure is -inf, so that nothing is feasible.
     """
     if pressure_limits is None:
         lowest, highest = pressure_limits_of(joint)
@@ -257,7 +337,8 @@ def _tension_ranges(
 
     def tension_range(muscle: Muscle, path: Array, low: ArrayLike, high: ArrayLike) -> Pair:
         least, most = joint.tendon.permitted(muscle, path)
-        tensions = joint.tendon.tension(muscle, path, _over(jnp.stack([floating(low), floating(high)]), path))
+        pressures = _leading_axis(jnp.stack([floating(low), floating(high)]), path)
+        tensions = joint.tendon.tension(muscle, path, pressures)
         slackest = jnp.maximum(tensions[0], minimum_tension)
         tightest = jnp.where(tensions[1] > 0, jnp.minimum(tensions[1], muscle.specimen.rated_force), -jnp.inf)
         return jnp.maximum(slackest, least), jnp.minimum(tightest, most)
@@ -267,7 +348,7 @@ def _tension_ranges(
     return (low1, low2), (high1, high2)
 
 
-def is_affine(joint: AntagonisticJoint) -> bool:
-    """Whether torque and stiffness are affine in the two pressures."""
+def is_affine(joint: Joint) -> bool:
+    """Return whether torque and stiffness are affine in the two pressures."""
     laws_affine = all(isinstance(m.law, PressureAffineLaw) for m in (joint.muscle1, joint.muscle2))
     return laws_affine and isinstance(joint.tendon, RigidTendon)

@@ -1,4 +1,4 @@
-"""What lies between a muscle and its path: nothing that gives, or the paper's "mechanical stretch structure"."""
+"""Connection of a muscle to its path: rigid, or a series spring (the paper's "mechanical stretch structure")."""
 
 from __future__ import annotations
 
@@ -10,44 +10,50 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle import Muscle
+from mckibben.muscle import NO_STATE, Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import floating
 
 
 class Tendon(eqx.Module):
-    """The elastic part of a path: path = muscle + extension, with one tension throughout."""
+    """Elastic element in series with a muscle: path = muscle length + extension, at one tension."""
 
     @abc.abstractmethod
     def extension(self, tension: ArrayLike) -> Float[Array, "..."]:
-        """How far it gives [m] under a tension [N]."""
+        """Return the extension [m] under a tension [N]."""
 
     @abc.abstractmethod
-    def contraction(self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The contraction [-] of the muscle in a path [m] at a gauge pressure [Pa]."""
+    def contraction(
+        self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE
+    ) -> Float[Array, "..."]:
+        """Return the contraction [-] of the muscle in a path [m] at a gauge pressure [Pa]."""
 
     @abc.abstractmethod
     def permitted(self, muscle: Muscle, path: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        """The tensions [N] at which the muscle stays in its domain; lowest above highest if there are none."""
+        """Return the range of tension [N] with the muscle in its domain; empty if lowest exceeds highest."""
 
-    def tension(self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The tension [N] in a path [m] at a gauge pressure [Pa]."""
-        return muscle.tension(self.contraction(muscle, path, pressure), pressure)
+    def tension(
+        self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE
+    ) -> Float[Array, "..."]:
+        """Return the tension [N] in a path [m] at a gauge pressure [Pa]."""
+        return muscle.tension(self.contraction(muscle, path, pressure, state), pressure, state)
 
     def pressure_for(self, muscle: Muscle, path: ArrayLike, tension: ArrayLike) -> Float[Array, "..."]:
-        """The gauge pressure [Pa] that makes a tension [N] in a path [m]; it may lie outside the domain."""
+        """Return the gauge pressure [Pa] for a tension [N] in a path [m], possibly outside the domain."""
         length = jnp.asarray(path) - self.extension(tension)
         return muscle.pressure_for(tension, muscle.specimen.contraction_at(length))
 
 
 class RigidTendon(Tendon):
-    """A connector that does not give: the muscle fills its path."""
+    """Inextensible connector."""
 
     def extension(self, tension: ArrayLike) -> Float[Array, "..."]:
         return jnp.zeros_like(floating(tension))
 
-    def contraction(self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+    def contraction(
+        self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE
+    ) -> Float[Array, "..."]:
         return muscle.specimen.contraction_at(path)
 
     def permitted(self, muscle: Muscle, path: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
@@ -58,18 +64,18 @@ class RigidTendon(Tendon):
 class SeriesSpring(Tendon):
     """A preloaded spring in series with the muscle, between two stops.
 
-    It is closed up to the preload, then gives by tension / stiffness, and is solid again at the end of its travel. It
-    is our reading of the paper's "mechanical stretch structure at the upper end of the PAM, which can compensate the
-    lack of PAM elongation"; the paper describes it no further.
+    It is rigid up to the preload, then extends by (tension - preload) / stiffness, up to its travel. Our interpretation
+    of the paper's "mechanical stretch structure at the upper end of the PAM, which can compensate the lack of PAM
+    elongation"; the paper gives no details.
 
     Parameters
     ----------
     stiffness
         Force per extension [N/m].
     preload
-        The tension [N] at which it begins to give.
+        Tension [N] at which it starts to extend.
     travel
-        The extension [m] at which it is solid.
+        Largest extension [m].
     """
 
     stiffness: float
@@ -86,40 +92,41 @@ class SeriesSpring(Tendon):
 
     def permitted(self, muscle: Muscle, path: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         domain, specimen = muscle.domain, muscle.specimen
-        least = jnp.asarray(path) - specimen.length_at(domain.contraction_min)  # extension that spares the muscle
+        least = jnp.asarray(path) - specimen.length_at(domain.contraction_min)  # extension at the lowest contraction
         most = jnp.asarray(path) - specimen.length_at(domain.contraction_max)
         lowest = jnp.where(least > 0, self.preload + self.stiffness * least, -jnp.inf)
         highest = jnp.where(most < self.travel, self.preload + self.stiffness * most, jnp.inf)
         return jnp.where(least <= self.travel, lowest, jnp.inf), jnp.where(most >= 0, highest, -jnp.inf)
 
-    def contraction(self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The contraction at which muscle and spring carry the same tension.
+    def contraction(
+        self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE
+    ) -> Float[Array, "..."]:
+        """Return the contraction at which muscle and spring carry the same tension.
 
-        The muscle's force falls and the spring's rises as the spring gives, so the extension is the one root of their
-        difference, found by Newton's method from the closed spring and bisection where Newton leaves the bracket; its
-        derivatives are those of the implicit function.
+        The difference of their forces decreases with the extension, so its root is unique. Derivatives are those of
+        the implicit function.
         """
         path, pressure = jnp.broadcast_arrays(floating(path), floating(pressure))
 
         def excess(extension: Array) -> Array:
-            """Muscle force minus spring force, held at the stops."""
-            force = muscle.tension(muscle.specimen.contraction_at(path - extension), pressure)
+            """Muscle force minus spring force."""
+            force = muscle.tension(muscle.specimen.contraction_at(path - extension), pressure, state)
             return force - self.preload - self.stiffness * extension
 
         closed = jnp.zeros_like(path)
-        solid = jnp.full_like(path, self.travel)
+        extended = jnp.full_like(path, self.travel)
         free = lax.custom_root(
             excess,
             closed,
-            lambda f, _: _falling_root(f, closed, solid),
+            lambda f, _: _falling_root(f, closed, extended),
             lambda tangent, y: y / tangent(jnp.ones_like(y)),
         )
-        extension = jnp.where(excess(closed) <= 0, closed, jnp.where(excess(solid) >= 0, solid, free))
+        extension = jnp.where(excess(closed) <= 0, closed, jnp.where(excess(extended) >= 0, extended, free))
         return muscle.specimen.contraction_at(path - extension)
 
 
 def _falling_root(function: Callable[[Array], Array], lower: Array, upper: Array) -> Array:
-    """The root of an elementwise falling function in a bracket: Newton steps, bisection where they leave it."""
+    """Return the root of a decreasing elementwise function in a bracket by Newton's method with bisection."""
     tolerance = 1e-15
 
     def unfinished(carry: tuple[Array, Array, Array, Array, Array]) -> Array:

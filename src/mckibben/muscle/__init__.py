@@ -1,17 +1,16 @@
-"""Muscles: one force law a file, on one small base; a muscle is a specimen, a law and a domain."""
+"""Muscles: force laws, specimen, and the internal state of friction and creep."""
 
-from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
+from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, scaled_law
 from mckibben.muscle.chou import ChouLaw
-from mckibben.muscle.creep import Creep, MaxwellCreep, NoCreep, Relaxing
+from mckibben.muscle.creep import Creep, CreepState, MaxwellCreep, NoCreep
 from mckibben.muscle.exponential import ExponentialLaw
-from mckibben.muscle.friction import Friction, MaxwellSlip, Memory, NoFriction
+from mckibben.muscle.friction import Friction, FrictionState, MaxwellSlip, NoFriction
 from mckibben.muscle.hunt import HuntLaw
 from mckibben.muscle.martens_boblan import MartensBoblanLaw
-from mckibben.muscle.muscle import Muscle, forces
+from mckibben.muscle.muscle import NO_STATE, Muscle, MuscleState, forces
 from mckibben.muscle.repperger import ReppergerLaw
 from mckibben.muscle.reynolds import ReynoldsLaw
 from mckibben.muscle.sarosi import SarosiLaw
-from mckibben.muscle.scaled import stronger
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
 from mckibben.muscle.triple_exponential import TripleExponentialLaw
@@ -33,27 +32,29 @@ LAWS: dict[str, type[ForceLaw]] = {
         TripleExponentialLaw,
     )
 }
-"""Every law by its name, as files and the command line call it."""
+"""Force laws by name, as files and the command line give it."""
 
 __all__ = [
     "LAWS",
+    "NO_STATE",
     "ChouLaw",
     "Creep",
+    "CreepState",
     "Domain",
     "ExponentialLaw",
     "ForceLaw",
     "Friction",
+    "FrictionState",
     "HuntLaw",
     "MartensBoblanLaw",
     "MaxwellCreep",
     "MaxwellSlip",
-    "Memory",
     "Muscle",
+    "MuscleState",
     "NoCreep",
     "NoFriction",
     "Parameter",
     "PressureAffineLaw",
-    "Relaxing",
     "ReppergerLaw",
     "ReynoldsLaw",
     "SarosiLaw",
@@ -63,5 +64,5 @@ __all__ = [
     "TripleExponentialLaw",
     "TsagarakisCaldwellLaw",
     "forces",
-    "stronger",
+    "scaled_law",
 ]

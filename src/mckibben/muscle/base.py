@@ -1,8 +1,8 @@
-"""The interface of a force law, its inverse in pressure, and the ideal braid."""
+"""Interface of a force law, its numerical inverse in pressure, scaled laws, and the ideal braid (Eq. 1)."""
 
 import abc
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import derivative, increasing_root
+from mckibben.numerics.checks import check_positive
 from mckibben.units import atm, bar, deg, mm
 
 # No `from __future__ import annotations` here: equinox does not see an AbstractVar written as text.
@@ -17,20 +18,18 @@ from mckibben.units import atm, bar, deg, mm
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a law that data can determine.
+    """A parameter of a law that can be identified from data.
 
     Attributes
     ----------
     name
-        The field of the law that holds it, in SI.
-    unit
-        Its SI unit, as text.
-    shown
-        The unit in which publications and reports give it.
-    lower, upper
-        The range in which it has a meaning, in SI; where an identification looks for it.
+        Field of the law, in SI.
+    unit, shown
+        SI unit, and unit in publications and reports.
     meaning
-        A few words.
+        Short description.
+    lower, upper
+        Bounds of an identification, in SI.
     """
 
     name: str
@@ -42,53 +41,49 @@ class Parameter:
 
 
 class ForceLaw(eqx.Module):
-    """The static axial force of a muscle as a function of contraction and pressure.
+    """Static axial force of a muscle as a function of contraction and pressure.
 
-    A law is the fitted formula as it stands: it may turn negative where the muscle goes slack. `Muscle` clips it.
-
-    Subclasses give the fields (parameters in SI and `domain`), `force`, and the class attributes below.
+    A law is the formula of its source and may be negative where the muscle is slack; `Muscle` clips it. Subclasses
+    define the fields (parameters in SI and `domain`), `force`, and the class attributes below.
     """
 
     domain: eqx.AbstractVar[Domain]
 
     equation: ClassVar[str]
-    """The formula, in the letters of the source."""
+    """Formula in the symbols of the source."""
     source: ClassVar[str]
     """Paper and equation."""
     linear_parameters: ClassVar[tuple[Parameter, ...]] = ()
-    """Parameters in which the force is affine once the shape is known."""
+    """Parameters in which the force is affine, given the shape parameters."""
     shape_parameters: ClassVar[tuple[Parameter, ...]] = ()
-    """All others; each with a finite range."""
-    holds: ClassVar[Domain] = Domain()
-    """Where the formula has a meaning at all, whatever its parameters; `domain` is where to trust this law."""
+    """All others, each with finite bounds."""
+    formula_domain: ClassVar[Domain] = Domain()
+    """Domain of the formula for any parameters; `domain` is that of the data behind a law."""
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
-        """All parameters, linear ones first."""
+        """Return all parameters, linear ones first."""
         return cls.linear_parameters + cls.shape_parameters
 
     @abc.abstractmethod
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The force [N] at a contraction [-] and a gauge pressure [Pa]; the arguments broadcast."""
+        """Return the force [N] at a contraction [-] and a gauge pressure [Pa]; the arguments broadcast."""
 
     @abc.abstractmethod
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-        """The gauge pressure [Pa] that gives a force [N] at a contraction [-]; the arguments broadcast."""
+        """Return the gauge pressure [Pa] that gives a force [N] at a contraction [-]; the arguments broadcast."""
 
     def slope(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The derivative of the force with respect to the contraction [N], at constant pressure."""
+        """Return the derivative of the force with respect to the contraction [N], at constant pressure."""
         return derivative(lambda c: self.force(c, pressure), contraction)
 
 
 class PressureAffineLaw(ForceLaw):
-    """A law whose force is affine in pressure: F = offset(contraction) + gain(contraction) p.
-
-    Inverse, and the attainable set of a joint, are then closed forms.
-    """
+    """Law affine in pressure, F = offset(contraction) + gain(contraction) p, with a closed-form inverse."""
 
     @abc.abstractmethod
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        """Offset [N] and gain [N/Pa] of the force at a contraction [-]."""
+        """Return offset [N] and gain [N/Pa] of the force at a contraction [-]."""
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         offset, gain = self.pressure_terms(contraction)
@@ -99,36 +94,99 @@ class PressureAffineLaw(ForceLaw):
         return (jnp.asarray(force) - offset) / gain
 
 
-_LOWEST, _HIGHEST = -0.5 * atm, 12 * bar  # beyond, no muscle of rubber and thread is used
+_LOWEST, _HIGHEST = -0.5 * atm, 12 * bar  # range of pressures of any muscle of rubber and thread
 
 
 def pressure_for(law: ForceLaw, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-    """The gauge pressure [Pa] up to 12 bar that gives a force [N] at a contraction [-]; NaN for none.
+    """Return the gauge pressure [Pa] from -0.5 to 12 bar that gives a force [N] at a contraction [-]; NaN for none.
 
-    The force has to rise with the pressure from 0 up; below 0, to -0.5 bar, it is looked for where that at 0 is more.
+    The force must increase with pressure.
     """
     force, contraction = jnp.asarray(force), jnp.asarray(contraction)
     lowest = jnp.where(law.force(contraction, 0.0) <= force, 0.0, _LOWEST)
     return increasing_root(lambda pressure: law.force(contraction, pressure) - force, lowest, _HIGHEST)
 
 
-PARAMETERS = (
+class ScaledLaw(ForceLaw):
+    """A law times a factor; see `scaled_law`."""
+
+    law: ForceLaw
+    strength: Any
+    domain: Domain
+
+    equation = "F = s F_law"
+    source = "ours"
+
+    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        return self.strength * self.law.force(contraction, pressure)
+
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        return self.law.pressure_for(jnp.asarray(force) / self.strength, contraction)
+
+
+class ScaledAffineLaw(PressureAffineLaw):
+    """A law affine in pressure times a factor; see `scaled_law`."""
+
+    law: PressureAffineLaw
+    strength: Any
+    domain: Domain
+
+    equation = "F = s F_law"
+    source = "ours"
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        offset, gain = self.law.pressure_terms(contraction)
+        return self.strength * offset, self.strength * gain
+
+
+def scaled_law(law: ForceLaw, strength: Any) -> ForceLaw:
+    """Return a law whose force is scaled by a factor, for the scatter among muscles of one type and for ageing.
+
+    Parameters
+    ----------
+    law
+        Its domain is kept.
+    strength
+        Factor [-].
+
+    Raises
+    ------
+    RangeError
+        If the factor is not above 0.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> from mckibben.units import bar, percent
+    >>> law = catalog.law("lei-mas-10-180n")
+    >>> weak = scaled_law(law, 0.9)
+    >>> round(float(weak.force(10 * percent, 3 * bar) / law.force(10 * percent, 3 * bar)), 12)
+    0.9
+    """
+    check_positive("scaled_law", strength=strength)
+    domain = law.domain.intersection(law.formula_domain)
+    if isinstance(law, PressureAffineLaw):
+        return ScaledAffineLaw(law=law, strength=strength, domain=domain)
+    return ScaledLaw(law=law, strength=strength, domain=domain)
+
+
+BRAID_PARAMETERS = (
     Parameter("braid_angle", "rad", "deg", "angle between thread and axis", 5 * deg, 54 * deg),
     Parameter("initial_diameter", "m", "mm", "diameter of the deflated muscle", 1 * mm, 100 * mm),
 )
-"""The two numbers of it that data can determine."""
+"""Parameters of `braid_gain` that can be identified."""
 
 
 def braid_gain(braid_angle: float | Array, initial_diameter: float | Array, length_ratio: Array) -> Float[Array, "..."]:
-    """The force per pressure [N/Pa] where the cylinder's length is this part of its initial one (Eq. 1).
+    """Return the force per pressure [N/Pa] of an ideal braid (Eq. 1).
 
     Parameters
     ----------
     braid_angle, initial_diameter
         alpha0 [rad] and d0 [m] of the deflated muscle.
     length_ratio
-        1 - contraction [-].
+        Length over initial length, 1 - contraction [-].
     """
-    b1 = 3 / jnp.tan(braid_angle) ** 2
-    b2 = 1 / jnp.sin(braid_angle) ** 2
-    return jnp.pi * initial_diameter**2 / 4 * (b1 * length_ratio**2 - b2)
+    beta1 = 3 / jnp.tan(braid_angle) ** 2
+    beta2 = 1 / jnp.sin(braid_angle) ** 2
+    return jnp.pi * initial_diameter**2 / 4 * (beta1 * length_ratio**2 - beta2)

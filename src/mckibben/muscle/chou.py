@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle import base
-from mckibben.muscle.base import PressureAffineLaw, braid_gain
+from mckibben.muscle.base import BRAID_PARAMETERS, PressureAffineLaw, braid_gain
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.checks import check_positive, check_within
 
@@ -58,7 +57,7 @@ class ChouLaw(PressureAffineLaw):
 
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - eps)^2 - 1/sin^2(alpha0))"
     source = "Chou and Hannaford 1996; Eq. 1"
-    shape_parameters = base.PARAMETERS
+    shape_parameters = BRAID_PARAMETERS
 
     @classmethod
     def of(cls, specimen: Specimen) -> ChouLaw:

@@ -1,4 +1,4 @@
-"""Creep of a muscle: what its rubber adds to the force after a change of length, and slowly gives up."""
+"""Creep of a muscle: viscoelastic force after a change of length, relaxing to zero."""
 
 from __future__ import annotations
 
@@ -13,94 +13,90 @@ from numpy.typing import NDArray
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
 
-Relaxing = tuple[Array, ...]
-"""What is on its way back to the law: the force [N] in each arm of the creep."""
+CreepState = tuple[Array, ...]
+"""Force [N] in each Maxwell arm."""
 
 _ARMS = range(1, 9)
-_TIMES = (0.01, 1e7)  # s: what is quicker is viscous friction, what is slower is a spring
+_TIMES = (0.01, 1e7)  # s: a shorter time constant is viscous friction, a longer one a spring
 _DECADE = 10.0
 
 
 class Creep(eqx.Module):
-    """What creep adds to a muscle's law: a force [N], positive after the muscle was stretched.
-
-    Its state is a value that goes in and comes out. `rate` is its derivative with respect to time, for an integrator;
-    `settled` brings it within its bounds after each step.
-    """
+    """Creep force [N] added to a muscle's law, positive after stretching; its state is explicit."""
 
     @abc.abstractmethod
-    def relaxed(self, length: ArrayLike) -> Relaxing:
-        """The state of a muscle that has been at a length [m] for long."""
+    def initial(self, length: ArrayLike) -> CreepState:
+        """Return the relaxed state at a length [m]."""
 
     @abc.abstractmethod
-    def force(self, relaxing: Relaxing, tension: ArrayLike) -> Float[Array, "..."]:
-        """The force [N] where the law has a tension [N]; none for an empty state."""
+    def force(self, state: CreepState, tension: ArrayLike) -> Float[Array, "..."]:
+        """Return the force [N] at the law's tension [N]; zero for an empty state."""
 
     @abc.abstractmethod
-    def rate(self, relaxing: Relaxing, rate: ArrayLike) -> Relaxing:
-        """The derivative [N/s] of the state while the length changes at a rate [m/s]."""
+    def rate(self, state: CreepState, rate: ArrayLike) -> CreepState:
+        """Return the derivative [N/s] of the state at a rate of the length [m/s]."""
 
     @abc.abstractmethod
-    def settled(self, relaxing: Relaxing, tension: ArrayLike) -> Relaxing:
-        """The state after a step to where the law has a tension [N]; the force stays as it is."""
+    def project(self, state: CreepState, tension: ArrayLike) -> CreepState:
+        """Return the state within its bounds at the law's tension [N]; `force` is the same before and after."""
 
     @abc.abstractmethod
-    def along(
+    def path_response(
         self,
         length: ArrayLike,
         tension: ArrayLike,
         *,
-        moving: ArrayLike,
-        resting: ArrayLike,
-        read: ArrayLike,
+        move_time: ArrayLike,
+        hold_time: ArrayLike,
+        sample_times: ArrayLike,
     ) -> NDArray[np.float64]:
-        """The force [N] at rest after each move of a way, in NumPy: for tests on a rig and their analysis.
+        """Return the force [N] after each move of a displacement path, in NumPy, for tests on a rig.
 
-        The way begins relaxed. Each move is even and goes one way, and so does the tension.
+        The path starts relaxed; each move has a constant velocity, and the tension changes monotonically over it.
 
         Parameters
         ----------
         length
-            Shape (points,): where the muscle is drawn to, one after the other [m].
+            Shape (points,): lengths [m] in order.
         tension
-            The law's tension [N] there, of that shape or one number.
-        moving, resting
-            The time [s] that each move takes, and that the muscle then stands; of that shape or one number.
-        read
-            Shape (readings,): the times [s] after each move at which to tell the force.
+            The law's tension [N] at each, of that shape or scalar.
+        move_time, hold_time
+            Durations [s] of each move and of the hold after it, of that shape or scalar.
+        sample_times
+            Shape (samples,): times [s] after each move.
 
         Returns
         -------
         force
-            Shape (points, readings).
+            Shape (points, samples).
         """
 
 
 class NoCreep(Creep):
-    """None: the force does not depend on time. It has no state and costs nothing."""
+    """No creep: no state and no cost."""
 
-    def relaxed(self, length: ArrayLike) -> Relaxing:
+    def initial(self, length: ArrayLike) -> CreepState:
         return ()
 
-    def force(self, relaxing: Relaxing, tension: ArrayLike) -> Float[Array, "..."]:
+    def force(self, state: CreepState, tension: ArrayLike) -> Float[Array, "..."]:
         return jnp.zeros_like(floating(tension))
 
-    def rate(self, relaxing: Relaxing, rate: ArrayLike) -> Relaxing:
-        return relaxing
+    def rate(self, state: CreepState, rate: ArrayLike) -> CreepState:
+        return state
 
-    def settled(self, relaxing: Relaxing, tension: ArrayLike) -> Relaxing:
-        return relaxing
+    def project(self, state: CreepState, tension: ArrayLike) -> CreepState:
+        return state
 
-    def along(
+    def path_response(
         self,
         length: ArrayLike,
         tension: ArrayLike,
         *,
-        moving: ArrayLike,
-        resting: ArrayLike,
-        read: ArrayLike,
+        move_time: ArrayLike,
+        hold_time: ArrayLike,
+        sample_times: ArrayLike,
     ) -> NDArray[np.float64]:
-        return np.zeros((np.size(length), np.size(read)))
+        return np.zeros((np.size(length), np.size(sample_times)))
 
 
 class MaxwellCreep(Creep):
@@ -110,25 +106,24 @@ class MaxwellCreep(Creep):
 
         \dot x_i = k_i \dot l - \frac{x_i}{\tau_i}, \qquad |x_i| \le \frac{T}{2n}, \qquad F = T + \sum_i x_i
 
-    The state :math:`x_i` is the force in an arm. After a stretch the muscle pulls harder than its law, after a
-    shortening less, and comes back to it with the time constant :math:`\tau_i`. A few arms with equal shares of the
-    stiffness, each ten times slower than the one before, make it nearly logarithmic over as many decades of time.
+    The state :math:`x_i` is the force in an arm. After stretching, the muscle pulls harder than its law, after
+    shortening less, and returns to it with the time constant :math:`\tau_i`. Several arms with equal stiffness, each
+    ten times slower than the one before, give nearly logarithmic creep over as many decades of time.
 
-    All arms together hold at most half of the law's tension :math:`T`: where that falls below, they slip, and what they
-    stored is lost. So a slack muscle has none, the muscle never pushes, and energy is only lost, whatever length and
-    pressure do. That bound is ours.
+    The arms together carry at most half of the law's tension :math:`T`; beyond, they slip and lose stored energy. So a
+    slack muscle has no creep force, the muscle never pushes, and the model is dissipative for any path of length and
+    pressure. That bound is ours.
 
-    It follows the length alone. What follows a step of the *pressure* at a constant length (a bladder that goes on
-    bedding into its braid, and a force that goes on in the direction of the step) it does not know.
+    Creep follows the length alone; creep after a step of the *pressure* at a constant length is not modelled.
 
     Parameters
     ----------
     stiffness
-        k [N/m] of all arms together: a quick stretch by 1 m would add so much.
+        k [N/m] of all arms together.
     time_constant
-        Of the first arm [s], the quickest.
+        Time constant [s] of the first, quickest arm.
     arms
-        Springs with their dashpots, 1 to 8.
+        Number of Maxwell arms, 1 to 8.
 
     References
     ----------
@@ -139,10 +134,11 @@ class MaxwellCreep(Creep):
 
     Examples
     --------
-    A stretch by 10 mm within 1 s; the force right after it, and 5 and 10 s later:
+    Stretched by 10 mm within 1 s; the force at its end, and 5 and 10 s later:
 
     >>> creep = MaxwellCreep(stiffness=500.0, time_constant=5.0)
-    >>> creep.along([0.18, 0.19], tension=200.0, moving=1.0, resting=60.0, read=[0.0, 5.0, 10.0])[1].round(3)
+    >>> path = {"length": [0.18, 0.19], "move_time": 1.0, "hold_time": 60.0}
+    >>> creep.path_response(**path, tension=200.0, sample_times=[0.0, 5.0, 10.0])[1].round(3)
     array([4.532, 1.667, 0.613])
     """
 
@@ -157,68 +153,63 @@ class MaxwellCreep(Creep):
 
     @property
     def time_constants(self) -> list[float]:
-        """Of each arm [s]."""
+        """Time constant [s] of each arm."""
         return [self.time_constant * _DECADE**arm for arm in range(self.arms)]
 
-    def relaxed(self, length: ArrayLike) -> Relaxing:
+    def initial(self, length: ArrayLike) -> CreepState:
         return (jnp.zeros_like(floating(length)),) * self.arms
 
-    def force(self, relaxing: Relaxing, tension: ArrayLike) -> Float[Array, "..."]:
-        total = jnp.zeros_like(floating(tension))
-        for force in self.settled(relaxing, tension):
-            total = total + force
-        return total
+    def force(self, state: CreepState, tension: ArrayLike) -> Float[Array, "..."]:
+        return sum(self.project(state, tension), jnp.zeros_like(floating(tension)))
 
-    def rate(self, relaxing: Relaxing, rate: ArrayLike) -> Relaxing:
+    def rate(self, state: CreepState, rate: ArrayLike) -> CreepState:
         stretching = self.stiffness / self.arms * jnp.asarray(rate)
-        return tuple(stretching - x / tau for x, tau in zip(relaxing, self.time_constants, strict=True))
+        return tuple(stretching - x / tau for x, tau in zip(state, self.time_constants, strict=True))
 
-    def settled(self, relaxing: Relaxing, tension: ArrayLike) -> Relaxing:
+    def project(self, state: CreepState, tension: ArrayLike) -> CreepState:
         bound = jnp.asarray(tension) / (2 * self.arms)
-        return tuple(jnp.clip(x, -bound, bound) for x in relaxing)
+        return tuple(jnp.clip(x, -bound, bound) for x in state)
 
-    def along(
+    def path_response(
         self,
         length: ArrayLike,
         tension: ArrayLike,
         *,
-        moving: ArrayLike,
-        resting: ArrayLike,
-        read: ArrayLike,
+        move_time: ArrayLike,
+        hold_time: ArrayLike,
+        sample_times: ArrayLike,
     ) -> NDArray[np.float64]:
-        length, tension, moving, resting = np.broadcast_arrays(
-            *(np.asarray(column, np.float64) for column in (length, tension, moving, resting))
+        length, tension, move_time, hold_time = np.broadcast_arrays(
+            *(np.asarray(column, np.float64) for column in (length, tension, move_time, hold_time))
         )
-        bound = tension / (2 * self.arms)
-        share = float(self.stiffness) / self.arms
-        readings = np.asarray(read, np.float64)
-        force = np.zeros((len(length), len(readings)))
+        bounds = tension / (2 * self.arms)
+        stretch = float(self.stiffness) / self.arms * np.diff(length, prepend=length[:1])
+        sample_times = np.asarray(sample_times, np.float64)
+        force = np.zeros((len(length), len(sample_times)))
         for tau in map(float, self.time_constants):
-            carried = np.exp(-(np.append(0.0, resting[:-1]) + moving) / tau)  # of what was there after the last move
-            added = share * np.diff(length, prepend=length[:1]) * remaining(moving, tau)
-            held = np.empty(len(length))
-            now = 0.0
-            for k, (part, more, most) in enumerate(zip(carried, added, bound, strict=True)):
-                now = min(max(now * part + more, -most), most)
-                held[k] = now
-            force += held[:, None] * np.exp(-readings / tau)
+            decay = np.exp(-(np.append(0.0, hold_time[:-1]) + move_time) / tau)  # since the end of the last move
+            added = stretch * retained_fraction(move_time, tau)
+            at_end, x = np.empty(len(length)), 0.0
+            for k, (factor, more, bound) in enumerate(zip(decay, added, bounds, strict=True)):
+                at_end[k] = x = min(max(x * factor + more, -bound), bound)
+            force += at_end[:, None] * np.exp(-sample_times / tau)
         return force
 
 
-def remaining(moving: ArrayLike, time_constant: ArrayLike) -> NDArray[np.float64]:
-    """The part of an even move's stretch that an arm still holds at its end [-]; 1 for a sudden one.
+def retained_fraction(move_time: ArrayLike, time_constant: ArrayLike) -> NDArray[np.float64]:
+    """Return the fraction [-] of a move's stretch that a Maxwell arm holds at its end; 1 for an instant move.
 
     Parameters
     ----------
-    moving
-        The time [s] that the move takes.
+    move_time
+        Duration [s] of the move, at a constant velocity.
     time_constant
-        Of the arm [s].
+        Time constant [s] of the arm.
 
     Examples
     --------
-    >>> [round(float(part), 4) for part in (remaining(0.0, 5.0), remaining(5.0, 5.0))]  # 1 and 1 - exp(-1)
+    >>> [round(float(part), 4) for part in (retained_fraction(0.0, 5.0), retained_fraction(5.0, 5.0))]  # 1, 1 - 1/e
     [1.0, 0.6321]
     """
-    ratio = np.asarray(moving, np.float64) / time_constant
+    ratio = np.asarray(move_time, np.float64) / time_constant
     return np.where(ratio > 0, -np.expm1(-ratio) / np.where(ratio > 0, ratio, 1.0), 1.0)

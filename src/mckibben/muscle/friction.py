@@ -15,76 +15,83 @@ from numpy.typing import NDArray
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
 
-Memory = tuple[Array, ...]
-"""What friction remembers of the way: the length [m] at which each of its elements is unstressed."""
+FrictionState = tuple[Array, ...]
+"""Anchor of each element: the length [m] at which it is unstressed."""
 
-NARROWEST = 1e-6
-"""The narrowest band [N] that is one; whoever wants less takes `NoFriction`."""
+MIN_HALF_WIDTH = 1e-6
+"""Smallest half width [N] of a hysteresis band; below, use `NoFriction`."""
 
 _ELEMENTS = range(1, 17)
-_LEAST = 1e-9  # N: where the band shrinks with pressure it is never narrower, so that nothing is divided by 0
-_LONGEST = 1.0  # m: a longer presliding is one in millimetres
-_KNOT = 0.7  # places the knots of the polygon where its largest distance from the exponential is least
+_LEAST = 1e-9  # N: lower bound of the half width where it shrinks with pressure, to avoid a division by 0
+_LONGEST = 1.0  # m: a longer presliding length is one in millimetres
+_KNOT = 0.7  # knot spacing that minimises the largest distance between polygon and exponential
 
 
 class Friction(eqx.Module):
-    """What a muscle's friction adds to its law: a force [N], positive while the muscle is being stretched.
+    """Friction force [N] added to a muscle's law, positive while the muscle is stretched.
 
-    Its memory is a value that goes in and comes out. Within a short move the memory is held, and the force is a
-    function of the length alone; `settled` brings the memory up to date after it. So there is no sign of a velocity
-    anywhere, nothing chatters, and what is at rest sticks.
+    The state is explicit. Over a short move it is constant and the force is a function of the length alone; `project`
+    then updates it. No sign of a velocity appears, so nothing chatters and a muscle at rest sticks.
     """
 
     @abc.abstractmethod
-    def unstressed(self, length: ArrayLike) -> Memory:
-        """The memory of a muscle that has come to a length [m] without friction."""
+    def initial(self, length: ArrayLike) -> FrictionState:
+        """Return the unstressed state at a length [m]."""
 
     @abc.abstractmethod
-    def force(self, memory: Memory, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The force [N] at a length [m], where the law has a tension [N], at a gauge pressure [Pa]."""
+    def force(
+        self, state: FrictionState, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike
+    ) -> Float[Array, "..."]:
+        """Return the force [N] at a length [m], the law's tension [N] and a gauge pressure [Pa]."""
 
     @abc.abstractmethod
-    def settled(self, memory: Memory, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> Memory:
-        """The memory after a move to there; arguments as for `force`, which it leaves as it is."""
+    def project(
+        self, state: FrictionState, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike
+    ) -> FrictionState:
+        """Return the state after a move; `force` is the same before and after."""
 
     @abc.abstractmethod
     def viscous_force(self, tension: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
-        """The force [N] that depends on the rate of the length [m/s]."""
+        """Return the force [N] that depends on the rate of the length [m/s]."""
 
     @abc.abstractmethod
     def half_width_at(self, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """What the force is at most [N], either way, at rest where the law has a tension [N], at a pressure [Pa]."""
+        """Return half the width [N] of the hysteresis band at the law's tension [N] and a gauge pressure [Pa]."""
 
     @abc.abstractmethod
-    def along(
+    def path_response(
         self, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike, *, side: float = 0.0
     ) -> NDArray[np.float64]:
-        """The force [N] at rest at each point of a way, in NumPy: for tests on a rig and their analysis.
+        """Return the static force [N] at each point of a displacement path, in NumPy, for tests on a rig.
 
-        Between two points the length shall go one way; whether it does so in one move or in several is then the same.
+        The length is monotonic between two points.
 
         Parameters
         ----------
         length
-            Shape (points,): where the muscle is drawn to, one after the other [m].
+            Shape (points,): lengths [m] in order.
         tension, pressure
-            The law's tension [N] and the gauge pressure [Pa] there, of that shape or one number.
+            The law's tension [N] and the gauge pressure [Pa] at each, of that shape or scalar.
         side
-            How the first point was reached: 1 by stretching, -1 by shortening, each from far, 0 without stress.
+            Side of the band at the first point: 1 after stretching, -1 after shortening, 0 unstressed.
         """
 
 
 class NoFriction(Friction):
-    """None: the muscle is its law. It remembers nothing and costs nothing."""
+    """No friction: no state and no cost."""
 
-    def unstressed(self, length: ArrayLike) -> Memory:
+    def initial(self, length: ArrayLike) -> FrictionState:
         return ()
 
-    def force(self, memory: Memory, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+    def force(
+        self, state: FrictionState, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike
+    ) -> Float[Array, "..."]:
         return jnp.zeros_like(floating(tension))
 
-    def settled(self, memory: Memory, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> Memory:
-        return memory
+    def project(
+        self, state: FrictionState, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike
+    ) -> FrictionState:
+        return state
 
     def viscous_force(self, tension: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
         return jnp.zeros_like(floating(tension))
@@ -92,7 +99,7 @@ class NoFriction(Friction):
     def half_width_at(self, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         return jnp.zeros_like(floating(tension))
 
-    def along(
+    def path_response(
         self, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike, *, side: float = 0.0
     ) -> NDArray[np.float64]:
         return np.zeros(np.shape(length))
@@ -106,18 +113,16 @@ class MaxwellSlip(Friction):
         f = \sum_i \mathrm{clip}\big(k_i (l - a_i),\ \pm w_i A\big), \qquad a_i \leftarrow l - f_i/k_i,
         \qquad A = B \tanh\frac{T}{2B}, \quad B = B_0 + B_1 (p - p_0)
 
-    An element remembers its anchor :math:`a_i`, the length at which it is unstressed. The band's half width
-    :math:`A` fades with the law's tension :math:`T`: it is at most T/2, so the muscle never pushes, and 96 % of B are
-    there at T = 4B. The stiffnesses :math:`k_i` do not change; where the band narrows, a slider gives way and stored
-    energy is lost, where it widens none is gained. So energy is only lost, whatever length and pressure do.
+    The state of an element is its anchor :math:`a_i`, the length at which it is unstressed. The half width :math:`A`
+    of the band decreases with the law's tension :math:`T`: it is at most T/2, so the muscle never pushes, and 0.96 B at
+    T = 4B. The stiffnesses :math:`k_i` are constant; where the band narrows, sliders slip and lose stored energy, where
+    it widens none is gained. The model is dissipative for any path of length and pressure.
 
-    The elements follow from one number: together they are the polygon with so many knots that is nearest to
-    :math:`f = B(1 - e^{-2s/s_0})`, what a muscle at rest without stress answers to a way s (within 1.1 % of B with six
-    elements). After a reversal from one side of the band, 63 % of the change to the other are done after :math:`s_0`,
-    86 % after twice that.
+    The elements follow from their number: their sum is the polygon nearest to :math:`f = B(1 - e^{-2s/s_0})`, the
+    response of an unstressed muscle to a displacement s (within 1.1 % of B with six elements). After a reversal at one
+    side of the band, 63 % of the change to the other side is reached after :math:`s_0`, 86 % after :math:`2 s_0`.
 
-    The viscous part, :math:`(T/2) \tanh(2 c \dot l / T)`, is :math:`c \dot l` for a taut muscle and fades in the same
-    way.
+    The viscous part, :math:`(T/2) \tanh(2 c \dot l / T)`, is :math:`c \dot l` for a taut muscle and at most T/2.
 
     Parameters
     ----------
@@ -138,15 +143,15 @@ class MaxwellSlip(Friction):
     ----------
     D. D. Rizos and S. D. Fassois, "Presliding friction identification based upon the Maxwell Slip model structure",
     Chaos 14 (2004) 431-445; T. Vo-Minh et al., "A new approach to modeling hysteresis in a pneumatic artificial
-    muscle using the Maxwell-slip model", IEEE/ASME Trans. Mechatronics 16 (2011) 177-186. That the band fades with
+    muscle using the Maxwell-slip model", IEEE/ASME Trans. Mechatronics 16 (2011) 177-186. The dependence of the band on
     the tension is ours.
 
     Examples
     --------
-    Stretched far, let go by 1 mm, and far again:
+    Stretched by 10 mm, shortened by 1 mm, then by 9 mm:
 
     >>> friction = MaxwellSlip(half_width=12.0, presliding_length=0.5e-3)
-    >>> friction.along([0.1, 0.11, 0.109, 0.10], tension=300.0, pressure=3e5).round(2)
+    >>> friction.path_response([0.1, 0.11, 0.109, 0.10], tension=300.0, pressure=3e5).round(2)
     array([  0.  ,  12.  ,  -8.57, -12.  ])
     """
 
@@ -158,7 +163,7 @@ class MaxwellSlip(Friction):
     elements: int = eqx.field(default=6, kw_only=True, static=True)
 
     def __check_init__(self) -> None:
-        check_within("MaxwellSlip", NARROWEST, 1e9, "N", half_width=self.half_width)
+        check_within("MaxwellSlip", MIN_HALF_WIDTH, 1e9, "N", half_width=self.half_width)
         check_positive("MaxwellSlip", "m", presliding_length=self.presliding_length)
         check_within("MaxwellSlip", 0.0, _LONGEST, "m", presliding_length=self.presliding_length)
         check_positive("MaxwellSlip", "N*s/m", zero=True, viscous=self.viscous)
@@ -167,20 +172,24 @@ class MaxwellSlip(Friction):
         check_within("MaxwellSlip", _ELEMENTS[0], _ELEMENTS[-1], elements=self.elements)
 
     def half_width_at(self, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        return faded(self._width(jnp.asarray(pressure)), jnp.asarray(tension), jnp)
+        return smooth_limit(self._width(jnp.asarray(pressure)), jnp.asarray(tension), jnp)
 
-    def unstressed(self, length: ArrayLike) -> Memory:
+    def initial(self, length: ArrayLike) -> FrictionState:
         return (floating(length),) * self.elements
 
-    def force(self, memory: Memory, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        forces = self._forces(memory, length, tension, pressure)
+    def force(
+        self, state: FrictionState, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike
+    ) -> Float[Array, "..."]:
+        forces = self._forces(state, length, tension, pressure)
         total = forces[0]
         for force in forces[1:]:
             total = total + force
         return total
 
-    def settled(self, memory: Memory, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> Memory:
-        forces = self._forces(memory, length, tension, pressure)
+    def project(
+        self, state: FrictionState, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike
+    ) -> FrictionState:
+        forces = self._forces(state, length, tension, pressure)
         yielding = self.presliding_length / self.half_width
         return tuple(
             jnp.asarray(length) - force * (yielding / stiffness)
@@ -192,15 +201,15 @@ class MaxwellSlip(Friction):
         taut = half > _LEAST
         return jnp.where(taut, half * jnp.tanh(self.viscous * rate / jnp.where(taut, half, 1.0)), 0.0)
 
-    def along(
+    def path_response(
         self, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike, *, side: float = 0.0
     ) -> NDArray[np.float64]:
         length, tension, pressure = np.broadcast_arrays(
             *(np.asarray(column, np.float64) for column in (length, tension, pressure))
         )
-        limit = faded(self._width(pressure), tension, np)
+        limit = smooth_limit(self._width(pressure), tension, np)
         travel = np.diff(length, prepend=length[:1])
-        deflections = drawn(travel, limit, self.stiffnesses, self.shares, side=side)
+        deflections = play_response(travel, limit, self.stiffnesses, self.shares, side=side)
         return deflections @ self.stiffnesses
 
     @property
@@ -216,17 +225,17 @@ class MaxwellSlip(Friction):
     def _width(self, pressure: Any) -> Any:
         return self.half_width + self.growth * (pressure - self.reference_pressure)
 
-    def _forces(self, memory: Memory, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> list[Array]:
-        """Of each element [N]."""
+    def _forces(self, state: FrictionState, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> list[Array]:
+        """Force [N] of each element."""
         limit, steepness = self.half_width_at(tension, pressure), self.half_width / self.presliding_length
         share, stiffness = (column.tolist() for column in polygon(self.elements))
         return [
             jnp.clip(k * steepness * (jnp.asarray(length) - anchor), -w * limit, w * limit)
-            for w, k, anchor in zip(share, stiffness, memory, strict=True)
+            for w, k, anchor in zip(share, stiffness, state, strict=True)
         ]
 
 
-def drawn(
+def play_response(
     travel: NDArray[np.float64],
     limit: NDArray[np.float64],
     stiffness: NDArray[np.float64],
@@ -234,49 +243,48 @@ def drawn(
     *,
     side: float | NDArray[np.float64] = 0.0,
 ) -> NDArray[np.float64]:
-    """The deflections of the elements of a `MaxwellSlip`, for many ways and many of its numbers at once.
+    """Return the deflections [m] of the elements of `MaxwellSlip` (play operators) along many paths at once.
 
     Parameters
     ----------
     travel
-        Shape (points, ...): the signed moves [m], positive = stretching; the first is not looked at.
+        Shape (points, ...): displacements [m], positive = stretching; the first is ignored.
     limit
-        Shape (points, ...): the band's half width A [N] after each.
+        Shape (points, ...): half width A [N] of the band at each point.
     stiffness, share
         Shape (..., elements): k [N/m] and w [-].
     side
-        Of the band on which each way begins, -1 to 1; shape (...).
+        Shape (...): side of the band at the first point, -1 to 1.
 
     Returns
     -------
     deflections
-        Shape (points, ..., elements) [m]: k times these are the forces.
+        Shape (points, ..., elements) [m]; times k, the forces.
     """
-    reach = limit[..., None] * (share / stiffness)
-    deflections = np.empty_like(reach)
-    now = reach[0] * np.asarray(side)[..., None]
-    deflections[0] = now
-    for k in range(1, len(reach)):
-        now = np.minimum(np.maximum(now + travel[k][..., None], -reach[k]), reach[k])
-        deflections[k] = now
+    bounds = limit[..., None] * (share / stiffness)
+    deflections = np.empty_like(bounds)
+    deflections[0] = bounds[0] * np.asarray(side)[..., None]
+    for k in range(1, len(bounds)):
+        moved = deflections[k - 1] + travel[k][..., None]
+        np.minimum(np.maximum(moved, -bounds[k]), bounds[k], out=deflections[k])
     return deflections
 
 
-def faded(width: Any, tension: Any, xp: ModuleType) -> Any:
-    """The band's half width A [N] of a B [N] at a tension [N], in NumPy or `jax.numpy`; none for a B below 0."""
+def smooth_limit(width: Any, tension: Any, xp: ModuleType) -> Any:
+    """Half width A [N] of the band for B [N] at a tension [N], in NumPy or `jax.numpy`; zero for B below 0."""
     width = xp.maximum(width, _LEAST)
     return width * xp.tanh(tension / (2 * width))
 
 
 class Polygon(NamedTuple):
-    """Elements whose sum is a polygon: shares w of the force, and stiffnesses k for a half width and an s0 of 1."""
+    """Shares w [-] and stiffnesses k of elements whose sum is a polygon, for a half width and an s0 of 1."""
 
     share: NDArray[np.float64]
     stiffness: NDArray[np.float64]
 
 
 def polygon(elements: int) -> Polygon:
-    """The polygon next to 1 - exp(-2 s); its knots are dense where the exponential bends, and the last is at 1."""
+    """Return the polygon nearest to 1 - exp(-2 s), with knots dense where it bends and the last at height 1."""
     at = -np.log(1 - np.arange(1, elements + 1) / (elements + _KNOT))
     height = 1 - np.exp(-2 * at)
     height[-1] = 1.0

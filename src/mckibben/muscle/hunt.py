@@ -74,7 +74,7 @@ class HuntLaw(ForceLaw):
     shift: ClassVar[float] = 0.461
     softening: ClassVar[float] = 3.31e-4
     """c3 [-], c5 [-] and c4 [1/N]."""
-    holds: ClassVar[Domain] = Domain(contraction_min=0.0)
+    formula_domain: ClassVar[Domain] = Domain(contraction_min=0.0)
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         contraction, pressure = jnp.asarray(contraction), jnp.asarray(pressure)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle import base
-from mckibben.muscle.base import Parameter, PressureAffineLaw, braid_gain
+from mckibben.muscle.base import BRAID_PARAMETERS, Parameter, PressureAffineLaw, braid_gain
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.checks import check_positive, check_within
 
@@ -68,7 +67,7 @@ class MartensBoblanLaw(PressureAffineLaw):
         Parameter("axial_stiffness", "N", "N", "rubber, along"),
         Parameter("radial_stiffness", "N", "N", "rubber, around"),
     )
-    shape_parameters = base.PARAMETERS
+    shape_parameters = BRAID_PARAMETERS
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)

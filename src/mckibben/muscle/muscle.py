@@ -1,8 +1,9 @@
-"""A muscle: a specimen that follows a law, inside a domain, and the friction and creep that go with it."""
+"""A muscle: specimen, force law, domain, and the internal state of its friction and creep."""
 
 from __future__ import annotations
 
 import warnings
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,31 +14,43 @@ from numpy.typing import NDArray
 
 from mckibben.errors import DomainWarning
 from mckibben.muscle.base import ForceLaw
-from mckibben.muscle.creep import Creep, NoCreep, Relaxing
-from mckibben.muscle.friction import Friction, Memory, NoFriction
+from mckibben.muscle.creep import Creep, CreepState, NoCreep
+from mckibben.muscle.friction import Friction, FrictionState, NoFriction
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
 
 
-class Muscle(eqx.Module):
-    """A specimen and the law of its force.
+class MuscleState(NamedTuple):
+    """Internal state of a muscle; a part that is empty contributes no force."""
 
-    The difference to the law alone: a muscle cannot push. Where the law turns negative the muscle is slack and its
-    force is zero.
+    friction: FrictionState = ()
+    creep: CreepState = ()
+
+
+NO_STATE = MuscleState()
+
+
+class Muscle(eqx.Module):
+    """A specimen with its force law, friction and creep.
+
+    Unlike the law, a muscle cannot push: where the law is negative the muscle is slack and its force is zero.
 
     Parameters
     ----------
     specimen
         Dimensions and ratings.
     law
-        Force over contraction and pressure.
-    friction
-        What the way to there adds to it; none unless given. `force` and all that follows from it (the torque and
-        stiffness of a joint, what it can attain) are the law's; `gripped` adds friction and creep.
-    creep
-        What the time since then adds to it; none unless given.
+        Static force as a function of contraction and pressure.
+    friction, creep
+        Dynamics added to the law; none by default. They act only through an internal state (`MuscleState`); without
+        one, `force` and all quantities of a joint are those of the law.
+
+    Raises
+    ------
+    RangeError
+        If the domains of specimen and law do not overlap.
     """
 
     specimen: Specimen
@@ -54,87 +67,111 @@ class Muscle(eqx.Module):
             creep=(self.creep, Creep),
         )
 
+    def __repr__(self) -> str:
+        parts = [self.specimen.name, type(self.law).__name__]
+        parts += [type(part).__name__ for part in (self.friction, self.creep) if self._is_dynamic(part)]
+        return f"Muscle({', '.join(parts)})"
+
     @property
     def domain(self) -> Domain:
-        """Where both the specimen may be used and the law holds."""
-        return self.specimen.domain.intersection(self.law.domain).intersection(self.law.holds)
+        """Intersection of the domains of the specimen and the law."""
+        return self.specimen.domain.intersection(self.law.domain).intersection(self.law.formula_domain)
 
-    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The force [N], never below 0; arguments as for the law.
+    @property
+    def has_friction(self) -> bool:
+        """Whether friction contributes to the force."""
+        return self._is_dynamic(self.friction)
+
+    @property
+    def has_creep(self) -> bool:
+        """Whether creep contributes to the force."""
+        return self._is_dynamic(self.creep)
+
+    @staticmethod
+    def _is_dynamic(part: Friction | Creep) -> bool:
+        return not isinstance(part, NoFriction | NoCreep)
+
+    def init_state(self, contraction: ArrayLike) -> MuscleState:
+        """Return the unstressed, relaxed state at a contraction [-]."""
+        length = self.specimen.length_at(contraction)
+        return MuscleState(self.friction.initial(length), self.creep.initial(length))
+
+    def force(self, contraction: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE) -> Float[Array, "..."]:
+        """Return the force [N] at a contraction [-] and a gauge pressure [Pa], never below 0.
+
+        Parameters
+        ----------
+        contraction, pressure
+            Any shapes that broadcast.
+        state
+            Internal state, constant over a short move; friction and creep each contribute at most half of the law's
+            force.
 
         Warns
         -----
         DomainWarning
-            Outside the domain, where the answer is an extrapolation; not inside `jax.jit`, where nothing can be looked
-            at.
+            Outside the domain, where the law is extrapolated; not inside `jax.jit`.
         """
-        _warn_outside(self, contraction, pressure)
-        return self.tension(contraction, pressure)
+        warn_outside((self, contraction, pressure))
+        return self.tension(contraction, pressure, state)
 
-    def tension(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """`force` without a look at the domain: for code that deals with it itself."""
+    def tension(
+        self, contraction: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE
+    ) -> Float[Array, "..."]:
+        """Return `force` without a check of the domain."""
         force = self.law.force(contraction, pressure)
-        return jnp.where(force < 0, 0.0, force)  # this way round a lost state (NaN) is not taken for slack
+        tension = jnp.where(force < 0, 0.0, force)  # this way round, NaN is not taken for slack
+        total = tension
+        if state.friction:
+            length = self.specimen.length_at(contraction)
+            total = total + self.friction.force(state.friction, length, tension, pressure)
+        return total + self.creep.force(state.creep, tension) if state.creep else total
 
-    def gripped(self, memory: Memory, relaxing: Relaxing = ()) -> GrippedMuscle:
-        """The muscle with its friction as it remembers the way, and what of its creep is still relaxing.
+    def viscous_force(
+        self, contraction: ArrayLike, pressure: ArrayLike, rate: ArrayLike, state: MuscleState = NO_STATE
+    ) -> Float[Array, "..."]:
+        """Return the force [N] that depends on the rate of the length [m/s]; added to `force`, never below 0."""
+        tension = self.tension(contraction, pressure)
+        if state.creep:  # half of the tension is the friction's; negative creep reduces the other half
+            tension = tension + 2 * jnp.minimum(self.creep.force(state.creep, tension), 0.0)
+        return self.friction.viscous_force(tension, rate)
 
-        For short moves from where memory and creep are of; without a state it has no creep.
-        """
-        return GrippedMuscle(self.specimen, self.law, self.friction, self.creep, memory, relaxing)
+    def state_rate(self, state: MuscleState, rate: ArrayLike) -> MuscleState:
+        """Return the time derivative of the state at a rate of the length [m/s]; friction has none of its own."""
+        return MuscleState((), self.creep.rate(state.creep, rate) if state.creep else ())
 
-    def settled(self, memory: Memory, contraction: ArrayLike, pressure: ArrayLike) -> Memory:
-        """What its friction remembers after a move to a contraction [-] and a gauge pressure [Pa]."""
-        length = self.specimen.length_at(contraction)
-        return self.friction.settled(memory, length, self.tension(contraction, pressure), pressure)
+    def update_state(self, state: MuscleState, contraction: ArrayLike, pressure: ArrayLike) -> MuscleState:
+        """Return the state after a move to a contraction [-] and a gauge pressure [Pa], projected on its bounds."""
+        friction, creep = state
+        tension = self.tension(contraction, pressure)
+        if friction:
+            friction = self.friction.project(friction, self.specimen.length_at(contraction), tension, pressure)
+        return MuscleState(friction, self.creep.project(creep, tension) if creep else ())
 
     def slope(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The derivative of `force` with respect to the contraction [N]; 0 where slack. Warns as `force` does."""
-        _warn_outside(self, contraction, pressure)
+        """Return the derivative of `force` with respect to the contraction [N], 0 where slack; warns as `force`."""
+        warn_outside((self, contraction, pressure))
         return derivative(lambda c: self.tension(c, pressure), contraction)
 
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-        """The gauge pressure [Pa] that gives a force [N] at a contraction [-]; it may lie outside the domain."""
+        """Return the gauge pressure [Pa] that gives a force [N] at a contraction [-], possibly outside the domain."""
         return self.law.pressure_for(force, contraction)
 
 
-class GrippedMuscle(Muscle):
-    """A muscle whose force contains its friction and creep, their states being held; `Muscle.gripped` makes it.
-
-    Its force is still a function of contraction and pressure alone, and still falls with the contraction.
-    """
-
-    memory: Memory = ()
-    relaxing: Relaxing = ()
-
-    def tension(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        """The force [N] with friction and creep; each takes at most half of that without."""
-        tension = Muscle.tension(self, contraction, pressure)
-        length = self.specimen.length_at(contraction)
-        gripped = tension + self.friction.force(self.memory, length, tension, pressure)
-        return gripped if isinstance(self.creep, NoCreep) else gripped + self.creep.force(self.relaxing, tension)
-
-    def viscous_force(self, contraction: ArrayLike, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
-        """The force [N] that depends on the rate of the length [m/s]: so much that the muscle does not push."""
-        tension = Muscle.tension(self, contraction, pressure)
-        if not isinstance(self.creep, NoCreep):  # half of the tension is the friction's, what is left of the other this
-            tension = tension + 2 * jnp.minimum(self.creep.force(self.relaxing, tension), 0.0)
-        return self.friction.viscous_force(tension, rate)
-
-
-def _warn_outside(muscle: Muscle, contraction: ArrayLike, pressure: ArrayLike) -> None:
-    """Warn of numbers outside the domain; at traced ones not even the domain is worked out."""
-    if isinstance(contraction, Tracer) or isinstance(pressure, Tracer):
+def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike], stacklevel: int = 4) -> None:
+    """Issue one `DomainWarning` for concrete contractions and pressures outside their muscle's domain."""
+    if any(isinstance(value, Tracer) for _, *values in points for value in values):
         return
-    if outside := muscle.domain.describe_outside(contraction, pressure):
-        text = f"{muscle.specimen.name}: {outside}; the law is extrapolated there"
-        warnings.warn(text, DomainWarning, stacklevel=4)  # past the method, and how equinox calls it
+    texts = [(muscle.specimen.name, muscle.domain.describe_outside(*values)) for muscle, *values in points]
+    if found := dict.fromkeys(f"{name}: {text}" for name, text in texts if text):
+        text = f"{'; '.join(found)}; the law is extrapolated there"
+        warnings.warn(text, DomainWarning, stacklevel=stacklevel)  # the caller's line, past equinox's wrapper
 
 
 def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:
-    """The force [N] of a muscle or law at measured points, as NumPy has it: for analysis, compiled as one piece.
+    """Return the force [N] of a muscle or law at measured points as a NumPy array, compiled as one piece.
 
-    Points are padded to a power of two, so that datasets of different sizes share what is compiled.
+    Points are padded to a power of two, so that datasets of different sizes share compiled code.
     """
     contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
     points = contraction.size

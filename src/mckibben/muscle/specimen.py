@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from numbers import Real
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -35,20 +37,20 @@ class Domain(eqx.Module):
                 )
 
     def contains(self, contraction: ArrayLike, pressure: ArrayLike) -> Bool[Array, "..."]:
-        """Whether each point lies inside, the edges included (to rounding)."""
+        """Return whether each point lies inside, edges included (to rounding)."""
         return self.contains_contraction(contraction) & (
             (jnp.asarray(pressure) >= self.pressure_min - 1e-3) & (jnp.asarray(pressure) <= self.pressure_max + 1e-3)
         )
 
     def contains_contraction(self, contraction: ArrayLike) -> Bool[Array, "..."]:
-        """Whether each contraction lies inside, the edges included (to rounding)."""
+        """Return whether each contraction lies inside, edges included (to rounding)."""
         contraction = jnp.asarray(contraction)
         return (contraction >= self.contraction_min - 1e-9) & (contraction <= self.contraction_max + 1e-9)
 
     def describe_outside(self, contraction: ArrayLike, pressure: ArrayLike) -> str:
-        """The first point outside and their number, as text; empty if there is none or they are traced.
+        """Return the number of points outside and the first of them as text; empty for none or traced points.
 
-        NaN is no point.
+        NaN is ignored.
 
         >>> Domain(contraction_min=0.0).describe_outside(-0.08, np.array([1e5, 6e5]))
         '2 of 2 points, the first at contraction -8 % and pressure 1 bar, are outside contraction from 0 %'
@@ -67,27 +69,39 @@ class Domain(eqx.Module):
         return f"{point} are outside {self.bounds()}"
 
     def intersection(self, other: Domain) -> Domain:
-        """The part that both share."""
-        return Domain(
-            jnp.maximum(self.contraction_min, other.contraction_min),
-            jnp.minimum(self.contraction_max, other.contraction_max),
-            jnp.maximum(self.pressure_min, other.pressure_min),
-            jnp.minimum(self.pressure_max, other.pressure_max),
-        )
+        """Return the common part of two domains.
 
-    def check_contraction(self, contraction: float, of: str, remedy: str = "") -> None:
+        Raises
+        ------
+        RangeError
+            If there is none, for bounds that are numbers.
+        """
+        bounds = [
+            _tightest(max, self.contraction_min, other.contraction_min),
+            _tightest(min, self.contraction_max, other.contraction_max),
+            _tightest(max, self.pressure_min, other.pressure_min),
+            _tightest(min, self.pressure_max, other.pressure_max),
+        ]
+        if any(isinstance(a, Real) and isinstance(b, Real) and a > b for a, b in (bounds[:2], bounds[2:])):
+            raise RangeError(
+                f"the domains do not overlap: {self.bounds()}, and {other.bounds()}",
+                remedy="give the law a domain inside the specimen's",
+            )
+        return Domain(*bounds)
+
+    def check_contraction(self, contraction: float, owner: str, remedy: str = "") -> None:
         """Raise if a contraction lies outside.
 
         Raises
         ------
         RangeError
-            It names the value, the range, whose range it is, and the remedy.
+            With value, range and remedy.
         """
         if not bool(self.contains_contraction(contraction)):
             lower, upper = float(self.contraction_min), float(self.contraction_max)
             raise RangeError(
                 f"contraction {contraction / percent:.1f} % is outside "
-                f"{lower / percent:g}..{upper / percent:g} % of {of}",
+                f"{lower / percent:g}..{upper / percent:g} % of {owner}",
                 value=contraction,
                 lower=lower,
                 upper=upper,
@@ -96,7 +110,7 @@ class Domain(eqx.Module):
             )
 
     def bounds(self) -> str:
-        """Only the bounds that there are, as text.
+        """Return the finite bounds as text.
 
         >>> Domain(contraction_min=0.0).bounds()
         'contraction from 0 %'
@@ -118,19 +132,25 @@ class Domain(eqx.Module):
         )
 
 
+def _tightest(pick: Callable[..., Any], one: float | Array, other: float | Array) -> float | Array:
+    if isinstance(one, Real) and isinstance(other, Real):
+        return pick(one, other)
+    return (jnp.maximum if pick is max else jnp.minimum)(one, other)
+
+
 class Specimen(eqx.Module):
     """Dimensions and ratings of a muscle.
 
     Parameters
     ----------
     name
-        The maker's designation.
+        Manufacturer's designation.
     initial_length, initial_diameter
         l0 and d0 [m] of the deflated, unloaded muscle.
     braid_angle
         alpha0 [rad] between thread and axis of the deflated muscle.
     rated_force
-        The highest permissible force [N].
+        Highest permissible force [N].
     domain
         Permissible contraction [-] and gauge pressure [Pa].
     """
@@ -147,16 +167,19 @@ class Specimen(eqx.Module):
         check_positive(self.name, "N", rated_force=self.rated_force)
         check_within(self.name, 0.01, 1.56, "rad", braid_angle=self.braid_angle)
 
+    def __repr__(self) -> str:
+        return f"Specimen({self.name})"
+
     def contraction_at(self, length: ArrayLike) -> Float[Array, "..."]:
-        """(l0 - l)/l0 [-] at a length [m]; positive = shorter."""
-        return 1 - jnp.asarray(length) * (1 / self.initial_length)  # in loops, a product waits less than a quotient
+        """Return the contraction (l0 - l)/l0 [-] at a length [m]."""
+        return 1 - jnp.asarray(length) * (1 / self.initial_length)  # a product, quicker in loops than a quotient
 
     def length_at(self, contraction: ArrayLike) -> Float[Array, "..."]:
-        """The length [m] at a contraction [-]."""
+        """Return the length [m] at a contraction [-]."""
         return self.initial_length * (1 - jnp.asarray(contraction))
 
     def volume(self, contraction: ArrayLike) -> Float[Array, "..."]:
-        r"""The volume [m^3] inside the braid, a cylinder of inextensible thread.
+        r"""Return the volume [m^3] inside the braid, a cylinder of inextensible thread.
 
         .. math::
 

@@ -7,8 +7,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle import base
-from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, braid_gain, pressure_for
+from mckibben.muscle.base import BRAID_PARAMETERS, ForceLaw, Parameter, PressureAffineLaw, braid_gain, pressure_for
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp
@@ -59,7 +58,7 @@ class TonduLopezLaw(PressureAffineLaw):
 
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - k eps)^2 - 1/sin^2(alpha0))"
     source = "Tondu and Lopez 2000"
-    shape_parameters = (*base.PARAMETERS, Parameter("end_factor", "1", "1", "k, of the conical ends", 0.5, 3.0))
+    shape_parameters = (*BRAID_PARAMETERS, Parameter("end_factor", "1", "1", "k, of the conical ends", 0.5, 3.0))
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         gain = braid_gain(self.braid_angle, self.initial_diameter, 1 - self.end_factor * jnp.asarray(contraction))
@@ -106,7 +105,7 @@ class TonduLopezVariableLaw(ForceLaw):
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - k(p) eps)^2 - 1/sin^2(alpha0)), k(p) = a_k exp(-p/1 bar) + b_k"
     source = "Tondu and Lopez 2000, k(p)"
     shape_parameters = (
-        *base.PARAMETERS,
+        *BRAID_PARAMETERS,
         Parameter("end_rise", "1", "1", "a_k, what the ends add at no pressure", -2.0, 5.0),
         Parameter("end_factor", "1", "1", "b_k, of the ends at high pressure", 0.5, 3.0),
     )

@@ -5,8 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle import base
-from mckibben.muscle.base import Parameter, PressureAffineLaw, braid_gain
+from mckibben.muscle.base import BRAID_PARAMETERS, Parameter, PressureAffineLaw, braid_gain
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.units import mm
@@ -81,7 +80,7 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
     source = "after Tsagarakis and Caldwell 2000 (form ours)"
     linear_parameters = (Parameter("threshold_pressure", "Pa", "bar", "pressure lost to rubber and friction"),)
     shape_parameters = (
-        *base.PARAMETERS,
+        *BRAID_PARAMETERS,
         Parameter("wall_thickness", "m", "mm", "of bladder and braid", 0.0, 5 * mm),
         Parameter("end_share", "1", "percent", "of the length that are ends", 0.0, 0.6),
     )

@@ -1,13 +1,13 @@
-"""The plant: valve, inertia and gravity (Eq. 6), sensors and disturbances; what is simulated."""
+"""The plant: joint, load (Eq. 6), valves, sensors and disturbances."""
 
-from mckibben.plant.disturbance import Disturbance, NoDisturbance, TorquePulses
-from mckibben.plant.joint_plant import JointPlant, PlantState
-from mckibben.plant.sensors import PerfectSensors, SampledSensors, Sensors
+from mckibben.plant.joint_plant import IOState, JointPlant, PlantState
+from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, SampledSensors, Sensors, TorquePulses
 from mckibben.plant.valve import FirstOrderValve, IdealValve, Valve
 
 __all__ = [
     "Disturbance",
     "FirstOrderValve",
+    "IOState",
     "IdealValve",
     "JointPlant",
     "NoDisturbance",

@@ -1,4 +1,4 @@
-"""The plant of a simulation: a joint with its load and its valves."""
+"""The plant of a simulation: a joint with its load, valves, sensors and disturbances."""
 
 from __future__ import annotations
 
@@ -10,86 +10,83 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from mckibben.joint import AntagonisticJoint, creep, friction
-from mckibben.joint.antagonistic import pressure_pair
-from mckibben.joint.attainable import Hold, hold
-from mckibben.joint.creep import Relaxings
-from mckibben.joint.friction import Memories
-from mckibben.joint.load import Load
-from mckibben.muscle import Memory, Relaxing
+from mckibben.joint import AntagonisticJoint, Load, Measurement
+from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
+from mckibben.joint.attainable import StaticSolution, check_finite, raise_unattainable, solve_static
+from mckibben.muscle import MuscleState
+from mckibben.muscle.creep import CreepState
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
-from mckibben.plant.disturbance import Disturbance, NoDisturbance
-from mckibben.plant.sensors import PerfectSensors, Reading, Sensors
+from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
 from mckibben.plant.valve import Valve
 
 Scalar = Float[Array, ""]
 
 
-class Surroundings(NamedTuple):
-    """What a plant with real sensors or disturbances has beside its state of motion; all of it stands still in between.
+class IOState(NamedTuple):
+    """State of sensors and disturbance, constant over a control period.
 
     Attributes
     ----------
-    periods
+    index
         Control periods since the start.
-    push
-        The torque from outside [N*m].
-    sensed
-        What the sensors remember.
+    disturbance
+        External torque [N*m].
+    sensors
+        Sensor state.
     """
 
-    periods: Scalar
-    push: Scalar
-    sensed: Any
+    index: Scalar
+    disturbance: Scalar
+    sensors: Any
 
 
 class PlantState(NamedTuple):
-    """Angle [rad], angular velocity [rad/s] and the gauge pressures [Pa] of muscles 1 and 2.
+    """State of a `JointPlant`.
 
-    With friction also what each muscle remembers of its way, with creep what is relaxing in it [N], and with real
-    sensors or disturbances what becomes of these; nothing without.
+    Attributes
+    ----------
+    angle, velocity
+        [rad], [rad/s].
+    pressures
+        Gauge pressures (p1, p2) [Pa].
+    muscles
+        Internal states of the muscles; without leaves for muscles without friction and creep.
+    io
+        State of sensors and disturbance; empty for ideal ones.
     """
 
     angle: Scalar
     velocity: Scalar
-    pressure1: Scalar
-    pressure2: Scalar
-    memory1: Memory = ()
-    memory2: Memory = ()
-    relaxing1: Relaxing = ()
-    relaxing2: Relaxing = ()
-    around: Surroundings | tuple[()] = ()
-
-    @property
-    def pressures(self) -> tuple[Scalar, Scalar]:
-        """Both pressures, (p1, p2)."""
-        return self.pressure1, self.pressure2
-
-    @property
-    def memories(self) -> Memories:
-        """Both memories."""
-        return self.memory1, self.memory2
-
-    @property
-    def relaxing(self) -> Relaxings:
-        """What is relaxing in both."""
-        return self.relaxing1, self.relaxing2
+    pressures: tuple[Scalar, Scalar]
+    muscles: MuscleStates = NO_STATES
+    io: IOState | tuple[()] = ()
 
 
 class Motion(NamedTuple):
-    """What is integrated of a `PlantState`: angle [rad], angular velocity [rad/s], and what relaxes [N]."""
+    """Integrated part of a `PlantState`: angle [rad], angular velocity [rad/s], creep of both muscles [N]."""
 
     angle: Scalar
     velocity: Scalar
-    relaxing1: Relaxing = ()
-    relaxing2: Relaxing = ()
+    creep: tuple[CreepState, CreepState] = ((), ())
+
+    @classmethod
+    def of(cls, state: PlantState) -> Motion:
+        """Return the integrated part of a state."""
+        muscle1, muscle2 = state.muscles
+        return cls(state.angle, state.velocity, (muscle1.creep, muscle2.creep))
+
+    def applied_to(self, state: PlantState, pressures: tuple[Scalar, Scalar]) -> PlantState:
+        """Return a state with this motion and other pressures [Pa]."""
+        (friction1, _), (friction2, _) = state.muscles
+        muscles = MuscleState(friction1, self.creep[0]), MuscleState(friction2, self.creep[1])
+        return PlantState(self.angle, self.velocity, pressures, muscles, state.io)
 
 
 class JointPlant(eqx.Module):
-    """What is simulated, and what a controller never sees.
+    """The simulated system; controllers have no access to it.
 
     Parameters
     ----------
@@ -98,11 +95,11 @@ class JointPlant(eqx.Module):
     load
         Inertia, damping and gravity.
     valve
-        One kind for both muscles.
+        Valve of each muscle.
     sensors
-        What tells a controller of angle and pressures; the truth unless given.
+        Perfect by default.
     disturbance
-        What pushes from outside; nothing unless given.
+        External torque; none by default.
     """
 
     joint: AntagonisticJoint
@@ -121,28 +118,28 @@ class JointPlant(eqx.Module):
             disturbance=(self.disturbance, Disturbance),
         )
 
+    def __repr__(self) -> str:
+        parts = [self.valve] if self.has_ideal_io else [self.valve, self.sensors, self.disturbance]
+        return f"JointPlant({self.joint!r}, {', '.join(type(part).__name__ for part in parts)})"
+
     @property
-    def sheltered(self) -> bool:
-        """Whether sensors are perfect and nothing pushes."""
+    def has_ideal_io(self) -> bool:
+        """Whether sensors are perfect and there is no disturbance."""
         return isinstance(self.sensors, PerfectSensors) and isinstance(self.disturbance, NoDisturbance)
 
-    def begun(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, Reading]:
-        """The state as a control period [s] begins, and what the sensors tell of it.
-
-        What pushes is held over the period.
-        """
-        true = Reading(state.angle, *state.pressures)
-        around = state.around
-        if not isinstance(around, Surroundings):
+    def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, Measurement]:
+        """Return the state at the start of a control period [s], with its disturbance, and the measurement."""
+        true, io = Measurement(state.angle, state.pressures), state.io
+        if not isinstance(io, IOState):
             return state, true
-        sensed, told = self.sensors.read(around.sensed, around.periods, true)
-        push = floating(self.disturbance.torque(around.periods * period))
-        return state._replace(around=Surroundings(around.periods + 1, push, sensed)), told
+        sensors, measured = self.sensors.measure(io.sensors, io.index, true)
+        disturbance = floating(self.disturbance.torque(io.index * period))
+        return state._replace(io=IOState(io.index + 1, disturbance, sensors)), measured
 
-    def limited(self, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Scalar, Scalar]:
-        """The commands [Pa] that the valves let through: within the pressures that the specimens are rated for.
+    def clip_commands(self, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Scalar, Scalar]:
+        """Return the commands [Pa] clipped to the rated pressures of the specimens.
 
-        A law may hold for less; whoever commands more than it was fitted to leaves its domain, and the result says so.
+        The domain of a law may be smaller; a result reports where it is left.
         """
         rated1, rated2 = self.joint.muscle1.specimen.domain, self.joint.muscle2.specimen.domain
         return (
@@ -151,127 +148,108 @@ class JointPlant(eqx.Module):
         )
 
     def stiffness(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
-        """The stiffness against a push from outside [N*m/rad]: that of the muscles and that of gravity."""
+        """Return the total stiffness [N*m/rad], of muscles and gravity."""
         return self.joint.stiffness(angle, pressures) + self.load.gravity_stiffness(angle)
 
-    def switched(self, state: PlantState, commands: tuple[ArrayLike, ArrayLike]) -> PlantState:
-        """The state right after new commands [Pa] reached the valves."""
-        return state._replace(
-            pressure1=self.valve.switched(state.pressure1, commands[0]),
-            pressure2=self.valve.switched(state.pressure2, commands[1]),
-        )
+    def apply_commands(self, state: PlantState, commands: tuple[ArrayLike, ArrayLike]) -> PlantState:
+        """Return the state right after new commands [Pa]."""
+        pressure1, pressure2 = map(self.valve.after_command, state.pressures, commands)
+        return state._replace(pressures=(pressure1, pressure2))
 
     def advance(
         self, state: PlantState, commands: tuple[ArrayLike, ArrayLike], duration: ArrayLike, substeps: int
     ) -> PlantState:
-        """The state a duration [s] after new commands [Pa], which are held, by Runge-Kutta steps of equal length.
+        """Return the state after a duration [s] under constant commands [Pa], by Runge-Kutta steps of equal length.
 
-        The valves give the pressures in closed form; motion and creep are integrated under them.
+        The valves give the pressures in closed form; motion and creep are integrated.
         """
         step = duration / substeps
 
         def pressures_after(state: PlantState, elapsed: ArrayLike) -> tuple[Scalar, Scalar]:
             after = self.valve.pressure_after
-            return (
-                after(state.pressure1, commands[0], elapsed),
-                after(state.pressure2, commands[1], elapsed),
-            )
+            return after(state.pressures[0], commands[0], elapsed), after(state.pressures[1], commands[1], elapsed)
 
         def integrate(_: Array, state: PlantState) -> PlantState:
-            def rate(motion: Motion, pressure1: Scalar, pressure2: Scalar) -> Motion:
-                return self.rate(state._replace(pressure1=pressure1, pressure2=pressure2, **motion._asdict()))
+            def rate(motion: Motion, *pressures: Scalar) -> Motion:
+                return self.rate(motion.applied_to(state, pressures))
 
             end = pressures_after(state, step)
             inputs = state.pressures, pressures_after(state, step / 2), end
-            motion = rk4(rate, Motion(state.angle, state.velocity, *state.relaxing), step, inputs)
-            return self.settled(state._replace(pressure1=end[0], pressure2=end[1], **motion._asdict()))
+            motion = rk4(rate, Motion.of(state), step, inputs)
+            return self.project(motion.applied_to(state, end))
 
-        return lax.fori_loop(0, substeps, integrate, self.switched(state, commands))
+        return lax.fori_loop(0, substeps, integrate, self.apply_commands(state, commands))
 
     def rate(self, state: PlantState) -> Motion:
-        """The derivative of the motion with respect to time, Eq. 6, at the pressures of the state."""
-        relaxing1, relaxing2 = state.relaxing
-        if creep.has_creep(self.joint):
-            relaxing1, relaxing2 = creep.rates(self.joint, state.relaxing, state.angle, state.velocity)
-        resisting = self.load.gravity_torque(state.angle) - self.load.damping * state.velocity
-        torque = self._torque(state) + resisting
-        if isinstance(state.around, Surroundings):
-            torque = torque + state.around.push
-        return Motion(state.velocity, torque * (1 / self.load.total_inertia), relaxing1, relaxing2)
+        """Return the time derivative of the motion (Eq. 6) at the pressures of a state."""
+        angle, velocity, pressures, muscles, io = state
+        creep1, creep2 = (state.creep for state in self.joint.state_rate(muscles, angle, velocity))
+        other = self.load.gravity_torque(angle) - self.load.damping * velocity
+        if muscles == NO_STATES:
+            torque = self.joint.torque(angle, pressures) + other
+        else:
+            torque = self.joint.forces(angle, velocity, pressures, muscles).torque + other
+        if isinstance(io, IOState):
+            torque = torque + io.disturbance
+        return Motion(velocity, torque * (1 / self.load.total_inertia), (creep1, creep2))
 
-    def settled(self, state: PlantState) -> PlantState:
-        """The state after a step of the integration: the muscles remember the way; no force changes by it."""
-        if friction.has_friction(self.joint):
-            memory1, memory2 = friction.settled(self.joint, state.memories, state.angle, state.pressures)
-            state = state._replace(memory1=memory1, memory2=memory2)
-        if creep.has_creep(self.joint):
-            relaxing1, relaxing2 = creep.settled(self.joint, state.relaxing, state.angle, state.pressures)
-            state = state._replace(relaxing1=relaxing1, relaxing2=relaxing2)
-        return state
+    def project(self, state: PlantState) -> PlantState:
+        """Return the state after an integration step with updated internal states; no force changes by it."""
+        return state._replace(muscles=self.joint.update_state(state.muscles, state.angle, state.pressures))
 
-    def still(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> PlantState:
-        """The state that has long stood at an angle [rad] and gauge pressures [Pa], come to without friction."""
+    def init_state(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> PlantState:
+        """Return the state without velocity at an angle [rad] and gauge pressures [Pa], its muscles relaxed."""
         angle = floating(angle)
         pressure1, pressure2 = map(floating, pressure_pair(pressures))
-        return self.remembering(PlantState(angle, jnp.zeros_like(angle), pressure1, pressure2))
+        return self.complete_state(PlantState(angle, jnp.zeros_like(angle), (pressure1, pressure2)))
 
-    def remembering(self, state: PlantState) -> PlantState:
-        """The state, with muscles without stress from friction, and relaxed, unless it says what they remember.
+    def complete_state(self, state: PlantState) -> PlantState:
+        """Return a state with initial values for the internal states and the io state that it leaves empty."""
+        angle, _, pressures, given, io = state
+        initial = self.joint.init_state(angle, pressures)
+        muscle1, muscle2 = (MuscleState(*map(_given_or, *pair)) for pair in zip(given, initial, strict=True))
+        if io == () and not self.has_ideal_io:
+            zero = jnp.zeros_like(floating(angle))
+            io = IOState(zero, zero, self.sensors.init(Measurement(angle, pressures)))
+        return state._replace(muscles=(muscle1, muscle2), io=io)
 
-        And with what sensors and disturbances begin with.
-        """
-        if state.memories == ((), ()) and friction.has_friction(self.joint):
-            memory1, memory2 = friction.unstressed(self.joint, state.angle, state.pressures)
-            state = state._replace(memory1=memory1, memory2=memory2)
-        if state.relaxing == ((), ()) and creep.has_creep(self.joint):
-            relaxing1, relaxing2 = creep.relaxed(self.joint, state.angle)
-            state = state._replace(relaxing1=relaxing1, relaxing2=relaxing2)
-        if state.around == () and not self.sheltered:
-            nothing = jnp.zeros_like(floating(state.angle))
-            sensed = self.sensors.first(Reading(state.angle, *state.pressures))
-            state = state._replace(around=Surroundings(nothing, nothing, sensed))
-        return state
-
-    def _torque(self, state: PlantState) -> Scalar:
-        """Of the muscles, friction and creep included [N*m]."""
-        if friction.plain(self.joint):
-            return self.joint.torque(state.angle, state.pressures)
-        motion = state.angle, state.velocity, state.pressures
-        return friction.pull(self.joint, state.memories, *motion, state.relaxing).torque
-
-    def resting(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
-        """The state of `at_rest`, and whether there is one: for traced numbers, which cannot raise.
-
-        A stiffness of NaN stands for amid the attainable ones.
-        """
-        state, _, found = _rest(self, angle, stiffness)
+    def find_equilibrium(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
+        """Return the state of `equilibrium` and whether it exists, for traced numbers; NaN for no given stiffness."""
+        state, _, found = _equilibrium(self, angle, stiffness)
         return state, found.exists
 
-    def at_rest(self, angle: float = 0.0, *, stiffness: float | None = None) -> PlantState:
-        """The state that rests at an angle with both muscles taut, relaxed, and without stress from friction.
+    def equilibrium(self, angle: float = 0.0, *, stiffness: float | None = None) -> PlantState:
+        """Return the equilibrium at an angle with both muscles taut, relaxed and unstressed by friction.
 
         Parameters
         ----------
         angle
-            Where [rad].
+            [rad].
         stiffness
-            The stiffness of the joint there [N*m/rad]; amid the attainable ones unless given.
+            Stiffness of the joint [N*m/rad]; by default, that midway between the slackest and the tightest state.
 
         Raises
         ------
         UnreachableError
-            If no pressures within limits hold the angle, or the stiffness at it; it names the attainable range.
+            If no pressures within limits balance the load, or give the stiffness; with the attainable range.
         RangeError
-            If a muscle would leave its domain.
+            If a muscle would leave its domain, or a number is not finite.
         """
-        state, holding, found = _rest(self, angle, math.nan if stiffness is None else stiffness)
-        self.joint.held(found, angle, float(holding), stiffness)
+        check_finite(angle=angle, stiffness=0.0 if stiffness is None else stiffness)
+        wanted = math.nan if stiffness is None else stiffness
+        state, torque, found = _equilibrium(self, angle, wanted)
+        if not found.exists:
+            raise_unattainable(self.joint, found, float(angle), float(torque), float(wanted))
         return state
 
 
+def _given_or(given: tuple[Array, ...], initial: tuple[Array, ...]) -> tuple[Array, ...]:
+    return given if len(given) else initial
+
+
 @compiled
-def _rest(plant: JointPlant, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Array, Hold]:
-    """The state at rest, the muscles' torque [N*m] in it, and how it was found; all in one program."""
-    holding = -plant.load.gravity_torque(angle)
-    found = hold(plant.joint, angle, holding, stiffness)
-    return plant.still(angle, found.pressures), holding, found
+def _equilibrium(plant: JointPlant, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Array, StaticSolution]:
+    """Return the equilibrium, the muscles' torque [N*m] in it, and the static solution, from one program."""
+    torque = -plant.load.gravity_torque(angle)
+    found = solve_static(plant.joint, angle, torque, stiffness)
+    return plant.init_state(angle, found.pressures), torque, found

@@ -1,81 +1,72 @@
-"""Sensors: what a controller is told of the plant's state."""
+"""Sensors and external disturbances of a plant: ideal, or sampled, noisy and disturbed."""
 
 from __future__ import annotations
 
 import abc
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.joint import Measurement
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
 
-Scalar = Float[Array, ""]
-
-
-class Reading(NamedTuple):
-    """An angle [rad] and two gauge pressures [Pa] as sensors tell them."""
-
-    angle: Scalar
-    pressure1: Scalar
-    pressure2: Scalar
-
 
 class Sensors(eqx.Module):
-    """From the true angle and pressures at the start of a control period to what the controller is given."""
+    """Sensor model: maps the true state to a measurement once per control period."""
 
     @abc.abstractmethod
-    def read(self, last: Any, periods: ArrayLike, true: Reading) -> tuple[Any, Reading]:
-        """What is remembered for the next control period, and what the controller is given in this one.
+    def init(self, true: Measurement) -> Any:
+        """Return the initial sensor state."""
+
+    @abc.abstractmethod
+    def measure(self, state: Any, index: ArrayLike, true: Measurement) -> tuple[Any, Measurement]:
+        """Return the next sensor state and the measurement.
 
         Parameters
         ----------
-        last
-            What was remembered; `first` before the first period.
-        periods
+        state
+            Sensor state.
+        index
             Control periods since the start.
         true
-            The truth now.
+            True angle and pressures at the start of the control period.
         """
-
-    @abc.abstractmethod
-    def first(self, true: Reading) -> Any:
-        """What is remembered before the first control period."""
 
 
 class PerfectSensors(Sensors):
-    """The controller is told the truth, at once: what the paper's simulation assumes."""
+    """Exact measurement without delay, as in the paper's simulation."""
 
-    def first(self, true: Reading) -> tuple[()]:
+    def init(self, true: Measurement) -> tuple[()]:
         return ()
 
-    def read(self, last: Any, periods: ArrayLike, true: Reading) -> tuple[Any, Reading]:
-        return last, true
+    def measure(self, state: Any, index: ArrayLike, true: Measurement) -> tuple[Any, Measurement]:
+        return state, true
 
 
 class SampledSensors(Sensors):
-    """An encoder that counts in steps, pressures with white noise, and all of it late if need be.
+    """Quantised encoder, white pressure noise and a delay.
 
     Parameters
     ----------
     encoder
-        One step of the encoder [rad]; the angle is rounded to the nearest. 0 for none.
+        Resolution of the encoder [rad]; the angle is rounded to the nearest step. 0 for none.
     pressure_noise
-        Standard deviation [Pa] of each sample of each pressure, normal and independent.
+        Standard deviation [Pa] of the normal, independent noise of each pressure.
     delay
-        Control periods by which a reading is late, 0 to 1; between these it is as far between two readings.
+        Delay in control periods, 0 to 1; in between, samples are interpolated.
     seed
-        Of the noise: the same seed gives the same, period by period.
+        Seed of the noise.
 
     Examples
     --------
     >>> sensors = SampledSensors(encoder=0.01)
-    >>> true = Reading(jnp.asarray(0.1234), jnp.asarray(2e5), jnp.asarray(3e5))
-    >>> _, told = sensors.read(sensors.first(true), 0, true)
-    >>> round(float(told.angle), 4), float(told.pressure1)
+    >>> true = Measurement(jnp.asarray(0.1234), (jnp.asarray(2e5), jnp.asarray(3e5)))
+    >>> _, measured = sensors.measure(sensors.init(true), 0, true)
+    >>> round(float(measured.angle), 4), float(measured.pressures[0])
     (0.12, 200000.0)
     """
 
@@ -89,20 +80,74 @@ class SampledSensors(Sensors):
         check_positive("SampledSensors", "Pa", zero=True, pressure_noise=self.pressure_noise)
         check_within("SampledSensors", 0.0, 1.0, "periods", delay=self.delay)
 
-    def first(self, true: Reading) -> Reading:
-        return self._told(0, true)
+    def init(self, true: Measurement) -> Measurement:
+        return self._sample(0, true)
 
-    def read(self, last: Reading, periods: ArrayLike, true: Reading) -> tuple[Reading, Reading]:
-        now = self._told(periods, true)
-        late = jnp.asarray(self.delay)
-        return now, Reading(*(new + late * (old - new) for new, old in zip(now, last, strict=True)))
+    def measure(self, state: Measurement, index: ArrayLike, true: Measurement) -> tuple[Measurement, Measurement]:
+        sample, delay = self._sample(index, true), jnp.asarray(self.delay)
+        return sample, jax.tree.map(lambda new, old: new + delay * (old - new), sample, state)
 
-    def _told(self, periods: ArrayLike, true: Reading) -> Reading:
-        """What would be told now without a delay."""
+    def _sample(self, index: ArrayLike, true: Measurement) -> Measurement:
+        """Quantised, noisy sample without delay."""
         angle = floating(true.angle)
         step = jnp.asarray(self.encoder)
-        counted = jnp.where(step > 0, jnp.round(angle / jnp.where(step > 0, step, 1.0)) * step, angle)
-        key = jax.random.fold_in(jax.random.key(self.seed), jnp.asarray(periods).astype(jnp.uint32))
-        normal = jax.random.normal(key, (2,), jnp.float32)  # in either precision the same
+        quantised = jnp.where(step > 0, jnp.round(angle / jnp.where(step > 0, step, 1.0)) * step, angle)
+        key = jax.random.fold_in(jax.random.key(self.seed), jnp.asarray(index).astype(jnp.uint32))
+        normal = jax.random.normal(key, (2,), jnp.float32)  # the same in either precision
         noise = normal.astype(angle.dtype) * self.pressure_noise
-        return Reading(counted, true.pressure1 + noise[0], true.pressure2 + noise[1])
+        pressure1, pressure2 = true.pressures
+        return Measurement(quantised, (pressure1 + noise[0], pressure2 + noise[1]))
+
+
+class Disturbance(eqx.Module):
+    """External torque on the joint over time, constant over each control period."""
+
+    @abc.abstractmethod
+    def torque(self, time: ArrayLike) -> Float[Array, "..."]:
+        """Return the torque [N*m], positive in the direction of the angle, at a time [s] since the start."""
+
+
+class NoDisturbance(Disturbance):
+    """No external torque."""
+
+    def torque(self, time: ArrayLike) -> Float[Array, "..."]:
+        return jnp.zeros_like(floating(time))
+
+
+class TorquePulses(Disturbance):
+    """Torque pulses of alternating sign, the first one positive.
+
+    Parameters
+    ----------
+    height
+        Torque [N*m].
+    width
+        Duration of a pulse [s].
+    interval
+        Time between the starts of successive pulses [s].
+    start
+        Start of the first pulse [s].
+
+    Examples
+    --------
+    >>> pulses = TorquePulses(height=0.5, width=0.1, interval=1.0, start=0.25)
+    >>> pulses.torque(jnp.array([0.2, 0.3, 0.4, 1.3, 2.3])).tolist()
+    [0.0, 0.5, 0.0, -0.5, 0.5]
+    """
+
+    height: float
+    width: float = 0.1
+    interval: float = 1.0
+    start: float = 0.5
+
+    def __check_init__(self) -> None:
+        check_positive("TorquePulses", "s", width=self.width, interval=self.interval)
+        check_positive("TorquePulses", "s", zero=True, start=self.start)
+
+    def torque(self, time: ArrayLike) -> Float[Array, "..."]:
+        time, start = floating(time), jnp.asarray(self.start)
+        elapsed = time - start
+        rounding = 4 * jnp.finfo(time.dtype).eps * (jnp.abs(time) + start)
+        index = jnp.floor((elapsed + rounding) / self.interval)  # starts in the control period at whose start it is due
+        on = (index >= 0) & (elapsed - index * self.interval < self.width - rounding)
+        return jnp.where(on, self.height * (1 - 2 * jnp.mod(index, 2.0)), 0.0)

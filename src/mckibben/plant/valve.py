@@ -1,4 +1,4 @@
-"""Valves: how the pressure in a muscle follows its command."""
+"""Valves: response of the pressure in a muscle to its command."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from mckibben.numerics.checks import check_positive, check_within
 
 
 class Valve(eqx.Module):
-    """The response of the pressure to a command that is held over a control period, in closed form.
+    """Response of the pressure to a command that is constant over a control period, in closed form.
 
-    The plant takes the pressures at the stages of its integration from it, so no valve is too fast for the step.
+    The plant evaluates it at the stages of its integration, so the step does not limit the time constant.
     """
 
     @abc.abstractmethod
-    def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
-        """The pressure [Pa] right after a new command [Pa]."""
+    def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
+        """Return the pressure [Pa] right after a new command [Pa]."""
 
     @abc.abstractmethod
     def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
-        """The pressure [Pa] after a time [s] from a pressure [Pa], under a command [Pa] that is held."""
+        """Return the pressure [Pa] a time [s] after a pressure [Pa], under a constant command [Pa]."""
 
     @abc.abstractmethod
     def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
-        """The command [Pa] under which a pressure [Pa] changes at a rate [Pa/s]."""
+        """Return the command [Pa] at which a pressure [Pa] changes at a rate [Pa/s]."""
 
 
 class IdealValve(Valve):
-    """The pressure is the command, at once: what the paper's simulation assumes."""
+    """Pressure equal to the command, as in the paper's simulation."""
 
-    def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
+    def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(command)
 
     def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
@@ -47,12 +47,12 @@ _SLOWEST = 10.0  # s: a slower valve is one in milliseconds
 
 
 class FirstOrderValve(Valve):
-    """The pressure follows with a lag: p(t) = u + (p(0) - u) exp(-t / T) under a held command u.
+    """First-order lag, p(t) = u + (p(0) - u) exp(-t / T) under a constant command u.
 
     Parameters
     ----------
     time_constant
-        After which 63 % of a step are done [s]. Fast proportional valves on a small muscle have 20 to 100 ms.
+        T [s], at which 63 % of a step are done; 20 to 100 ms for fast proportional valves on a small muscle.
     """
 
     time_constant: float
@@ -61,7 +61,7 @@ class FirstOrderValve(Valve):
         check_positive("FirstOrderValve", "s", time_constant=self.time_constant)
         check_within("FirstOrderValve", 0.0, _SLOWEST, "s", time_constant=self.time_constant)
 
-    def switched(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
+    def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(pressure)
 
     def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.joint.attainable import is_affine, segment_of
+from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
@@ -109,7 +109,7 @@ def _states(
     inertia, damping = load.total_inertia, load.damping
     torque = inertia * acceleration + damping * velocity - load.gravity_torque(angle)
     torque_rate = inertia * jerk + damping * acceleration + load.gravity_stiffness(angle) * velocity
-    segment = segment_of(joint, angle, torque, None, 0.0)
+    segment = cocontraction_segment(joint, angle, torque, None, 0.0)
     tension = segment.first + (segment.last - segment.first) * places[:, None]
 
     def state(angle: Array, torque: Array, tension1: Array) -> tuple[Array, Array, Array]:
@@ -129,7 +129,7 @@ def _states(
     by_motion, by_tension = ([rate[k] for rate in rates] for k in (0, 1))
     tension_rate = (stiffness_rate - by_motion[2]) / by_tension[2]
     commands = (plant.valve.command_for(values[i], by_motion[i] + by_tension[i] * tension_rate) for i in range(2))
-    return torque, *attainable_band(plant, angle), segment.holdable, values[2], *commands
+    return torque, *attainable_band(plant, angle), segment.feasible, values[2], *commands
 
 
 def _cut(stiffness: Values, commands: list[Values], limits: tuple[tuple[float, float], ...]) -> Range:
@@ -305,11 +305,11 @@ def _standing(plant: JointPlant, angle: ArrayLike, places: ArrayLike) -> tuple[A
     angle, places = floating(angle), floating(places)
     torque = -plant.load.gravity_torque(angle)
     limits = plant.joint.attainable_torque(angle)
-    segment = segment_of(plant.joint, angle, torque, None, 0.0)
+    segment = cocontraction_segment(plant.joint, angle, torque, None, 0.0)
     pressures, stiffness = segment.at(places[:, None])
     _, arms = plant.joint.geometry.paths_and_arms(angle)
     able = (arms[0] > 0) & (arms[1] > 0)
-    stiffness = jnp.where(able & segment.holdable, stiffness, jnp.nan)
+    stiffness = jnp.where(able & segment.feasible, stiffness, jnp.nan)
     return torque, *(jnp.where(able, limit, jnp.nan) for limit in limits), stiffness, *pressures
 
 

@@ -189,7 +189,7 @@ class PlantProgram:
 
     def __init__(self, plant: JointPlant, substeps: int) -> None:
         plant = numeric(plant)
-        still = jax.eval_shape(lambda: plant.still(0.0, (0.0, 0.0)))
+        still = jax.eval_shape(lambda: plant.init_state(0.0, (0.0, 0.0)))
         numbers, self._states = Packing(plant), Packing(still)
         states = self._states
 

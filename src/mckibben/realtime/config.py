@@ -11,13 +11,12 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben.config.fields import Part, Quantity, refuse
-from mckibben.config.reading import parsed, text_of
+from mckibben.config.fields import Angle, BoundedInt, Duration, PositiveTime, Pressure, PressureRate, Quantity, Title
+from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.errors import Problem, RigError, StoppedError
 from mckibben.rig.backend import Backend, Channel
 from mckibben.rig.calibration import Calibration
 from mckibben.study.rig.steps import JsonPath, Wait
-from mckibben.study.scenario.fields import Angle, Duration, PositiveTime, Pressure, PressureRate, Title, Whole
 from mckibben.units import bar, deg
 
 
@@ -177,15 +176,15 @@ _Noise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3)]
 _Turning = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e5, open_lower=True)]
 
 
-class BenchSpec(Part):
+class BenchSpec(ConfigModel):
     """The virtual joint: how well it is measured, see `Sensing`. It is the scenario's own plant."""
 
     angle_step: _Step | None = None
     pressure_noise: _Noise | None = None
-    seed: Annotated[int, Whole(0, 2**31 - 1)] = 0
+    seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
 
 
-class JointCardSpec(Part):
+class JointCardSpec(ConfigModel):
     """A card of National Instruments: its terminals, and the file of the five calibrations."""
 
     device: str
@@ -200,7 +199,7 @@ class JointCardSpec(Part):
     calibration: JsonPath
 
 
-class JointLimitsSpec(Part):
+class JointLimitsSpec(ConfigModel):
     """What may not be exceeded, see `JointLimits`.
 
     Unless given, the angle may go 10 deg beyond the wishes, the start, and where the joint hangs without air; the
@@ -219,7 +218,7 @@ class JointLimitsSpec(Part):
     late: PositiveTime | None = None
 
 
-class ApproachSpec(Part):
+class ApproachSpec(ConfigModel):
     """How the joint is brought to its start.
 
     In `raising` the pressures go to those of the start along a straight line; in `settling` the controller holds the
@@ -230,7 +229,7 @@ class ApproachSpec(Part):
     settling: Wait = 2.0
 
 
-class JointRig(Part):
+class JointRig(ConfigModel):
     """What a scenario is run on; in SI, `read` knows the units.
 
     Attributes
@@ -271,7 +270,7 @@ class JointRig(Part):
         virtual = info.data.get("virtual", "wrong")
         if (virtual is None) == (value is None):
             what = "is virtual and nidaqmx at once" if value is not None else "has no rig"
-            refuse(what, "give one of virtual, nidaqmx", parent=True)
+            fail_validation(what, "give one of virtual, nidaqmx", parent=True)
         return value
 
     @classmethod
@@ -283,8 +282,8 @@ class JointRig(Part):
         ScenarioError
             With every problem of the file: line, field, value, allowed range and remedy.
         """
-        text = text_of(path, "a joint rig", "examples/rig/joint-rig.yaml")
-        return parsed(cls, text, source=os.fspath(path), folder=Path(path).parent)[0]
+        text = read_text(path, "a joint rig", "examples/rig/joint-rig.yaml")
+        return parse_model(cls, text, source=os.fspath(path), folder=Path(path).parent)[0]
 
     def to_json(self) -> dict[str, Any]:
         """What was given, with units, for the record."""

@@ -155,7 +155,7 @@ def measured_result(
     telemetry |= {"saturated": telemetry["saturated"] != 0} if "saturated" in telemetry else {}
     velocity: Any = np.gradient(table["angle"], period)
     angle, pressure1, pressure2 = (cast(Any, table[name]) for name in ("angle", "pressure1", "pressure2"))
-    state = PlantState(angle, velocity, pressure1, pressure2)
+    state = PlantState(angle, velocity, (pressure1, pressure2))
     record = Record(state, table["command1"], table["command2"], table["limited"] != 0, telemetry)  # type: ignore[arg-type]
     wishes = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
     nothing = np.full(count, np.nan)

@@ -294,7 +294,7 @@ def prepared(
         period=period,
         raising=0 if ideal else round(approach.raising / period),
         settling=0 if ideal else round(approach.settling / period),
-        pressures=(float(start.pressure1), float(start.pressure2)),
+        pressures=(float(start.pressures[0]), float(start.pressures[1])),
         limited_to=_rated(plant),
     )
     limits = _limits(rig, plant, wished[:, 0], (float(start.angle), hanging))
@@ -319,7 +319,7 @@ def prepared(
 
 
 def _rated(plant: JointPlant) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The pressures [Pa] that `JointPlant.limited` lets through."""
+    """The pressures [Pa] that `JointPlant.clip_commands` allows."""
     one, two = plant.joint.muscle1.specimen.domain, plant.joint.muscle2.specimen.domain
     return (
         (float(one.pressure_min), float(one.pressure_max)),
@@ -413,4 +413,4 @@ def _building(source: str, field: str) -> Iterator[None]:
     except FileError:
         raise  # names a file and a place itself
     except McKibbenError as error:
-        raise ScenarioError(source, [Problem(str(error), field=field)]) from error
+        raise ScenarioError(source, [Problem.of(error, field=field)]) from error

@@ -146,9 +146,9 @@ class VirtualJoint:
         self._period, self._seed, self._faults = period, seed, tuple(faults)
         self._wiring, self._sensing = wiring or Wiring(), sensing or Sensing()
         self._program = program or PlantProgram(plant, substeps)
-        state = plant.still(vented_angle(plant), (0.0, 0.0)) if start is None else plant.remembering(start)
+        state = plant.init_state(vented_angle(plant), (0.0, 0.0)) if start is None else plant.complete_state(start)
         self._start = self._program.state(state)
-        self._held_at_start = (0.0, 0.0) if start is None else (float(start.pressure1), float(start.pressure2))
+        self._held_at_start = (0.0, 0.0) if start is None else tuple(map(float, start.pressures))
         rated = plant.joint.muscle1.specimen.domain, plant.joint.muscle2.specimen.domain
         self._rated = tuple((float(domain.pressure_min), float(domain.pressure_max)) for domain in rated)
         self._volts_of = tuple((c.gain, c.offset, c.tare) for c in self._wiring.sensors)

@@ -1,6 +1,6 @@
 """Figures and the HTML report; the only place that imports matplotlib. Drawing takes numbers and returns figures."""
 
-from mckibben.report.benchmark import contest_air, contest_errors, contest_references, write_contest
+from mckibben.report.benchmark import benchmark_air, benchmark_errors, benchmark_references, write_benchmark
 from mckibben.report.experiment_design import planned
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.hysteresis import loops, relaxation
@@ -15,9 +15,9 @@ from mckibben.report.tracking import control_results, controller_comparison, err
 __all__ = [
     "ReportFigure",
     "attainable_stiffness",
-    "contest_air",
-    "contest_errors",
-    "contest_references",
+    "benchmark_air",
+    "benchmark_errors",
+    "benchmark_references",
     "control_results",
     "controller_comparison",
     "error_curves",
@@ -39,6 +39,6 @@ __all__ = [
     "torque_stiffness_map",
     "tracking",
     "tuning",
-    "write_contest",
+    "write_benchmark",
     "write_report",
 ]

@@ -1,4 +1,4 @@
-"""Figures and the page of a contest of controllers."""
+"""Figures and report of a comparison of controllers."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from mckibben.units import deg
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
 _PAGE = "comparison.html"
-_NARROW = 3.0  # a range of less has too few ticks in the logarithm
+_NARROW = 3.0  # a smaller ratio gets a linear axis
 
 
 @styled
-def contest_errors(contest: BenchmarkResult) -> Figure:
-    """In how many of the evaluation runs the errors of angle and stiffness stay below a value, a line a controller.
+def benchmark_errors(contest: BenchmarkResult) -> Figure:
+    """Cumulative distribution of the angle and stiffness errors over the unseen runs, by controller.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ def contest_errors(contest: BenchmarkResult) -> Figure:
 
 
 @styled
-def contest_references(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
-    """Median errors by reference, a marker for each controller.
+def benchmark_references(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+    """Median errors by reference and controller.
 
     Parameters
     ----------
@@ -93,8 +93,8 @@ def contest_references(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> 
 
 
 @styled
-def contest_air(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
-    """What the angle's error costs in air: medians, and the middle 90 % of the runs.
+def benchmark_air(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+    """Angle error over air consumption: median and 90 % range of the runs.
 
     Parameters
     ----------
@@ -108,20 +108,20 @@ def contest_air(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
     for name, look in looks_of(contest.batches).items():
         air, angle = contest.metric(name, "air") * 1e3, contest.metric(name, "angle_rmse") / deg
         if not np.isfinite(angle).any():
-            continue  # unstable in all runs
+            continue  # all runs unstable
         (x0, x, x1), (y0, y, y1) = (np.nanpercentile(each, [5, 50, 95]) for each in (air, angle))
         axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
         axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
         axes.plot(x, y, marker="o", markersize=4.5, linestyle="", color=look["color"], label=name)
-    axes.set(xscale="log", yscale="log", xlabel="air taken in [L]", ylabel="angle rmse [deg]")
+    axes.set(xscale="log", yscale="log", xlabel="air consumption [L]", ylabel="angle rmse [deg]")
     plain_numbers(axes.xaxis)
     plain_numbers(axes.yaxis)
     legend_above(figure, axes, columns=4)
     return figure
 
 
-def write_contest(contest: BenchmarkResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
-    """Write `comparison.html`, and its figures as PNG and SVG in `figures/` beside it.
+def write_benchmark(contest: BenchmarkResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
+    """Write `comparison.html` with embedded figures, and the figures as PNG and SVG in `figures/`.
 
     Parameters
     ----------
@@ -130,12 +130,12 @@ def write_contest(contest: BenchmarkResult, numbers: Mapping[str, Any], folder: 
     numbers
         Its `statistics`.
     folder
-        Where to; made if need be.
+        Output folder, created if missing.
 
     Returns
     -------
     pathlib.Path
-        Of the page; it appears complete or not at all, and needs no other file.
+        Path of the page, written atomically.
     """
     folder = Path(folder)
     embedded = [
@@ -143,17 +143,17 @@ def write_contest(contest: BenchmarkResult, numbers: Mapping[str, Any], folder: 
         for drawn in _figures(contest, numbers)
     ]
     page = folder / _PAGE
-    text = template_of("contest.html.jinja").render(
+    text = template_of("benchmark.html.jinja").render(
         style=style_sheet(),
         suite=contest.suite,
         numbers=numbers,
         first=next(iter(contest.batches)),
         figures=embedded,
         tables=[
-            _standings(numbers),
-            _against(numbers),
-            _conduct(numbers),
-            _by(numbers, "by_joint", "joint"),
+            _ranking(numbers),
+            _ratios(numbers),
+            _effort(numbers),
+            _by_group(numbers, "by_joint", "joint"),
             _dependence(numbers),
         ],
         tuned=_tuned(contest),
@@ -169,22 +169,22 @@ def _figures(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> list[Repor
     said = (
         (
             "errors",
-            "Errors over all evaluation runs",
-            f"The share of the {runs} evaluation runs in which the root mean square error stays below a value. Grey: "
-            "the median and the 95th percentile. Unstable runs are above all values.",
-            contest_errors(contest),
+            "Errors over all unseen runs",
+            f"Cumulative distribution of the root mean square error over the {runs} unseen runs. Grey: median and 95th "
+            "percentile. Unstable runs count as infinite errors.",
+            benchmark_errors(contest),
         ),
         (
             "references",
-            "By reference",
+            "Errors by reference",
             "Median errors over the runs with each reference.",
-            contest_references(contest, numbers),
+            benchmark_references(contest, numbers),
         ),
         (
             "air",
-            "What it costs",
-            "Air taken in and error of the angle: medians, and the middle 90 % of the runs.",
-            contest_air(contest, numbers),
+            "Air consumption",
+            "Air consumption and angle error: median and 90 % range of the runs.",
+            benchmark_air(contest, numbers),
         ),
     )
     return [
@@ -194,14 +194,14 @@ def _figures(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> list[Repor
 
 
 _Column = tuple[str, str, str]
-_HOW_WELL: tuple[_Column, ...] = (
+_ERROR_COLUMNS: tuple[_Column, ...] = (
     ("angle rmse [deg]", "angle_rmse_deg", "median"),
     ("95 %", "angle_rmse_deg", "percentile_95"),
     ("stiffness rmse [N*m/rad]", "stiffness_rmse", "median"),
     ("95 %", "stiffness_rmse", "percentile_95"),
     ("coupling [deg]", "coupling_deg", "median"),
 )
-_AND_HOW: tuple[_Column, ...] = (
+_EFFORT_COLUMNS: tuple[_Column, ...] = (
     ("ripple [N*m/rad]", "stiffness_ripple", "median"),
     ("estimate rmse [N*m/rad]", "estimate_rmse", "median"),
     ("air [L]", "air_L", "median"),
@@ -210,26 +210,26 @@ _AND_HOW: tuple[_Column, ...] = (
 )
 
 
-def _standings(numbers: Mapping[str, Any]) -> Table:
+def _ranking(numbers: Mapping[str, Any]) -> Table:
     rows = []
     for name in numbers["order"]:
         found = numbers["controllers"][name]
         settled = f"{found['settled']['runs']} of {found['settled']['of']}"
-        rows.append((name, str(found["unstable"]), *_cells(found, _HOW_WELL), settled))
+        rows.append((name, str(found["unstable"]), *_cells(found, _ERROR_COLUMNS), settled))
     return Table(
-        "By the median cost of a run. Medians and 95th percentiles over the stable runs. Stiffness "
-        "is the plant's true one; coupling is of its steps, and settled says in how many of these it settled.",
-        ("controller", "unstable", *(title for title, _, _ in _HOW_WELL), "settled"),
+        "Ordered by median cost. Medians and 95th percentiles over the stable runs. Errors are those of the plant's "
+        "stiffness; coupling and settling refer to stiffness steps.",
+        ("controller", "unstable", *(title for title, _, _ in _ERROR_COLUMNS), "settled"),
         rows,
     )
 
 
-def _conduct(numbers: Mapping[str, Any]) -> Table:
-    rows = [(name, *_cells(numbers["controllers"][name], _AND_HOW)) for name in numbers["order"]]
+def _effort(numbers: Mapping[str, Any]) -> Table:
+    rows = [(name, *_cells(numbers["controllers"][name], _EFFORT_COLUMNS)) for name in numbers["order"]]
     return Table(
-        "At what cost: medians, and of the time slack the 95th percentile. Ripple is what of the stiffness error "
-        "moves; estimate rmse is the error of the controller's estimate.",
-        ("controller", *(title for title, _, _ in _AND_HOW)),
+        "Medians; of the slack time the 95th percentile. Ripple: varying part of the stiffness error; estimate rmse: "
+        "error of the controller's stiffness estimate.",
+        ("controller", *(title for title, _, _ in _EFFORT_COLUMNS)),
         rows,
     )
 
@@ -238,7 +238,7 @@ def _cells(found: Mapping[str, Any], columns: tuple[_Column, ...]) -> list[str]:
     return [number((found["metrics"][key] or {}).get(what)) for _, key, what in columns]
 
 
-def _against(numbers: Mapping[str, Any]) -> Table:
+def _ratios(numbers: Mapping[str, Any]) -> Table:
     first = next(iter(numbers["controllers"]))
     rows = []
     for name in numbers["order"]:
@@ -248,13 +248,13 @@ def _against(numbers: Mapping[str, Any]) -> Table:
         ]
         rows.append((name, *cells))
     return Table(
-        f"Ratio of the median error to that of {first}, and the interval that holds 95 % of resamplings of the runs.",
+        f"Ratio of the median error to that of {first}, with 95 % bootstrap interval over the runs.",
         ("controller", "angle rmse", "stiffness rmse"),
         rows,
     )
 
 
-def _by(numbers: Mapping[str, Any], key: str, what: str) -> Table:
+def _by_group(numbers: Mapping[str, Any], key: str, what: str) -> Table:
     groups = list(dict.fromkeys(group for found in numbers["controllers"].values() for group in found[key]))
     rows = [
         (
@@ -284,9 +284,9 @@ def _dependence(numbers: Mapping[str, Any]) -> Table:
         for condition in conditions
     ]
     return Table(
-        "What the errors depend on: Spearman's rank correlation of each condition with the error of the angle, and of "
-        "the stiffness. Chance alone gives less than "
-        f"{number(1.96 / max(numbers['runs'] - numbers['not_begun'] - 1, 1) ** 0.5, 2)} 95 % of the time.",
+        "Spearman's rank correlation of each condition with the angle error, and with the stiffness error. "
+        "Uncorrelated conditions give less than "
+        f"{number(1.96 / max(numbers['runs'] - numbers['no_start'] - 1, 1) ** 0.5, 2)} 95 % of the time.",
         ("condition", *controllers),
         rows,
     )
@@ -296,17 +296,17 @@ def _tuned(contest: BenchmarkResult) -> Table:
     rows = []
     for name, values in contest.tuned.items():
         costs = contest.training_cost.get(name)
-        said = "as in the suite" if costs is None else f"cost {number(costs[1])} before, {number(costs[0])} tuned"
+        said = "not tuned" if costs is None else f"cost {number(costs[1])} before, {number(costs[0])} tuned"
         written = [
             f"{each.name.removeprefix('controller.')} {each.parameter.show(values[each.name]).replace('*', '·')}"
             for each in contest.suite.tuned_over(name)
         ]
         rows.append((name, said, "; ".join(written)))
-    return Table("What tuning found on the training runs.", ("controller", "training", "numbers"), rows)
+    return Table("Tuned parameters.", ("controller", "cost of the training runs", "parameters"), rows)
 
 
 def _distribution(axes: Axes, values: NDArray[np.float64], **look: Any) -> None:
-    """The share of runs below each value; runs without a number are above all."""
+    """Empirical distribution function; runs without a value count as infinite."""
     ordered = np.sort(values[np.isfinite(values)])
     below = np.arange(ordered.size + 1) / max(values.size, 1)
     axes.plot([*ordered[:1], *ordered], below[: ordered.size + bool(ordered.size)], drawstyle="steps-post", **look)

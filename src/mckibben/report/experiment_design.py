@@ -1,4 +1,4 @@
-"""The figure of a plan: where the force is uncertain now and after, the points at hand, and those to come."""
+"""Figure of a plan: standard error of the force before and after it, measured and planned points."""
 
 from __future__ import annotations
 
@@ -18,17 +18,16 @@ from mckibben.units import bar, percent
 
 _UNKNOWN, _OUT = "#C9C9C9", "#FFFFFF"
 _DIRECTIONS = {"loading": LOADING, "unloading": UNLOADING}
-_MOST_STATES = 60  # of a quantity that are marked one by one
-_BESIDE = 2.5 * percent, 0.35 * bar  # planned points that are nearer share a label
-_WIDEST = 300.0  # from the palest to the darkest shade
+_MOST_STATES = 60  # more states are drawn as a region
+_LABEL_GAP = 2.5 * percent, 0.35 * bar  # closer points share a label
+_WIDEST = 300.0  # ratio of the colour scale
 
 
 @styled
 def planned(found: Plan) -> Figure:
-    """Contraction and pressure, shaded by the standard error of the law's force: now on the left, after on the right.
+    """Standard error of the force over contraction and pressure: before the plan (left) and after it (right).
 
-    Grey is where the points do not determine it, white where nothing can be measured. The points at hand are drawn on
-    the left, the planned ones on the right, numbered by what they gain.
+    Grey: not determined; white: not measurable. Planned points are numbered by their gain.
     """
     figure = blank(DOUBLE, 4.3)
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -37,10 +36,10 @@ def planned(found: Plan) -> Figure:
         _shade(axes, found, errors, scale, colours)
         axes.set_xlabel("contraction [%]")
     left.set_ylabel("pressure [bar]")
-    letter(left, "a", "now, with the points at hand")
-    letter(right, "b", f"after {len(found.points)} more")
+    letter(left, "a", "now, measured points")
+    letter(right, "b", f"after {len(found.points)} planned points")
     handles: list[Line2D | Patch] = []
-    handles += _at_hand(left, found) + _aims(left, right, found) + _to_come(right, found)
+    handles += _measured_points(left, found) + _quantity_states(left, right, found) + _planned_points(right, found)
     if np.isinf(found.map.now).any():
         handles.append(Patch(color=_UNKNOWN, label="force not determined"))
     figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 4))
@@ -64,7 +63,7 @@ def _scale(found: Plan) -> LogNorm:
 
 
 def _colours() -> ListedColormap:
-    """Pale where the force is known, so that marks are read over it."""
+    """Colour map whose light end leaves markers legible."""
     import matplotlib as mpl
 
     shades = ListedColormap(mpl.colormaps["YlOrBr"].resampled(256)(range(256))[:215])
@@ -85,12 +84,12 @@ def _shade(axes: Axes, found: Plan, errors: NDArray[np.float64], scale: LogNorm,
 
 
 def _edges(centres: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of cells around places that are evenly spaced."""
+    """Edges of evenly spaced cells."""
     step = float(np.diff(centres[:2])[0]) if len(centres) > 1 else 1.0
     return np.append(centres - step / 2, centres[-1] + step / 2)
 
 
-def _at_hand(axes: Axes, found: Plan) -> list[Line2D]:
+def _measured_points(axes: Axes, found: Plan) -> list[Line2D]:
     points = found.measured.taut
     known = points.table["direction"].to_numpy() if "direction" in points.table else np.full(len(points), "")
     handles = []
@@ -104,28 +103,28 @@ def _at_hand(axes: Axes, found: Plan) -> list[Line2D]:
     return handles
 
 
-def _to_come(axes: Axes, found: Plan) -> list[Line2D]:
-    """The planned points; those that are close together are numbered together, beside the rightmost of them."""
+def _planned_points(axes: Axes, found: Plan) -> list[Line2D]:
+    """Draw the planned points; close ones share a label."""
     used: dict[str, Line2D] = {}
-    bunches: list[list[int]] = []
+    clusters: list[list[int]] = []
     for number, point in enumerate(found.points):
         look = _DIRECTIONS.get(point.direction, {"color": "#333333", "marker": "o"})
         style = {**look, "linestyle": "", "markersize": 6.5, "markeredgecolor": "white", "markeredgewidth": 0.7}
         axes.plot([point.contraction / percent], [point.pressure / bar], zorder=4, clip_on=False, **style)
         name = f"planned, {point.direction}" if point.direction else "planned"
         used[name] = Line2D([], [], label=name, **style)
-        near = next((bunch for bunch in bunches if any(_close(found.points[i], point) for i in bunch)), None)
+        near = next((cluster for cluster in clusters if any(_close(found.points[i], point) for i in cluster)), None)
         if near is None:
-            bunches.append([number])
+            clusters.append([number])
         else:
             near.append(number)
     low, high = axes.get_xlim()
-    for bunch in bunches:
-        x = np.array([found.points[i].contraction / percent for i in bunch])
+    for cluster in clusters:
+        x = np.array([found.points[i].contraction / percent for i in cluster])
         right = x.max() < (low + high) / 2
         axes.annotate(
-            ", ".join(str(number + 1) for number in bunch),
-            (x.max() if right else x.min(), float(np.mean([found.points[i].pressure / bar for i in bunch]))),
+            ", ".join(str(number + 1) for number in cluster),
+            (x.max() if right else x.min(), float(np.mean([found.points[i].pressure / bar for i in cluster]))),
             xytext=(6 if right else -6, 0),
             textcoords="offset points",
             ha="left" if right else "right",
@@ -139,12 +138,15 @@ def _to_come(axes: Axes, found: Plan) -> list[Line2D]:
 
 
 def _close(one: PlannedPoint, other: PlannedPoint) -> bool:
-    apart = (one.contraction - other.contraction) / _BESIDE[0], (one.pressure - other.pressure) / _BESIDE[1]
+    apart = (
+        (one.contraction - other.contraction) / _LABEL_GAP[0],
+        (one.pressure - other.pressure) / _LABEL_GAP[1],
+    )
     return bool(np.hypot(*apart) <= 1)
 
 
-def _aims(left: Axes, right: Axes, found: Plan) -> list[Line2D]:
-    """Where the muscles are whose joint is asked about, or the region whose force is."""
+def _quantity_states(left: Axes, right: Axes, found: Plan) -> list[Line2D]:
+    """Draw the states of the quantity of interest."""
     states = found.target_states
     if not len(states):
         return []
@@ -158,11 +160,11 @@ def _aims(left: Axes, right: Axes, found: Plan) -> list[Line2D]:
                 [low, high, high, low, low], [bottom, bottom, top, top, bottom], color=BLUE, linewidth=1.0, zorder=3
             )
     if len(states) <= _MOST_STATES:
-        return [Line2D([], [], linestyle="", marker="+", color=BLUE, markeredgewidth=1.6, label="asked about")]
-    return [Line2D([], [], color=BLUE, linewidth=1.0, label="asked about")]
+        return [Line2D([], [], linestyle="", marker="+", color=BLUE, markeredgewidth=1.6, label="quantity of interest")]
+    return [Line2D([], [], color=BLUE, linewidth=1.0, label="quantity of interest")]
 
 
 def _wrapped(text: str) -> str:
-    """Broken where a part of the sentence ends."""
+    """Break a sentence after its first clause."""
     first, semicolon, rest = text.partition("; ")
     return f"{first}{semicolon.strip()}\n{rest}"

@@ -1,4 +1,4 @@
-"""All figures of a reproduction, each with a caption that says what to see and a text for those who cannot."""
+"""Figures of a reproduction, with captions and alternative texts."""
 
 from __future__ import annotations
 
@@ -23,21 +23,7 @@ from mckibben.units import deg
 
 @dataclass(frozen=True, eq=False)
 class ReportFigure:
-    """A figure as the report shows it.
-
-    Attributes
-    ----------
-    name
-        Of its files.
-    section
-        Where it belongs: one of the keys of `mckibben.report.tables.SECTIONS`; empty on a page without these.
-    title, caption
-        What it is, and what to see in it.
-    alternative
-        The same for a reader who cannot see it.
-    figure
-        The drawing.
-    """
+    """Figure of a page: file name, section (a key of `SECTIONS`, or empty), title, caption, alternative text."""
 
     name: str
     section: str
@@ -51,7 +37,7 @@ class ReportFigure:
 
 
 def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:
-    """Draw them one after the other, in the order of the report."""
+    """Draw the figures in the order of the report."""
     yield from _of_the_muscle(reproduction)
     yield from _of_the_joint(reproduction)
     for setting in SETTINGS:
@@ -67,11 +53,10 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "fig3-isobaric-curves",
         "identification",
         "Fig. 3: isobaric characteristic curves",
-        f"The paper's test on the virtual rig: {levels} pressures, {rig.protocol.repeats} repeats, "
-        f"{rig.samples:,} raw samples behind {len(rig.test)} plateau means. Each pressure has two curves: the upper "
-        f"(solid) while the muscle is stretched, the lower (dashed) while it shortens; the gap is the rig's friction "
-        f"of ±{rig.rig.hysteresis:g} N. The curves of high pressure start late because the rig stays below the rated "
-        f"force of {rig.muscle.specimen.rated_force:g} N.",
+        f"The paper's test on the simulated rig: {levels} pressures, {rig.protocol.repeats} repeats, "
+        f"{rig.samples:,} raw samples behind {len(rig.test)} plateau means. Solid: loading (being "
+        f"stretched); dashed: unloading (shortening); the gap is friction of ±{rig.rig.hysteresis:g} N. Curves of high "
+        f"pressure start late, since the rig stays below the rated force of {rig.muscle.specimen.rated_force:g} N.",
         f"{levels} curves of force over contraction, falling steeply, then more gently, higher for higher pressure; "
         "loading lies slightly above unloading.",
         isobaric_curves(rig.test),
@@ -81,11 +66,10 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "fig4-law-comparison",
         "identification",
         "Fig. 4: measured force, experimental law and Chou's law",
-        "A second test, which no law has seen, at the paper's four pressures, in the paper's colours: loading data "
-        "blue, unloading data orange, the law identified from the first test purple, Chou's law of the specimen green. "
-        "The experimental law runs between the two directions; Chou's knows neither the rubber nor the ends of the "
-        "muscle. The errors of both are in the panels. The muscle of the virtual rig follows Eq. 3, so this shows the "
-        "method at work; the next figure has muscles that were measured.",
+        "Validation on a second test at the paper's four pressures: loading (blue) and unloading (red) data, the law "
+        "identified from the first test (purple) and Chou's law of the specimen (green). The experimental law lies "
+        "between the two directions; Chou's models neither the rubber nor the ends of the muscle. The simulated muscle "
+        "follows Eq. 3, so this validates the method; the next figure has measured muscles.",
         "Panels of force over contraction, one a pressure, with points of both directions and the curves of both laws.",
         law_comparison(rig.retest, laws, found.retested),
     )
@@ -94,9 +78,8 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "measured-muscles",
         "identification",
         "Eq. 2 on measured muscles",
-        "Independent data of two other 10 mm muscles: points are those of the tables, curves are Eq. 2 fitted to all "
-        "taut points together; what is left over is below, on its own scale. Slack points say only that the force is "
-        "zero, and are left out.",
+        "Measured data of two other 10 mm muscles, Eq. 2 fitted to all taut points (curves), and residuals (below). "
+        "Slack points are excluded.",
         "Force over contraction at many pressures for two muscles with fitted curves through the points; residuals "
         "below.",
         measured_muscles(measured),
@@ -112,11 +95,10 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
     yield ReportFigure(
         "attainable-stiffness",
         "joint",
-        "Stiffness that the knee can hold",
-        "The shaded band is all the stiffness that pressures within limits can give at an angle while the muscles "
-        "carry the load and stay within their range of contraction; outside the dash-dotted lines it cannot be "
-        "held. The wishes of the simulations are drawn over it: where one leaves the band, no controller can follow "
-        "it for long.",
+        "Attainable stiffness of the knee",
+        "Shaded: stiffness in static equilibrium with the load, for pressures and contractions within their limits. "
+        "Outside the dash-dotted lines there is no equilibrium. Lines: references of the simulations; where one "
+        "leaves the shaded area, no controller can follow it for long.",
         "A band of attainable stiffness over the joint angle for each geometry; "
         + "; ".join(f"{n}: {m.at(0.0)[0]:.1f} to {m.at(0.0)[1]:.1f} N·m/rad at 0 degrees" for n, m in maps.items()),
         attainable_stiffness(maps, wishes),
@@ -125,9 +107,10 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "torque-stiffness-map",
         "joint",
         "Torque, stiffness and angle of the knee",
-        "Lowest and highest stiffness at each angle and muscle torque, and the room that co-contraction has between "
-        "them. Grey: out of reach. The dashed line is the torque that holds the load against gravity; the band of the "
-        "previous figure is the map along this line. Each row has its own colours.",
+        "Minimum and maximum stiffness over angle and muscle torque, and their difference, the range of "
+        "co-contraction. "
+        "Grey: not attainable. Dashed: static torque of the load, along which the previous figure is drawn. Each row "
+        "has its own colour scale.",
         "Colour maps over angle and torque, one row a geometry; the attainable region is a tilted patch.",
         torque_stiffness_map(maps),
     )
@@ -148,8 +131,8 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
         f"Fig. 7: control results, geometry {setting.name}",
         f"Desired (black, dashed) and actual angle and stiffness under PID and under BP (its first seed) on the same "
         f"moderate gains; a sine of {setting.amplitude}, stiffness {constant} or stepping from {step}. The grey band "
-        "is the stiffness that is attainable at the desired angle: where the wish lies outside it, the error is not "
-        "the controller's.",
+        "is the attainable stiffness at the desired angle: where the reference is outside, the error is not due to "
+        "the controller.",
         "Four panels, each with the angle above and the stiffness below, desired and actual over ten seconds.",
         control_results(panels),
     )
@@ -162,9 +145,8 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
         "tracking",
         f"Fig. 8: errors, geometry {setting.name}",
         f"Actual minus desired. In (a) the angle error is {rmse[PID]:.2f}° RMS under PID and {rmse[BP]:.2f}° under BP. "
-        "The last row zooms in on the stiffness after its wish was set or changed; grey is the settling band, and "
-        "dotted lines mark when each controller has entered it for good. A peak that is only the jump of the wish is "
-        "cut off, and said so.",
+        "The last row shows the stiffness after the start or step of its reference, with the settling band (grey) and "
+        "settling times (dotted). Peaks at the step itself are cut off and annotated.",
         "Error curves of PID and BP over time: angle above, stiffness in the middle, the settling of the stiffness "
         "below.",
         error_curves(columns),
@@ -182,10 +164,10 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
     yield ReportFigure(
         "controller-comparison",
         "tracking",
-        "PID and BP, on moderate and on tuned gains",
-        f"Median over {seeds} seeds of BP's network (dot) and the worst of them (end of the line), on logarithmic "
-        "axes; left is better. PID has no seeds. What BP changes on moderate gains is to be seen beside what tuning "
-        "changes.",
+        "PID and BP with moderate and tuned gains",
+        f"Median (dot) and worst (end of the line) over {seeds} seeds of the network, logarithmic axes; left is "
+        "better. "
+        "PID has no seeds.",
         "Dot plots of angle error, stiffness error and settling time for five controllers in two geometries.",
         controller_comparison(found),
     )
@@ -197,17 +179,17 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
     yield ReportFigure(
         "bp-gains",
         "tracking",
-        "How BP moves its gains",
-        f"Gains relative to the base gains over a run with a stiffness step, first seed. Dashed: the bounds. About "
-        f"moderate gains BP may move by a factor of {FREE:g}, about tuned ones by less. Where a gain climbs to "
-        "its bound and stays, learning has become a choice of other constant gains.",
+        "Gains of BP over time",
+        f"Gains relative to the base gains over a run with a stiffness step, first seed. Dashed: the bounds. Moderate "
+        f"gains may change by a factor of {FREE:g}, tuned ones by less. A gain that stays at its bound is "
+        "in effect another constant gain.",
         "Gains of both loops over time as multiples of their base, within dashed bounds.",
         gain_histories(histories),
     )
 
 
 def gain_ratio(run: Run) -> float:
-    """By what factor the position loop of a run under BP may move its gains."""
+    """Largest gain ratio of the position loop of a BP run."""
     spec = run.scenario.controller.position
     assert spec is not None  # the paper has two loops
     loop = build_loop(spec)

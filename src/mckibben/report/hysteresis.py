@@ -15,8 +15,8 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import RangeError
 from mckibben.identification.creep import CreepFit
 from mckibben.identification.hysteresis import HysteresisFit
-from mckibben.identification.loading_path import Strokes
-from mckibben.identification.relaxation import Courses
+from mckibben.identification.loading_path import LoadingPaths
+from mckibben.identification.relaxation import RelaxationCurves
 from mckibben.muscle import MaxwellCreep
 from mckibben.report.style import BLACK, DOUBLE, LOADING, UNLOADING, blank, letter, styled
 from mckibben.units import bar, percent
@@ -28,25 +28,25 @@ _MODEL = {"color": BLACK, "linewidth": 0.8, "zorder": 4}
 
 @styled
 def loops(dataset: IsobaricDataset, found: HysteresisFit) -> Figure:
-    """Loading and unloading, measured and modelled: above all of the force, below what the way adds to the static law.
+    """Hysteresis loops, measured and modelled: force (top), and friction force by pressure (bottom).
 
     Parameters
     ----------
     dataset
-        The one that the hysteresis was identified from.
+        Dataset of the identification.
     found
-        Of `identify_hysteresis`.
+        Result of `identify_hysteresis`.
 
     Raises
     ------
     RangeError
-        If the dataset has another number of points.
+        If the number of points differs.
     """
     means = dataset.plateau_means()
     if len(means) != len(found.residuals):
         raise RangeError(
             f"the hysteresis is of {len(found.residuals)} points, the dataset has {len(means)}",
-            remedy="give the dataset that it was identified from",
+            remedy="use the dataset of the identification",
         )
     shown = _spread(np.unique(means.levels[found.tension > 0]))
     columns = min(3, len(shown))
@@ -69,19 +69,19 @@ def loops(dataset: IsobaricDataset, found: HysteresisFit) -> Figure:
 
 
 def _spread(levels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """At most so many levels as there is room for, from the lowest to the highest."""
+    """Return at most `_MOST_LOOPS` levels from the lowest to the highest."""
     place = np.unique(np.linspace(0, len(levels) - 1, min(len(levels), _MOST_LOOPS)).round().astype(int))
     return levels[place]
 
 
 def _forces(axes: Axes, means: IsobaricDataset, found: HysteresisFit) -> None:
-    """All points, and the modelled force as a line for each pass."""
+    """Draw all points, and the modelled force of each pass."""
     force, model = means.force - found.offset, found.tension + found.friction_force
     loading = means.table["direction"].to_numpy() == "loading"
     for side, look in ((loading, LOADING), (~loading, UNLOADING)):
         axes.plot(means.contraction[side] / percent, force[side], linestyle="none", markersize=2, **look)
-    for way in _ways(means):
-        axes.plot(means.contraction[way] / percent, model[way], **_MODEL)
+    for rows in _passes(means):
+        axes.plot(means.contraction[rows] / percent, model[rows], **_MODEL)
     handles = [
         Line2D([], [], linestyle="none", markersize=4, label="loading (being stretched)", **LOADING),
         Line2D([], [], linestyle="none", markersize=4, label="unloading (shortening)", **UNLOADING),
@@ -96,60 +96,60 @@ def _forces(axes: Axes, means: IsobaricDataset, found: HysteresisFit) -> None:
 
 
 def _loop(axes: Axes, means: IsobaricDataset, found: HysteresisFit, level: float) -> float:
-    """What is measured beyond law and drift at a pressure, and the friction along the way; returns the RMSE [N]."""
+    """Draw the friction force at a pressure, measured and modelled; return the RMSE [N]."""
     here = np.isclose(means.levels, level, rtol=0, atol=1.0) & (found.tension > 0)
     loading = means.table["direction"].to_numpy() == "loading"
     measured = found.residuals + found.friction_force
     for side, look in ((here & loading, LOADING), (here & ~loading, UNLOADING)):
         axes.plot(means.contraction[side] / percent, measured[side], linestyle="none", markersize=2.5, **look)
-    for way in _ways(means):
-        if here[way].any():
-            way = way[here[way]]
-            axes.plot(means.contraction[way] / percent, found.friction_force[way], **_MODEL)
+    for rows in _passes(means):
+        if here[rows].any():
+            rows = rows[here[rows]]
+            axes.plot(means.contraction[rows] / percent, found.friction_force[rows], **_MODEL)
     axes.axhline(0.0, color="#999999", linewidth=0.5, zorder=0)
     return float(np.sqrt(np.mean(found.residuals[here] ** 2)))
 
 
-def _ways(means: IsobaricDataset) -> list[NDArray[np.int64]]:
-    """The rows of each time a pressure was set, in the order of time."""
+def _passes(means: IsobaricDataset) -> list[NDArray[np.int64]]:
+    """Rows of each pass at constant pressure, in order of time."""
     time = means.table["time"].to_numpy() if "time" in means.table else np.arange(len(means))
     order = np.argsort(time, kind="stable")
     return np.split(order, np.flatnonzero(np.abs(np.diff(means.levels[order])) > 1.0) + 1)
 
 
 _CREEP_MODEL: dict[str, Any] = {"color": BLACK, "linewidth": 0.9, "zorder": 4}
-_MOST = 20  # moves since the turn
+_MOST = 20  # moves since the reversal
 
 
 @styled
 def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
-    """How the force goes back within plateaus: on average over time, and how fast by the number of moves since a turn.
+    """Relaxation of the force within plateaus: mean over time, and slope by moves since the last reversal.
 
-    Bars are one standard error, over plateaus. What drifts in common is taken off.
+    Bars are one standard error over plateaus; the common drift is subtracted.
 
     Parameters
     ----------
     dataset
-        The one that the creep was identified from, with its samples.
+        Dataset of the identification, with its samples.
     found
-        Of `identify_creep`.
+        Result of `identify_creep`.
 
     Raises
     ------
     RangeError
-        If the dataset has another number of points, or no samples.
+        If the number of points differs, or there are no samples.
     """
-    if len(dataset) != len(found.relaxing) or "force_samples" not in dataset.table:
+    if len(dataset) != len(found.initial_force) or "force_samples" not in dataset.table:
         raise RangeError(
-            f"the creep is of the samples of {len(found.relaxing)} points, the dataset has {len(dataset)} points"
+            f"the creep is of the samples of {len(found.initial_force)} points, the dataset has {len(dataset)} points"
             + (" and no samples" if "force_samples" not in dataset.table else ""),
-            remedy="give the dataset that it was identified from",
+            remedy="use the dataset of the identification",
         )
     means = dataset.plateau_means()
-    measured = Courses.of(dataset.table["force_samples"].to_numpy(), found.interval)
-    modelled = Courses.of(found.course(measured.times), found.interval)
+    measured = RelaxationCurves.of(dataset.table["force_samples"].to_numpy(), found.interval)
+    modelled = RelaxationCurves.of(found.relaxation(measured.times), found.interval)
     taut = ~means.slack
-    side, moves = _since_turn(Strokes.of(means))
+    side, moves = _since_turn(LoadingPaths.of(means))
     figure = blank(DOUBLE, 2.7)
     courses, slopes = figure.subplots(1, 2)
     _courses(courses, measured, modelled, found, taut, side)
@@ -157,22 +157,22 @@ def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
     return figure
 
 
-def _since_turn(strokes: Strokes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Shape (rows,): the side of the last move, and how many went that way in a row; 0 where there was none."""
-    sides = np.sign(np.where(np.abs(strokes.travel) > 1e-9, strokes.travel, 0.0))
+def _since_turn(strokes: LoadingPaths) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Sign of the last move, and number of consecutive moves of that sign; shape (rows,), 0 if none."""
+    sides = np.sign(np.where(np.abs(strokes.displacement) > 1e-9, strokes.displacement, 0.0))
     counts = np.zeros(sides.shape)
-    way, run = np.zeros(sides.shape[1]), np.zeros(sides.shape[1])
+    rows, run = np.zeros(sides.shape[1]), np.zeros(sides.shape[1])
     for k, now in enumerate(sides):
-        run = np.where(now == 0, run, np.where(now == way, run + 1, 1))
-        way = np.where(now == 0, way, now)
+        run = np.where(now == 0, run, np.where(now == rows, run + 1, 1))
+        rows = np.where(now == 0, rows, now)
         counts[k] = np.where(now == 0, 0, run)
     return strokes.scattered(sides), strokes.scattered(counts).astype(np.int64)
 
 
 def _courses(
     axes: Axes,
-    measured: Courses,
-    modelled: Courses,
+    measured: RelaxationCurves,
+    modelled: RelaxationCurves,
     found: CreepFit,
     taut: NDArray[np.bool_],
     side: NDArray[np.float64],
@@ -186,14 +186,14 @@ def _courses(
         error = values.std(axis=0, ddof=1) / np.sqrt(len(values))
         axes.errorbar(times, values.mean(axis=0) * 1e3, error * 1e3, linestyle="none", markersize=3, **look)
         axes.plot(times, modelled.values[here].mean(axis=0) * 1e3, **_CREEP_MODEL)
-    axes.set(xlabel="time since the first sample [s]", ylabel="force less its mean [mN]")
+    axes.set(xlabel="time since the first sample [s]", ylabel="force minus its mean [mN]")
     letter(axes, "a", "mean over plateaus")
 
 
 def _slopes(
     axes: Axes,
-    measured: Courses,
-    modelled: Courses,
+    measured: RelaxationCurves,
+    modelled: RelaxationCurves,
     found: CreepFit,
     taut: NDArray[np.bool_],
     side: NDArray[np.float64],
@@ -208,15 +208,15 @@ def _slopes(
         heights = [group.mean() for group in groups]
         axes.errorbar(counts, heights, errors, linestyle="none", markersize=3, label=label, **look)
         modelled_heights = [model[here & (moves == n)].mean() * 1e3 for n in counts]
-        axes.plot(counts, modelled_heights, label="one arm" if sign > 0 else None, **_CREEP_MODEL)
+        axes.plot(counts, modelled_heights, label="Maxwell element" if sign > 0 else None, **_CREEP_MODEL)
     axes.axhline(0.0, color="#999999", linewidth=0.5, zorder=0)
-    axes.set(xlabel="moves since the turn", ylabel="slope within a plateau [mN/s]")
+    axes.set(xlabel="moves since the reversal", ylabel="slope within a plateau [mN/s]")
     creep = found.creep
     title = (
         f"{creep.stiffness / 1e3:.3g} N/mm, {creep.time_constant:.3g} s"
         if isinstance(creep, MaxwellCreep)
-        else "no creep seen"
+        else "no creep detected"
     )
     axes.legend(title=title, title_fontsize=7.5, alignment="left", loc="center right")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    letter(axes, "b", "how fast it goes back")
+    letter(axes, "b", "relaxation rate")

@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification import Fit, Grouping, Profile, Ranked, Ranking
+from mckibben.identification import Fit, Grouping, Profile, RankedLaw, Ranking
 from mckibben.report.style import (
     BAND,
     BLUE,
@@ -36,16 +36,16 @@ from mckibben.units import bar, factor, percent
 
 _SHOWN = 6  # laws whose residuals are drawn
 _LOOKS: dict[str, dict[str, Any]] = {
-    "seen": {"color": "#888888", "marker": "|", "label": "points fitted to"},
-    "pressure": {"color": BLUE, "marker": "o", "label": "unseen pressures"},
-    "direction": {"color": VERMILLION, "marker": "D", "label": "unseen direction"},
-    "repeat": {"color": GREEN, "marker": "s", "label": "unseen repeats"},
+    "seen": {"color": "#888888", "marker": "|", "label": "fitted points"},
+    "pressure": {"color": BLUE, "marker": "o", "label": "held-out pressures"},
+    "direction": {"color": VERMILLION, "marker": "D", "label": "held-out direction"},
+    "repeat": {"color": GREEN, "marker": "s", "label": "held-out repeats"},
 }
 
 
 @styled
 def ranking(found: Ranking) -> Figure:
-    """Errors of all laws above, residuals of the best ones below, coloured by pressure."""
+    """Cross-validation errors of all laws, and residuals of the best ones coloured by pressure."""
     fitted = [entry for entry in found.entries if entry.fit]
     shown = fitted[:_SHOWN]
     rows = -(-len(shown) // 3)
@@ -73,11 +73,13 @@ def ranking(found: Ranking) -> Figure:
     return figure
 
 
-def _errors(axes: Axes, fitted: list[Ranked], found: Ranking) -> None:
+def _errors(axes: Axes, fitted: list[RankedLaw], found: Ranking) -> None:
     places = np.arange(len(fitted))
     kinds = {"seen": [entry.fit.rmse if entry.fit else np.nan for entry in fitted]}
     for name in found.blocks:
-        kinds[name] = [entry.unseen[name].rmse if name in entry.unseen else np.nan for entry in fitted]
+        kinds[name] = [
+            entry.cross_validation[name].rmse if name in entry.cross_validation else np.nan for entry in fitted
+        ]
     for name, errors in kinds.items():
         size = 60 if name == "seen" else 26
         axes.scatter(errors, places, s=size, zorder=3 + (name != "seen"), **_LOOKS[name])
@@ -92,14 +94,14 @@ def _errors(axes: Axes, fitted: list[Ranked], found: Ranking) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("RMSE [N]")
     axes.grid(axis="x", which="both", alpha=0.3)
-    order = "the best at unseen points first" if found.blocks else "least AICc first (no block could be held out)"
+    order = "by cross-validation error" if found.blocks else "by AICc (no block could be held out)"
     letter(axes, "a", f"laws (number of parameters), {order}")
-    axes.legend(loc="lower left", framealpha=0.95)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), framealpha=0.95)
     if any(entry.flags for entry in fitted):
         beside(axes, "shaded: flagged, see the table")
 
 
-def _residuals(axes: Axes, entry: Ranked, found: Ranking, scale: Normalize) -> None:
+def _residuals(axes: Axes, entry: RankedLaw, found: Ranking, scale: Normalize) -> None:
     assert entry.fit is not None
     residuals = entry.fit.residuals
     assert residuals is not None
@@ -117,7 +119,7 @@ def _residuals(axes: Axes, entry: Ranked, found: Ranking, scale: Normalize) -> N
     )
     largest = float(np.abs(residuals).max())
     axes.set_ylim(-1.15 * largest, 1.6 * largest)
-    pattern = entry.structure.pattern if entry.structure else ""
+    pattern = entry.residual_correlation.pattern if entry.residual_correlation else ""
     beside(axes, f"pattern: {pattern}" if pattern else "no pattern", fontsize=6.5)
 
 
@@ -133,18 +135,16 @@ _DIRECTIONS = {"loading": LOADING, "unloading": UNLOADING}
 
 @styled
 def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: Grouping | None = None) -> Figure:
-    """A fitted law with its force bands, a column a pressure: the curve above, measured minus fitted below.
-
-    The inner band holds the law, the outer one a further plateau mean, each with the given probability at a point.
+    """Fitted law with pointwise confidence band (inner) and prediction band of a plateau mean (outer), by pressure.
 
     Parameters
     ----------
     dataset
-        Measured points; of more than six pressures, six are shown that cover the range.
+        Measured points; at most six pressures are shown.
     fit
-        As `identify` returned it from them.
+        Fit to these points.
     level, by
-        As for `Fit.force_band`.
+        As for `Fit.force_intervals`.
     """
     taut = dataset.plateau_means().taut
     levels = taut.pressures
@@ -158,16 +158,16 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
     for i, pressure in enumerate(levels):
         points = taut.at(float(pressure))
         along = np.linspace(first, min(last, float(points.contraction.max()) + 0.02), 200)
-        band = fit.force_band(along, float(pressure), level=level, by=by)
-        for axes, offset in ((grid[0, i], 0.0), (grid[1, i], band.mean.value)):
-            outer, inner = band.measurement, band.mean
+        band = fit.force_intervals(along, float(pressure), level=level, by=by)
+        for axes, offset in ((grid[0, i], 0.0), (grid[1, i], band.confidence.value)):
+            outer, inner = band.prediction, band.confidence
             axes.fill_between(along / percent, outer.lower - offset, outer.upper - offset, color=BAND, zorder=1)
             axes.fill_between(along / percent, inner.lower - offset, inner.upper - offset, **_MEAN)
-            axes.plot(along / percent, band.mean.value - offset, **_CURVE)
-        there = fit.force_band(points.contraction, points.pressure, level=level, by=by)
+            axes.plot(along / percent, band.confidence.value - offset, **_CURVE)
+        there = fit.force_intervals(points.contraction, points.pressure, level=level, by=by)
         _points(grid[0, i], points, points.force)
-        _points(grid[1, i], points, points.force - there.mean.value)
-        outside = np.mean((points.force < there.measurement.lower) | (points.force > there.measurement.upper))
+        _points(grid[1, i], points, points.force - there.confidence.value)
+        outside = np.mean((points.force < there.prediction.lower) | (points.force > there.prediction.upper))
         beside(grid[1, i], f"{100 * outside:.0f} % outside")
         letter(grid[0, i], "abcdef"[i], f"{pressure / bar:.3g} bar")
         grid[1, i].set(xlabel="contraction [%]")
@@ -176,8 +176,8 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
     share = f"{100 * level:g} %"
     handles: list[Line2D | Patch] = [
         Line2D([], [], label="fitted law", **{k: v for k, v in _CURVE.items() if k != "zorder"}),
-        Patch(label=f"{share} band of the law", **{k: v for k, v in _MEAN.items() if k != "zorder"}),
-        Patch(label=f"{share} of further plateaus", color=BAND),
+        Patch(label=f"{share} confidence band", **{k: v for k, v in _MEAN.items() if k != "zorder"}),
+        Patch(label=f"{share} prediction band", color=BAND),
     ]
     handles += [
         Line2D([], [], linestyle="", markersize=3.5, label=str(d), **_DIRECTIONS[str(d)]) for d in taut.directions
@@ -188,14 +188,14 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
 
 @styled
 def profile_likelihood(profile: Profile, fit: Fit) -> Figure:
-    """The signed root of the profile over a shape parameter, its interval, and the straight line of standard errors.
+    """Signed root of the profile likelihood of a shape parameter, its interval, and the Wald approximation.
 
     Parameters
     ----------
     profile
-        Of a parameter of the fit.
+        Profile of a parameter of the fit.
     fit
-        The fit itself, for the unit in which the parameter is published.
+        The fit.
     """
     parameter = next(p for p in type(fit.law).shape_parameters if p.name == profile.name)
     scale = factor(parameter.shown)

@@ -36,7 +36,7 @@ from mckibben.simulation import Result
 from mckibben.units import deg
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
-_WISHES = (
+_REFERENCES = (
     {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.1},
     {"color": BLACK, "linestyle": (0, (1, 1.2)), "linewidth": 1.5},
     {"color": BLACK, "linestyle": "-", "linewidth": 0.8},
@@ -45,35 +45,35 @@ _WISHES = (
 
 @styled
 def attainable_stiffness(
-    maps: Mapping[str, JointMap], wishes: Mapping[str, Mapping[str, Result]] | None = None
+    maps: Mapping[str, JointMap], references: Mapping[str, Mapping[str, Result]] | None = None
 ) -> Figure:
-    """The band of stiffness that a joint can hold at each angle while it carries its load.
+    """Attainable stiffness in static equilibrium with the load, over the joint angle.
 
     Parameters
     ----------
     maps
-        By name of the geometry.
-    wishes
-        By name of the geometry and of the wish: runs whose desired angle and stiffness are drawn over the band.
+        Joint maps by name of the geometry.
+    references
+        Results by name of the geometry and of the reference; their references are drawn over the range.
     """
     figure = blank(DOUBLE, 3.1)
     grid = figure.subplots(1, len(maps), squeeze=False)[0]
     for i, (axes, (name, found)) in enumerate(zip(grid, maps.items(), strict=True)):
         angles = found.angles / deg
-        draw_band(axes, angles, found.lowest, found.highest, label="attainable while holding the load", color="#BFD9EA")
+        draw_band(axes, angles, found.lowest, found.highest, label="attainable in static equilibrium", color="#BFD9EA")
         for edge in (found.lowest, found.highest):
             axes.plot(angles, edge, color=BLUE, linewidth=0.9)
-        for (wish, result), look in zip(((wishes or {}).get(name) or {}).items(), _WISHES, strict=False):
-            for label, x, y in _path(result, wish):
+        for (reference, result), look in zip(((references or {}).get(name) or {}).items(), _REFERENCES, strict=False):
+            for label, x, y in _path(result, reference):
                 axes.plot(x, y, label=label, zorder=4, **look)
         first, last = (limit / deg for limit in found.holdable)
         for limit in (first, last):
             axes.axvline(limit, color="#888888", linewidth=0.7, linestyle="-.")
         axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS if i == 0 else "")
-        room = 0.12 * (last - first)
-        axes.set_xlim(first - room, last + room)
+        margin = 0.12 * (last - first)
+        axes.set_xlim(first - margin, last + margin)
         letter(axes, "abcdef"[i], name)
-        beside(axes, f"can be held:\n{minus(first)}° to {minus(last)}°", x=0.5, ha="center", y=0.97)
+        beside(axes, f"equilibrium possible:\n{minus(first)}° to {minus(last)}°", x=0.5, ha="center", y=0.97)
         _head_room(axes, 0.2)
     legend_above(figure, *grid)
     return figure
@@ -81,16 +81,16 @@ def attainable_stiffness(
 
 @styled
 def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
-    """Lowest and highest attainable stiffness over angle and torque, and the room between them.
+    """Minimum and maximum attainable stiffness over angle and torque, and their difference.
 
     Parameters
     ----------
     maps
-        By name of the geometry, a row each.
+        Joint maps by name of the geometry, one row each.
     """
     figure = blank(DOUBLE, 2.55 * len(maps) + 0.4)
     grid = figure.subplots(len(maps), 3, squeeze=False, sharey=True, sharex="row")
-    titles = ("lowest", "highest", "room between them")
+    titles = ("K_min", "K_max", "K_max − K_min")
     for i, (name, found) in enumerate(maps.items()):
         values = (found.lowest_at, found.highest_at, found.highest_at - found.lowest_at)
         span = _levels(found.lowest_at, found.highest_at)
@@ -112,13 +112,13 @@ def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
                 color=BLACK,
                 linestyle=(0, (4, 2)),
                 linewidth=1.2,
-                label="torque that holds the load against gravity",
+                label="static torque of the load",
                 zorder=5,
             )
             axes.set_facecolor("#F3F3F3")
             axes.grid(False)
             if j:
-                label = _STIFFNESS if j == 1 else "room [N·m/rad]"
+                label = _STIFFNESS if j == 1 else "K_max − K_min [N·m/rad]"
                 figure.colorbar(filled, ax=list(grid[i, :2]) if j == 1 else axes, label=label, fraction=0.06, pad=0.02)
             letter(axes, "abcdefghi"[3 * i + j], f"{name}: {titles[j]}" if j < 2 else titles[j])
             reach = found.angles[~np.isnan(found.lowest_at).all(axis=0)] / deg
@@ -130,7 +130,7 @@ def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
 
 
 def _filled(axes: Axes, found: JointMap, value: NDArray[np.float64], levels: NDArray[np.float64], cmap: str) -> None:
-    """Filled contours within the attainable region, whose edge is drawn as a curve and not in the steps of the grid."""
+    """Filled contours clipped to the smooth outline of the attainable set."""
     held = ~np.isnan(value)
     columns = np.flatnonzero(held.any(axis=0))
     whole = np.stack([_extended(value[:, j], held[:, j]) for j in columns], axis=1)
@@ -152,7 +152,7 @@ def _extended(column: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[n
 
 
 def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
-    """About twelve round steps that hold all values."""
+    """About twelve round contour levels that cover all values."""
     first, last = float(np.nanmin(low)), float(np.nanmax(high))
     rough = max(last - first, 1e-6) / 11
     power = 10 ** np.floor(np.log10(rough))
@@ -160,14 +160,14 @@ def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.f
     return np.arange(np.floor(first / step), np.ceil(last / step) + 1) * step
 
 
-def _path(result: Result, wish: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    """The desired stiffness over the range of desired angles: a horizontal piece for each level that is asked for."""
+def _path(result: Result, reference: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
+    """Reference stiffness over the range of reference angles, one horizontal line for each level."""
     angle = result.table["desired_angle"].to_numpy() / deg
     stiffness = result.table["desired_stiffness"].to_numpy()
     levels = np.unique(stiffness)
     if len(levels) > 4:
-        return [(f"desired stiffness, {wish}", angle, stiffness)]
-    label, pieces = f"desired stiffness, {wish}", []
+        return [(f"desired stiffness, {reference}", angle, stiffness)]
+    label, pieces = f"desired stiffness, {reference}", []
     for level in levels:
         there = angle[stiffness == level]
         pieces.append((label, np.array([there.min(), there.max()]), np.array([level, level])))
@@ -179,7 +179,7 @@ def _head_room(axes: Axes, part: float) -> None:
     axes.set_ylim(low, high + part * (high - low))
 
 
-_STANDING, _MOVING, _NEAREST = "#DCE9F2", "#9CC3E0", "#BFE3D5"
+_STATIC, _DYNAMIC, _NEAREST = "#DCE9F2", "#9CC3E0", "#BFE3D5"
 _NAMES = {
     Kept.ANGLE: "nearest, angle kept",
     Kept.AMPLITUDE: "nearest, amplitude kept",
@@ -194,12 +194,12 @@ _LOOKS = {
 
 @styled
 def envelope(found: Envelope) -> Figure:
-    """What the joint of a scenario can hold, the reference in it, and the nearest references that can be followed.
+    """Attainable set of a scenario's joint, its reference, and the nearest feasible references.
 
     Parameters
     ----------
     found
-        Of `mckibben.reachability.envelope`.
+        Result of `mckibben.reachability.envelope`.
     """
     figure = blank(DOUBLE, 5.8)
     (torque, stiffness), (over_time, angle) = figure.subplots(2, 2)
@@ -208,8 +208,8 @@ def envelope(found: Envelope) -> Figure:
     _over_time(over_time, found)
     _angle(angle, found)
     for mark, axes, title in (
-        ("a", torque, "torque, and the room in stiffness"),
-        ("b", stiffness, "stiffness held standing"),
+        ("a", torque, "torque and stiffness range"),
+        ("b", stiffness, "static stiffness"),
         ("c", over_time, "stiffness along the reference"),
         ("d", angle, "angle"),
     ):
@@ -221,10 +221,10 @@ def envelope(found: Envelope) -> Figure:
 def _torque(figure: Figure, axes: Axes, found: Envelope) -> None:
     holds, motion = found.holds, found.following.motion
     if holds.map_angles.size:
-        room = np.nan_to_num(holds.highest_at - holds.lowest_at)
-        drawn = axes.contourf(holds.map_angles / deg, holds.map_torques, room, 10, cmap="cividis")
+        stiffness_range = np.nan_to_num(holds.highest_at - holds.lowest_at)
+        drawn = axes.contourf(holds.map_angles / deg, holds.map_torques, stiffness_range, 10, cmap="cividis")
         drawn.set_rasterized(True)
-        figure.colorbar(drawn, ax=axes, label="highest less lowest stiffness [N·m/rad]", pad=0.02)
+        figure.colorbar(drawn, ax=axes, label="K_max − K_min [N·m/rad]", pad=0.02)
         held = slice(*np.searchsorted(holds.angles, [holds.map_angles[0, 0] - 1e-9, holds.map_angles[0, -1] + 1e-9]))
         axes.plot(
             holds.angles[held] / deg,
@@ -237,7 +237,7 @@ def _torque(figure: Figure, axes: Axes, found: Envelope) -> None:
     torque = found.following.bands.torque
     axes.plot(motion.angle / deg, torque, color="white", linewidth=2.4, zorder=4)
     axes.plot(
-        motion.angle / deg, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque of the motion wished"
+        motion.angle / deg, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque of the reference motion"
     )
     axes.grid(False)
     axes.set(xlabel=_ANGLE, ylabel=_TORQUE)
@@ -251,9 +251,9 @@ def _over_angle(axes: Axes, found: Envelope) -> None:
     holds, motion = found.holds, found.following.motion
     inside = (holds.angles >= holds.first) & (holds.angles <= holds.last)
     if inside.any():
-        _band(axes, holds, color=_STANDING, label="attainable, standing")
+        _band(axes, holds, color=_STATIC, label="attainable, static")
     else:
-        axes.text(0.5, 0.5, "no angle can be held", transform=axes.transAxes, ha="center")
+        axes.text(0.5, 0.5, "no static equilibrium", transform=axes.transAxes, ha="center")
     axes.plot(motion.angle / deg, motion.stiffness, color=BLACK, linewidth=0.9, zorder=3)  # back and forth: no dashes
     for offer in found.offers:
         moved = offer.following.motion
@@ -274,17 +274,17 @@ def _over_time(axes: Axes, found: Envelope) -> None:
     motion, bands = found.following.motion, found.following.bands
     shown = _shown(found)
     times = motion.times[shown]
-    draw_band(axes, times, *(edge[shown] for edge in bands.static), color=_STANDING, label="attainable, standing")
-    look = {"color": _MOVING, "label": "attainable, moving as wished", "zorder": 1}
+    draw_band(axes, times, *(edge[shown] for edge in bands.static), color=_STATIC, label="attainable, static")
+    look = {"color": _DYNAMIC, "label": "attainable, reference motion", "zorder": 1}
     draw_band(axes, times, *(edge[shown] for edge in bands.driven), **look)
     edges = [edge[shown] for edge in (*bands.static, *bands.driven)]
     if found.offers:
         following = found.offers[0].following
         near = following.motion.times <= times[-1]
         low, high = (edge[near] for edge in following.bands.driven)
-        draw_band(axes, following.motion.times[near], low, high, color=_NEAREST, label="attainable, moving as nearest")
+        draw_band(axes, following.motion.times[near], low, high, color=_NEAREST, label="attainable, nearest motion")
         edges += [low, high]
-    _dashed(axes, times, motion.stiffness[shown], label="wished")
+    _dashed(axes, times, motion.stiffness[shown], label="reference")
     for offer in found.offers:
         _along(axes, offer, offer.following.motion.stiffness, times[-1])
     axes.set(xlabel="time [s]", ylabel=_STIFFNESS)
@@ -297,8 +297,8 @@ def _angle(axes: Axes, found: Envelope) -> None:
     shown = _shown(found)
     times = motion.times[shown]
     if holds.first <= holds.last:
-        axes.axhspan(holds.first / deg, holds.last / deg, color=_STANDING, linewidth=0, zorder=0)
-    _dashed(axes, times, motion.angle[shown] / deg, label="wished")
+        axes.axhspan(holds.first / deg, holds.last / deg, color=_STATIC, linewidth=0, zorder=0)
+    _dashed(axes, times, motion.angle[shown] / deg, label="reference")
     for offer in found.offers:
         _along(axes, offer, offer.following.motion.angle / deg, times[-1])
     axes.set(xlabel="time [s]", ylabel=_ANGLE)
@@ -306,7 +306,7 @@ def _angle(axes: Axes, found: Envelope) -> None:
 
 
 def _shown(found: Envelope) -> slice:
-    """What of a run is drawn over time: of a sine two periods, so that one sees something; else all."""
+    """Samples that are drawn: two periods of a sine, else all."""
     times, sine = found.following.motion.times, found.scenario.signals.angle.sine
     constant = found.scenario.signals.stiffness.constant is not None
     if sine is None or not constant or not sine.frequency:
@@ -331,29 +331,29 @@ def _limits(axes: Axes, *curves: np.ndarray) -> None:
 
 @styled
 def design(found: Design, before: Holdable) -> Figure:
-    """The band of stiffness of a joint before and after its lengths were chosen, and what was wanted of it.
+    """Attainable stiffness of a joint before and after sizing, and the design target.
 
     Parameters
     ----------
     found
-        Of `mckibben.reachability.design`.
+        Result of `mckibben.reachability.design`.
     before
-        What the joint could hold as it was.
+        Attainable set of the original joint.
     """
     figure = blank(DOUBLE, 3.2)
     axes = figure.subplots()
-    _band(axes, found.holds, color=_MOVING, label="attainable with the lengths found")
+    _band(axes, found.holds, color=_DYNAMIC, label="attainable after sizing")
     inside = (before.angles >= before.first) & (before.angles <= before.last)
     for edge in before.stiffness:
         label = "attainable before" if edge is before.stiffness.lowest else None
         axes.plot(before.angles[inside] / deg, edge[inside], color="#777777", linestyle=(0, (3, 1.5)), label=label)
     (low, high), (first, last) = found.wanted.stiffness, (angle / deg for angle in found.wanted.angles)
-    box = Rectangle((first, low), last - first, high - low, fill=False, edgecolor=BLACK, linewidth=1.4, label="wanted")
+    box = Rectangle((first, low), last - first, high - low, fill=False, edgecolor=BLACK, linewidth=1.4, label="target")
     axes.add_patch(box)
     held = found.holds
     reached = (held.angles >= held.first) & (held.angles <= held.last)
     if found.wanted.torque:
-        draw_band(axes, found.angles / deg, *found.stiffness, color=BLUE, alpha=0.5, label="with the torque to spare")
+        draw_band(axes, found.angles / deg, *found.stiffness, color=BLUE, alpha=0.5, label="with the torque margin")
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
     _limits(axes, held.stiffness.lowest[reached], held.stiffness.highest[reached], np.array([low, high]))
     letter(

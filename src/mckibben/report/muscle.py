@@ -1,4 +1,4 @@
-"""Figures of the muscle: isobaric curves, laws against measured points, fits with their residuals."""
+"""Figures of the muscle: isobaric curves, force laws with measured points, fits with residuals."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _MOST_CURVES = 20
 
 @styled
 def isobaric_curves(dataset: IsobaricDataset) -> Figure:
-    """The characteristic curves of an isobaric test (Fig. 3): each pressure labelled, loading and unloading apart.
+    """Fig. 3: characteristic curves of an isobaric test, loading and unloading.
 
     Parameters
     ----------
     dataset
-        With directions; the curves are means over repeats, slack points included.
+        Dataset with directions; curves are means over repeats and include slack points.
     """
     figure = blank(DOUBLE, 4.6)
     axes = figure.subplots()
@@ -55,7 +55,7 @@ def isobaric_curves(dataset: IsobaricDataset) -> Figure:
         (up, force_up), (down, force_down) = curves["loading"], curves["unloading"]
         axes.plot(up, force_up, color=colour, label="loading (being stretched)")
         axes.plot(down, force_down, color=colour, linestyle=(0, (3, 1.5)), label="unloading (shortening)")
-        # On the diagonal of the panel each falling curve passes once, and clear of its neighbours.
+        # Labels on the diagonal of the panel, where neighbouring curves are apart.
         along = np.linspace(max(up[0], down[0]), min(up[-1], down[-1]), 400)
         middle = (np.interp(along, up, force_up) + np.interp(along, down, force_down)) / 2
         place = int(np.argmin(np.abs(middle / top - 0.05 - 0.6 * (along - left) / (right - left))))
@@ -84,14 +84,14 @@ def isobaric_curves(dataset: IsobaricDataset) -> Figure:
 def law_comparison(
     dataset: IsobaricDataset, laws: Mapping[str, ForceLaw], validation: Validation | None = None
 ) -> Figure:
-    """Laws against measured points, a panel a pressure (Fig. 4).
+    """Fig. 4: force laws and measured points, one panel for each pressure.
 
     Parameters
     ----------
     dataset
-        Measured points; loading and unloading are told apart where known.
+        Measured points, marked by direction where it is recorded.
     laws
-        By name: first the experimental one, then the theoretical one.
+        Laws by name: the experimental one, then the theoretical one.
     validation
         If given, the RMSE of each law is written into each panel.
     """
@@ -122,21 +122,21 @@ def law_comparison(
 
 @styled
 def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
-    """Points of an isobaric dataset; with a fit also its curves and what it leaves over.
+    """Points of an isobaric dataset; with a fit also its curves and residuals.
 
     Parameters
     ----------
     dataset
-        Measured points, of any number of pressures.
+        Measured points.
     fit
-        A law identified from them, or from others.
+        A fit to these or other points.
     """
     return _fitted({dataset.table.attrs["specimen"] or "isobaric test": (dataset, fit)})
 
 
 @styled
 def measured_muscles(found: Mapping[str, tuple[IsobaricDataset, Fit]]) -> Figure:
-    """Several datasets side by side, each with its fit above and the residuals below."""
+    """Datasets side by side, each with its fit and residuals."""
     return _fitted(found)
 
 
@@ -196,7 +196,7 @@ def _handles(data: IsobaricDataset, fit: Fit | None) -> list[Line2D]:
     known = [str(d) for d in data.directions]
     handles = [marks(_DIRECTIONS[d]["marker"], d) for d in known] or [marks("o", "taut")]
     if data.slack.any():
-        handles.append(marks("x", "slack (left out)", "#999999"))
+        handles.append(marks("x", "slack (excluded)", "#999999"))
     if fit:
         handles.append(Line2D([], [], color="#444444", linewidth=1.0, label=f"fitted {_short(fit)}"))
     return handles
@@ -235,7 +235,7 @@ def _curves(axes: Axes, data: IsobaricDataset, law: ForceLaw, scale: Normalize) 
         there = data.contraction[data.levels == level]
         contraction = np.linspace(float(there.min()) if there.size else first, last, 300)
         force = forces(law, contraction, level)
-        # A muscle cannot push: the curve ends where it goes slack.
+        # the curve ends where the muscle is slack
         taut = np.where(force > 0, force, np.nan)
         axes.plot(contraction / percent, taut, color=pressure_colours()(scale(level / bar)), linewidth=0.9, zorder=2)
 

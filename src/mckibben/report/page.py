@@ -27,14 +27,14 @@ _LARGEST_SVG = 400_000  # bytes; a larger drawing is embedded as PNG
 
 @dataclass(frozen=True)
 class EmbeddedFigure:
-    """A figure of the page: its words, and the picture as a data address."""
+    """Figure of a page, and its image as a data URI."""
 
     drawn: ReportFigure
     address: str
 
 
 def template_of(name: str) -> jinja2.Template:
-    """A template of this package; what it is given is escaped, and a name that it is not given is an error."""
+    """Template of this package, with autoescaping and strict undefined names."""
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_resource),
         autoescape=True,
@@ -47,12 +47,12 @@ def template_of(name: str) -> jinja2.Template:
 
 
 def style_sheet() -> markupsafe.Markup:
-    """The style of all pages."""
+    """Style sheet of all pages."""
     return markupsafe.Markup(_resource("report.css"))
 
 
 def typeset(text: str) -> markupsafe.Markup:
-    """Text with powers of ten as superscripts, +- as one sign, units with a dot, and files of figures as code."""
+    """Typeset powers of ten, signs, ranges and units of a text as HTML."""
     safe = str(markupsafe.escape(text))
     safe = re.sub(r"\^([−-]?\d+)", r"<sup>\1</sup>", safe)
     safe = safe.replace("+-", "±").replace("N*m/rad", "N·m/rad").replace(" %", "\u00a0%")
@@ -62,7 +62,7 @@ def typeset(text: str) -> markupsafe.Markup:
 
 
 def address_of(png: Path, svg: Path) -> str:
-    """A figure that was saved, as an address that holds all of it."""
+    """Data URI of a saved figure."""
     kind, path = ("svg+xml", svg) if svg.is_file() and svg.stat().st_size <= _LARGEST_SVG else ("png", png)
     return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
@@ -77,7 +77,7 @@ _PAGE = "report.html"
 
 @dataclass(frozen=True)
 class Source:
-    """A source with what to know about it."""
+    """Source with its notes."""
 
     reference: str
     where: str
@@ -85,22 +85,21 @@ class Source:
 
 
 def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> Path:
-    """Write `report.html`, and its figures as PNG and SVG in `figures/` beside it.
+    """Write `report.html` with embedded figures, and the figures as PNG and SVG in `figures/`.
 
-    The page holds its figures and its style: it needs no network, no script and no other file. Every number in it is
-    one of the reproduction, or worked out from the catalog.
+    The page is self-contained: no network, no script, no other file.
 
     Parameters
     ----------
     reproduction
-        What `mckibben.paper.reproduce` gave.
+        Result of `mckibben.paper.reproduce`.
     folder
-        Where to; made if need be.
+        Output folder, created if missing.
 
     Returns
     -------
     pathlib.Path
-        Of the page; it appears complete or not at all.
+        Path of the page, written atomically.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -116,7 +115,7 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
 
 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
-    """The page as text, with figures that are drawn already, by section."""
+    """HTML text of the report; figures by section."""
     results = reproduction.results()
     template = template_of("report.html.jinja")
     example = reproduction.tracking.runs[PRE_CONTRACTED.key, Wish.STEP, PID].scenario
@@ -147,7 +146,7 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
 
 
 def _outcomes(reproduction: Reproduction) -> list[tuple[str, str]]:
-    """How each run that the figures show ended."""
+    """Outcome of each run in the figures."""
     names = {setting.key: setting.name for setting in SETTINGS}
     return [
         (f"{names[key]}, {wish.value} stiffness, {controller}", run.result.describe())

@@ -35,17 +35,17 @@ from mckibben.study.tune import TuningResult
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import factor
 
-_FEW = 12  # numbers that still have room for their names
+_FEW = 12  # parameters whose names are drawn
 
 
 @styled
 def tuning(tuned: TuningResult) -> Figure:
-    """Draw a search.
+    """Cost over the evaluated points, and the values found within their ranges.
 
     Parameters
     ----------
     tuned
-        Its outcome.
+        Result of `mckibben.tune`.
     """
     figure = blank(DOUBLE, 2.9)
     costs_axes, places_axes = figure.subplots(1, 2, width_ratios=(1.35, 1))
@@ -53,20 +53,20 @@ def tuning(tuned: TuningResult) -> Figure:
     finite = costs < FAILED_COST
     tried = np.arange(1, costs.size + 1)
 
-    letter(costs_axes, "a", "cost of what was tried")
-    costs_axes.plot(tried[finite], costs[finite], ".", color=BLUE, markersize=2.5, alpha=0.5, label="a point")
+    letter(costs_axes, "a", "cost of the evaluated points")
+    costs_axes.plot(tried[finite], costs[finite], ".", color=BLUE, markersize=2.5, alpha=0.5, label="point")
     best = np.minimum.accumulate(np.where(finite, costs, np.inf))
-    costs_axes.plot(tried, np.where(np.isfinite(best), best, np.nan), color=VERMILLION, label="the best so far")
+    costs_axes.plot(tried, np.where(np.isfinite(best), best, np.nan), color=VERMILLION, label="lowest so far")
     if np.isfinite(tuned.cost_before):
         costs_axes.axhline(tuned.cost_before, color="#555555", linewidth=0.8, linestyle=(0, (4, 2)), label="before")
     lost = int(np.sum(~finite))
-    besides = f"; {lost} not drawn: not allowed, or lost" if lost else ""
-    costs_axes.set(xlabel=f"points tried{besides}", ylabel="cost", yscale="log", xlim=(0, costs.size + 1))
+    besides = f"; {lost} not drawn: invalid or unstable" if lost else ""
+    costs_axes.set(xlabel=f"evaluated points{besides}", ylabel="cost", yscale="log", xlim=(0, costs.size + 1))
     low, high = costs_axes.get_ylim()
-    costs_axes.set_ylim(low, high * (high / low) ** 0.3)  # room for the legend
+    costs_axes.set_ylim(low, high * (high / low) ** 0.3)  # space for the legend
     costs_axes.legend(loc="upper right")
 
-    letter(places_axes, "b", "where in its range each ended")
+    letter(places_axes, "b", "values within their ranges")
     names = list(tuned.values)
     points = np.array([trial.point for trial in tuned.trials])
     good = finite & (costs <= 1.1 * costs.min())
@@ -78,22 +78,22 @@ def tuning(tuned: TuningResult) -> Figure:
     shown = [name.removeprefix("controller.") for name in names] if len(names) <= _FEW else [""] * len(names)
     places_axes.set(xlim=(-0.03, 1.03), ylim=(-0.7, len(names) - 0.3), yticks=rows, yticklabels=shown)
     places_axes.set_xticks([0, 0.5, 1], ["lower end", "middle", "upper end"])
-    places_axes.set_xlabel("blue: within 10 % of the least cost", fontsize=7)
+    places_axes.set_xlabel("blue: within 10 % of the lowest cost", fontsize=7)
     places_axes.grid(False)
     return figure
 
 
 _COLUMNS = 4
-_SINGLE_POINTS = 4000  # more runs than that are counted in hexagons
+_SINGLE_POINTS = 4000  # more runs are binned in hexagons
 _BINS = 16
-_FEWEST = 8  # runs in a bin whose median is worth a line
+_FEWEST = 8  # runs in a bin with a median
 _FEW_TICKS = 4
-_FEW_VALUES = 12  # an input with so many values at most is taken value by value
+_FEW_VALUES = 12  # an input with at most so many values is not binned
 _SPREAD_OF_LOG = 30.0
 
 
 class _Input(NamedTuple):
-    """What was varied, in the unit in which it is written."""
+    """Values of a swept parameter, in its shown unit."""
 
     name: str
     unit: str
@@ -102,7 +102,7 @@ class _Input(NamedTuple):
 
     @property
     def bins(self) -> list[tuple[float, NDArray[np.bool_]]]:
-        """Where to look at which runs together."""
+        """Centre and members of each bin."""
         distinct = np.unique(self.values)
         if distinct.size <= _FEW_VALUES:
             return [(float(value), self.values == value) for value in distinct]
@@ -116,15 +116,15 @@ class _Input(NamedTuple):
 
 @styled
 def sweep(swept: SweepResult) -> Figure:
-    """What the main metrics depend on: a row a metric, a column for each of the four inputs that matter most.
+    """Main metrics (rows) over the four parameters with the strongest rank correlations (columns).
 
-    Single runs are points, many runs hexagons, darker where there are more; the line is the median of the runs around,
-    the band holds 90 % of them. Below is the share of lost runs, if there are any.
+    Runs are points or hexagonal bins, with the running median and a band of 90 % of the runs; the last row is the share
+    of unstable runs.
 
     Parameters
     ----------
     swept
-        The answers.
+        Result of `mckibben.sweep`.
     """
     metrics, lost = main_metrics(swept), swept.failed
     inputs = _strongest(swept, metrics)
@@ -145,15 +145,15 @@ def sweep(swept: SweepResult) -> Figure:
             elif one.log and one.values.min() > 0:
                 axes.set_xscale("log")
                 _plain_numbers(axes.xaxis)
-        grid[i, 0].set_ylabel("lost runs [%]" if metric is None else _label(metric))
+        grid[i, 0].set_ylabel("unstable runs [%]" if metric is None else _label(metric))
         if metric is None:
             grid[i, 0].set_ylim(0, 1.1 * max(line.get_ydata().max() for axes in grid[i] for line in axes.lines))
     for j, one in enumerate(inputs):
         grid[-1, j].set_xlabel(f"{_broken(one.name)}\n[{one.unit.replace('*', '·')}]")
     figure.align_ylabels(list(grid[:, 0]))
-    share = f", {int(lost.sum())} of them lost" if lost.any() else ""
+    share = f", {int(lost.sum())} unstable" if lost.any() else ""
     left_out = len(swept.inputs) - len(inputs)
-    others = f"; {left_out} input{'s' if left_out > 1 else ''} of less weight not shown" if left_out else ""
+    others = f"; {left_out} input{'s' if left_out > 1 else ''} with weaker correlation not shown" if left_out else ""
     figure.suptitle(f"{swept.count} runs{share}{others}", x=0.01, ha="left", fontsize=8, fontweight="normal")
     handles, labels = grid[0, 0].get_legend_handles_labels()
     if handles:
@@ -163,7 +163,7 @@ def sweep(swept: SweepResult) -> Figure:
 
 
 def _strongest(swept: SweepResult, metrics: tuple[str, ...]) -> list[_Input]:
-    """The inputs with the largest rank correlations, in the order in which they were asked for."""
+    """Parameters with the largest rank correlations, in their original order."""
     lost = swept.failed
     strengths = {}
     for name in swept.inputs:
@@ -201,7 +201,7 @@ def _metric(axes: Axes, one: _Input, swept: SweepResult, metric: str) -> None:
     inside = (y >= limits[0]) & (y <= limits[1])
     if x.size <= _SINGLE_POINTS:
         size = float(np.clip(900 / max(x.size, 1), 1.5, 9.0))
-        axes.scatter(x[inside], y[inside], s=size, color=BLUE, alpha=0.35, linewidths=0, rasterized=True, label="a run")
+        axes.scatter(x[inside], y[inside], s=size, color=BLUE, alpha=0.35, linewidths=0, rasterized=True, label="run")
     else:
         axes.hexbin(
             x[inside],
@@ -230,11 +230,11 @@ def _median(axes: Axes, one: _Input, y: NDArray[np.float64]) -> None:
             middles.append(middle)
             curves.append(np.percentile(y[members], [5, 50, 95]))
     low, median, high = np.array(curves).T
-    label = "90 % of the runs around"
+    label = "90 % of nearby runs"
     axes.fill_between(middles, low, high, facecolor="#1111111A", edgecolor="#111111", linewidth=0.5, label=label)
     halo = [Stroke(linewidth=2.8, foreground="white"), Normal()]
     marker = "o" if few else ""
-    axes.plot(middles, median, color=BLACK, marker=marker, zorder=4, label="their median", path_effects=halo)
+    axes.plot(middles, median, color=BLACK, marker=marker, zorder=4, label="median", path_effects=halo)
 
 
 def _lost(axes: Axes, one: _Input, lost: NDArray[np.bool_]) -> None:
@@ -245,7 +245,7 @@ def _lost(axes: Axes, one: _Input, lost: NDArray[np.bool_]) -> None:
 
 
 def _plain_numbers(axis: Axis) -> None:
-    """0.3, 1, 3, 10 on a logarithmic axis, in place of powers."""
+    """Decimal tick labels on a logarithmic axis."""
     axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
@@ -261,7 +261,7 @@ def _label(metric: str) -> str:
 
 
 def _broken(name: str) -> str:
-    """A long name in two lines."""
+    """Break a long name into two lines."""
     if len(name) <= 26:
         return name
     head, _, tail = name.rpartition(".")
@@ -269,5 +269,5 @@ def _broken(name: str) -> str:
 
 
 def _blues() -> Colormap:
-    """From a pale blue that is still seen on white to a dark one."""
+    """Blues without the palest shades."""
     return ListedColormap(mpl.colormaps["Blues"].resampled(256)(range(50, 200)), name="runs")

@@ -33,7 +33,7 @@ BLACK, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = (
     "#D55E00",
     "#CC79A7",
 )
-"""The colours of Okabe and Ito, which people with any kind of colour vision can tell apart."""
+"""The colour-blind safe palette of Okabe and Ito."""
 BAND = "#DBE2E9"
 
 DESIRED: dict[str, Any] = {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.0, "zorder": 3}
@@ -44,7 +44,7 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
     "BP on tuned gains": {"color": SKY, "linestyle": (0, (3, 1, 1, 1)), "marker": "^"},
     "BP on tuned gains, free": {"color": PURPLE, "linestyle": (0, (1, 1)), "marker": "v"},
 }
-"""One look a controller in all figures; `look_of` gives others one of their own."""
+"""Fixed styles of the controllers of the paper; `looks_of` assigns styles to others."""
 _SPARE: tuple[dict[str, Any], ...] = (
     {"color": VERMILLION, "linestyle": "-"},
     {"color": BLUE, "linestyle": "-"},
@@ -60,7 +60,7 @@ LOADING: dict[str, Any] = {"color": BLUE, "marker": "^"}
 UNLOADING: dict[str, Any] = {"color": VERMILLION, "marker": "v"}
 EXPERIMENTAL: dict[str, Any] = {"color": "#8E3B8E", "linestyle": "-"}
 THEORETICAL: dict[str, Any] = {"color": GREEN, "linestyle": (0, (5, 1.5))}
-"""As in the paper's Fig. 4: loading blue, unloading red, the experimental law purple, the theoretical one green."""
+"""Styles of Fig. 4: loading, unloading, experimental law, theoretical law."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -68,7 +68,7 @@ R = TypeVar("R")
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """The style of `mckibben.mplstyle` on matplotlib's defaults, whatever the user has set; undone afterwards."""
+    """Apply `mckibben.mplstyle` to matplotlib's defaults, and restore the user's settings afterwards."""
     with resources.as_file(resources.files("mckibben.report") / "mckibben.mplstyle") as path:
         settings = mpl.rc_params_from_file(path, use_default_template=True)
     with mpl.rc_context({name: value for name, value in settings.items() if not name.startswith("backend")}):
@@ -76,7 +76,7 @@ def house_style() -> Iterator[None]:
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a function that draws: it works in the house style and leaves matplotlib as it was."""
+    """Decorate a drawing function: it runs in the house style."""
 
     @functools.wraps(draw)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -87,12 +87,12 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
 
 
 def blank(width: float, height: float) -> Figure:
-    """An empty figure [inches] that lays itself out; it belongs to no window and no global list."""
+    """Empty figure of a size in inches with constrained layout, not registered with pyplot."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def looks_of(names: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Colour and line style by name: the fixed ones of `CONTROLLERS`, and for other names one each that is free."""
+    """Colour and line style by name: those of `CONTROLLERS`, and unused ones for other names."""
     names = list(names)
     taken = {CONTROLLERS[name]["color"] for name in names if name in CONTROLLERS}
     spare = [look for look in _SPARE if look["color"] not in taken] or list(_SPARE)
@@ -108,35 +108,32 @@ def looks_of(names: Iterable[str]) -> dict[str, dict[str, Any]]:
 
 
 def pressure_colours() -> ListedColormap:
-    """From low (dark) to high pressure: viridis without its palest end, which is lost on white."""
+    """Colour map of pressures: viridis without its palest end."""
     colours = mpl.colormaps["viridis"].resampled(256)(range(256))
     return ListedColormap(colours[:222], name="pressure")
 
 
 @styled
 def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: bool = False) -> tuple[Path, Path]:
-    """Keep a figure as `name`.png (200 dpi) and `name`.svg in a folder made if need be; a preview as PNG of 100 dpi.
+    """Write a figure as `name`.png (200 dpi) and `name`.svg to a folder; a preview only as PNG with 100 dpi.
 
-    The same figure gives the same bytes: no date, no random identifiers; letters are kept as outlines, so that the
-    SVG needs no font.
+    The files are reproducible byte for byte; the SVG has text as outlines.
 
     Returns
     -------
     png, svg
-        The two files; of a preview the second does not exist.
+        Paths of the files; a preview has no SVG.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
     resolution = mpl.rcParams["savefig.dpi"]
-    figure.set_dpi(
-        resolution / 2 if preview else resolution
-    )  # before the layout: letters are wider or narrower at other resolutions
+    figure.set_dpi(resolution / 2 if preview else resolution)  # before the layout, which depends on the resolution
     engine = figure.get_layout_engine()
     if engine is not None:
-        figure.draw_without_rendering()  # lays out once, with all labels there; doing so at every draw takes as long
+        figure.draw_without_rendering()  # one layout instead of one per draw
         figure.set_layout_engine("none")
-    # Straight to the canvases: `Figure.savefig` draws everything twice.
+    # `Figure.savefig` would draw everything twice
     FigureCanvasAgg(figure).print_png(png, metadata={"Software": None})
     if not preview:
         FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None, "Creator": None})
@@ -148,25 +145,25 @@ _MOST_VERTICES = 600
 
 
 def letter(axes: Axes, mark: str, title: str) -> None:
-    """Name a panel "(a) title", the letter in bold."""
+    """Set the panel title "(a) title" with a bold letter."""
     axes.set_title(rf"$\bf{{({mark})}}$ {title}")
 
 
 def robust_limits(
     curves: Sequence[ArrayLike], *, part: float = 0.995, margin: float = 0.12, floor: float = 0.0
 ) -> tuple[float, float]:
-    """Limits of an axis that hold all but the outermost of the values, so that a short spike does not flatten the rest.
+    """Axis limits that contain all but the outermost values, robust against short spikes.
 
     Parameters
     ----------
     curves
-        What is drawn; NaN is left out.
+        Curves; NaN is ignored.
     part
-        The part of each curve that stays within, counted from both ends.
+        Quantile of each curve within the limits, from both ends.
     margin
-        Added on both sides, as a part of the range.
+        Margin on both sides, relative to the range.
     floor
-        The least range.
+        Minimum range.
     """
     finite = [values[np.isfinite(values)] for values in (np.asarray(c, float) for c in curves)]
     finite = [values for values in finite if values.size]
@@ -176,14 +173,14 @@ def robust_limits(
     high = max(float(np.quantile(values, part)) for values in finite)
     short = max(floor - (high - low), 0.0) / 2
     low, high = low - short, high + short
-    room = margin * (high - low) or 1.0
-    return low - room, high + room
+    extra = margin * (high - low) or 1.0
+    return low - extra, high + extra
 
 
 def note_off_scale(
     axes: Axes, times: NDArray[np.float64], curves: dict[str, NDArray[np.float64]], unit: str, *, bottom: bool = False
 ) -> None:
-    """Say in the panel which curves leave its limits, how far they go, and when; nothing where none does."""
+    """Annotate the curves that leave the panel with their extreme value and its time."""
     low, high = axes.get_ylim()
     start, end = axes.get_xlim()
     inside = (times >= start) & (times <= end)
@@ -198,7 +195,7 @@ def note_off_scale(
         axes.text(
             0.985,
             0.03 if bottom else 0.97,
-            "off the scale: " + "\n".join(sentences),
+            "off scale: " + "\n".join(sentences),
             transform=axes.transAxes,
             ha="right",
             va="bottom" if bottom else "top",
@@ -210,12 +207,12 @@ def note_off_scale(
 
 
 def minus(value: float, form: str = ".1f") -> str:
-    """A number as text with a typographic minus, as on the axes."""
+    """Format a number with a typographic minus."""
     return format(value, form).replace("-", "−")
 
 
 def draw_band(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, **look: Any) -> None:
-    """Shade between two curves, behind everything, with no more vertices than one can see."""
+    """Shade the area between two curves in the background, with a limited number of vertices."""
     x, low, high = (np.asarray(values, float) for values in (x, low, high))
     every = max(len(x) // _MOST_VERTICES, 1)
     kept = np.unique(np.append(np.arange(0, len(x), every), len(x) - 1))
@@ -224,7 +221,7 @@ def draw_band(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, **look:
 
 
 def plain_numbers(axis: Axis) -> None:
-    """Label a logarithmic axis with 0.05 in place of 5·10^-2: powers of ten, and where few are in sight 2 and 5 too."""
+    """Decimal labels on a logarithmic axis: powers of ten, on short axes also 2 and 5."""
 
     def written(value: float, _: object) -> str:
         low, high = axis.get_view_interval()
@@ -234,11 +231,11 @@ def plain_numbers(axis: Axis) -> None:
     axis.set_major_formatter(written)
     axis.set_minor_formatter(written)
     to_label = mpl.rcParams["xtick.major.size"] + mpl.rcParams["xtick.major.pad"]
-    axis.set_tick_params(which="minor", pad=to_label - mpl.rcParams["xtick.minor.size"])  # shorter marks, the same line
+    axis.set_tick_params(which="minor", pad=to_label - mpl.rcParams["xtick.minor.size"])
 
 
 def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:
-    """One legend for the whole figure, above it: each name once, in order of appearance."""
+    """Draw one legend above the figure, each label once in order of appearance."""
     found: dict[str, Any] = {}
     for panel in axes:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
@@ -247,6 +244,6 @@ def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:
 
 
 def beside(axes: Axes, text: str, **place: Any) -> None:
-    """A short remark in the upper right corner of a panel, readable over lines."""
+    """Annotate the upper right corner of a panel."""
     settings = {"x": 0.985, "y": 0.96, "ha": "right", "va": "top", "fontsize": 7} | place
     axes.text(s=text, transform=axes.transAxes, bbox=_HALO, zorder=5, **settings)

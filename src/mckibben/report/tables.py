@@ -1,4 +1,4 @@
-"""Words of the report: its sections, and what the paper leaves open with how it is decided here."""
+"""Tables, sections and decisions of the report."""
 
 from __future__ import annotations
 
@@ -27,35 +27,35 @@ from mckibben.plant import FirstOrderValve
 from mckibben.units import bar, deg, factor, mm, ms, percent
 
 NAMES = {
-    RIG: "virtual rig (follows Eq. 3, with friction)",
+    RIG: "simulated rig (Eq. 3 with friction)",
     MARTENS: "DMSP-10-250, measured",
-    FESTO: "10 mm muscle, maker's chart",
+    FESTO: "10 mm muscle, manufacturer's chart",
 }
-"""What the datasets are called, by key."""
+"""Names of the datasets."""
 
 SECTIONS = {
     "identification": "Muscle: test, identification, validation",
-    "joint": "Knee: what it can hold",
+    "joint": "Knee: attainable set",
     "tracking": "Control of position and stiffness",
 }
-"""The parts that have figures, by key."""
+"""Sections of the report."""
 
 
 def name_of(dataset: str) -> str:
-    """What a dataset is called; its key where it has no name."""
+    """Name of a dataset, by default its key."""
     return NAMES.get(dataset, dataset)
 
 
 @dataclass(frozen=True)
 class Decision:
-    """Something that the paper leaves open or prints in a way that cannot be meant, and what is done here."""
+    """Open or inconsistent point of the paper, and our decision."""
 
     question: str
     answer: str
 
 
 def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
-    """All of them; their numbers are worked out here from the catalog and the run."""
+    """Decisions with numbers from the catalog and the run."""
     rig = reproduction.identification.rig
     law, specimen = catalog.law("lei-mas-10-180n"), rig.muscle.specimen
     domain = specimen.domain
@@ -75,28 +75,29 @@ def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
         Decision(
             "Units of Eq. 3",
             f"The paper gives none. Pressure in bar, contraction in percent, force in N: F(0 %, 6 bar) = "
-            f"{force(0, 6 * bar):.1f} N, below the rating of {specimen.rated_force:g} N. Read as a ratio or in MPa it "
-            "gives plausible nonsense.",
+            f"{force(0, 6 * bar):.1f} N, below the rating of {specimen.rated_force:g} N. A ratio or "
+            "MPa would give plausible but wrong forces.",
         ),
         Decision(
             "Range of the law",
-            f"{domain.contraction_min / percent:g} to {domain.contraction_max / percent:g} % contraction. Beyond, the "
-            f"exponential explodes ({force(-0.08, 6 * bar):.0f} N at −8 %, 6 bar) and at low pressure the law turns "
-            f"negative ({force(0.05, 0):.0f} N at 5 %, 0 bar). A muscle cannot push: its force ends at zero, and every "
-            "run says for how long a muscle was slack or outside the range.",
+            f"{domain.contraction_min / percent:g} to {domain.contraction_max / percent:g} % contraction. Outside, the "
+            f"exponential diverges ({force(-0.08, 6 * bar):.0f} N at −8 %, 6 bar) and at low pressure the law turns "
+            f"negative ({force(0.05, 0):.0f} N at 5 %, 0 bar). The force is limited to "
+            "zero from below, and each result reports how long a muscle was slack or outside the domain.",
         ),
         Decision(
             "Table 2, taken literally",
-            f"leaves the muscles at {pressed:.2g} % contraction at 0°, so that one is soon stretched past its limit: "
-            f"the knee can be held from {first:.1f}° to {last:.1f}° only. The paper's remedy, a “mechanical stretch "
-            f"structure”, is not described. Everything is therefore run twice: {AS_PRINTED.name} (connectors "
+            f"leaves the muscles at {pressed:.2g} % contraction at 0°, so that one is soon stretched beyond its limit: "
+            f"static equilibrium exists from {first:.1f}° to {last:.1f}° only. The paper's remedy, a “mechanical "
+            "stretch "
+            f"structure”, is not described. Both variants are run: {AS_PRINTED.name} (connectors "
             f"{printed.joint.geometry.connector_length / mm:g} mm) and {PRE_CONTRACTED.name} "
             f"({contracted.joint.geometry.connector_length / mm:g} mm, {short:.3g} % contraction at 0°).",
         ),
         Decision(
             "Sign of gravity",
-            "Eqs. 6 and 7 have it on opposite sides; equated literally it cancels. Here the muscles' torque and that "
-            f"of gravity, G sin(π/6 − θ), are kept apart, and {hanging:.0f}° is the stable hanging position. At 0° "
+            "Eqs. 6 and 7 have it on opposite sides; equated literally it cancels. Here muscle torque and gravity "
+            f"torque, G sin(π/6 − θ), are separate, and {hanging:.0f}° is the stable equilibrium. At 0° "
             f"gravity gives {gravity:.2f} N·m.",
         ),
         Decision(
@@ -109,52 +110,54 @@ def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
             f"Table 2 prints N·s/m; it must be N·m·s/rad ({float(printed.load.damping):g}).",
         ),
         Decision(
-            "Valves", f"The paper's simulation names none. Each pressure follows its command with a lag of {lag}."
+            "Valves", f"Not specified in the paper. Each pressure follows its command with a first-order lag of {lag}."
         ),
         Decision(
             "Amplitude, frequency, set-points, gains, start",
-            "None is in the paper's text: all are ours, listed below. PID is shown on moderate gains, as the paper's "
-            "comparison implies, and on gains tuned by an optimiser.",
+            "Not in the paper: ours are listed below. PID is shown with moderate gains, as the paper's comparison "
+            "implies, "
+            "and with gains tuned by an optimiser.",
         ),
         Decision(
             "BP",
-            "The paper does not say what it is. Here, as is usual: one small network a loop whose outputs multiply the "
-            "gains of a PID, trained while it runs on the tracking error, with the plant's Jacobian replaced by its "
-            f"sign. It starts at the PID's gains and may move them by a factor of {FREE:g} about moderate gains and "
-            f"{BOUND:g} about tuned ones.",
+            "Not specified in the paper. The usual form: a small network per loop scales the gains of a PID and is "
+            "trained "
+            "online on the tracking error, with the sign of the plant's Jacobian. It starts at the PID's gains and may "
+            f"change moderate gains by a factor of {FREE:g}, tuned ones by {BOUND:g}.",
         ),
         Decision(
             "Stiffness feedback",
-            "Stiffness cannot be measured. The controller works it out from its own model of the joint, here without "
-            "error; all errors in this report are those of the plant's true stiffness.",
+            "Stiffness is not measured. The controller estimates it with its model of the joint, here without model "
+            "error; "
+            "all errors in this report are those of the plant's stiffness.",
         ),
         Decision(
             "Test pressures",
             f"The paper validates at {', '.join(f'{p / bar:g}' for p in TEST_PRESSURES)} bar, all of them among the "
-            "pressures that it identified from. The same pressures are therefore also held out, and so is a whole "
-            "repeat.",
+            "identification pressures. Cross-validation holds out these pressures, and a whole repeat.",
         ),
         Decision(
             "The muscle of the test",
-            "There is no raw data of the paper. A virtual rig runs its protocol on a muscle that follows Eq. 3, with "
-            f"friction of ±{rig.rig.hysteresis:g} N (taken from the literature on 10 mm muscles), sensor noise and "
-            "regulator offsets. What is found from it tests the method; the measured datasets test the law.",
+            "The paper's raw data are not published. A simulated rig runs its protocol on a muscle that follows Eq. "
+            "3, with "
+            f"friction of ±{rig.rig.hysteresis:g} N (from the literature on 10 mm muscles), sensor noise and regulator "
+            "offsets. It tests the method; the measured datasets test the law.",
         ),
     )
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table as the page shows it.
+    """Table of the report.
 
     Attributes
     ----------
     caption
-        What it is, and how to read it.
+        Caption.
     head
-        The titles of the columns; the first is that of the rows' names.
+        Column titles.
     rows
-        Cells as text; the first names the row. A row of one cell is the title of those after it.
+        Cells as text; a row of one cell is a group title.
     """
 
     caption: str
@@ -163,7 +166,7 @@ class Table:
 
 
 def number(value: Any, digits: int = 3) -> str:
-    """A number as text with so many significant digits and a typographic minus; an absent one is "–"."""
+    """Format a number with significant digits and a typographic minus; None and NaN are "–"."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"
     if isinstance(value, int):
@@ -179,24 +182,24 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def with_error(estimate: float, error: float | None) -> str:
-    """An estimate and its standard error, both to the second digit of the error; an absent one is said to be so.
+    """Format an estimate and its standard error to the second digit of the error.
 
     >>> with_error(-237.362, 3.81)
     '−237.4 ± 3.8'
     """
     if error is None or not error > 0:
-        return f"{number(estimate, 4)} (at its bound)" if error is None else number(estimate, 5)
+        return f"{number(estimate, 4)} (at bound)" if error is None else number(estimate, 5)
     places = max(1 - math.floor(math.log10(error)), 0)
     return f"{estimate:.{places}f} ± {error:.{places}f}".replace("-", "−")
 
 
 def unit_text(unit: str) -> str:
-    """A unit as it is printed."""
+    """Typographic form of a unit."""
     return unit.replace("percent", "%").replace("*", "·")
 
 
 def fit_table(results: Mapping[str, Any]) -> Table:
-    """How well Eq. 2 describes each dataset."""
+    """Fit errors of Eq. 2 by dataset."""
     rows = []
     for name, fit in results["identification"].items():
         rows.append(
@@ -211,18 +214,17 @@ def fit_table(results: Mapping[str, Any]) -> Table:
                 number(fit["points_slack"]),
             )
         )
-    head = ("dataset", "decay μ [1/%]", "RMSE [N]", "maximum [N]", "RMSE, unseen pressure [N]",
-            "maximum, unseen pressure [N]", "points", "slack, left out")  # fmt: skip
+    head = ("dataset", "decay μ [1/%]", "RMSE [N]", "maximum [N]", "RMSE, held-out pressure [N]",
+            "maximum, held-out pressure [N]", "points", "slack, excluded")  # fmt: skip
     return Table(
-        "Eq. 2 fitted to each dataset. “Unseen pressure”: the law is fitted without one pressure and asked for it, in "
-        "turn.",
+        "Eq. 2 fitted to each dataset. Held-out pressure: leave-one-pressure-out cross-validation.",
         head,
         rows,
     )
 
 
 def parameter_table(results: Mapping[str, Any]) -> Table:
-    """Estimates with standard errors beside the published ones of Eq. 3, in its units."""
+    """Estimates with standard errors, and the published values of Eq. 3, in its units."""
     fits = results["identification"]
     law = catalog.law("lei-mas-10-180n")
     shown = {p.name: p.shown for p in type(law).parameters()}
@@ -236,15 +238,16 @@ def parameter_table(results: Mapping[str, Any]) -> Table:
             cells.append(with_error(found["estimate"], found["standard_error"]))
         rows.append(cells)
     return Table(
-        "Parameters of Eq. 2: estimate ± standard error, in the units of Eq. 3. They are strongly correlated: sets "
-        "that look different can describe nearly the same force.",
+        "Parameters of Eq. 2: estimate ± standard error, in the units of Eq. 3. They are strongly correlated: "
+        "different "
+        "sets can describe nearly the same force.",
         ("parameter", "Eq. 3, published", *(name_of(name) for name in fits)),
         rows,
     )
 
 
 def validation_tables(results: Mapping[str, Any]) -> list[Table]:
-    """Per pressure on the rig's second test and on points held out; over all points on measured muscles."""
+    """Validation errors by pressure on the rig, and over all points on measured muscles."""
     found = results["validation"]
     retest = found["retest_rmse_N"]
     columns = {f"second test: {law}": values for law, values in retest.items()}
@@ -255,17 +258,17 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
     ]  # a pressure, or one in one direction
     pressures = sorted(rows, key=lambda place: float(place.split()[0]))
     by_pressure = Table(
-        "Virtual rig, RMSE [N] at the paper's four pressures: on a second test with other noise and offsets, and at "
-        "points that were kept from the fit. The second test has all its points, fits and held-out points are those "
-        "away from the turns of the stroke: the two do not compare. Half of the friction band is in every one of them, "
-        "since a law has one curve for both directions.",
+        "Simulated rig, RMSE [N] at the paper's four pressures: second test with other noise and offsets, and held-out "
+        "points. The second test includes points near the reversals of the stroke, fits and held-out points do not: "
+        "the two are not comparable. All contain half of the friction band, since a law has one curve for both "
+        "directions.",
         ("pressure", *(f"{name} [N]" for name in columns)),
         [(p, *(number(values[p]) for values in columns.values())) for p in pressures],
     )
     measured = found["measured_rmse_N"]
     laws = list(next(iter(measured.values())))
     overall = Table(
-        "Measured muscles, RMSE [N] over all taut points: laws fitted to these points, and laws that do not know them.",
+        "Measured muscles, RMSE [N] over all taut points: laws fitted to these points, and laws from other sources.",
         ("dataset", *(f"{law} [N]" for law in laws)),
         [(name_of(name), *(number(values[law]["all"]) for law in laws)) for name, values in measured.items()],
     )
@@ -273,20 +276,20 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
 
 
 def joint_table(results: Mapping[str, Any]) -> Table:
-    """What the knee can hold."""
+    """Attainable set of the knee."""
     rows = []
     for setting in SETTINGS:
         found = results["joint"][setting.key]
         low, high = found["attainable_stiffness_at_0_deg"]
         first, last = found["holdable_angles_deg"]
         rows.append((setting.name, setting.connectors, number(low), number(high), number(first), number(last)))
-    head = ("geometry", "connectors", "lowest stiffness at 0° [N·m/rad]", "highest at 0° [N·m/rad]",
-            "held from [deg]", "to [deg]")  # fmt: skip
-    return Table("The knee with its load, by pressures within limits and contractions within range.", head, rows)
+    head = ("geometry", "connectors", "K_min at 0° [N·m/rad]", "K_max at 0° [N·m/rad]",
+            "equilibrium from [deg]", "to [deg]")  # fmt: skip
+    return Table("Knee with its load, pressures and contractions within their limits.", head, rows)
 
 
 def tracking_tables(results: Mapping[str, Any]) -> list[Table]:
-    """A table a geometry: each controller under each wish, median and worst over seeds."""
+    """Tracking errors by geometry, stiffness reference and controller; median and worst over seeds."""
     columns = {
         "angle RMSE [deg]": "angle_rmse_deg",
         "angle maximum [deg]": "angle_max_deg",
@@ -303,9 +306,9 @@ def tracking_tables(results: Mapping[str, Any]) -> list[Table]:
             rows += [_tracking_row(name, runs[name], columns, results["seeds"]) for name in CONTROLLERS if name in runs]
         tables.append(
             Table(
-                f"Geometry {setting.name}. For BP the median over {results['seeds']} seeds and in brackets the worst; "
-                "settling is into 10 % of the change asked for. Lost: worse than not moving, or no longer finite.",
-                ("controller", *columns, "lost"),
+                f"Geometry {setting.name}. BP: median over {results['seeds']} seeds, the worst in brackets. "
+                "Settling: into 10 % of the step size. Unstable: worse than not moving, or not finite.",
+                ("controller", *columns, "unstable"),
                 rows,
             )
         )
@@ -337,11 +340,11 @@ def gains_table(reproduction: Reproduction, results: Mapping[str, Any]) -> Table
     rows: list[tuple[str, ...]] = []
     for setting in SETTINGS:
         tuned = results["tuning"][setting.key]
-        bounds = f"; at the bound of the search: {', '.join(tuned['at_bound'])}" if tuned["at_bound"] else ""
+        bounds = f"; at bound: {', '.join(tuned['at_bound'])}" if tuned["at_bound"] else ""
         rows.append(
             (
                 f"{setting.name}: cost {number(tuned['cost_before'])} with moderate gains, {number(tuned['cost'])} "
-                f"tuned, {tuned['evaluated']:,} sets of gains tried{bounds}",
+                f"tuned, {tuned['evaluated']:,} evaluations{bounds}",
             )
         )
         moderate = reproduction.tracking.runs[setting.key, Wish.CONSTANT, PID].scenario.control()
@@ -352,22 +355,21 @@ def gains_table(reproduction: Reproduction, results: Mapping[str, Any]) -> Table
                 before = getattr(getattr(moderate, loop), gain)
                 rows.append((label, number(before / scale), number(tuned[loop][gain] / scale)))
     return Table(
-        "Gains of the two PID loops: moderate ones, set by hand, and those found by the optimiser on both wishes at "
-        "once.",
+        "Gains of the two PID loops: moderate ones, set by hand, and tuned ones, optimised on both references.",
         ("gain", "moderate (ours)", "tuned"),
         rows,
     )
 
 
 def settings_table(reproduction: Reproduction) -> Table:
-    """What the paper leaves open in its simulations, as it was set here."""
+    """Settings of the simulations that the paper does not give."""
     scenario = reproduction.tracking.runs[SETTINGS[0].key, Wish.STEP, PID].scenario
     rows = [
         ("connectors (Table 2 and ours)", *(s.connectors for s in SETTINGS)),
         ("desired angle", *(_sine(reproduction, s) for s in SETTINGS)),
         ("desired stiffness, constant", *(s.constant for s in SETTINGS)),
         (f"desired stiffness, step at {STEP_TIME}", *(f"{s.before} to {s.after}" for s in SETTINGS)),
-        ("stiffness at rest before the run", *(s.start for s in SETTINGS)),
+        ("initial stiffness", *(s.start for s in SETTINGS)),
         ("learning of BP", *(LEARNING for _ in SETTINGS)),
         (
             "duration, control period",
@@ -375,14 +377,14 @@ def settings_table(reproduction: Reproduction) -> Table:
         ),
     ]
     return Table(
-        "Settings of the simulations. The paper does not print them; they are ours.",
+        "Settings of the simulations, which the paper does not give; ours.",
         ("setting", *(s.name for s in SETTINGS)),
         [tuple(cell.replace("N*m/rad", "N·m/rad") for cell in row) for row in rows],
     )
 
 
 def coupling_table(results: Mapping[str, Any]) -> Table:
-    """How position and stiffness disturb each other."""
+    """Coupling of position and stiffness."""
     rows = []
     for setting in SETTINGS:
         found = results["coupling"][setting.key]
@@ -394,8 +396,8 @@ def coupling_table(results: Mapping[str, Any]) -> Table:
                 number(found["stiffness_at_rest"]),
             )
         )
-    head = ("geometry", "largest angle by a stiffness step [deg]", "stiffness RMS by the motion [N·m/rad]",
-            "stiffness RMS at rest [N·m/rad]")  # fmt: skip
+    head = ("geometry", "peak angle deviation after a stiffness step [deg]", "stiffness RMSE in motion [N·m/rad]",
+            "stiffness RMSE at rest [N·m/rad]")  # fmt: skip
     return Table("Coupling of position and stiffness under PID with moderate gains.", head, rows)
 
 

@@ -42,17 +42,17 @@ _BAND = "attainable stiffness"
 
 @styled
 def tracking(results: Mapping[str, Result]) -> Figure:
-    """Runs on one reference over each other: angle, its error, stiffness before the attainable band, and pressures.
+    """Time traces of runs on one reference: angle, angle error, stiffness with the attainable range, pressures.
 
     Parameters
     ----------
     results
-        By name, such as ``{"PID": result}``; "PID", "BP" and the other names of the paper's study keep their colours.
+        Results by name, such as ``{"PID": result}``; those of the paper's study have fixed colours.
 
     Raises
     ------
     RangeError
-        If there is none, or their references differ.
+        If there are no results, or their references differ.
     """
     _same_reference(results)
     alone = len(results) == 1
@@ -89,12 +89,12 @@ def tracking(results: Mapping[str, Result]) -> Figure:
 
 @styled
 def control_results(panels: Mapping[str, tuple[str, Result]]) -> Figure:
-    """Each run in a panel of its own (Fig. 7): angle above, stiffness and its attainable band below.
+    """Fig. 7: angle, and stiffness with its attainable range, one panel for each run.
 
     Parameters
     ----------
     panels
-        By title, in reading order: the name of the controller and its run. All share their axes.
+        Name of the controller and its result, by panel title.
     """
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
@@ -152,20 +152,20 @@ def _stiffness(axes: Axes, runs: Mapping[str, tuple[Result, dict]], *, limit: bo
 
 
 def _stiffness_limits(results: list[Result]) -> tuple[float, float]:
-    """The desired stiffness and most of the actual one, with a margin as wide; the band is cut where it is wider."""
+    """Axis limits that contain the reference and most of the stiffness, with a margin."""
     desired = [_column(r, "desired_stiffness") for r in results]
     low, high = robust_limits(desired + [_column(r, "stiffness") for r in results], part=0.99, margin=0.0, floor=1e-3)
     low, high = min(low, *(float(d.min()) for d in desired)), max(high, *(float(d.max()) for d in desired))
     band_low = np.nanmin([np.nanmin(_column(r, "lowest_stiffness"), initial=low) for r in results])
     band_high = np.nanmax([np.nanmax(_column(r, "highest_stiffness"), initial=high) for r in results])
-    room = 0.45 * (high - low)
-    return max(low - room, min(float(band_low) - 0.1 * room, low - 0.2 * room)), min(
-        high + room, max(float(band_high) + 0.1 * room, high + 0.2 * room)
+    margin = 0.45 * (high - low)
+    return max(low - margin, min(float(band_low) - 0.1 * margin, low - 0.2 * margin)), min(
+        high + margin, max(float(band_high) + 0.1 * margin, high + 0.2 * margin)
     )
 
 
 def _bounded(curves: list[NDArray[np.float64]]) -> bool:
-    """Whether the whole of the curves fits on an axis without flattening most of it."""
+    """Whether the full range of the curves is at most three times that of their central 96 %."""
     finite = np.concatenate([c[np.isfinite(c)] for c in curves])
     return bool(np.ptp(finite) < 3 * np.ptp(np.quantile(finite, [0.02, 0.98])))
 
@@ -175,11 +175,11 @@ def _same_reference(results: Mapping[str, Result]) -> None:
         raise RangeError("there is no result to draw", remedy="give at least one, by name")
     first = next(iter(results.values()))
     for name, result in results.items():
-        for wish in ("time", "desired_angle", "desired_stiffness"):
-            if not np.array_equal(_column(first, wish), _column(result, wish)):
+        for column in ("time", "desired_angle", "desired_stiffness"):
+            if not np.array_equal(_column(first, column), _column(result, column)):
                 raise RangeError(
-                    f"{name} follows another {wish.replace('_', ' ')} than {next(iter(results))}",
-                    remedy="draw runs of different references in figures of their own",
+                    f"{name} and {next(iter(results))} differ in {column.replace('_', ' ')}",
+                    remedy="draw runs with different references in separate figures",
                 )
 
 
@@ -187,18 +187,18 @@ def _column(result: Result, name: str) -> NDArray[np.float64]:
     return result.table[name].to_numpy()
 
 
-_BEFORE = 0.05  # s shown before a change of the wish
-_ZOOM = (0.1, 1.0)  # s: the shortest and the longest time shown after it
+_BEFORE = 0.05  # s shown before the stiffness step
+_ZOOM = (0.1, 1.0)  # s, limits of the time shown after it
 
 
 @styled
 def error_curves(columns: Mapping[str, Mapping[str, Result]]) -> Figure:
-    """Errors of the angle and of the stiffness over time, and the stiffness error right after its wish changed.
+    """Fig. 8: errors of angle and stiffness over time, and the stiffness error after its last step.
 
     Parameters
     ----------
     columns
-        By title, a column each: the runs to compare, by name of the controller.
+        Results by controller, by title of the column.
     """
     figure = blank(DOUBLE, 6.3)
     count = len(columns)
@@ -244,13 +244,13 @@ def _share_limits(
 
 
 def _settling(axes: Axes, runs: Mapping[str, Result], times: NDArray[np.float64]) -> None:
-    """The moments after the last change of the wish, with the settling band and each settling time marked."""
+    """Stiffness error after the last step of its reference, with settling band and settling times."""
     first = next(iter(runs.values()))
     desired = first.table["desired_stiffness"].to_numpy()
     change = int(last_change(desired).at)
     start = float(times[change])
     band = float(settling_band(first.trajectory, SETTLING_PART))
-    axes.axhspan(-band, band, color="#E8E8E8", zorder=0, label=f"{SETTLING_PART * 100:g} % of the change asked for")
+    axes.axhspan(-band, band, color="#E8E8E8", zorder=0, label=f"{SETTLING_PART * 100:g} % of the step size")
     settled = {name: result.metrics()["stiffness_settling"] for name, result in runs.items()}
     finite = [value for value in settled.values() if np.isfinite(value)]
     length = float(np.clip(2.5 * max(finite, default=_ZOOM[1]), *_ZOOM))
@@ -291,33 +291,33 @@ _ABOVE: dict[str, Any] = {
     "fontsize": 7.5,
     "annotation_clip": False,
 }
-_WIDEST = 1e3  # an axis ends at so many times its smallest value; what lies beyond is an arrow
+_WIDEST = 1e3  # ratio of axis limits; larger values are drawn as arrows
 
 
 @styled
 def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, Run]]]) -> Figure:
-    """A dot at the median over seeds and a line to the worst, for each controller, on logarithmic axes.
+    """Median over seeds (dot) and worst seed (end of the line) of each controller, on logarithmic axes.
 
     Parameters
     ----------
     found
-        By geometry, wish and controller.
+        Runs by geometry, stiffness reference and controller.
     """
     figure = blank(DOUBLE, 2.5 * len(found) + 0.5)
     grid = figure.subplots(len(found), len(_METRICS), squeeze=False, sharey="row")
-    for i, (geometry, wishes) in enumerate(found.items()):
-        names = list(dict.fromkeys(name for runs in wishes.values() for name in runs))
+    for i, (geometry, references) in enumerate(found.items()):
+        names = list(dict.fromkeys(name for runs in references.values() for name in runs))
         names.sort(key=lambda name: list(CONTROLLERS).index(name) if name in CONTROLLERS else len(CONTROLLERS))
         for j, (metric, label, unit) in enumerate(_METRICS):
             axes = grid[i, j]
-            _dots(axes, wishes, names, metric, unit)
+            _dots(axes, references, names, metric, unit)
             axes.set(xlabel=label)
             axes.set_yticks(range(len(names)), names)
             axes.set_ylim(len(names) - 0.4, -0.6)
             axes.tick_params(axis="y", length=0)
             axes.grid(axis="y", visible=False)
             letter(axes, "abcdefghi"[len(_METRICS) * i + j], geometry)
-    wishes = next(iter(found.values()))
+    references = next(iter(found.values()))
     handles = [
         Line2D(
             [],
@@ -329,10 +329,10 @@ def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, Run]]]) 
             markerfacecolor=face,
             label=f"{w} stiffness",
         )
-        for w, face in zip(wishes, ("#444444", "white"), strict=False)
+        for w, face in zip(references, ("#444444", "white"), strict=False)
     ]
-    handles.append(Line2D([], [], color="#444444", linewidth=1.6, alpha=0.6, label="from the median to the worst seed"))
-    handles.append(Line2D([], [], linestyle="", marker=">", color="#444444", label="beyond the axis, never or lost"))
+    handles.append(Line2D([], [], color="#444444", linewidth=1.6, alpha=0.6, label="median to worst seed"))
+    handles.append(Line2D([], [], linestyle="", marker=">", color="#444444", label="off scale, never or unstable"))
     figure.legend(handles=handles, loc="outside upper center", ncols=4)
     return figure
 
@@ -370,8 +370,8 @@ def gain_histories(results: Mapping[str, tuple[Result, float]]) -> Figure:
     return figure
 
 
-def _dots(axes: Axes, wishes: Mapping[str, Mapping[str, Run]], names: list[str], metric: str, unit: float) -> None:
-    runs = [(k, names.index(name), name, run) for k, w in enumerate(wishes.values()) for name, run in w.items()]
+def _dots(axes: Axes, references: Mapping[str, Mapping[str, Run]], names: list[str], metric: str, unit: float) -> None:
+    runs = [(k, names.index(name), name, run) for k, w in enumerate(references.values()) for name, run in w.items()]
     medians = [run.median(metric) / unit for *_, run in runs]
     smallest = min((m for m in medians if np.isfinite(m) and m > 0), default=1.0)
     good = [run.worst(metric) / unit for *_, run in runs if run.lost == 0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.errors import McKibbenError, Problem, RangeError, RigError, ScenarioError
+from mckibben.config.document import read_json
+from mckibben.errors import McKibbenError, Problem, RangeError, RigError, ScenarioError, quoted
 from mckibben.rig.backend import Channel
 from mckibben.units import percent
 
@@ -200,7 +200,7 @@ class Calibration:
                 problems.append(Problem("unknown", field=str(field)))
                 continue
             if not right:
-                problems.append(Problem(f"{value!r} has no meaning", field=field))
+                problems.append(Problem(f"{quoted(value)} has no meaning", field=field))
         if problems:
             name = form.get("name", "a channel")
             raise RangeError("\n  ".join([f"calibration of {name}: {len(problems)} problem(s)", *map(str, problems)]))
@@ -318,9 +318,10 @@ def content_of(path: Path, remedy: str) -> Mapping[str, Any]:
         If it cannot be read, or is no JSON object.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
-        raise ScenarioError(str(path), [Problem(f"cannot be read as JSON: {error}")]) from None
+        raise ScenarioError(str(path), [Problem(f"cannot be read: {error}", remedy=remedy)]) from None
+    content = read_json(text, str(path))
     if not isinstance(content, dict):
         raise ScenarioError(str(path), [Problem("is no mapping of calibrations", remedy=remedy)])
     return content

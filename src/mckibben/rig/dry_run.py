@@ -170,7 +170,7 @@ class _Tour:
         try:
             self.bench.drive.rate(speed)
         except McKibbenError as error:
-            self.say(str(error).removesuffix(f"; {error.remedy}"), f"{place}.speed", error.remedy)
+            self.say(error.message, f"{place}.speed", error.remedy)
 
     def _reach(self, contraction: float, place: str) -> None:
         bench, limits = self.bench, self.bench.limits
@@ -242,7 +242,7 @@ class _Tour:
         try:
             bench.drive.pulses(walk.step)
         except McKibbenError as error:
-            self.say(str(error).removesuffix(f"; {error.remedy}"), f"{place}.step", error.remedy)
+            self.say(error.message, f"{place}.step", error.remedy)
         begin = self.contraction
         to = self.walked_from if walk.to is None else walk.to
         self.walked_from = begin

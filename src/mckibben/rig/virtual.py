@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError
 from mckibben.muscle import Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
-from mckibben.muscle.friction import NARROWEST
+from mckibben.muscle.friction import MIN_HALF_WIDTH
 from mckibben.rig.protocol import IsobaricProtocol, Plateaus
 from mckibben.units import N, bar, kPa, mm, percent
 
@@ -114,7 +114,7 @@ class VirtualRig:
         """The muscle's own, or one of the hysteresis and the presliding length."""
         if not isinstance(self.muscle.friction, NoFriction):
             return self.muscle.friction
-        if self.hysteresis < NARROWEST:
+        if self.hysteresis < MIN_HALF_WIDTH:
             return NoFriction()
         return MaxwellSlip(self.hysteresis, self.presliding_length)
 
@@ -182,7 +182,7 @@ class VirtualRig:
         length = np.asarray(self.muscle.specimen.length_at(rows.contraction))
         starts = np.flatnonzero(np.diff(rows.level)) + 1
         ways = zip(*(np.split(column, starts) for column in (length, tension, pressure)), strict=True)
-        return np.concatenate([self.friction.along(*way, side=1.0) for way in ways])
+        return np.concatenate([self.friction.path_response(*way, side=1.0) for way in ways])
 
     def _creep(
         self, protocol: IsobaricProtocol, rows: Plateaus, tension: NDArray[np.float64], read: NDArray[np.float64]
@@ -193,7 +193,9 @@ class VirtualRig:
         starts = np.flatnonzero(np.diff(rows.level)) + 1
         ways = zip(*(np.split(column, starts) for column in (length, tension, moving)), strict=True)
         creep = self.muscle.creep
-        return np.concatenate([creep.along(*way, moving=m, resting=resting, read=read) for *way, m in ways])
+        return np.concatenate(
+            [creep.path_response(*way, move_time=m, hold_time=resting, sample_times=read) for *way, m in ways]
+        )
 
     def _drift(self, time: NDArray[np.float64], generator: np.random.Generator) -> NDArray[np.float64]:
         """Of the force sensor's zero [N]."""

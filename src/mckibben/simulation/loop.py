@@ -14,14 +14,13 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
-from mckibben.control.base import Controller, Measurement, Reference, Setpoint
+from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import SimulationError
 from mckibben.numerics.batching import check_again, lanes_of, with_leaves
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled, compiled_as_given, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant, PlantState
-from mckibben.plant.sensors import Reading
 
 
 class AtRest(NamedTuple):
@@ -42,8 +41,8 @@ class Run(NamedTuple):
     def start(self, wish: Setpoint) -> tuple[PlantState, Array]:
         """The state to start from, for wishes of shape (periods,), and whether there is one."""
         if isinstance(self.initial, PlantState):
-            return self.plant.remembering(jax.tree.map(floating, self.initial)), jnp.asarray(True)
-        return self.plant.resting(*self.rest(wish))
+            return self.plant.complete_state(jax.tree.map(floating, self.initial)), jnp.asarray(True)
+        return self.plant.find_equilibrium(*self.rest(wish))
 
     def rest(self, wish: Setpoint) -> tuple[Array, Array]:
         """The angle [rad] and the stiffness [N*m/rad] at which it is to rest at the start."""
@@ -107,11 +106,7 @@ Running = tuple[PlantState, Any]
 
 def started(plant: JointPlant, controller: Controller, initial: PlantState) -> Running:
     """The plant at its initial state, and the controller as it takes over."""
-    return initial, controller.init(_measured(plant.begun(initial, 0.0)[1]))
-
-
-def _measured(told: Reading) -> Measurement:
-    return Measurement(told.angle, (told.pressure1, told.pressure2))
+    return initial, controller.init(plant.sample(initial, 0.0)[1])
 
 
 def control_period(
@@ -124,9 +119,9 @@ def control_period(
 ) -> tuple[Running, Record]:
     """One control period: the controller's step, then the plant under the commands that it holds."""
     state, memory = running
-    state, told = plant.begun(state, period)
-    memory, wanted = controller.step(memory, setpoint, _measured(told), period)
-    commands = plant.limited(wanted)
+    state, measurement = plant.sample(state, period)
+    memory, wanted = controller.step(memory, setpoint, measurement, period)
+    commands = plant.clip_commands(wanted)
     limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
     following = plant.advance(state, commands, period, substeps)
     return (following, memory), Record(state, *commands, limited, controller.telemetry(memory))

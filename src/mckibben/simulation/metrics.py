@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Setpoint
-from mckibben.joint.friction import plain, pull
+from mckibben.joint.antagonistic import NO_STATES
 from mckibben.numerics.batching import apart
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import JointPlant
@@ -71,15 +70,16 @@ def trajectory(
     """
     state, joint = record.state, plant.joint
     torque, stiffness = apart(joint.torque_and_stiffness, state.angle, state.pressures, witness=period)
-    if not plain(joint):
+    pressure1, pressure2 = state.pressures
+    if state.muscles != NO_STATES:
         motion = state.angle, state.velocity, state.pressures
-        pulled = apart(functools.partial(pull, joint), state.memories, *motion, state.relaxing, witness=period)
-        (force1, force2), torque, (contraction1, contraction2) = pulled
+        forces = apart(joint.forces, *motion, state.muscles, witness=period)
+        (force1, force2), torque, (contraction1, contraction2) = forces
     else:
         contraction1, contraction2 = apart(joint.contractions, state.angle, state.pressures, witness=period)
-        force1 = joint.muscle1.tension(contraction1, state.pressure1)
-        force2 = joint.muscle2.tension(contraction2, state.pressure2)
-    muscles = ((joint.muscle1, contraction1, state.pressure1), (joint.muscle2, contraction2, state.pressure2))
+        force1 = joint.muscle1.tension(contraction1, pressure1)
+        force2 = joint.muscle2.tension(contraction2, pressure2)
+    muscles = ((joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2))
     air1, air2 = (m.specimen.volume(contraction) * (pressure + atm) / atm for m, contraction, pressure in muscles)
     inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in muscles]
     beyond = [
@@ -97,8 +97,8 @@ def trajectory(
         total_stiffness=stiffness + plant.load.gravity_stiffness(state.angle),
         stiffness_estimate=record.telemetry["stiffness_estimate"],
         torque=torque,
-        pressure1=state.pressure1,
-        pressure2=state.pressure2,
+        pressure1=pressure1,
+        pressure2=pressure2,
         command1=record.command1,
         command2=record.command2,
         force1=force1,

@@ -11,9 +11,7 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, ReachabilityWarning, SimulationError
-from mckibben.joint.attainable import hold_and_range
-from mckibben.joint.creep import creep_torque, has_creep
-from mckibben.joint.friction import friction_torque, has_friction
+from mckibben.joint.attainable import solve_static_and_range
 from mckibben.numerics.batching import by_name
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant, PlantState
@@ -125,9 +123,9 @@ def checked_run(
 
     moved, record = run_episode(run.plant, run.controller, before.wishes, before.start, control_period, substeps)
     telemetry = {name: np.asarray(value) for name, value in record.telemetry.items()}
-    if has_friction(plant.joint):
+    if plant.joint.has_friction:
         telemetry["friction_torque"] = np.asarray(_friction_torque(run.plant, record.state))
-    if has_creep(plant.joint):
+    if plant.joint.has_creep:
         telemetry["creep_torque"] = np.asarray(_creep_torque(run.plant, record.state))
     band = (reach.lowest, reach.highest)
     return CheckedRun(Result.of(moved, control_period, band=band, telemetry=telemetry, scenario=scenario), reach)
@@ -152,27 +150,26 @@ def _before(run: Run, times: ArrayLike) -> _Before:
     angle, stiffness = run.rest(wishes)
     angles = jnp.concatenate([angle[None], wishes.angle])
     torques = -run.plant.load.gravity_torque(angles)
-    found, (lowest, highest) = hold_and_range(run.plant.joint, angles, torques, stiffness)
-    start = run.plant.still(angle, found.pressures)
+    found, (lowest, highest) = solve_static_and_range(run.plant.joint, angles, torques, stiffness)
+    start = run.plant.init_state(angle, found.pressures)
     return _Before(wishes, start, found.exists, (lowest[1:], highest[1:]))
 
 
 @compiled
 def _friction_torque(plant: JointPlant, state: PlantState) -> Array:
-    motion = state.angle, state.velocity, state.pressures
-    return friction_torque(plant.joint, state.memories, *motion, state.relaxing)
+    return plant.joint.friction_torque(state.angle, state.velocity, state.pressures, state.muscles)
 
 
 @compiled
 def _creep_torque(plant: JointPlant, state: PlantState) -> Array:
-    return creep_torque(plant.joint, state.relaxing, state.angle, state.pressures)
+    return plant.joint.creep_torque(state.angle, state.pressures, state.muscles)
 
 
 def _tell_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:
-    """Raise what `JointPlant.at_rest` has to say of a start that does not exist."""
+    """Raise what `JointPlant.equilibrium` has to say of a start that does not exist."""
     angle, stiffness = map(np.asarray, initial if isinstance(initial, AtRest) else AtRest(first_angle))
     angle = first_angle if np.isnan(angle) else float(angle)
-    plant.at_rest(angle, stiffness=None if np.isnan(stiffness) else float(stiffness))
+    plant.equilibrium(angle, stiffness=None if np.isnan(stiffness) else float(stiffness))
     raise SimulationError(f"the joint cannot start at {angle:g} rad", value=angle, unit="rad")
 
 
@@ -185,7 +182,7 @@ def run_episode(
     substeps: int,
 ) -> tuple[Trajectory, Record]:
     """The trajectory and the record of an episode; where the stiffness steps, against one without the step."""
-    plant, controller, start, period = numeric((plant, controller, plant.remembering(start), control_period))
+    plant, controller, start, period = numeric((plant, controller, plant.complete_state(start), control_period))
     _, record = compiled_episode(plant, controller, setpoints, start, period, substeps)
     held = without_last_change(setpoints)
     undisturbed = record if held is None else compiled_episode(plant, controller, held, start, period, substeps)[1]

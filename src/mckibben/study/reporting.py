@@ -197,7 +197,7 @@ def further_report(fit: Fit, found: Further) -> str:
                 lines.append(f"  {name}: at its bound")
                 continue
             lines.append(f"  {name}: standard error {error:.2g}, {share} {low:.5g} .. {high:.5g} {_unit(fit, name)}")
-        lines += [f"warning: {doubt}" for doubt in refits.doubts]
+        lines += [f"warning: {doubt}" for doubt in refits.warnings]
     return "\n".join(lines)
 
 
@@ -228,7 +228,7 @@ def interval_numbers(fit: Fit, found: Further) -> dict[str, Any]:
             "blocks": refits.blocks,
             "refits": len(refits.draws),
             "drawn_again": refits.failed,
-            "doubts": list(refits.doubts),
+            "doubts": list(refits.warnings),
             "standard_errors": {n: e / _scale(fit, n) for n, e in refits.standard_errors.items()},
             "intervals": _all(fit, refits.intervals(found.level)),
         }

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import ParameterError
 from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import Band, band, check_level, force_band, variance_of
+from mckibben.identification.intervals import IntervalEstimate, check_level, t_interval, variance_of
 from mckibben.identification.uncertainty import Grouping
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import pressure_pair
@@ -44,8 +44,8 @@ class JointBands:
         then not known, and the bands, which follow the law on one side, are too narrow.
     """
 
-    torque: Band
-    stiffness: Band
+    torque: IntervalEstimate
+    stiffness: IntervalEstimate
     may_be_slack: NDArray[np.bool_]
 
 
@@ -110,17 +110,17 @@ def joint_bands(
     shape = where[0].shape
     answers = _derivatives(with_laws, values, *where, one=one)
     found, gradients, contractions = jax.tree.map(np.asarray, answers)
-    bands: list[Band] = []
+    bands: list[IntervalEstimate] = []
     for i in range(2):
         parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
         for fit, gradient in zip(pair, gradients, strict=True):
-            evidence = fit.known_evidence()
-            columns = np.moveaxis(gradient[i], 0, -1)[..., evidence.free]
-            parts.append(variance_of(evidence.error_model(by), columns))
-        bands.append(band(level, found[i], parts))
+            regression = fit.require_regression()
+            columns = np.moveaxis(gradient[i], 0, -1)[..., regression.free]
+            parts.append(variance_of(regression.error_model(by), columns))
+        bands.append(t_interval(level, found[i], parts))
     doubtful = np.zeros(shape, bool)
     for contraction, pressure, fit in zip(contractions, where[1:], both, strict=True):
-        force = force_band(fit.law, fit.known_evidence(), contraction, pressure, level=level, by=by).mean
+        force = fit.force_intervals(contraction, pressure, level=level, by=by).confidence
         doubtful |= (force.lower < 0) & (force.upper > 0)
     return JointBands(bands[0], bands[1], doubtful)
 

@@ -59,7 +59,7 @@ def test_friction_along_a_way_is_that_of_the_muscle():
     told = [grip.force(*point, 0.1) for point in zip(stretch.tolist(), pressure.tolist(), strict=True)]
     length = 0.18 * 0.9 + np.append(0.0, stretch)
     tension = forces(Muscle(SPECIMEN, LAW), 1 - length / 0.18, np.append(pressure[0], pressure))
-    expected = tension + friction.along(length, tension, np.append(pressure[0], pressure))
+    expected = tension + friction.path_response(length, tension, np.append(pressure[0], pressure))
     np.testing.assert_allclose(told, expected[1:], atol=1e-4)
 
 
@@ -83,7 +83,7 @@ def test_creep_after_moves_is_that_of_the_muscle():
     length = 0.162 + stops
     tension = forces(Muscle(SPECIMEN, LAW), 1 - length / 0.18, 3 * bar)
     read = 0.25 * np.arange(1, 13)
-    expected = creep.along(length, tension, moving=1.0, resting=3.0, read=read) + tension[:, None]
+    expected = creep.path_response(length, tension, move_time=1.0, hold_time=3.0, sample_times=read) + tension[:, None]
     np.testing.assert_allclose(told, expected[1:], atol=1e-4)
 
 

@@ -154,7 +154,7 @@ def test_friction_and_creep_are_in_the_force():
     creeping.move(400, 800.0)
     time, force, *_ = columns(creeping, blocks(creeping, 5.5))
     read = time[1000::500] - time[0] - 0.5  # by then the regulator has made good what the move did to the pressure
-    expected = REAL.creep.along([0.1764, 0.1774], 150.0, moving=0.5, resting=9.0, read=read)[1]
+    expected = REAL.creep.path_response([0.1764, 0.1774], 150.0, move_time=0.5, hold_time=9.0, sample_times=read)[1]
     tension = float(forces(PLAIN, creeping.truth.contraction, creeping.truth.pressure))
     np.testing.assert_allclose(force[1000::500] - tension, expected, atol=0.005)
 

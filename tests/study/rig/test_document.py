@@ -164,7 +164,7 @@ protocol:
         "line 4, limits.shorten: is missing",
         "line 7, protocol.steps[0].move: '10' has no unit, and as a ratio is outside -50 to 80 %; write '10 %'",
         "line 8, protocol.steps[1]: 'dwel' is no step; did you mean 'dwell'?",
-        "line 10, protocol.steps[3].walk.stp: is no key of a scenario here; did you mean 'step'?",
+        "line 10, protocol.steps[3].walk.stp: is not a known key here; did you mean 'step'?",
         "line 9, protocol.steps[2].acquire.samples: 'none' is not a whole number",
     ):
         assert part in said, said

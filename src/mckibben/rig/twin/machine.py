@@ -126,8 +126,7 @@ _LEAST = 1e-9  # N: a band is never narrower, so that nothing is divided by 0
 class Grip:
     """What a muscle pulls with, and what it remembers.
 
-    The same numbers as `MaxwellSlip.along` and `MaxwellCreep.along` have, but as a state that goes along with the
-    time, in plain floats.
+    The same model as `MaxwellSlip` and `MaxwellCreep`, sample by sample in plain floats.
 
     Parameters
     ----------

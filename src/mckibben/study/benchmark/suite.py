@@ -6,23 +6,22 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import jax
-from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
 from mckibben.config.document import Document, dotted, to_text
-from mckibben.config.fields import Part, refuse, suggest
-from mckibben.config.reading import parsed, text_of
-from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError
+from mckibben.config.fields import AngularAcceleration, BoundedInt, Duration, PositiveTime, Title
+from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
+from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import build_signal
 from mckibben.study.scenario.controller import ControllerSpec
-from mckibben.study.scenario.fields import AngularAcceleration, Duration, PositiveTime, Title, Whole
 from mckibben.study.scenario.plant import DisturbanceSpec, JointSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
-from mckibben.study.scenario.scenario import dividing
+from mckibben.study.scenario.scenario import check_divides_duration
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
 
 _OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
@@ -46,7 +45,7 @@ def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Pr
         try:
             call()
         except McKibbenError as error:
-            found.append(Problem(str(error), document.line(place), dotted(place)))
+            found.append(Problem.of(error, document.line(place), dotted(place)))
 
     for key, reserved in (("other_joints", nominal), ("references", ""), ("controllers", "")):
         for name in getattr(suite, key):
@@ -161,10 +160,9 @@ def _check_signal(signal: SignalSpec[Any]) -> None:
         raise ParameterError("samples cannot be compared on", remedy="give a constant, step, sine or multisine")
 
 
-_Share = Annotated[int, Whole(1, 1000)]
-_Seed = Annotated[int, Whole(0, 2**31 - 1)]
+_Share = Annotated[int, BoundedInt(1, 1000)]
+_Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
 _MOST = 1_000_000
-_RENAMED = {"wishes": "references", "fastest": "max_angular_acceleration", "unseen": "evaluation"}
 
 NOMINAL_JOINT = "nominal"
 """Name of the suite's own joint, that of the controllers' models, as the plant of a run."""
@@ -176,14 +174,14 @@ def start_of(reference: ReferenceSpec) -> StartSpec:
     return StartSpec() if samples else StartSpec(angle=float(build_signal(reference.angle, "angle")(0.0)))
 
 
-class PlantSpec(Part):
+class PlantSpec(ConfigModel):
     """A joint in place of the suite's own, and its share of the runs."""
 
     share: _Share = 1
     joint: JointSpec
 
 
-class ReferenceCase(Part):
+class ReferenceCase(ConfigModel):
     """A reference, its parameters that vary from run to run, and its share of the runs."""
 
     share: _Share = 1
@@ -191,7 +189,7 @@ class ReferenceCase(Part):
     over: tuple[str, ...] = ()
 
 
-class TuningSpec(Part):
+class TuningSpec(ConfigModel):
     """Tuning of each controller, with the same budget for all.
 
     CMA-ES from each of `starts` points (the gains of the file, then random ones) runs `generations` of `population`
@@ -200,12 +198,12 @@ class TuningSpec(Part):
     """
 
     cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
-    runs: Annotated[int, Whole(1, _MOST)] = 32
+    runs: Annotated[int, BoundedInt(1, _MOST)] = 32
     seed: _Seed = 99
-    starts: Annotated[int, Whole(1, 1000)] = 2
-    generations: Annotated[int, Whole(1, 100_000)] = 40
-    population: Annotated[int, Whole(4, 10_000)] = 16
-    decades: Annotated[int, Whole(1, 6)] = 1
+    starts: Annotated[int, BoundedInt(1, 1000)] = 2
+    generations: Annotated[int, BoundedInt(1, 100_000)] = 40
+    population: Annotated[int, BoundedInt(4, 10_000)] = 16
+    decades: Annotated[int, BoundedInt(1, 6)] = 1
     over: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     untuned: tuple[str, ...] = ()
 
@@ -215,18 +213,18 @@ class TuningSpec(Part):
         try:
             parse_cost(value)
         except McKibbenError as error:
-            refuse(str(error))
+            fail_validation(str(error))
         return value
 
 
-class EvaluationSpec(Part):
+class EvaluationSpec(ConfigModel):
     """Runs on which controllers are compared, with another seed than those of the tuning."""
 
-    runs: Annotated[int, Whole(2, _MOST)] = 512
+    runs: Annotated[int, BoundedInt(2, _MOST)] = 512
     seed: _Seed = 1
 
 
-class Suite(Part):
+class Suite(ConfigModel):
     """A benchmark suite: plants, references, conditions and controllers.
 
     The models of all controllers are the nominal `joint`, `load` and `valve`, whatever the plant of a run.
@@ -255,6 +253,8 @@ class Suite(Part):
         As in a scenario.
     """
 
+    renamed: ClassVar = {"wishes": "references", "fastest": "max_angular_acceleration", "unseen": "evaluation"}
+
     name: Title
     joint: JointSpec
     joint_share: _Share = 1
@@ -271,15 +271,7 @@ class Suite(Part):
     evaluation: EvaluationSpec = EvaluationSpec()
     duration: Duration
     control_period: PositiveTime
-    substeps: Annotated[int, Whole(1, 1000)] = 4
-
-    @model_validator(mode="before")
-    @classmethod
-    def _renamed(cls, data: Any) -> Any:
-        for old, new in _RENAMED.items():
-            if isinstance(data, dict) and old in data:
-                refuse(f"the key `{old}` is now `{new}`", "rename it")
-        return data
+    substeps: Annotated[int, BoundedInt(1, 1000)] = 4
 
     @field_validator("valve", mode="before")
     @classmethod
@@ -289,14 +281,14 @@ class Suite(Part):
     @field_validator("control_period", mode="after")
     @classmethod
     def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
-        return dividing(value, info.data.get("duration"))
+        return check_divides_duration(value, info.data.get("duration"))
 
     @field_validator("evaluation", mode="after")
     @classmethod
     def _other_seed(cls, value: EvaluationSpec, info: ValidationInfo) -> EvaluationSpec:
         tuning = info.data.get("tuning")
         if tuning is not None and tuning.seed == value.seed:
-            refuse("has the seed of the tuning", "give another: the training runs are no evaluation")
+            fail_validation("has the seed of the tuning", "give another: the training runs are no evaluation")
         return value
 
     @model_serializer(mode="wrap", when_used="json")
@@ -313,12 +305,12 @@ class Suite(Part):
         ScenarioError
             With every problem of the file: line, field, value, allowed range and remedy.
         """
-        return cls.parse(text_of(path, "a suite"), source=os.fspath(path), folder=Path(path).parent)
+        return cls.parse(read_text(path, "a suite"), source=os.fspath(path), folder=Path(path).parent)
 
     @classmethod
     def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Suite:
         """Read a suite from text; arguments and errors as for `Scenario.parse`."""
-        suite, document = parsed(cls, text, source=source, folder=folder)
+        suite, document = parse_model(cls, text, source=source, folder=folder)
         problems = problems_of_suite(suite, document, NOMINAL_JOINT)
         if problems:
             raise ScenarioError(source, problems)

@@ -2,7 +2,6 @@
 
 from mckibben.study.parameters.distributions import Distribution, IntegerRange, LogUniform, Normal, Uniform, Values
 from mckibben.study.parameters.parameter import ScenarioParameter, find_parameter, find_parameters, list_parameters
-from mckibben.study.parameters.rewriting import edit_yaml
 from mckibben.study.parameters.sampling import (
     SamplingMethod,
     SweptParameter,
@@ -12,7 +11,7 @@ from mckibben.study.parameters.sampling import (
     sample,
     sweep_parameters,
 )
-from mckibben.study.parameters.values import Known, batched, known_names, valid_rows, with_values
+from mckibben.study.parameters.values import Known, batched, edit_scenario, known_names, valid_rows, with_values
 
 __all__ = [
     "Distribution",
@@ -27,7 +26,7 @@ __all__ = [
     "Uniform",
     "Values",
     "batched",
-    "edit_yaml",
+    "edit_scenario",
     "find_parameter",
     "find_parameters",
     "known_names",

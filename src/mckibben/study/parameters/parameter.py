@@ -12,10 +12,11 @@ from typing import Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from mckibben.config.fields import LONGEST_VALUE, Part, Quantity, quoted
-from mckibben.errors import ParameterError
+from mckibben.config.fields import BoundedInt, OneOf, Quantity
+from mckibben.config.model import ConfigModel
+from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
 from mckibben.study.scenario import GeometrySpec, JointSpec, LoopSpec, PIDSpec, Scenario, SignalSpec
-from mckibben.study.scenario.fields import Choice, Entry, Whole
+from mckibben.study.scenario.plant import CatalogName
 from mckibben.units import show
 
 _ATTRIBUTES = {
@@ -72,7 +73,7 @@ def _default(scenario: Scenario, control: Callable[[], Any], place: tuple[str, .
 Place = tuple[str, ...]
 """Keys of a field in the file, from the top."""
 
-Mark = Quantity | Whole
+Mark = Quantity | BoundedInt
 """Annotation of a numeric field."""
 
 _NOT_NUMERIC = "a study varies numbers; write one scenario for each"
@@ -139,7 +140,11 @@ def _parameters(scenario: Scenario) -> _Parameters:
 
 
 def _walk(
-    part: Part, place: Place, names: list[Place], found: _Parameters, default: Callable[[Place], float | int | None]
+    part: ConfigModel,
+    place: Place,
+    names: list[Place],
+    found: _Parameters,
+    default: Callable[[Place], float | int | None],
 ) -> None:
     for key, info, value in fields_of(part):
         here = (*place, key)
@@ -149,7 +154,7 @@ def _walk(
             found.refuse(called, _FIXED[key])
         elif mark is not None:
             _add_number(part, key, called, here, mark, default(here) if value is None else value, found)
-        elif isinstance(value, Part):
+        elif isinstance(value, ConfigModel):
             inner = [*names, *called] if isinstance(part, LoopSpec | SignalSpec) else called
             _walk(value, here, inner, found, default)
         elif model_in(info) is not None:
@@ -159,7 +164,13 @@ def _walk(
 
 
 def _add_number(
-    part: Part, key: str, called: list[Place], here: Place, mark: Mark, nominal: float | int | None, found: _Parameters
+    part: ConfigModel,
+    key: str,
+    called: list[Place],
+    here: Place,
+    mark: Mark,
+    nominal: float | int | None,
+    found: _Parameters,
 ) -> None:
     if isinstance(part, SignalSpec):  # a constant; other forms are parts of their own
         if part.constant is None:
@@ -179,7 +190,13 @@ def _add_number(
 
 
 def _refuse_absent(
-    part: Part, key: str, info: FieldInfo, called: list[Place], here: Place, names: list[Place], found: _Parameters
+    part: ConfigModel,
+    key: str,
+    info: FieldInfo,
+    called: list[Place],
+    here: Place,
+    names: list[Place],
+    found: _Parameters,
 ) -> None:
     if not isinstance(part, LoopSpec | SignalSpec):
         found.refuse(called, _ABSENT.get(here, ("the scenario has none", "write it in the file")))
@@ -191,25 +208,25 @@ def _refuse_absent(
     found.refuse([(*name, each) for name in names for each in inner if not _is_number_of(part, each)], reason)
 
 
-def _is_number_of(part: Part, key: str) -> bool:
+def _is_number_of(part: ConfigModel, key: str) -> bool:
     """Whether the form in the file has a field of that name."""
-    return any(key in type(value).model_fields for _, _, value in fields_of(part) if isinstance(value, Part))
+    return any(key in type(value).model_fields for _, _, value in fields_of(part) if isinstance(value, ConfigModel))
 
 
-def _form(part: Part) -> str:
+def _form(part: ConfigModel) -> str:
     return next(key for key, _, value in fields_of(part) if value is not None)
 
 
 def _what_it_is(info: FieldInfo) -> str:
     marks = list(_marks(info))
-    if any(isinstance(mark, Entry) for mark in marks) or "Path" in str(info.annotation):
+    if any(isinstance(mark, CatalogName) for mark in marks) or "Path" in str(info.annotation):
         return "it names an entry of the catalog or a file"
-    if any(isinstance(mark, Choice) for mark in marks):
+    if any(isinstance(mark, OneOf) for mark in marks):
         return "it is a choice of words"
     return "it is a list" if "tuple" in str(info.annotation) else "it is true or false"
 
 
-def fields_of(part: Part) -> Iterator[tuple[str, FieldInfo, Any]]:
+def fields_of(part: ConfigModel) -> Iterator[tuple[str, FieldInfo, Any]]:
     """Key in the file, field info and value of each field."""
     for name, info in type(part).model_fields.items():
         yield info.alias or name, info, getattr(part, name)
@@ -217,7 +234,7 @@ def fields_of(part: Part) -> Iterator[tuple[str, FieldInfo, Any]]:
 
 def mark_of(info: FieldInfo) -> Mark | None:
     """Numeric annotation of a field; None for others."""
-    return next((mark for mark in _marks(info) if isinstance(mark, Quantity | Whole)), None)
+    return next((mark for mark in _marks(info) if isinstance(mark, Quantity | BoundedInt)), None)
 
 
 def model_in(info: FieldInfo) -> type[BaseModel] | None:
@@ -264,7 +281,7 @@ class ScenarioParameter:
     @property
     def is_integer(self) -> bool:
         """Whether it is an integer."""
-        return isinstance(self.mark, Whole)
+        return isinstance(self.mark, BoundedInt)
 
     @property
     def unit(self) -> str:

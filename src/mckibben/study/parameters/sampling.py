@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import PydanticCustomError
 
-from mckibben.config.fields import Quantity, quoted
-from mckibben.errors import ParameterError
+from mckibben.config.fields import Quantity
+from mckibben.errors import ParameterError, quoted
 from mckibben.study.parameters.distributions import (
     MAX_ROWS,
     Distribution,
@@ -298,9 +298,8 @@ def _fail(message: str, remedy: str) -> NoReturn:
 
 def _prefixed(text: str, error: ParameterError) -> ParameterError:
     """The same error with its text in front."""
-    message = str(error).removesuffix(f"; {error.remedy}") if error.remedy else str(error)
     fields = {"value": error.value, "lower": error.lower, "upper": error.upper, "unit": error.unit}
-    return ParameterError(f"{quoted(text)}: {message}", remedy=error.remedy, **fields)  # type: ignore[arg-type]
+    return ParameterError(f"{quoted(text)}: {error.message}", remedy=error.remedy, **fields)  # type: ignore[arg-type]
 
 
 Table = dict[str, NDArray]
@@ -373,8 +372,7 @@ def _grid(swept: Sequence[SweptParameter]) -> Table:
         try:
             axes.append(each.distribution.grid())
         except ParameterError as error:
-            message = str(error).removesuffix(f"; {error.remedy}")
-            raise ParameterError(f"{each.text}: {message}", remedy=error.remedy) from None
+            raise ParameterError(f"{each.text}: {error.message}", remedy=error.remedy) from None
     rows = math.prod(len(axis) for axis in axes)
     if rows > MAX_ROWS:
         raise ParameterError(f"the grid has {rows} combinations, more than {MAX_ROWS}", remedy="choose fewer points")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -11,14 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
-from mckibben.config.document import dotted
-from mckibben.config.fields import Part
-from mckibben.errors import ParameterError, RangeError
+from mckibben.config.document import dotted, edit_yaml
+from mckibben.config.model import ConfigModel
+from mckibben.errors import ParameterError, RangeError, ScenarioError
 from mckibben.study.parameters.parameter import Place, ScenarioParameter, fields_of, find_parameters
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.controller import BelievingSpec
+from mckibben.study.scenario.controller import ModelBasedSpec
 
-P = TypeVar("P", bound=Part)
+P = TypeVar("P", bound=ConfigModel)
 
 
 def validated(part: P, values: Mapping[Place, Any], place: Place = ()) -> P:
@@ -46,7 +47,7 @@ def update(part: P, values: Mapping[Place, Any]) -> P:
     return part.model_copy(update=changed)
 
 
-def part_at(part: Part, place: Place) -> Part:
+def part_at(part: ConfigModel, place: Place) -> ConfigModel:
     """The part at a place within another."""
     for key in place:
         part = next(value for name, _, value in fields_of(part) if name == key)
@@ -140,14 +141,14 @@ def _builder(place: Place) -> Callable[[Any], object]:
             return _nothing
 
 
-def _load_and_adaptation(spec: BelievingSpec) -> tuple[object, ...]:
+def _load_and_adaptation(spec: ModelBasedSpec) -> tuple[object, ...]:
     """Load and adaptation of a model-based controller."""
     from mckibben.study.scenario import building
 
     return spec.load and building.build_load(spec.load), building.build_adaptation(spec.adaptation)
 
 
-def _nothing(_: Part) -> None:
+def _nothing(_: ConfigModel) -> None:
     """A start has no rules of its own."""
 
 
@@ -385,3 +386,53 @@ def _check_rules(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray
 
 def _row(row: int, rows: int) -> str:
     return f"row {row}: " if rows > 1 else ""
+
+
+def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str | os.PathLike[str] = ".") -> str:
+    """The text of a scenario with other values; comments, order and layout stay.
+
+    Values that are not in the text are added to it, in the units of `Scenario.dumps` and with all digits.
+
+    Parameters
+    ----------
+    text
+        YAML of a scenario.
+    values
+        Values [SI] by name.
+    folder
+        Folder to which paths in the text are relative.
+
+    Returns
+    -------
+    text
+        YAML that reads as `with_values` of the scenario. Where unusual YAML prevents an edit in place, it is written
+        anew without comments.
+
+    Raises
+    ------
+    ScenarioError
+        If the text is no scenario.
+    ParameterError
+        As for `with_values`.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> text = Path("examples/pre-contracted-step-pid.yaml").read_text()
+    >>> changed = edit_scenario(text, {"load.damping": 0.1, "valve.time_constant": 0.03})
+    >>> for before, after in zip(text.splitlines(), changed.splitlines()):
+    ...     if before != after:
+    ...         print(after)
+    load: {from: knee-table-2, damping: 0.1 N*m*s/rad}            # or, with a heavier weight, ...
+    valve: {time_constant: 30 ms}   # or ideal: the pressure is what is commanded, at once
+    """
+    scenario = Scenario.parse(text, folder=folder)
+    wanted = with_values(scenario, values)
+    pairs = zip(find_parameters(scenario, values), values.values(), strict=True)
+    changed = edit_yaml(text, {parameter.place: parameter.write(value) for parameter, value in pairs})
+    try:
+        if Scenario.parse(changed, folder=folder) == wanted:
+            return changed
+    except ScenarioError:
+        pass
+    return wanted.dumps(folder=folder)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from mckibben import catalog
-from mckibben.config.fields import given_fields
+from mckibben.config.model import explicit_fields
 from mckibben.errors import Problem, ScenarioError
 from mckibben.muscle import ChouLaw, ForceLaw, Muscle, Specimen
 from mckibben.rig.backend import Drive, MovingBackend
@@ -59,7 +59,7 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         assert test.rig.nidaqmx is not None  # the model of the rig sees to it
         backend, calibrations, drive = _card(test.rig.nidaqmx)
     specimen = of.specimen if isinstance(of, Muscle) else of
-    limits = Limits(**{"force": float(specimen.rated_force), **given_fields(test.limits)})
+    limits = Limits(**{"force": float(specimen.rated_force), **explicit_fields(test.limits)})
     bench = Bench(
         of=of,
         mounted_at=test.muscle.mounted_at,
@@ -67,7 +67,7 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         calibrations=calibrations,
         limits=limits,
         rate=backend.rate,
-        **given_fields(test.recording),
+        **explicit_fields(test.recording),
     )
     return Setup(backend, bench)
 
@@ -88,7 +88,7 @@ def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ..
     """
     if protocol.steps is not None:
         return steps(protocol.steps)
-    return steps_of(_PROCEDURES[protocol.form](**given_fields(getattr(protocol, protocol.form))), of)
+    return steps_of(_PROCEDURES[protocol.form](**explicit_fields(getattr(protocol, protocol.form))), of)
 
 
 def _virtual(
@@ -120,7 +120,7 @@ def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Dri
 
     calibrations = read_calibrations(cast(Path, spec.calibration))
     given = {name: getattr(spec, name) for name in ("rate", "patience", "server") if getattr(spec, name) is not None}
-    return NiRig(build_wiring(spec), **given), calibrations, Drive(**given_fields(spec.drive) if spec.drive else {})
+    return NiRig(build_wiring(spec), **given), calibrations, Drive(**explicit_fields(spec.drive) if spec.drive else {})
 
 
 def build_wiring(spec: CardSpec) -> Wiring:

@@ -9,62 +9,49 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationInfo, field_validator
 
 from mckibben.config.document import Document, to_text
-from mckibben.config.fields import Part, refuse
-from mckibben.config.reading import parsed, text_of
+from mckibben.config.fields import BoundedInt, Duration, Flag, Force, OneOf, PositiveTime, Pressure, PressureRate, Title
+from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.storage.files import atomic_write
 from mckibben.study.rig.steps import Address, Contraction, Factor, JsonPath, ProtocolSpec, SampleRate, Tension, Way
-from mckibben.study.scenario.fields import (
-    Choice,
-    Duration,
-    Entry,
-    Flag,
-    Force,
-    Law,
-    PositiveTime,
-    Pressure,
-    PressureRate,
-    Title,
-    Whole,
-)
-from mckibben.study.scenario.plant import CreepSpec, FrictionSpec
+from mckibben.study.scenario.plant import CatalogName, CreepSpec, FrictionSpec, Law
 
 
-class MuscleSpec(Part):
+class MuscleSpec(ConfigModel):
     """What is tested.
 
     With a `law` the boundaries of the test are known beforehand; without one they are found as it goes.
     """
 
-    specimen: Annotated[str, Entry("specimens")]
+    specimen: Annotated[str, CatalogName("specimens")]
     law: Law | None = None
     mounted_at: Contraction = 0.0
 
 
-class VirtualSpec(Part):
+class VirtualSpec(ConfigModel):
     """The virtual rig, see `TwinRig`.
 
     What it has in its clamps follows `law` (by default the one of the `muscle`), with friction and creep where they are
     given. Its `parts` are real, with noise, offsets, play and steps, or ideal, without any of these.
     """
 
-    seed: Annotated[int, Whole(0, 2**31 - 1)] = 0
+    seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
     law: Law | None = None
     friction: FrictionSpec | None = None
     creep: CreepSpec | None = None
-    parts: Annotated[str, Choice(("real", "ideal"))] | None = None
+    parts: Annotated[str, OneOf(("real", "ideal"))] | None = None
     paced: Flag | None = None
 
 
-class DriveSpec(Part):
+class DriveSpec(ConfigModel):
     """The motor, its reducer and its lead screw, see `Drive`; the paper's unless given."""
 
-    steps: Annotated[int, Whole(1, 1_000_000)] | None = None
+    steps: Annotated[int, BoundedInt(1, 1_000_000)] | None = None
     reduction: Factor | None = None
     lead: Way | None = None
     fastest: SampleRate | None = None
 
 
-class CardSpec(Part):
+class CardSpec(ConfigModel):
     """A card of National Instruments, see `Wiring` and `NiRig`: its terminals, and the file of its calibrations."""
 
     device: Address = "Dev1"
@@ -82,7 +69,7 @@ class CardSpec(Part):
     drive: DriveSpec | None = None
 
 
-class RigSpec(Part):
+class RigSpec(ConfigModel):
     """One of `virtual` and `nidaqmx`."""
 
     virtual: VirtualSpec | None = None
@@ -100,11 +87,13 @@ class RigSpec(Part):
             key for key, one in (("virtual", info.data.get("virtual", "wrong")), ("nidaqmx", value)) if one is not None
         ]
         if len(given) != 1:
-            refuse("is both at once" if given else "is empty", "give `virtual: {seed: 1}`, or `nidaqmx`", parent=True)
+            fail_validation(
+                "is both at once" if given else "is empty", "give `virtual: {seed: 1}`, or `nidaqmx`", parent=True
+            )
         return value
 
 
-class LimitsSpec(Part):
+class LimitsSpec(ConfigModel):
     """What may not be exceeded, see `Limits`; the force is the rated one unless given."""
 
     pressure: Pressure
@@ -119,7 +108,7 @@ class LimitsSpec(Part):
     deviation: Tension | None = None
 
 
-class RecordingSpec(Part):
+class RecordingSpec(ConfigModel):
     """How often readings are taken and watched, how many samples are recorded between plateaus, and up to which mean
     force a point is one of a slack muscle.
     """
@@ -129,7 +118,7 @@ class RecordingSpec(Part):
     slack_force: Force | None = None
 
 
-class RigTest(Part):
+class RigTest(ConfigModel):
     """A test: what is tested, on which rig, within which limits, and how; in SI, `read` and `to_yaml` know the units.
 
     Attributes
@@ -166,7 +155,9 @@ class RigTest(Part):
     def _law_known(cls, value: RigSpec, info: ValidationInfo) -> RigSpec:
         muscle = info.data.get("muscle")
         if value.virtual is not None and value.virtual.law is None and muscle is not None and muscle.law is None:
-            refuse("has no law for its virtual muscle", "give `virtual: {law: lei-mas-10-180n}`, or the muscle a law")
+            fail_validation(
+                "has no law for its virtual muscle", "give `virtual: {law: lei-mas-10-180n}`, or the muscle a law"
+            )
         return value
 
     @classmethod
@@ -189,18 +180,14 @@ class RigTest(Part):
         ScenarioError
             With every problem of the text.
         """
-        return parsed(RigTest, text, source=source, folder=folder)[0]
+        return parse_model(RigTest, text, source=source, folder=folder)[0]
 
     def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
         """The test as text that `parse` reads back to the last bit; paths are relative to a folder."""
         data = self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)})
-        steps = data["protocol"].pop("steps", None)
         if not any(value is not None for value in self.recording.model_dump().values()):
             del data["recording"]
-        if steps is None:
-            return to_text(_pruned(data))
-        del data["protocol"]
-        return to_text(_pruned(data)) + "\n".join(["protocol:", "  steps:", *_listed(steps, 2)]) + "\n"
+        return to_text(data)
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write the test to a file that `read` reads back to the last bit."""
@@ -216,31 +203,5 @@ def read_test(path: str | os.PathLike[str]) -> tuple[RigTest, Document]:
     ScenarioError
         As `RigTest.read`.
     """
-    text = text_of(path, "a protocol", "examples/rig/paper-protocol.yaml")
-    return parsed(RigTest, text, source=os.fspath(path), folder=Path(path).parent)
-
-
-def _pruned(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _pruned(item) for key, item in value.items() if item is not None}
-    return value
-
-
-def _listed(steps: list[Any], indent: int) -> list[str]:
-    """Steps as a YAML list, one a line, those of a repeat below it."""
-    pad, lines = "  " * indent, []
-    for step in steps:
-        if isinstance(step, dict) and "repeat" in step:
-            lines += [f"{pad}- repeat:", f"{pad}    times: {step['repeat']['times']}", f"{pad}    steps:"]
-            lines += _listed(step["repeat"]["steps"], indent + 3)
-        else:
-            lines.append(f"{pad}- {_on_one_line(step)}")
-    return lines
-
-
-def _on_one_line(value: Any, *, inside: bool = False) -> str:
-    """Words and quantities, none of which needs quotes, and mappings of them."""
-    if isinstance(value, dict):
-        text = ", ".join(f"{key}: {_on_one_line(item, inside=True)}" for key, item in value.items())
-        return f"{{{text}}}" if inside else text
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    text = read_text(path, "a protocol", "examples/rig/paper-protocol.yaml")
+    return parse_model(RigTest, text, source=os.fspath(path), folder=Path(path).parent)

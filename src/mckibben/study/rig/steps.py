@@ -16,19 +16,21 @@ from pydantic import (
     model_validator,
 )
 
-from mckibben.config.fields import Part, Quantity, given_fields, quoted, refuse, suggest
-from mckibben.rig import steps as typed
-from mckibben.study.scenario.fields import (
-    Choice,
+from mckibben.config.fields import (
+    BoundedInt,
     Duration,
     Flag,
     Force,
+    OneOf,
     Pressure,
     PressureRate,
-    Whole,
+    Quantity,
     read_path,
     write_path,
 )
+from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
+from mckibben.errors import quoted, suggest
+from mckibben.rig import steps as typed
 from mckibben.units import quantity, show
 
 _BARE = re.compile(r"[-+]?\d{1,9}(\.\d{0,9})?")
@@ -41,7 +43,9 @@ class Percent(Quantity):
     def read(self, value: Any) -> float:
         """The ratio, checked; one without a unit is a ratio."""
         if isinstance(value, str) and _BARE.fullmatch(value.strip()) and not self.holds(float(value)):
-            refuse(f"{quoted(value)} has no unit, and as a ratio is outside {self.range}", f"write '{value.strip()} %'")
+            fail_validation(
+                f"{quoted(value)} has no unit, and as a ratio is outside {self.range}", f"write '{value.strip()} %'"
+            )
         return super().read(value)
 
     def write(self, value: float) -> str:
@@ -72,7 +76,9 @@ Factor = Annotated[float, Quantity("1", "1", 0, 1e6, open_lower=True)]
 
 def _read_address(value: object) -> str:
     if not isinstance(value, str) or not _ADDRESS.fullmatch(value):
-        refuse(f"{quoted(value)} is no address", "write it as the driver calls it, such as Dev1, ai0 or port0/line1")
+        fail_validation(
+            f"{quoted(value)} is no address", "write it as the driver calls it, such as Dev1, ai0 or port0/line1"
+        )
     return value
 
 
@@ -91,11 +97,11 @@ JsonPath = Annotated[object, BeforeValidator(_read), PlainSerializer(_write, whe
 
 
 _MOST = 1_000_000
-Direction = Annotated[str, Choice(typed.DIRECTIONS[1:])]
-Phase = Annotated[str, Choice(typed.PHASES[1:])]
+Direction = Annotated[str, OneOf(typed.DIRECTIONS[1:])]
+Phase = Annotated[str, OneOf(typed.PHASES[1:])]
 
 
-class MoveSpec(Part):
+class MoveSpec(ConfigModel):
     """Stretch or shorten; ``move: 10 %`` is one with the paper's speed."""
 
     to: Contraction
@@ -107,7 +113,7 @@ class MoveSpec(Part):
         return {"to": value} if isinstance(value, str) and value else value
 
 
-class DwellSpec(Part):
+class DwellSpec(ConfigModel):
     """Wait: ``dwell: 5 s``."""
 
     duration: Wait
@@ -118,7 +124,7 @@ class DwellSpec(Part):
         return {"duration": value} if isinstance(value, str) and value else value
 
 
-class PressuriseSpec(Part):
+class PressuriseSpec(ConfigModel):
     """Set a pressure; ``pressurise: 2 bar`` is one at once."""
 
     pressure: Pressure
@@ -131,7 +137,7 @@ class PressuriseSpec(Part):
         return {"pressure": value} if isinstance(value, str) and value else value
 
 
-class HoldForceSpec(Part):
+class HoldForceSpec(ConfigModel):
     """Move until it pulls with a force; ``hold_force: 100 N``."""
 
     force: Tension
@@ -145,17 +151,17 @@ class HoldForceSpec(Part):
         return {"force": value} if isinstance(value, str) and value else value
 
 
-class AcquireSpec(Part):
+class AcquireSpec(ConfigModel):
     """Take a point; nothing given is the paper's 1000 samples in 1 s."""
 
-    samples: Annotated[int, Whole(1, _MOST)] | None = None
+    samples: Annotated[int, BoundedInt(1, _MOST)] | None = None
     duration: Duration | None = None
     direction: Direction | None = None
     phase: Phase | None = None
     keep: Flag | None = None
 
 
-class WalkSpec(Part):
+class WalkSpec(ConfigModel):
     """Plateau after plateau; without `to` back to where the walk before began."""
 
     to: Contraction | None = None
@@ -164,24 +170,24 @@ class WalkSpec(Part):
     dwell: Wait | None = None
     acquire: AcquireSpec | None = None
     force: Tension | None = None
-    slack: Annotated[int, Whole(1, 10_000)] | None = None
+    slack: Annotated[int, BoundedInt(1, 10_000)] | None = None
     slack_force: Force | None = None
 
 
-class VentSpec(Part):
+class VentSpec(ConfigModel):
     """Let the air out."""
 
 
-class RepeatSpec(Part):
+class RepeatSpec(ConfigModel):
     """Steps several times."""
 
-    times: Annotated[int, Whole(1, 10_000)]
+    times: Annotated[int, BoundedInt(1, 10_000)]
     steps: tuple[StepSpec, ...]
 
     @field_validator("steps", mode="after")
     @classmethod
     def _some(cls, value: Any) -> Any:
-        return value or refuse("is empty", "give at least one")
+        return value or fail_validation("is empty", "give at least one")
 
 
 _WORDS = ("vent", "acquire", "walk")
@@ -189,7 +195,7 @@ _ALONE = {"move": "to", "dwell": "duration", "pressurise": "pressure", "hold_for
 _KINDS = ("move", "dwell", "pressurise", "hold_force", "acquire", "walk", "vent", "repeat")
 
 
-class StepSpec(Part):
+class StepSpec(ConfigModel):
     """One of the steps; ``vent``, ``acquire`` and ``walk`` alone will do."""
 
     move: MoveSpec | None = None
@@ -206,12 +212,12 @@ class StepSpec(Part):
     def _word_alone(cls, value: Any) -> Any:
         if isinstance(value, str):
             if value not in _WORDS:
-                refuse(f"{value[:40]!r} is no step", suggest(value, _KINDS))
+                fail_validation(f"{value[:40]!r} is no step", suggest(value, _KINDS))
             return {value: {}}
         if isinstance(value, dict):
             for key in value:
                 if key not in _KINDS:
-                    refuse(f"{key[:40]!r} is no step", suggest(str(key), _KINDS))
+                    fail_validation(f"{key[:40]!r} is no step", suggest(str(key), _KINDS))
             return {key: {} if key in _WORDS and inner == "" else inner for key, inner in value.items()}
         return value
 
@@ -222,7 +228,7 @@ class StepSpec(Part):
         chosen = [key for key in _KINDS if given[key] is not None]
         if len(chosen) != 1:
             what = f"is {' and '.join(chosen)} at once" if chosen else "is empty"
-            refuse(what, f"give one of {', '.join(_KINDS)} for each step", parent=True)
+            fail_validation(what, f"give one of {', '.join(_KINDS)} for each step", parent=True)
         return value
 
     @model_serializer(mode="plain", when_used="json")
@@ -240,18 +246,18 @@ class StepSpec(Part):
         if self.repeat is not None:
             return typed.Repeat(times=self.repeat.times, steps=steps(self.repeat.steps))
         if self.walk is not None:
-            given = given_fields(self.walk, "acquire", "to")
-            acquire = typed.Acquire(**given_fields(self.walk.acquire)) if self.walk.acquire else typed.Acquire()
+            given = explicit_fields(self.walk, "acquire", "to")
+            acquire = typed.Acquire(**explicit_fields(self.walk.acquire)) if self.walk.acquire else typed.Acquire()
             return typed.Walk(to=self.walk.to, acquire=acquire, **given)
         if self.move is not None:
-            return typed.Move(**given_fields(self.move))
+            return typed.Move(**explicit_fields(self.move))
         if self.dwell is not None:
             return typed.Dwell(duration=self.dwell.duration)
         if self.pressurise is not None:
-            return typed.Pressurise(**given_fields(self.pressurise))
+            return typed.Pressurise(**explicit_fields(self.pressurise))
         if self.hold_force is not None:
-            return typed.HoldForce(**given_fields(self.hold_force))
-        return typed.Acquire(**given_fields(self.acquire)) if self.acquire is not None else typed.Vent()
+            return typed.HoldForce(**explicit_fields(self.hold_force))
+        return typed.Acquire(**explicit_fields(self.acquire)) if self.acquire is not None else typed.Vent()
 
     @classmethod
     def of(cls, step: typed.Step) -> StepSpec:
@@ -299,11 +305,11 @@ def _pruned(value: Any) -> Any:
     return {key: _pruned(item) for key, item in value.items() if item is not None} if isinstance(value, dict) else value
 
 
-_Count = Annotated[int, Whole(1, 1_000_000)]
-_Repeats = Annotated[int, Whole(1, 10_000)]
+_Count = Annotated[int, BoundedInt(1, 1_000_000)]
+_Repeats = Annotated[int, BoundedInt(1, 10_000)]
 
 
-class IsobaricSpec(Part):
+class IsobaricSpec(ConfigModel):
     """See `IsobaricProtocol`."""
 
     pressures: tuple[Pressure, ...] | None = None
@@ -319,7 +325,7 @@ class IsobaricSpec(Part):
     slack_steps: _Repeats | None = None
 
 
-class IsometricSpec(Part):
+class IsometricSpec(ConfigModel):
     """See `IsometricProtocol`."""
 
     contractions: tuple[Contraction, ...] | None = None
@@ -332,7 +338,7 @@ class IsometricSpec(Part):
     repeats: _Repeats | None = None
 
 
-class IsotonicSpec(Part):
+class IsotonicSpec(ConfigModel):
     """See `IsotonicProtocol`."""
 
     forces: tuple[Tension, ...] | None = None
@@ -349,7 +355,7 @@ class IsotonicSpec(Part):
 _FORMS = ("isobaric", "isometric", "isotonic", "steps")
 
 
-class ProtocolSpec(Part):
+class ProtocolSpec(ConfigModel):
     """One of the whole tests, or `steps`; a whole test's name alone is one with all its defaults."""
 
     isobaric: IsobaricSpec | None = None
@@ -367,11 +373,11 @@ class ProtocolSpec(Part):
     def _one_form(cls, value: Any, info: ValidationInfo) -> Any:
         given = {**{key: info.data.get(key, "wrong") for key in _FORMS[:-1]}, "steps": value}
         if value == ():
-            refuse("is empty", "give at least one step")
+            fail_validation("is empty", "give at least one step")
         chosen = [key for key in _FORMS if given[key] is not None]
         if len(chosen) != 1:
             what = f"is {' and '.join(chosen)} at once" if chosen else "is empty"
-            refuse(what, f"give one of {', '.join(_FORMS)}", parent=True)
+            fail_validation(what, f"give one of {', '.join(_FORMS)}", parent=True)
         return value
 
     @property

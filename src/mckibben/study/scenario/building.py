@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mckibben import catalog
-from mckibben.config.fields import given_fields
+from mckibben.config.model import explicit_fields
 from mckibben.control import (
     PID,
     BackpropPID,
@@ -34,7 +34,7 @@ from mckibben.control import (
     VelocityObserver,
 )
 from mckibben.joint import AntagonisticJoint, KneeGeometry, Load, RigidTendon, SeriesSpring
-from mckibben.muscle import ChouLaw, Creep, Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, stronger
+from mckibben.muscle import ChouLaw, Creep, Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, scaled_law
 from mckibben.plant import (
     Disturbance,
     FirstOrderValve,
@@ -51,11 +51,11 @@ from mckibben.plant import (
 from mckibben.study.scenario.controller import (
     AdaptationSpec,
     BackpropSpec,
-    BelievingSpec,
     ControllerSpec,
     DecouplingSpec,
     InverseModelSpec,
     LoopSpec,
+    ModelBasedSpec,
     PIDSpec,
 )
 from mckibben.study.scenario.plant import (
@@ -111,22 +111,22 @@ def build_geometry(spec: JointSpec) -> KneeGeometry:
 
 def build_friction(spec: FrictionSpec | None) -> Friction:
     """What a muscle's way adds to its law."""
-    return NoFriction() if spec is None else MaxwellSlip(**given_fields(spec))
+    return NoFriction() if spec is None else MaxwellSlip(**explicit_fields(spec))
 
 
 def build_creep(spec: CreepSpec | None) -> Creep:
     """What the time since its last moves adds to a muscle's law."""
-    return NoCreep() if spec is None else MaxwellCreep(**given_fields(spec))
+    return NoCreep() if spec is None else MaxwellCreep(**explicit_fields(spec))
 
 
 def build_tendon(spec: SpringSpec | None) -> RigidTendon | SeriesSpring:
     """What lies between muscle and path."""
-    return RigidTendon() if spec is None else SeriesSpring(**given_fields(spec))
+    return RigidTendon() if spec is None else SeriesSpring(**explicit_fields(spec))
 
 
 def build_load(spec: LoadSpec) -> Load:
     """What is moved."""
-    numbers = given_fields(spec, "base")
+    numbers = explicit_fields(spec, "base")
     return Load(**numbers) if spec.base is None else dataclasses.replace(catalog.load(spec.base), **numbers)
 
 
@@ -137,12 +137,12 @@ def build_valve(spec: ValveSpec | None) -> Valve:
 
 def build_sensors(spec: SensorsSpec | None) -> Sensors:
     """What tells the controller."""
-    return PerfectSensors() if spec is None else SampledSensors(**given_fields(spec))
+    return PerfectSensors() if spec is None else SampledSensors(**explicit_fields(spec))
 
 
 def build_disturbance(spec: DisturbanceSpec | None) -> Disturbance:
     """What pushes from outside."""
-    return NoDisturbance() if spec is None else TorquePulses(**given_fields(spec.pulses))
+    return NoDisturbance() if spec is None else TorquePulses(**explicit_fields(spec.pulses))
 
 
 def build_control(
@@ -159,7 +159,7 @@ def build_control(
         numbers: dict[str, Any] = {
             "friction_compensation": bool(spec.friction_compensation),
             "adaptation": build_adaptation(believing.adaptation),
-            **given_fields(believing, *_PARTS),
+            **explicit_fields(believing, *_PARTS),
         }
         if isinstance(believing, DecouplingSpec):
             return DecouplingControl(*beliefs, *decoupling_parts(believing), **numbers)
@@ -175,39 +175,41 @@ def build_control(
 def build_inverse_model(spec: InverseModelSpec, loops: PositionStiffnessControl) -> InverseModelControl:
     """Two loops with what learns beside them."""
     load = None if spec.load is None else build_load(spec.load)
-    return InverseModelControl(loops, load, **given_fields(spec, "alone", "load"))
+    return InverseModelControl(loops, load, **explicit_fields(spec, "alone", "load"))
 
 
 def decoupling_parts(spec: DecouplingSpec) -> tuple[Feedback, Observer, PressureObserver]:
     """What a `DecouplingControl` is put together from."""
     feedback = (
-        PolePlacement(**given_fields(spec.poles))
+        PolePlacement(**explicit_fields(spec.poles))
         if spec.poles is not None
-        else SlidingMode(**given_fields(spec.sliding))
+        else SlidingMode(**explicit_fields(spec.sliding))
     )
     return feedback, *observers(spec)
 
 
-def observers(spec: BelievingSpec) -> tuple[Observer, PressureObserver]:
+def observers(spec: ModelBasedSpec) -> tuple[Observer, PressureObserver]:
     """What a controller by a model observes with."""
     velocity, disturbance, pressure = spec.velocity_observer, spec.disturbance_observer, spec.pressure_observer
     observer = (
-        VelocityObserver(**given_fields(velocity)) if velocity else ExtendedStateObserver(**given_fields(disturbance))
+        VelocityObserver(**explicit_fields(velocity))
+        if velocity
+        else ExtendedStateObserver(**explicit_fields(disturbance))
     )
-    return observer, PressureObserver(**given_fields(pressure))
+    return observer, PressureObserver(**explicit_fields(pressure))
 
 
 def build_adaptation(spec: AdaptationSpec | None) -> LawAdaptation | None:
     """What corrects the model's muscles on line."""
-    return None if spec is None else LawAdaptation(**given_fields(spec))
+    return None if spec is None else LawAdaptation(**explicit_fields(spec))
 
 
 def build_loop(spec: LoopSpec[Any, Any, Any, Any]) -> PID | BackpropPID:
     """One of the controller's loops."""
     if spec.backprop is None:
         assert spec.pid is not None  # the model of the loop sees to it
-        return PID(**given_fields(spec.pid))
-    network = given_fields(spec.backprop, *PIDSpec.model_fields)
+        return PID(**explicit_fields(spec.pid))
+    network = explicit_fields(spec.backprop, *PIDSpec.model_fields)
     if "jacobian" in network:
         network["jacobian"] = Jacobian[network["jacobian"].upper()]
     return BackpropPID(_base(spec.backprop), **network)
@@ -221,15 +223,17 @@ def build_reference(spec: ReferenceSpec) -> Reference:
 def build_signal(spec: SignalSpec[Any], quantity: str) -> Signal:
     """What is wanted over time of "angle" or of "stiffness"."""
     if spec.step is not None:
-        return Step(**given_fields(spec.step))
+        return Step(**explicit_fields(spec.step))
     if spec.sine is not None:
-        return Sine(**given_fields(spec.sine))
+        return Sine(**explicit_fields(spec.sine))
     if spec.multisine is not None:
-        return Multisine(**given_fields(spec.multisine))
+        return Multisine(**explicit_fields(spec.multisine))
     if spec.samples is not None:
         file = spec.samples.file
         return (
-            Samples(*read_samples(file, quantity, _UNITS[quantity])) if file else Samples(**given_fields(spec.samples))
+            Samples(*read_samples(file, quantity, _UNITS[quantity]))
+            if file
+            else Samples(**explicit_fields(spec.samples))
         )
     assert spec.constant is not None  # the model of the signal sees to it
     return Constant(spec.constant)
@@ -237,11 +241,11 @@ def build_signal(spec: SignalSpec[Any], quantity: str) -> Signal:
 
 def build_start(plant: JointPlant, spec: StartSpec) -> PlantState:
     """The state at rest to start from."""
-    return plant.at_rest(spec.angle, stiffness=spec.stiffness)
+    return plant.equilibrium(spec.angle, stiffness=spec.stiffness)
 
 
 def _geometry(spec: GeometrySpec) -> KneeGeometry:
-    numbers = given_fields(spec, "base")
+    numbers = explicit_fields(spec, "base")
     return KneeGeometry(**numbers) if spec.base is None else dataclasses.replace(catalog.geometry(spec.base), **numbers)
 
 
@@ -253,8 +257,8 @@ def _muscle(spec: MuscleSpec) -> Muscle:
         law = Fit.from_yaml(spec.law).law
     else:
         law = ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law)
-    return Muscle(specimen, law if spec.strength is None else stronger(law, spec.strength), friction, creep)
+    return Muscle(specimen, law if spec.strength is None else scaled_law(law, spec.strength), friction, creep)
 
 
 def _base(spec: BackpropSpec[Any, Any, Any, Any]) -> PID:
-    return PID(**{key: value for key, value in given_fields(spec).items() if key in PIDSpec.model_fields})
+    return PID(**{key: value for key, value in explicit_fields(spec).items() if key in PIDSpec.model_fields})

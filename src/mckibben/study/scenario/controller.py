@@ -6,19 +6,19 @@ from typing import Annotated, Any, Generic, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben.config.fields import Part, refuse
-from mckibben.study.scenario.fields import (
+from mckibben.config.fields import (
     AngleDerivativeGain,
     AngleGain,
     AngleIntegralGain,
     AngleScale,
     AngularAcceleration,
     Bandwidth,
-    Choice,
+    BoundedInt,
     Flag,
     Force,
     Mass,
     Momentum,
+    OneOf,
     PoleDamping,
     PositiveRate,
     PositiveTime,
@@ -35,8 +35,8 @@ from mckibben.study.scenario.fields import (
     StiffnessScale,
     StrengthSpread,
     Tension,
-    Whole,
 )
+from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.study.scenario.plant import JointSpec, LoadSpec, ValveSpec
 
 P = TypeVar("P")
@@ -45,7 +45,7 @@ D = TypeVar("D")
 S = TypeVar("S")
 
 
-class PIDSpec(Part, Generic[P, I, D]):
+class PIDSpec(ConfigModel, Generic[P, I, D]):
     """The numbers of `PID` in SI, where one is left out the class's own; a reverse-acting loop has negative gains."""
 
     kp: P
@@ -65,7 +65,7 @@ class PIDSpec(Part, Generic[P, I, D]):
                 for name, gain in {**info.data, "kd": value}.items()
             )
             remedy = "give all one sign, negative if the loop is reverse-acting"
-            refuse(f"its gains differ in sign ({signs})", remedy, parent=True)
+            fail_validation(f"its gains differ in sign ({signs})", remedy, parent=True)
         return value
 
 
@@ -78,19 +78,21 @@ class BackpropSpec(PIDSpec[P, I, D], Generic[P, I, D, S]):
     learning_rate: Rate | None = None
     momentum: Momentum | None = None
     gain_ratio: Ratio | None = None
-    hidden: Annotated[int, Whole(1, 1000)] | None = None
-    jacobian: Annotated[str, Choice(("sign", "model"))] | None = Field(None, validate_default=True)
-    seed: Annotated[int, Whole(0, 2**31 - 1)] | None = None
+    hidden: Annotated[int, BoundedInt(1, 1000)] | None = None
+    jacobian: Annotated[str, OneOf(("sign", "model"))] | None = Field(None, validate_default=True)
+    seed: Annotated[int, BoundedInt(0, 2**31 - 1)] | None = None
 
     @field_validator("jacobian", mode="after")
     @classmethod
     def _sign_known(cls, value: str | None, info: ValidationInfo) -> str | None:
         if value != "model" and info.data.get("ki") == 0:
-            refuse("learns by the sign of ki, which is zero", "give ki a sign, or write jacobian: model", parent=True)
+            fail_validation(
+                "learns by the sign of ki, which is zero", "give ki a sign, or write jacobian: model", parent=True
+            )
         return value
 
 
-class LoopSpec(Part, Generic[P, I, D, S]):
+class LoopSpec(ConfigModel, Generic[P, I, D, S]):
     """One of `pid` and `backprop`."""
 
     pid: PIDSpec[P, I, D] | None = None
@@ -102,7 +104,7 @@ class LoopSpec(Part, Generic[P, I, D, S]):
         pid = info.data.get("pid", "wrong")
         if (pid is None) == (value is None):
             what = "has no loop" if value is None else "is pid and backprop at once"
-            refuse(what, "give one of pid, backprop", parent=True)
+            fail_validation(what, "give one of pid, backprop", parent=True)
         return value
 
 
@@ -113,14 +115,14 @@ StiffnessLoopSpec = LoopSpec[StiffnessGain, StiffnessIntegralGain, StiffnessDeri
 """From stiffness [N*m/rad] to co-contraction [Pa]."""
 
 
-class PolesSpec(Part):
+class PolesSpec(ConfigModel):
     """The numbers of `PolePlacement` in SI."""
 
     bandwidth: Bandwidth
     integral: Flag | None = None
 
 
-class SlidingSpec(Part):
+class SlidingSpec(ConfigModel):
     """The numbers of `SlidingMode` in SI; where one is left out the class's own."""
 
     slope: PositiveRate
@@ -129,13 +131,13 @@ class SlidingSpec(Part):
     lag: PositiveTime | None = None
 
 
-class ObserverSpec(Part):
+class ObserverSpec(ConfigModel):
     """The bandwidth [rad/s] of an observer."""
 
     bandwidth: Bandwidth
 
 
-class AdaptationSpec(Part):
+class AdaptationSpec(ConfigModel):
     """The numbers of `LawAdaptation` in SI; where one is left out the class's own."""
 
     strength_spread: StrengthSpread | None = None
@@ -145,7 +147,7 @@ class AdaptationSpec(Part):
     bandwidth: Bandwidth | None = None
 
 
-class BelievingSpec(Part):
+class ModelBasedSpec(ConfigModel):
     """What a controller by a model observes, and what it believes of load and valves.
 
     Load and valves are the plant's own unless given, and the observers have the classes' own bandwidths. With
@@ -164,11 +166,11 @@ class BelievingSpec(Part):
     @classmethod
     def _one_observer(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and info.data.get("velocity_observer") is not None:
-            refuse("is given beside velocity_observer", "keep one: this one observes the velocity as well")
+            fail_validation("is given beside velocity_observer", "keep one: this one observes the velocity as well")
         return value
 
 
-class DecouplingSpec(BelievingSpec):
+class DecouplingSpec(ModelBasedSpec):
     """The parts of `DecouplingControl`: `poles` or `sliding`, and what it observes and believes."""
 
     poles: PolesSpec | None = None
@@ -179,11 +181,11 @@ class DecouplingSpec(BelievingSpec):
     def _one_feedback(cls, value: Any, info: ValidationInfo) -> Any:
         if (info.data.get("poles", "wrong") is None) == (value is None):
             what = "has no feedback" if value is None else "is poles and sliding at once"
-            refuse(what, "give one of poles, sliding", parent=True)
+            fail_validation(what, "give one of poles, sliding", parent=True)
         return value
 
 
-class PredictiveSpec(BelievingSpec):
+class PredictiveSpec(ModelBasedSpec):
     """The numbers of `PredictiveControl` in SI; where one is left out the class's own."""
 
     bandwidth: Bandwidth
@@ -192,18 +194,18 @@ class PredictiveSpec(BelievingSpec):
     angle_scale: AngleScale | None = None
     stiffness_scale: StiffnessScale | None = None
     horizon: PositiveTime | None = None
-    stages: Annotated[int, Whole(1, 1000)] | None = None
-    iterations: Annotated[int, Whole(1, 100)] | None = None
+    stages: Annotated[int, BoundedInt(1, 1000)] | None = None
+    iterations: Annotated[int, BoundedInt(1, 100)] | None = None
 
 
-class InverseModelSpec(Part):
+class InverseModelSpec(ConfigModel):
     """The numbers of `InverseModelControl` in SI, where one is left out the class's own; and what it believes.
 
     Load and valves are the plant's own unless given; a network `alone` learns on no model's inverse, for no load.
     """
 
     learning_rate: Rate | None = None
-    hidden: Annotated[int, Whole(1, 1000)] | None = None
+    hidden: Annotated[int, BoundedInt(1, 1000)] | None = None
     valve_time_constant: ShortTime | None = None
     filter_bandwidth: Bandwidth | None = None
     angle_scale: AngleScale | None = None
@@ -211,7 +213,7 @@ class InverseModelSpec(Part):
     acceleration_scale: AngularAcceleration | None = None
     stiffness_scale: StiffnessScale | None = None
     pressure_scale: PressureScale | None = None
-    seed: Annotated[int, Whole(0, 2**31 - 1)] | None = None
+    seed: Annotated[int, BoundedInt(0, 2**31 - 1)] | None = None
     alone: Flag | None = None
     load: LoadSpec | None = None
 
@@ -219,11 +221,11 @@ class InverseModelSpec(Part):
     @classmethod
     def _one_start(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and info.data.get("alone"):
-            refuse("is given beside alone", "keep one: a network that is alone has no use for a load")
+            fail_validation("is given beside alone", "keep one: a network that is alone has no use for a load")
         return value
 
 
-class ControllerSpec(Part):
+class ControllerSpec(ConfigModel):
     """Both loops of `PositionStiffnessControl`, `DecouplingControl` or `PredictiveControl`; and its model of the joint.
 
     The model is the plant's own joint unless given. `friction_compensation` makes up for the friction of that model's
@@ -243,14 +245,14 @@ class ControllerSpec(Part):
     @classmethod
     def _beside_loops(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and None in (info.data.get("position", "wrong"), info.data.get("stiffness", "wrong")):
-            refuse("goes with position and stiffness", "give a loop for both, or leave it out")
+            fail_validation("goes with position and stiffness", "give a loop for both, or leave it out")
         return value
 
     @field_validator("inverse_model", mode="after")
     @classmethod
     def _friction_learned(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and info.data.get("friction_compensation"):
-            refuse("is given beside friction_compensation", "keep one: what it learns has the friction in it")
+            fail_validation("is given beside friction_compensation", "keep one: what it learns has the friction in it")
         return value
 
     @field_validator("decoupling", "predictive", mode="after")
@@ -259,12 +261,12 @@ class ControllerSpec(Part):
         others = ("position", "stiffness") + (("decoupling",) if info.field_name == "predictive" else ())
         given = [key for key in others if info.data.get(key, "wrong") is not None]
         if value is not None and given:
-            refuse(f"is given beside {' and '.join(given)}", "keep one of them")
+            fail_validation(f"is given beside {' and '.join(given)}", "keep one of them")
         if value is None and info.field_name == "predictive" and "decoupling" not in given:
             missing = [key for key in ("position", "stiffness") if key not in given]
             if missing:
                 remedy = "give a loop for both, or decoupling, or predictive"
-                refuse(f"lacks {' and '.join(missing)}", remedy, parent=True)
+                fail_validation(f"lacks {' and '.join(missing)}", remedy, parent=True)
         return value
 
     def with_model(self, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> ControllerSpec:

@@ -10,9 +10,9 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
-from mckibben.config.fields import Part, refuse
+from mckibben.config.fields import Angle, Frequency, Instant, Phase, Stiffness, TablePath
+from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.errors import Problem, ScenarioError, UnitError
-from mckibben.study.scenario.fields import Angle, Frequency, Instant, Phase, Stiffness, TablePath
 from mckibben.units import factor
 
 _LARGEST = 64 * 2**20
@@ -77,7 +77,7 @@ def _column(header: list[str], name: str, unit: str, problems: list[Problem]) ->
     try:
         return found[0], factor(header[found[0]][len(name) + 1 : len(name) + 41], unit)
     except UnitError as error:
-        problems.append(Problem(str(error), 1, header[found[0]]))
+        problems.append(Problem.of(error, 1, header[found[0]]))
         return 0, 1.0
 
 
@@ -93,7 +93,7 @@ MOST_SAMPLES = 2000
 """In the text itself; more belong in a table of their own."""
 
 
-class StepSpec(Part, Generic[Q]):
+class StepSpec(ConfigModel, Generic[Q]):
     """One value before a time [s], another from then on."""
 
     before: Q
@@ -101,7 +101,7 @@ class StepSpec(Part, Generic[Q]):
     at: Instant
 
 
-class SineSpec(Part, Generic[Q]):
+class SineSpec(ConfigModel, Generic[Q]):
     """offset + amplitude sin(2 pi frequency t + phase)."""
 
     amplitude: Q
@@ -110,7 +110,7 @@ class SineSpec(Part, Generic[Q]):
     phase: Phase | None = None
 
 
-class MultisineSpec(Part, Generic[Q]):
+class MultisineSpec(ConfigModel, Generic[Q]):
     """offset + a sum of sines: one amplitude, frequency and, where given, phase each."""
 
     amplitudes: tuple[Q, ...] = Field(min_length=1)
@@ -125,11 +125,11 @@ class MultisineSpec(Part, Generic[Q]):
         counts = {key: len(items) for key, items in lists.items() if items is not None}
         if len(set(counts.values())) > 1:
             told = ", ".join(f"{count} {key}" for key, count in counts.items())
-            refuse(f"has {told}", "give one of each for every sine", parent=True)
+            fail_validation(f"has {told}", "give one of each for every sine", parent=True)
         return value
 
 
-class SamplesSpec(Part, Generic[Q]):
+class SamplesSpec(ConfigModel, Generic[Q]):
     """Straight lines between samples: in the text, or in a CSV file.
 
     The file has a header of names and units, such as ``time_s,angle_deg,stiffness_N*m/rad``; the angle's signal takes
@@ -146,7 +146,7 @@ class SamplesSpec(Part, Generic[Q]):
         times = value or ()
         for before, after in itertools.pairwise(times):
             if not after > before:
-                refuse(f"do not rise: {after:g} s follows {before:g} s", "sort them and remove repeats")
+                fail_validation(f"do not rise: {after:g} s follows {before:g} s", "sort them and remove repeats")
         return value
 
     @field_validator("file", mode="after")
@@ -156,17 +156,17 @@ class SamplesSpec(Part, Generic[Q]):
         if "wrong" in (times, values):
             return value
         if value is not None and (times is not None or values is not None):
-            refuse("is given beside times or values", "keep the file, or the lists")
+            fail_validation("is given beside times or values", "keep the file, or the lists")
         if value is not None:
             return value
         if times is None or values is None:
-            refuse("lacks its samples", "give `times` and `values`, or a `file`", parent=True)
+            fail_validation("lacks its samples", "give `times` and `values`, or a `file`", parent=True)
         if len(times) != len(values) or not times:
-            refuse(f"has {len(times)} times and {len(values)} values", "give one value a time", parent=True)
+            fail_validation(f"has {len(times)} times and {len(values)} values", "give one value a time", parent=True)
         return value
 
 
-class SignalSpec(Part, Generic[Q]):
+class SignalSpec(ConfigModel, Generic[Q]):
     """One of `constant`, `step`, `sine`, `multisine`, `samples`; in text a quantity alone is a constant."""
 
     constant: Q | None = None
@@ -188,7 +188,7 @@ class SignalSpec(Part, Generic[Q]):
         chosen = [key for key in forms if given[key] is not None]
         if len(chosen) != 1:
             what = f"is {' and '.join(chosen)} at once" if chosen else "has no signal"
-            refuse(what, f"give one of {', '.join(forms)}", parent=True)
+            fail_validation(what, f"give one of {', '.join(forms)}", parent=True)
         return value
 
     @model_serializer(mode="wrap", when_used="json")
@@ -197,7 +197,7 @@ class SignalSpec(Part, Generic[Q]):
         return written["constant"] if self.constant is not None else written
 
 
-class ReferenceSpec(Part):
+class ReferenceSpec(ConfigModel):
     """The wish for the angle [rad] and for the stiffness [N*m/rad]."""
 
     angle: SignalSpec[Angle]
@@ -213,5 +213,5 @@ class ReferenceSpec(Part):
             except ScenarioError as error:
                 first, *others = (str(problem) for problem in error.problems)
                 more = f" (and {len(others)} more)" if others else ""
-                refuse(f"{value.samples.file.name}: {first}{more}")
+                fail_validation(f"{value.samples.file.name}: {first}{more}")
         return value

@@ -53,7 +53,7 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
         except FileError:
             raise  # names a file and a place itself
         except McKibbenError as error:
-            raise ScenarioError(source or scenario.name, [Problem(str(error), field=field)]) from error
+            raise ScenarioError(source or scenario.name, [Problem.of(error, field=field)]) from error
 
     with building("joint, load or valve"):
         plant = scenario.plant()

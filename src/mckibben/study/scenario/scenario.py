@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
 from mckibben.config.document import to_text
-from mckibben.config.fields import Part, refuse
-from mckibben.config.reading import parsed, text_of
+from mckibben.config.fields import BoundedInt, Duration, PositiveTime, Title
+from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.numerics.checks import whole_periods
 from mckibben.storage.files import atomic_write
 from mckibben.study.scenario.controller import ControllerSpec
-from mckibben.study.scenario.fields import Duration, PositiveTime, Title, Whole
 from mckibben.study.scenario.plant import DisturbanceSpec, JointSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
 from mckibben.study.scenario.reference import ReferenceSpec
 
@@ -32,19 +31,19 @@ if TYPE_CHECKING:
 _MOST_PERIODS = 10_000_000
 
 
-def dividing(value: float, duration: float | None) -> float:
+def check_divides_duration(value: float, duration: float | None) -> float:
     """The control period [s], if it divides the duration [s]; for validators."""
     if duration is None:
         return value
     periods = duration / value
     if periods > _MOST_PERIODS:
-        refuse(
+        fail_validation(
             f"{value * 1e3:g} ms divides the duration {duration:.12g} s into more than {_MOST_PERIODS} periods",
             "choose a longer period or a shorter duration",
         )
     if whole_periods(duration, value) is None:
         near = max(round(periods), 1) * value
-        refuse(
+        fail_validation(
             f"the duration {duration:.12g} s is no whole number of control periods of {value * 1e3:g} ms "
             f"({periods:.10g})",
             f"choose a duration of {near:.12g} s, or a period that divides {duration:.12g} s",
@@ -52,7 +51,7 @@ def dividing(value: float, duration: float | None) -> float:
     return value
 
 
-class Scenario(Part):
+class Scenario(ConfigModel):
     """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
 
     Two scenarios are equal if all that they say is. Paths are absolute here, and relative to the file in the text.
@@ -96,7 +95,7 @@ class Scenario(Part):
     start: StartSpec = StartSpec()
     duration: Duration = Field(examples=["10 s"])
     control_period: PositiveTime = Field(examples=["1 ms"])
-    substeps: Annotated[int, Whole(1, 1000)] = 4
+    substeps: Annotated[int, BoundedInt(1, 1000)] = 4
 
     @field_validator("valve", mode="before")
     @classmethod
@@ -104,7 +103,7 @@ class Scenario(Part):
         if value == "ideal":
             return None
         if isinstance(value, str) and value:
-            refuse(f"{value[:40]!r} is no valve", "write ideal, or {time_constant: 20 ms}")
+            fail_validation(f"{value[:40]!r} is no valve", "write ideal, or {time_constant: 20 ms}")
         return value
 
     @field_validator("controller", mode="after")
@@ -112,7 +111,7 @@ class Scenario(Part):
     def _friction_known(cls, value: ControllerSpec, info: ValidationInfo) -> ControllerSpec:
         model = value.model or info.data.get("joint")
         if value.friction_compensation and model is not None and not model.has_friction:
-            refuse(
+            fail_validation(
                 "has friction_compensation, but no muscle of its model has friction",
                 "give the muscles of the model `friction`, or leave the compensation out",
             )
@@ -121,7 +120,7 @@ class Scenario(Part):
     @field_validator("control_period", mode="after")
     @classmethod
     def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
-        return dividing(value, info.data.get("duration"))
+        return check_divides_duration(value, info.data.get("duration"))
 
     @model_serializer(mode="wrap", when_used="json")
     def _write(self, handler: Any) -> Any:
@@ -137,7 +136,7 @@ class Scenario(Part):
         ScenarioError
             With every problem of the file: line, field, value, allowed range and remedy.
         """
-        return cls.parse(text_of(path), source=os.fspath(path), folder=Path(path).parent)
+        return cls.parse(read_text(path), source=os.fspath(path), folder=Path(path).parent)
 
     @classmethod
     def parse(cls, text: str, *, source: str = "scenario", folder: str | os.PathLike[str] = ".") -> Scenario:
@@ -157,7 +156,7 @@ class Scenario(Part):
         ScenarioError
             With every problem of the text.
         """
-        return parsed(cls, text, source=source, folder=folder)[0]
+        return parse_model(cls, text, source=source, folder=folder)[0]
 
     def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
         """The scenario as text that `parse` reads back to the last bit; paths are relative to a folder."""

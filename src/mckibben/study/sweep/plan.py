@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from mckibben.config.fields import suggest
-from mckibben.errors import ParameterError, Problem
+from mckibben.errors import ParameterError, Problem, suggest
 from mckibben.simulation import Metrics
 from mckibben.simulation.batch import CHUNK, ON_ACCELERATOR, VECTOR
 from mckibben.storage.journal import header_differences

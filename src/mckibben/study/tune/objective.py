@@ -11,8 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.config.fields import suggest
-from mckibben.errors import ParameterError, UnitError
+from mckibben.errors import ParameterError, UnitError, suggest
 from mckibben.numerics.batching import by_name, cores
 from mckibben.simulation import Metrics, differentiate
 from mckibben.simulation.loop import described

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.config.fields import quoted
-from mckibben.errors import ParameterError
+from mckibben.errors import ParameterError, quoted
 from mckibben.study.parameters import (
     LogUniform,
     ScenarioParameter,

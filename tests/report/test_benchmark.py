@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
-from mckibben.report.benchmark import _against, contest_air, contest_errors, contest_references, write_contest
+from mckibben.report.benchmark import _ratios, benchmark_air, benchmark_errors, benchmark_references, write_benchmark
 from mckibben.report.style import plain_numbers
 from mckibben.report.tables import number
 from mckibben.simulation import Batch, Metrics, Outcome
@@ -72,7 +72,7 @@ def numbers(contest):
 @pytest.fixture(scope="module")
 def kept(contest, numbers, tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
-    return write_contest(contest, numbers, folder)
+    return write_benchmark(contest, numbers, folder)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_every_figure_is_embedded_and_lies_beside_the_page(kept, text):
 
 
 def test_the_same_contest_makes_the_same_bytes(contest, numbers, kept, tmp_path):
-    again = write_contest(contest, numbers, tmp_path)
+    again = write_benchmark(contest, numbers, tmp_path)
     assert again.read_bytes() == kept.read_bytes()
     for path in sorted((kept.parent / "figures").iterdir()):
         assert (tmp_path / "figures" / path.name).read_bytes() == path.read_bytes()
@@ -112,15 +112,15 @@ def test_the_same_contest_makes_the_same_bytes(contest, numbers, kept, tmp_path)
 
 def test_its_words_and_numbers(text, numbers, contest):
     words = plain(text)
-    assert "3 controllers on 16 runs that none of them was tuned on" in words
+    assert "3 controllers on 16 unseen runs" in words
     assert "Each but as it is was tuned with the same budget: 2 searches of 2 generations of 4 points" in words
     for name, found in numbers["controllers"].items():
-        assert f"{name} {found['unstable']} {number(found['metrics']['angle_rmse_deg']['median'])}" in words
+        assert f"{name} {found['lost']} {number(found['metrics']['angle_rmse_deg']['median'])}" in words
         ripple, estimate = (number(found["metrics"][key]["median"]) for key in ("stiffness_ripple", "estimate_rmse"))
         assert f"{name} {ripple} {estimate}" in words
     ratio = numbers["controllers"]["decoupling"]["ratio_to_first"]["angle_rmse_deg"]
     assert f"{number(ratio['ratio'])} ({number(ratio['low'])} to {number(ratio['high'])})" in words
-    assert "as it is as in the suite" in words
+    assert "as it is not tuned" in words
     assert "cost 20.5 before, 1.25 tuned" in words
     assert "position.kp 1.2 bar/rad" in words
     assert "--repeat 'PID 3 15'" in words, "a run that there is"
@@ -134,7 +134,7 @@ def colours(figure):
 
 def test_a_controller_has_one_colour_in_all_figures(contest, numbers):
     assert numbers["order"] != list(contest.batches), "else there is nothing to see"
-    several = [contest_errors(contest), contest_references(contest, numbers), contest_air(contest, numbers)]
+    several = [benchmark_errors(contest), benchmark_references(contest, numbers), benchmark_air(contest, numbers)]
     for name in contest.batches:
         assert len({colours(figure)[name] for figure in several}) == 1
     assert len({colours(several[0])[name] for name in contest.batches}) == 3
@@ -142,7 +142,7 @@ def test_a_controller_has_one_colour_in_all_figures(contest, numbers):
 
 def test_errors_are_distributions(contest):
     """Of the controller that lost 2 of 16 runs the line ends at 14/16."""
-    angle, stiffness = contest_errors(contest).axes
+    angle, stiffness = benchmark_errors(contest).axes
     for axes, metric, unit in ((angle, "angle_rmse", deg), (stiffness, "stiffness_rmse", 1.0)):
         lines = {line.get_label(): line for line in axes.lines}
         for name in contest.batches:
@@ -155,7 +155,7 @@ def test_errors_are_distributions(contest):
 
 
 def test_air_and_error_are_drawn_with_the_middle_of_the_runs(contest, numbers):
-    (axes,) = contest_air(contest, numbers).axes
+    (axes,) = benchmark_air(contest, numbers).axes
     (mark,) = [line for line in axes.lines if line.get_label() == "decoupling"]
     found = numbers["controllers"]["decoupling"]["metrics"]
     assert mark.get_xydata()[0] == pytest.approx([found["air_L"]["median"], found["angle_rmse_deg"]["median"]])
@@ -167,12 +167,12 @@ def test_nobody_has_to_come_through(tmp_path):
     """A controller that lost every run is left out of figures; so is the only one there is. Its name is no markup."""
     contest = made(range(RUNS))
     numbers = statistics(contest)
-    assert "as it is" not in colours(contest_air(contest, numbers))
-    assert list(_against(numbers).rows[-1]) == ["as it is", "– (– to –)", "– (– to –)"]
+    assert "as it is" not in colours(benchmark_air(contest, numbers))
+    assert list(_ratios(numbers).rows[-1]) == ["as it is", "– (– to –)", "– (– to –)"]
     suite = contest.suite.model_copy(update={"name": "<b>&"})
     name = "as it is"
     alone = BenchmarkResult(suite, contest.runs, {name: {}}, {}, {name: ()}, {name: contest.batches[name]})
-    text = write_contest(alone, statistics(alone), tmp_path).read_text(encoding="utf-8")
+    text = write_benchmark(alone, statistics(alone), tmp_path).read_text(encoding="utf-8")
     assert Page(text).open == []
     assert "<title>&lt;b&gt;&amp;</title>" in text
 

@@ -32,15 +32,15 @@ def test_a_column_a_pressure_with_the_law_the_points_and_two_bands(chart, fit):
     x, y = np.asarray(curve.get_xdata()), np.asarray(curve.get_ydata())
     np.testing.assert_allclose(y, np.asarray(fit.law.force(x * percent, 4 * bar)), rtol=1e-9)
     outer, inner = (collection.get_paths()[0].vertices[:, 1] for collection in bottom.collections)
-    band = fit.force_band(x * percent, 4 * bar)
-    assert outer.max() == pytest.approx((band.measurement.upper - band.mean.value).max())
-    assert inner.max() == pytest.approx((band.mean.upper - band.mean.value).max())
+    band = fit.force_intervals(x * percent, 4 * bar)
+    assert outer.max() == pytest.approx((band.prediction.upper - band.confidence.value).max())
+    assert inner.max() == pytest.approx((band.confidence.upper - band.confidence.value).max())
     at = chart.taut.at(4 * bar)
     points = next(line for line in bottom.lines if line.get_linestyle() == "None")
     expected = at.force - np.asarray(fit.law.force(at.contraction, at.pressure))
     np.testing.assert_allclose(points.get_ydata(), expected, atol=1e-9)
     names = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert "95 % band of the law" in names
+    assert "95 % confidence band" in names
 
 
 def test_directions_are_told_apart(chart):
@@ -53,7 +53,7 @@ def test_directions_are_told_apart(chart):
     )
     figure = force_bands(both, identify(ExponentialLaw, both), level=0.9)
     names = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert names == ["fitted law", "90 % band of the law", "90 % of further plateaus", "loading", "unloading"]
+    assert names == ["fitted law", "90 % confidence band", "90 % prediction band", "loading", "unloading"]
 
 
 def test_a_profile_is_drawn_in_the_unit_of_publications(fit):

@@ -47,13 +47,15 @@ def test_one_row_a_number_with_its_best_place(numbers):
 def test_what_was_lost_is_counted_and_not_drawn(lost):
     tuned = searched(3, lost=lost)
     _, costs, _ = drawn(tuned)
-    points, best = line(costs, "a point"), line(costs, "the best so far")
+    points, best = line(costs, "point"), line(costs, "lowest so far")
     assert len(points.get_xdata()) == 40 - lost
     assert points.get_xdata()[0] == lost + 1
     assert np.isnan(best.get_ydata()[:lost]).all()
     kept = [trial.cost for trial in tuned.trials][lost:]
     np.testing.assert_array_equal(best.get_ydata()[lost:], np.minimum.accumulate(kept))
-    assert costs.get_xlabel() == (f"points tried; {lost} not drawn: not allowed, or lost" if lost else "points tried")
+    assert costs.get_xlabel() == (
+        f"evaluated points; {lost} not drawn: invalid or unstable" if lost else "evaluated points"
+    )
 
 
 def test_the_cost_before_is_drawn_if_there_was_one():

@@ -38,12 +38,12 @@ def test_measured_and_modelled_go_back_on_each_side():
     up, down = left.lines[1].get_ydata(), left.lines[3].get_ydata()
     assert up[0] > 50 > -50 > up[-1] and down[0] < -50 < 50 < down[-1]  # mN
     slack = data.slack
-    assert slack.any() and not found.relaxing[slack].any()
+    assert slack.any() and not found.initial_force[slack].any()
     with pytest.raises(RangeError, match="and no samples"):
         relaxation(data.plateau_means(), found)
 
 
 def test_without_creep_it_says_so():
     figure = drawn(NoCreep())[2]
-    assert figure.axes[1].get_legend().get_title().get_text() == "no creep seen"
+    assert figure.axes[1].get_legend().get_title().get_text() == "no creep detected"
     assert not np.any(figure.axes[0].lines[1].get_ydata())

@@ -27,15 +27,17 @@ def drawn(axes, label):
     return next(line for line in axes.lines if line.get_label() == label)
 
 
-def test_the_wish_the_band_and_the_offers(scenario):
+def test_the_reference_the_band_and_the_nearest_references(scenario):
     found = envelope(scenario)
     figure = draw(found)
     torque, stiffness, over_time, angle = figure.axes[:4]
     motion = found.following.motion
-    wished = drawn(over_time, "wished")
-    np.testing.assert_allclose(wished.get_xdata(), motion.times)
-    np.testing.assert_allclose(drawn(angle, "wished").get_ydata(), motion.angle / deg)
-    np.testing.assert_allclose(drawn(torque, "torque of the motion wished").get_ydata(), found.following.bands.torque)
+    reference = drawn(over_time, "reference")
+    np.testing.assert_allclose(reference.get_xdata(), motion.times)
+    np.testing.assert_allclose(drawn(angle, "reference").get_ydata(), motion.angle / deg)
+    np.testing.assert_allclose(
+        drawn(torque, "torque of the reference motion").get_ydata(), found.following.bands.torque
+    )
     names = ("nearest, angle kept", "nearest, stiffness kept")
     for offer, name in zip(found.offers, names, strict=True):
         moved = offer.following.motion
@@ -45,7 +47,7 @@ def test_the_wish_the_band_and_the_offers(scenario):
     assert (band[:, 0].min(), band[:, 0].max()) == pytest.approx((-10.25, 10.25), abs=0.2)
     assert band[:, 1].min() == pytest.approx(np.nanmin(found.holds.stiffness.lowest), abs=0.01)
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    assert {"wished", *names, "attainable, standing", "attainable, moving as wished"} <= set(labels)
+    assert {"reference", *names, "attainable, static", "attainable, reference motion"} <= set(labels)
 
 
 def test_a_design_before_and_after(scenario):

@@ -1,0 +1,247 @@
+"""Base model of configuration files; files to models, with line, field and remedy of every mistake."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, NoReturn, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read_document
+from mckibben.errors import Problem, ScenarioError, quoted, suggest
+
+
+class ConfigModel(BaseModel):
+    """A section of a configuration file: frozen, without unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """The present name of each key that was renamed; for errors."""
+
+
+def explicit_fields(part: ConfigModel | None, *without: str) -> dict[str, Any]:
+    """The fields that are given, by name; the others keep the default of the class that is built."""
+    if part is None:
+        return {}
+    return {
+        name: getattr(part, name)
+        for name in type(part).model_fields
+        if name not in without and getattr(part, name) is not None
+    }
+
+
+def fail_validation(
+    message: str,
+    remedy: str = "",
+    *,
+    parent: bool = False,
+    value: object = None,
+    lower: float | None = None,
+    upper: float | None = None,
+    unit: str = "",
+) -> NoReturn:
+    """Report a mistake from within a validator; with `parent` it is that of the section around the field."""
+    context = {
+        "message": message,
+        "remedy": remedy,
+        "parent": parent,
+        "range": {"value": value, "lower": lower, "upper": upper, "unit": unit},
+    }
+    raise PydanticCustomError("mckibben", "{message}; {remedy}" if remedy else "{message}", context)
+
+
+def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: str = "examples/") -> str:
+    """The text of a configuration file.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    what, example
+        What it should be, and where an example is; for the error.
+
+    Raises
+    ------
+    ScenarioError
+        If it cannot be read, is too long, or is not text.
+    """
+    source, longest = os.fspath(path), 4 * LONGEST_TEXT
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(longest + 1)
+        if len(content) > longest:
+            raise ScenarioError(source, [Problem(f"is longer than {LONGEST_TEXT} characters")])
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ScenarioError(source, [Problem("is not text in UTF-8", remedy="give a YAML file")]) from None
+    except OSError as error:
+        reason = error.strerror or str(error)
+    except ScenarioError:
+        raise
+    except ValueError as error:  # such as a null character in the path
+        reason = str(error)
+    problem = Problem(f"cannot be read: {reason}", remedy=f"give the path of {what}, see {example}")
+    raise ScenarioError(source, [problem]) from None
+
+
+P = TypeVar("P", bound=ConfigModel)
+
+
+def parse_model(kind: type[P], text: str, *, source: str, folder: str | os.PathLike[str] = ".") -> tuple[P, Document]:
+    """A model from YAML text, and the document with its lines.
+
+    Parameters
+    ----------
+    kind
+        Class of the model.
+    text, source, folder
+        The text, its name in errors, and the folder to which paths in it are relative.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the text.
+    """
+    document = read_document(text)
+    if not document.readable:
+        raise ScenarioError(source, document.problems)
+    try:
+        part = kind.model_validate(document.data, context={"folder": Path(folder)})
+    except ValidationError as error:
+        raise ScenarioError(source, problems_of(error, document, kind)) from None
+    if document.problems:
+        raise ScenarioError(source, document.problems)
+    return part, document
+
+
+def problems_of(error: ValidationError, document: Document, model: type[BaseModel]) -> list[Problem]:
+    """The errors of a validation in the order of the file.
+
+    A key that is missing only because it is misspelt is not reported twice, nor a value that the document has rejected.
+    """
+    details = error.errors(include_url=False)
+    misspelt = {
+        (*found["loc"][:-1], close)
+        for found in details
+        if found["type"] == "extra_forbidden"
+        for close in _close_keys(found["loc"], document, model)
+    }
+    problems = []
+    for found in details:
+        place = tuple(found["loc"])
+        if any(place[: len(rejected)] == rejected for rejected in document.rejected):
+            continue
+        if found["type"] == "missing" and place in misspelt:
+            continue
+        if found.get("ctx", {}).get("parent") and any(key[:-1] == place[:-1] for key in misspelt):
+            continue  # the section probably lacks only the key that is misspelt
+        problems.append(_problem(found, place, document, model))
+    return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
+
+
+def _problem(found: ErrorDetails, place: Place, document: Document, model: type[BaseModel]) -> Problem:
+    kind, value, context = found["type"], found["input"], found.get("ctx", {})
+    message, remedy, numbers = found["msg"], "", {"value": value}
+    if kind == "mckibben":
+        message, remedy = context["message"], context["remedy"]
+        numbers |= {name: one for name, one in context["range"].items() if one is not None}
+        place = place[:-1] if context["parent"] else place
+        while place not in document.lines and place:  # a name alone stands for `from`, a quantity for `constant`
+            place = place[:-1]
+    elif kind == "missing":
+        message, remedy = "is missing", f"add it{_example(place, model)}"
+    elif kind == "extra_forbidden":
+        message, remedy = "is not a known key here", _other_key(place, document, model)
+        if str(place[-1])[:1].isdigit() and value == "":
+            message, remedy = "follows a comma", "write decimals with a point"
+    elif value in ("", None):
+        message, remedy = "has no value", "write one, or leave the key out"
+    elif kind == "model_type":
+        message = f"{_given(value, 'a list')} stands where keys and values belong"
+        remedy = f"give a mapping of {', '.join(_keys(place, model))}"
+    elif kind == "dict_type":
+        message = f"{_given(value, 'a list')} stands where names and sections belong"
+        remedy = "give a mapping, each section under a name of its own"
+    elif kind == "tuple_type":
+        message = f"{_given(value, 'a mapping')} stands where a list belongs"
+        remedy = "write [first, second, ...]"
+    elif kind == "too_long":
+        message = f"has {context['actual_length']} items, more than {context['max_length']}"
+        remedy = "put them in a CSV file (samples: {file: reference.csv})"
+    elif kind == "too_short":
+        message, remedy = "is empty", "give at least one"
+    return Problem(message, document.line(place), dotted(place), remedy, **numbers)
+
+
+def _given(value: object, otherwise: str) -> str:
+    return quoted(value) if isinstance(value, str) else otherwise
+
+
+def _example(place: Place, model: type[BaseModel]) -> str:
+    parent = _model_at(place[:-1], model)
+    if parent is None:
+        return ""
+    for name, info in parent.model_fields.items():
+        if (info.alias or name) == place[-1]:
+            if info.examples:
+                return f", such as `{place[-1]}: {info.examples[0]}`"
+            for mark in info.metadata:
+                if example := getattr(mark, "example", ""):
+                    return f", such as `{place[-1]}: {example.strip(chr(39))}`"
+            inner = _model_in(info.annotation)
+            return f", a mapping of {', '.join(_keys((), inner))}" if inner else ""
+    return ""
+
+
+def _close_keys(place: Place, document: Document, model: type[BaseModel]) -> list[str]:
+    """The keys that a misspelt one may stand for."""
+    keys = _free_keys(place, document, model)
+    remedy = _other_key(place, document, model)
+    return [key for key in keys if remedy.rstrip("?").endswith(f" {key!r}")]
+
+
+def _other_key(place: Place, document: Document, model: type[BaseModel]) -> str:
+    """A remedy for an unknown key."""
+    around = _model_at(place[:-1], model)
+    if around is not None and issubclass(around, ConfigModel) and place[-1] in around.renamed:
+        return f"it was renamed to {around.renamed[str(place[-1])]!r}"
+    return suggest(str(place[-1]), _free_keys(place, document, model))
+
+
+def _free_keys(place: Place, document: Document, model: type[BaseModel]) -> list[str]:
+    """The keys that could stand in place of an unknown one: those not given yet, or all if all are."""
+    keys = _keys(place[:-1], model)
+    return [key for key in keys if (*place[:-1], key) not in document.lines] or keys
+
+
+def _keys(place: Place, model: type[BaseModel]) -> list[str]:
+    found = _model_at(place, model)
+    return [info.alias or name for name, info in found.model_fields.items()] if found else []
+
+
+def _model_at(place: Place, model: type[BaseModel]) -> type[BaseModel] | None:
+    """The model that validates a place."""
+    annotation: Any = model
+    for key in place:
+        if isinstance(key, int):  # an item of a list of models
+            continue
+        if get_origin(annotation) is dict:  # of sections, by names that people choose
+            annotation = get_args(annotation)[1]
+            continue
+        found = _model_in(annotation)
+        fields = {info.alias or name: info for name, info in found.model_fields.items()} if found else {}
+        if key not in fields:
+            return None
+        annotation = fields[str(key)].annotation
+    return None if get_origin(annotation) is dict else _model_in(annotation)
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    """The model in an annotation such as ``Model | None`` or ``tuple[Model, ...]``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next(filter(None, map(_model_in, get_args(annotation))), None)

@@ -1,0 +1,487 @@
+"""Separable nonlinear least squares: design matrix, search over the shape parameters, variable projection.
+
+A force law is linear in some parameters and nonlinear in the others, its shape parameters. For each shape the best
+linear parameters follow from a linear problem; what remains is a problem in the shape alone.
+
+References
+----------
+G. Golub and V. Pereyra, "Separable nonlinear least squares: the variable projection method and its applications",
+Inverse Problems 19 (2003) R1-R26.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from numpy.typing import ArrayLike, NDArray
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.identification.uncertainty import tsqr_r
+from mckibben.muscle import ForceLaw, Parameter
+
+
+def design_matrix(
+    law: ForceLaw, names: Sequence[str], contraction: ArrayLike, pressure: ArrayLike
+) -> NDArray[np.float64]:
+    """Derivative of the force with respect to named parameters.
+
+    Parameters
+    ----------
+    law
+        Force law with values for all parameters; those of the linear ones do not matter.
+    names
+        Parameters of the law, in the order of the columns.
+    contraction, pressure
+        Shape (n,): [-], [Pa].
+
+    Returns
+    -------
+    ndarray
+        Shape (n, len(names)): [N] per SI unit of the parameter.
+
+    Examples
+    --------
+    Eq. 2 at 10 % and 2 bar, with a decay of 0.1 per percent: 1, p, eps, exp(-mu eps).
+
+    >>> from mckibben.muscle import ExponentialLaw
+    >>> law = ExponentialLaw(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, decay=10.0)
+    >>> design_matrix(law, ["a1", "a2", "b1", "c1"], [0.1], [2e5]).round(4)
+    array([[1.000e+00, 2.000e+05, 1.000e-01, 3.679e-01]])
+    """
+    contraction = np.asarray(contraction, np.float64)
+    pressure = np.asarray(pressure, np.float64)
+    if not names:
+        return np.empty((len(contraction), 0))
+    values = np.array([float(getattr(law, name)) for name in names])
+    return np.asarray(_columns(law, values, contraction, pressure, names=tuple(names))).T
+
+
+@partial(jax.jit, static_argnames="names")
+def _columns(law: ForceLaw, values: Array, contraction: Array, pressure: Array, *, names: tuple[str, ...]) -> Array:
+    return _force_and_columns(lambda given: dataclasses.replace(law, **given), names, values, contraction, pressure)[1]
+
+
+@partial(jax.jit, static_argnames="law_type")
+def _columns_and_residuals(
+    law_type: type[ForceLaw],
+    values: ArrayLike,
+    contraction: ArrayLike,
+    pressure: ArrayLike,
+    force: ArrayLike,
+    weights: ArrayLike,
+) -> Array:
+    """Weighted columns of the design matrix, then weighted residuals [N]: shape (parameters + 1, n)."""
+    names = tuple(p.name for p in law_type.parameters())
+    modelled, columns = _force_and_columns(lambda given: law_type(**given), names, values, contraction, pressure)
+    return jnp.concatenate([columns, (jnp.asarray(force) - modelled)[None]]) * jnp.asarray(weights)
+
+
+def _force_and_columns(
+    law: Callable[[dict[str, Any]], ForceLaw], names: tuple[str, ...], values: Any, contraction: Any, pressure: Any
+) -> tuple[Array, Array]:
+    def force(values: Array) -> Array:
+        return law(dict(zip(names, values, strict=True))).force(contraction, pressure)
+
+    def column(direction: Array) -> tuple[Array, Array]:
+        return jax.jvp(force, (values,), (direction,))
+
+    return jax.vmap(column, out_axes=(None, 0))(jnp.eye(len(names)))
+
+
+_GRID_POINTS = 512  # of a grid over several parameters
+_GRID_POINTS_PER_PARAMETER = 32
+_AT_BOUND = 1e-6  # distance from a bound in the unit cube
+
+
+@dataclass(frozen=True)
+class UnitCube:
+    """Shape parameters scaled to 0..1 between their bounds: logarithmically where both bounds are positive.
+
+    Parameters
+    ----------
+    parameters
+        Parameters with finite bounds.
+
+    Examples
+    --------
+    >>> cube = UnitCube((Parameter("decay", "1", "1/percent", "", 1.0, 100.0),))
+    >>> cube.values([0.5])
+    [10.0]
+    """
+
+    parameters: tuple[Parameter, ...]
+
+    def values(self, position: Sequence[Any] | Any) -> list[Any]:
+        """Parameters [SI] at a position, shape (parameters,); traceable by JAX."""
+        return [
+            p.lower * (p.upper / p.lower) ** x if p.lower > 0 else p.lower + (p.upper - p.lower) * x
+            for p, x in zip(self.parameters, position, strict=True)
+        ]
+
+    def rates(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Derivative of each parameter with respect to its own coordinate."""
+        return np.array(
+            [
+                value * math.log(p.upper / p.lower) if p.lower > 0 else p.upper - p.lower
+                for p, value in zip(self.parameters, self.values(position), strict=True)
+            ]
+        )
+
+    def grid(self) -> Iterator[NDArray[np.float64]]:
+        """Positions that cover the cube, none on a face."""
+        count = len(self.parameters)
+        per_axis = min(_GRID_POINTS_PER_PARAMETER, int(_GRID_POINTS ** (1 / count))) if count else 1
+        axis = (np.arange(per_axis) + 0.5) / per_axis
+        return (np.array(position) for position in itertools.product(axis, repeat=count))
+
+
+@dataclass(frozen=True, eq=False)
+class FitProblem:
+    """Weighted least-squares problem of a force law.
+
+    The law is evaluated at all points, also at those of weight 0: subsets of one dataset share compiled code.
+
+    Parameters
+    ----------
+    law_type
+        Class of the law.
+    contraction, pressure, force
+        Shape (n,): [-], [Pa], [N].
+    kept
+        Shape (n,): False for points that do not count.
+    weights
+        Shape (n,): weight of each squared residual; 1 unless given.
+    """
+
+    law_type: type[ForceLaw]
+    contraction: NDArray[np.float64] = field(repr=False)
+    pressure: NDArray[np.float64] = field(repr=False)
+    force: NDArray[np.float64] = field(repr=False)
+    kept: NDArray[np.bool_] = field(repr=False)
+    weights: NDArray[np.float64] | None = field(default=None, repr=False)
+
+    @classmethod
+    def of(cls, law_type: type[ForceLaw], points: IsobaricDataset) -> FitProblem:
+        """Problem of a dataset, padded with points that do not count so that datasets of similar size share code."""
+        count = len(points)
+        quarter = max(128, (1 << (count - 1).bit_length()) // 4)
+        pad = (0, -count % quarter)
+        contraction, pressure, force = (
+            np.pad(column, pad, mode="edge") for column in (points.contraction, points.pressure, points.force)
+        )
+        return cls(law_type, contraction, pressure, force, np.arange(count + pad[1]) < count)
+
+    def subset(self, kept: NDArray[np.bool_]) -> FitProblem:
+        """Problem of the selected points; shape (m,) with m <= n, in the order of the points."""
+        return replace(self, kept=np.pad(kept, (0, len(self.kept) - len(kept))))
+
+    def weighted(self, weights: NDArray[np.float64]) -> FitProblem:
+        """Problem with other weights; shape (m,) with m <= n, in the order of the points."""
+        return replace(self, weights=np.pad(weights, (0, len(self.kept) - len(weights))))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Parameters, linear ones first."""
+        return tuple(p.name for p in self.law_type.parameters())
+
+    @cached_property
+    def linear(self) -> int:
+        """Number of linear parameters."""
+        return len(self.law_type.linear_parameters)
+
+    @cached_property
+    def cube(self) -> UnitCube:
+        """Range of the shape parameters."""
+        return UnitCube(self.law_type.shape_parameters)
+
+    def law(self, values: NDArray[np.float64]) -> ForceLaw:
+        """Law with the given parameters [SI], shape (parameters,)."""
+        return self.law_type(**dict(zip(self.names, values.tolist(), strict=True)))
+
+    def columns_and_residuals(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Weighted design matrix, transposed, above the weighted residuals [N]: shape (parameters + 1, n)."""
+        points = self.contraction, self.pressure, self.force, self._factors
+        return np.asarray(_columns_and_residuals(self.law_type, values, *points))
+
+    def response(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Weighted residuals [N], shape (kept,), and Jacobian of the force, shape (kept, parameters)."""
+        rows = self.columns_and_residuals(values)[:, self.kept]
+        return rows[-1], rows[:-1].T
+
+    def at_bound(self, position: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Parameters at a bound of their range, shape (parameters,); linear ones have none."""
+        shape = (position < _AT_BOUND) | (position > 1 - _AT_BOUND)
+        return np.concatenate([np.zeros(self.linear, bool), shape])
+
+    @cached_property
+    def _factors(self) -> NDArray[np.float64]:
+        kept = self.kept.astype(np.float64)
+        return kept if self.weights is None else kept * np.sqrt(self.weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Solution of a least-squares problem.
+
+    Attributes
+    ----------
+    problem
+        The problem.
+    values
+        Shape (parameters,), in SI, linear ones first.
+    position
+        Shape parameters in the unit cube.
+    cost
+        Sum of squared residuals [N^2].
+    triangle
+        R factor of the Jacobian, up to the scale of its columns; shape (parameters, parameters).
+    converged
+        True if the solver met its tolerance.
+    """
+
+    problem: FitProblem = field(repr=False)
+    values: NDArray[np.float64]
+    position: NDArray[np.float64]
+    cost: float
+    triangle: NDArray[np.float64] = field(repr=False)
+    converged: bool
+
+    @property
+    def residuals(self) -> NDArray[np.float64]:
+        """Measured minus fitted force [N], shape (kept,)."""
+        return self._response[0]
+
+    @property
+    def jacobian(self) -> NDArray[np.float64]:
+        """Derivative of the force with respect to all parameters, shape (kept, parameters)."""
+        return self._response[1]
+
+    @property
+    def at_bound(self) -> NDArray[np.bool_]:
+        """Parameters at a bound of their range, shape (parameters,)."""
+        return self.problem.at_bound(self.position)
+
+    @cached_property
+    def _response(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return self.problem.response(self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """Linear least-squares solution at one shape, and the projected problem around it.
+
+    Attributes
+    ----------
+    position, values
+        Shape in the unit cube; all parameters [SI].
+    cost
+        Sum of squared residuals [N^2]; infinite where the law has no force at one of the points.
+    triangle
+        R factor of the Jacobian with respect to linear parameters and position; shape (parameters, parameters).
+    residuals
+        Projected residuals, shape (shape,).
+    following
+        Derivative of the optimal linear parameters with respect to the position, shape (linear, shape).
+    """
+
+    position: NDArray[np.float64]
+    values: NDArray[np.float64]
+    cost: float
+    triangle: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    following: NDArray[np.float64]
+
+    @property
+    def derivative(self) -> NDArray[np.float64]:
+        """Projected Jacobian, shape (shape, shape)."""
+        linear = len(self.following)
+        return self.triangle[linear:, linear:]
+
+    @property
+    def descent(self) -> NDArray[np.float64]:
+        """Negative half gradient of the cost, shape (shape,)."""
+        return self.derivative.T @ self.residuals
+
+
+def project(problem: FitProblem, position: NDArray[np.float64], guess: NDArray[np.float64] | None = None) -> Projection:
+    """Solve for the linear parameters at a position of the shape in the unit cube.
+
+    The projected Jacobian is that of the force at the `guess` of the linear parameters, shape (linear,): it is exact if
+    they are optimal.
+    """
+    linear, shape = problem.linear, len(position)
+    values = np.concatenate([np.zeros(linear) if guess is None else guess, problem.cube.values(position)])
+    rows = problem.columns_and_residuals(values)
+    if not np.isfinite(rows).all():
+        zeros = np.zeros((linear + shape, linear + shape))
+        return Projection(position, values, np.inf, zeros, np.zeros(shape), np.zeros((linear, shape)))
+    # R of [linear columns, shape columns, residuals]: the block below the linear columns is the projected problem.
+    factor = tsqr_r(rows.T)
+    factor[:, linear:-1] *= problem.cube.rates(position)
+    lengths = np.linalg.norm(factor[:, :linear], axis=0)  # pressures are in Pa: columns differ by 1e5
+    lengths[lengths == 0] = 1.0
+    solved = np.linalg.lstsq(factor[:linear, :linear] / lengths, factor[:linear, linear:], rcond=None)[0]
+    solved /= lengths[:, None]
+    values[:linear] += solved[:, -1]
+    rest = factor[linear:, -1]
+    return Projection(position, values, float(rest @ rest), factor[:-1, :-1], rest[:-1], -solved[:, :-1])
+
+
+def grid_search(problem: FitProblem) -> NDArray[np.float64]:
+    """Position of least cost on a grid over the range of the shape."""
+    return min((project(problem, position) for position in problem.cube.grid()), key=lambda p: p.cost).position
+
+
+def solve(
+    problem: FitProblem,
+    start: NDArray[np.float64],
+    *,
+    fixed: int | None = None,
+) -> Solution:
+    """Solve a least-squares problem from a position of the shape in the unit cube.
+
+    By a Gauss-Newton method on the projected residual with a secant update of the second-order term; where that does
+    not converge, by the trust region of `scipy.optimize.least_squares`.
+
+    Parameters
+    ----------
+    problem
+        Problem to solve.
+    start
+        Shape (shape,).
+    fixed
+        Index of a shape parameter that keeps its starting value.
+    """
+    solution = _gauss_newton(problem, start, fixed)
+    if solution.converged or not np.isfinite(solution.cost):
+        return solution
+    return min((solution, _trust_region(problem, solution.position, fixed)), key=lambda s: (not s.converged, s.cost))
+
+
+_MAX_STEPS = 100
+_MAX_HALVINGS = 30
+_SMALL_STEP = 1e-11  # in the unit cube
+_ROUNDING = 1e-13  # of the measured forces: a smaller expected gain is rounding
+_COST_ROUNDING = 1e-14  # relative
+
+
+def _gauss_newton(problem: FitProblem, start: NDArray[np.float64], fixed: int | None) -> Solution:
+    linear = problem.linear
+    best = project(problem, start, project(problem, start).values[:linear] if linear else None)
+    curvature, drift = np.zeros((len(start), len(start))), np.zeros((linear, len(start)))
+    size = float(np.linalg.norm(problem.force[problem.kept]))
+    converged = False
+    for _ in range(_MAX_STEPS if np.isfinite(best.cost) else 0):
+        step = _step(best, curvature, fixed)
+        longest = float(np.abs(step).max(initial=0.0))
+        if longest < _SMALL_STEP or float(np.linalg.norm(best.derivative @ step)) <= _ROUNDING * size:
+            converged = True
+            break
+        trial = _line_search(problem, best, step, drift)
+        if trial is None:
+            converged = longest < 1e-6
+            break
+        moved = trial.position - best.position
+        curvature = curvature + _secant_update(curvature, trial, trial.descent - best.descent, moved)
+        followed = trial.values[:linear] - best.values[:linear]
+        if moved.any():
+            drift = drift + np.outer(followed - (trial.following + drift) @ moved, moved) / (moved @ moved)
+        best = trial
+    return Solution(problem, best.values, best.position, best.cost, best.triangle, converged)
+
+
+def _step(at: Projection, curvature: NDArray[np.float64], fixed: int | None) -> NDArray[np.float64]:
+    """Newton step with the secant curvature, or Gauss-Newton step if that Hessian is not positive definite."""
+    free = ~(((at.position <= 0) & (at.descent < 0)) | ((at.position >= 1) & (at.descent > 0)))  # active bounds
+    if fixed is not None:
+        free[fixed] = False
+    derivative = at.derivative[:, free]
+    hessian = derivative.T @ derivative + curvature[np.ix_(free, free)]
+    step = np.zeros_like(at.position)
+    if curvature.any() and np.linalg.eigvalsh(hessian).min(initial=np.inf) > 0:
+        step[free] = np.linalg.solve(hessian, at.descent[free])
+    else:
+        step[free] = np.linalg.lstsq(derivative, at.residuals, rcond=None)[0]
+    return step
+
+
+def _secant_update(
+    curvature: NDArray[np.float64], at: Projection, change: NDArray[np.float64], moved: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Symmetric rank-one update of the second-order term of the Hessian."""
+    missing = -change - at.derivative.T @ (at.derivative @ moved) - curvature @ moved
+    scale = float(missing @ moved)
+    if abs(scale) <= 1e-8 * float(np.linalg.norm(missing) * np.linalg.norm(moved)):
+        return np.zeros_like(curvature)
+    return np.outer(missing, missing) / scale
+
+
+def _line_search(
+    problem: FitProblem, at: Projection, step: NDArray[np.float64], drift: NDArray[np.float64]
+) -> Projection | None:
+    """Halve the step until the cost does not rise."""
+    for _ in range(_MAX_HALVINGS):
+        position = np.clip(at.position + step, 0.0, 1.0)
+        guess = at.values[: problem.linear] + (at.following + drift) @ (position - at.position)
+        trial = project(problem, position, guess)
+        if trial.cost <= (1 + _COST_ROUNDING) * at.cost:
+            return trial
+        step = step / 2
+    return None
+
+
+_INSIDE = 1e-9  # the trust region starts off the faces of the cube
+_FACE = 1e-4  # it keeps inside the cube: this near to a face it means the face
+_MAX_EVALUATIONS = 300
+
+
+def _trust_region(problem: FitProblem, start: NDArray[np.float64], fixed: int | None) -> Solution:
+    """Trust region with Kaufman's approximation of the projected Jacobian.
+
+    References: M. Branch, T. Coleman and Y. Li, SIAM J. Sci. Comput. 21 (1999) 1-23; L. Kaufman, BIT 15 (1975) 49-57.
+    """
+    from scipy.optimize import least_squares  # 0.3 s, and few fits need it
+
+    free = np.delete(np.arange(len(start)), [] if fixed is None else fixed)
+
+    def at(part: NDArray[np.float64]) -> NDArray[np.float64]:
+        position = start.copy()
+        position[free] = part
+        return position
+
+    def response(part: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return problem.response(project(problem, at(part)).values)
+
+    def jacobian(part: NDArray[np.float64]) -> NDArray[np.float64]:
+        columns = response(part)[1]
+        linear, shape = columns[:, : problem.linear], columns[:, problem.linear :] * problem.cube.rates(at(part))
+        lengths = np.linalg.norm(linear, axis=0)
+        q, _ = np.linalg.qr(linear / np.where(lengths > 0, lengths, 1.0))
+        return q @ (q.T @ shape[:, free]) - shape[:, free]
+
+    found = least_squares(
+        lambda part: response(part)[0],
+        np.clip(start[free], _INSIDE, 1 - _INSIDE),
+        jacobian,  # type: ignore[arg-type]
+        bounds=(0.0, 1.0),
+        x_scale="jac",
+        xtol=1e-12,
+        ftol=1e-12,
+        gtol=1e-12,
+        max_nfev=_MAX_EVALUATIONS,
+    )
+    position = at(found.x)
+    faces = at(np.where(found.x < _FACE, 0.0, np.where(found.x > 1 - _FACE, 1.0, found.x)))
+    inside, on_face = project(problem, position), project(problem, faces)
+    best = on_face if on_face.cost * (1 - 1e-9) <= inside.cost else inside
+    return Solution(problem, best.values, best.position, best.cost, best.triangle, found.status > 0)

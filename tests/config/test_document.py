@@ -1,0 +1,112 @@
+"""Hostile and damaged YAML and JSON, for every kind of configuration file; text written and read back."""
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mckibben.config.document import edit_yaml, read_document, to_text
+from mckibben.errors import ScenarioError
+from mckibben.identification import Fit, read_law
+from mckibben.realtime.config import JointRig
+from mckibben.study.benchmark.suite import Suite
+from mckibben.study.rig.building import read_calibrations
+from mckibben.study.rig.document import RigTest
+from mckibben.study.scenario import Scenario
+
+READERS = [Scenario.read, Suite.read, RigTest.read, JointRig.read, read_law, Fit.from_yaml]
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{name}: &{name} [{', '.join(['*' + previous] * 9)}]\n"
+    for previous, name in zip("abcdefgh", "bcdefghi", strict=True)
+)
+HOSTILE = {
+    "aliases": BOMB,
+    "brackets": "[" * 20_000,
+    "braces": "{a: " * 20_000,
+    "tag of an integer": "law: !!int abc",
+    "date": "law: 2020-99-99",
+    "long integer": f"law: {'9' * 5000}",
+    "duplicate omap": "law: !!omap [a: 1, a: 2]",
+    "version": "%YAML 1.99999\n---\nlaw: x",
+    "huge version": f"%YAML 1.{'9' * 5000}\n---\nlaw: x",
+    "escape beyond Unicode": 'law: "\\UFFFFFFFF"',
+    "escape of a surrogate": 'law: "\\uD800"',
+    "duplicate key": "law: x\nlaw: y",
+    "python object": "law: !!python/object/apply:os.system [echo]",
+    "merge key": "<<: {law: x}",
+    "keys that are lists": "[a]: 1\n{b: 1}: 2",
+    "null": "law: \0",
+    "recursive alias": "&a [*a]",
+    "too long": "a" * 300_000,
+    "too long to read": "é" * 1_500_000,
+}
+
+
+@pytest.mark.parametrize("read", READERS, ids=lambda read: read.__qualname__)
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_text_is_an_error_of_moderate_length(name, read, tmp_path):
+    path = tmp_path / "file.yaml"
+    path.write_text(HOSTILE[name], encoding="utf-8")
+    with pytest.raises(ScenarioError) as caught:
+        read(path)
+    assert len(str(caught.value)) < 5000
+    assert all(problem.message for problem in caught.value.problems)
+    if not name.startswith("too long"):
+        assert any(problem.line is not None for problem in caught.value.problems)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("[" * 20_000, None),
+        ('{"a": ' * 20_000, None),
+        (f'{{"force": {"9" * 5000}}}', None),
+        ('{"force": {},\n"force": {}}', None),
+        ('{"force":\n{', 2),
+        ("[1]", None),
+        ("\x00", 1),
+        ('{"force": {"gain": "' + "x" * 100_000 + '"}}', None),
+        (" " * 300_000, None),
+    ],
+)
+def test_hostile_calibrations_are_an_error_of_moderate_length(text, line, tmp_path):
+    path = tmp_path / "calibration.json"
+    path.write_text(text)
+    with pytest.raises(ScenarioError) as caught:
+        read_calibrations(path)
+    assert len(str(caught.value)) < 5000
+    assert line in [problem.line for problem in caught.value.problems]
+
+
+WORDS = st.text(st.characters(exclude_categories=("Cs", "Cc", "Cn")), max_size=20)
+PLAIN = st.recursive(
+    WORDS,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(WORDS, inner, max_size=3),
+    max_leaves=12,
+)
+
+
+def _as_read(value):
+    if isinstance(value, dict):
+        return {key: _as_read(item) for key, item in value.items()}
+    return tuple(map(_as_read, value)) if isinstance(value, list) else value
+
+
+@given(st.dictionaries(WORDS, PLAIN, min_size=1, max_size=5))
+def test_what_is_written_is_read_back(data):
+    document = read_document(to_text(data))
+    assert not document.problems
+    assert document.data == _as_read(data)
+
+
+def test_every_scalar_of_an_example_can_be_edited_alone():
+    text = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
+    document = read_document(text)
+    scalars = {place: span for place, span in document.spans.items() if not span.mapping}
+    assert len(scalars) > 15
+    for place, span in scalars.items():
+        changed = edit_yaml(text, {place: "new"})
+        assert changed == f"{text[: span.start]}new{text[span.end :]}"
+        assert json.dumps(read_document(changed).data) != json.dumps(document.data)
