@@ -32,8 +32,8 @@ def filled(tmp_path):
 
 def numbers(path):
     records = [record for record in JournalReader(path) if record.kind == ITEM]
-    assert all(record.payload == content_of(record.index) for record in records)
-    return [record.index for record in records]
+    assert all(record.payload == content_of(record.number) for record in records)
+    return [record.number for record in records]
 
 
 def test_what_is_appended_is_read_back(filled):
@@ -49,7 +49,7 @@ def test_a_journal_cut_anywhere_keeps_its_complete_records_and_goes_on(filled):
         kept = list(range(int(np.searchsorted(ends, cut, side="right")) - 1))
         assert numbers(filled) == kept
         reader = JournalReader(filled)
-        assert ([record.index for record in reader if record.kind == ITEM], reader.damaged) == (kept, 0)
+        assert ([record.number for record in reader if record.kind == ITEM], reader.damaged) == (kept, 0)
         journal = Journal.resume(reader)
         journal.append(pack(ITEM, 99, content_of(99)))
         journal.close()
@@ -63,7 +63,7 @@ def test_damage_costs_the_records_that_it_hits_and_is_counted(filled):
         changed[place] ^= 0x20
         filled.write_bytes(bytes(changed))
         reader = JournalReader(filled)
-        found = [record.index for record in reader if record.kind == ITEM]
+        found = [record.number for record in reader if record.kind == ITEM]
         assert len(found) == 19 and reader.damaged == 1 and reader.end == len(content)
 
 

@@ -55,7 +55,7 @@ def table_of(folder: Path) -> bytes:
 
 def blocks_of(folder: Path) -> list[int]:
     """Stored blocks in the order in which they were written."""
-    return [record.index for record in JournalReader(folder / JOURNAL) if record.kind == b"B"]
+    return [record.number for record in JournalReader(folder / JOURNAL) if record.kind == b"B"]
 
 
 class Stopping:

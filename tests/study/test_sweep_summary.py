@@ -196,7 +196,7 @@ def test_the_figure_shows_the_four_inputs_that_matter_most():
     shown = " ".join(axes.get_xlabel().replace("\n", "") for axes in figure.axes)
     assert "load.mass2[kg]" in shown
     assert "controller.position.kp[bar/rad]" in shown
-    assert "1 input of less weight not shown" in figure._suptitle.get_text()
+    assert "1 input with weaker correlation" in figure._suptitle.get_text()
 
 
 def test_it_shows_itself_in_short():

@@ -195,21 +195,21 @@ def passages(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
         reader = JournalReader(path)
         for record in reader:
             damaged = damaged or reader.damaged > 0
-            if record.index != expected:
-                if record.index < expected or not damaged:
-                    gap = record.index - expected
-                    message = f"{gap} rows are missing before row {record.index}" if gap > 0 else f"{-gap} rows repeat"
+            if record.number != expected:
+                if record.number < expected or not damaged:
+                    gap = record.number - expected
+                    message = f"{gap} rows are missing before row {record.number}" if gap > 0 else f"{-gap} rows repeat"
                     raise DatasetError(str(path), [Problem(message, remedy="the file was changed, or one is missing")])
-                message = f"{path} is damaged: rows {expected} to {record.index - 1} are lost"
+                message = f"{path} is damaged: rows {expected} to {record.number - 1} are lost"
                 warnings.warn(message, McKibbenWarning, stacklevel=2)
-                expected = record.index
+                expected = record.number
             if record.kind == SAMPLES:
                 rows = unpack_rows(columns, record.payload)
                 expected += len(rows[columns[0].name])
-                yield Rows(record.index, rows)
+                yield Rows(record.number, rows)
             elif record.kind == EVENT:
                 content = json.loads(record.payload)
-                yield Event(content["kind"], content["text"], record.index, content["data"])
+                yield Event(content["kind"], content["text"], record.number, content["data"])
         damaged = damaged or reader.end < path.stat().st_size
 
 

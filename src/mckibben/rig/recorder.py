@@ -79,7 +79,7 @@ class Recorder:
         try:
             self._reserve = path.with_name(_RESERVE_NAME)
             _keep_free(self._reserve)
-            self._journal = Journal.create(path, content, index=first)
+            self._journal = Journal.create(path, content, number=first)
         except OSError as error:
             self._reserve.unlink(missing_ok=True)
             raise FileError(str(path), [Problem(f"it cannot be written: {error.strerror}")]) from error

@@ -20,32 +20,32 @@ HEADER = b"H"
 """Kind of the first record: JSON that identifies what made the journal."""
 
 _MAGIC = b"MCKCHUNK"
-_FRONT = struct.Struct("<8s1s3xIQQ")  # magic, kind, CRC-32 of the rest, length of the payload [bytes], index
+_FRONT = struct.Struct("<8s1s3xIQQ")  # magic, kind, CRC-32 of the rest, length of the payload [bytes], number
 _MAX_PAYLOAD = 1 << 31
 _WINDOW = 1 << 20
 
 
 class JournalRecord(NamedTuple):
-    """One record: its kind (one byte), an index that its writer chose, and its content."""
+    """One record: its kind (one byte), a number that its writer chose, and its content."""
 
     kind: bytes
-    index: int
+    number: int
     payload: bytes
 
 
-def pack(kind: bytes, index: int, payload: bytes) -> bytes:
+def pack(kind: bytes, number: int, payload: bytes) -> bytes:
     """Bytes of a record.
 
     >>> pack(b"E", 7, b"{}")[:8], len(pack(b"E", 7, b"{}"))
     (b'MCKCHUNK', 34)
     """
-    front = _FRONT.pack(_MAGIC, kind, 0, len(payload), index)
-    return _FRONT.pack(_MAGIC, kind, zlib.crc32(payload, zlib.crc32(front)), len(payload), index) + payload
+    front = _FRONT.pack(_MAGIC, kind, 0, len(payload), number)
+    return _FRONT.pack(_MAGIC, kind, zlib.crc32(payload, zlib.crc32(front)), len(payload), number) + payload
 
 
-def pack_json(kind: bytes, index: int, content: Mapping[str, Any]) -> bytes:
+def pack_json(kind: bytes, number: int, content: Mapping[str, Any]) -> bytes:
     """Bytes of a record that holds JSON."""
-    return pack(kind, index, json.dumps(content, ensure_ascii=False, allow_nan=False).encode())
+    return pack(kind, number, json.dumps(content, ensure_ascii=False, allow_nan=False).encode())
 
 
 class JournalReader:
@@ -99,14 +99,14 @@ def _read(file: BinaryIO, position: int) -> JournalRecord | None:
     front = file.read(_FRONT.size)
     if len(front) < _FRONT.size:
         return None
-    magic, kind, checksum, length, index = _FRONT.unpack(front)
+    magic, kind, checksum, length, number = _FRONT.unpack(front)
     if magic != _MAGIC or length > _MAX_PAYLOAD:
         return None
     payload = file.read(length)
-    blank = _FRONT.pack(magic, kind, 0, length, index)
+    blank = _FRONT.pack(magic, kind, 0, length, number)
     if len(payload) < length or zlib.crc32(payload, zlib.crc32(blank)) != checksum:
         return None
-    return JournalRecord(kind, index, payload)
+    return JournalRecord(kind, number, payload)
 
 
 def _find_magic(file: BinaryIO, start: int) -> int | None:
@@ -136,7 +136,7 @@ class Journal:
         self._file = os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
 
     @classmethod
-    def create(cls, path: Path, header: Mapping[str, Any], *, index: int = 0) -> Self:
+    def create(cls, path: Path, header: Mapping[str, Any], *, number: int = 0) -> Self:
         """Begin a journal; the file appears with its header.
 
         Raises
@@ -144,7 +144,7 @@ class Journal:
         FileError
             If the file exists.
         """
-        content = pack_json(HEADER, index, header)
+        content = pack_json(HEADER, number, header)
         with atomic_write(path) as temporary:
             temporary.write_bytes(content)
         return cls(path, len(content))
@@ -250,7 +250,8 @@ def _details(name: str, before: Any, now: Any) -> Iterator[tuple[str, Any, Any]]
         yield from ((name, old, new) for old, new in zip_longest(before, now) if old != new)
     elif isinstance(before, str) and isinstance(now, str) and "\n" in before + now:
         pairs = zip_longest(before.splitlines(), now.splitlines())
-        yield next((name, *(line and repr(line.strip()) for line in pair)) for pair in pairs if pair[0] != pair[1])
+        old, new = next(pair for pair in pairs if pair[0] != pair[1])
+        yield name, old and repr(old.strip()), new and repr(new.strip())
     else:
         yield name, before, now
 

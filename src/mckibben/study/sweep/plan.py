@@ -77,10 +77,10 @@ class SweepOptions(NamedTuple):
         """Options with those left out taken from a manifest."""
         kind = begun["design"] if self.design is None else self.design
         own = self._replace(samples=self.samples if kind != "grid" or self.samples is not None else None)
-        said = {name: begun[name] for name in self._fields if name != "samples"}
+        values = {name: begun[name] for name in self._fields if name != "samples"}
         if kind != "grid":
-            said["samples"] = begun["samples"]
-        return SweepOptions(**{**said, **{name: value for name, value in own._asdict().items() if value is not None}})
+            values["samples"] = begun["samples"]
+        return SweepOptions(**{**values, **{name: value for name, value in own._asdict().items() if value is not None}})
 
 
 @dataclass(frozen=True, eq=False)

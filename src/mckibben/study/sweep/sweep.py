@@ -70,7 +70,7 @@ class SweepStore:
             Of damaged blocks, which count as missing.
         """
         reader = JournalReader(self.folder / JOURNAL)
-        self.kept = {record.index for record in reader if record.kind == _BLOCK}
+        self.kept = {record.number for record in reader if record.kind == _BLOCK}
         self._journal = Journal.resume(reader)
         if reader.damaged:
             message = f"{reader.path}: {reader.damaged} damaged blocks are computed again"
@@ -114,7 +114,7 @@ class SweepStore:
         for record in JournalReader(self.folder / JOURNAL):
             if record.kind == _BLOCK:
                 with np.load(io.BytesIO(record.payload), allow_pickle=False) as file:
-                    parts[record.index] = dict(file.items())
+                    parts[record.number] = dict(file.items())
         if len(parts) < self.plan.blocks:
             problem = Problem("blocks are damaged", remedy="compute them again with --resume (resume=True)")
             raise FileError(str(self.folder / JOURNAL), [problem])
