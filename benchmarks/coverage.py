@@ -1,4 +1,4 @@
-"""Whether 95 % intervals hold the truth 95 % of the time, over many synthetic data sets.
+"""Coverage of 95 % intervals over many synthetic data sets.
 
     python benchmarks/coverage.py [--sets 2000]
 

@@ -1,4 +1,4 @@
-"""Where TripleExponentialLaw comes from: forms of a force law, by their errors at whole pressures left out.
+"""Search for the form of TripleExponentialLaw: force laws by their cross-validation error over pressures.
 
     python benchmarks/forms.py [--best 20]
 

@@ -1,4 +1,4 @@
-"""How well hysteresis and static law are found on the virtual rig, whose truth is known.
+"""Errors of hysteresis and static law identified on the simulated rig.
 
     python benchmarks/hysteresis.py [--seeds 12]
 
@@ -13,7 +13,7 @@ import numpy as np
 from mckibben import catalog, identify
 from mckibben.identification import identify_hysteresis
 from mckibben.muscle import ExponentialLaw, Muscle, forces
-from mckibben.rig import IsobaricProtocol, VirtualRig
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar
 
 LAW = catalog.law("lei-mas-10-180n")
@@ -32,7 +32,7 @@ def off(law):
 
 
 def main():
-    parser = argparse.ArgumentParser(description="Hysteresis and law found on the virtual rig.")
+    parser = argparse.ArgumentParser(description="Hysteresis and law found on the simulated rig.")
     parser.add_argument("--seeds", type=int, default=12)
     seeds = range(parser.parse_args().seeds)
     rows = (
@@ -47,7 +47,7 @@ def main():
     for name, how, rig, jointly in rows:
         errors, widths = [], []
         for seed in seeds:
-            data = VirtualRig(MUSCLE, **{"hysteresis": HALF_WIDTH, **rig}).run(PROTOCOL, seed=seed)
+            data = SimulatedIsobaricTest(MUSCLE, **{"hysteresis": HALF_WIDTH, **rig}).run(PROTOCOL, seed=seed)
             found = identify_hysteresis(ExponentialLaw, data) if jointly else identify(ExponentialLaw, data)
             errors.append(off(found.law))
             widths += [abs(found.friction.half_width / HALF_WIDTH - 1)] if jointly else []

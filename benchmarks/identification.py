@@ -19,7 +19,7 @@ from mckibben.units import bar, kPa, percent
 PRESSURES = np.linspace(2, 6, 13) * bar
 CONTRACTIONS = np.linspace(-3, 14, 45) * percent  # all of them taut
 DIRECTIONS, REPEATS, SAMPLES = 2, 5, 1000
-FORCE_NOISE, PRESSURE_NOISE = 0.5, 0.5 * kPa  # those of the virtual rig
+FORCE_NOISE, PRESSURE_NOISE = 0.5, 0.5 * kPa  # those of the simulated rig
 AGREED = 0.05  # N
 OURS = "ours, mk.identify"
 READ = "xarray, reading the file alone"
@@ -128,7 +128,7 @@ def identification(folder: Path, *, quick: bool) -> Table:
 
 
 def synthetic(law: ForceLaw) -> IsobaricDataset:
-    """Plateaus with raw samples, as the virtual rig gives them, without its hysteresis."""
+    """Plateaus with raw samples, as the simulated rig gives them, without its hysteresis."""
     pressure, contraction, turn = (
         axis.ravel() for axis in np.meshgrid(PRESSURES, CONTRACTIONS, np.arange(DIRECTIONS * REPEATS), indexing="ij")
     )

@@ -1,4 +1,4 @@
-"""Kills a test on the virtual rig at random instants, and sees what is left: every recorded sample, in a whole dataset.
+"""Kills a test on the simulated rig at random instants: every recorded sample has to be left, in a whole dataset.
 
     python benchmarks/kill.py [KILLS]
 
@@ -26,13 +26,12 @@ import numpy as np
 from mckibben import catalog
 from mckibben.muscle import Muscle
 from mckibben.rig import recorder
-from mckibben.rig.bench import Bench
+from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import Event, assemble, passages, points, read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
-from mckibben.rig.safety import Limits
+from mckibben.rig.simulated import FORCE_SENSOR, PRESSURE_SENSOR, Regulator, SimulatedRig
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Vent, Walk
-from mckibben.rig.twin import FORCE_SENSOR, PRESSURE_SENSOR, Regulator, TwinRig
 from mckibben.units import bar, mm, percent
 
 ACQUIRE = Acquire(samples=50, duration=0.05)
@@ -57,9 +56,9 @@ PERIOD = 2e-3  # s: a test takes as long as a breath here, and chunks are writte
 _REPORT = struct.Struct("<Q")
 
 
-def rig(session: int) -> tuple[TwinRig, Bench]:
-    """The virtual rig of a session, and what stands on it; the regulator gives what it is told."""
-    twin = TwinRig(
+def rig(session: int) -> tuple[SimulatedRig, Bench]:
+    """The simulated rig of a session, and what stands on it; the regulator gives what it is told."""
+    twin = SimulatedRig(
         MUSCLE,
         seed=session,
         regulator=Regulator(hysteresis=0.0, repeatability=0.0),
@@ -70,7 +69,7 @@ def rig(session: int) -> tuple[TwinRig, Bench]:
         of=MUSCLE,
         drive=twin.drive,
         calibrations=twin.calibrations,
-        limits=Limits(pressure=3 * bar, force=400.0, stretch=8 * mm, shorten=50 * mm),
+        limits=RigLimits(pressure=3 * bar, force=400.0, stretch=8 * mm, shorten=50 * mm),
         steady=0.2,
     )
     return twin, bench

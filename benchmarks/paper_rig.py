@@ -1,4 +1,4 @@
-"""The paper's whole test on the virtual rig, from its protocol file to Eq. 3: time, memory, and what is found.
+"""The paper's whole test on the simulated rig, from its protocol file to Eq. 3: time, memory, and what is found.
 
     python benchmarks/paper_rig.py [PROTOCOL.yaml]
 

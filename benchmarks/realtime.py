@@ -2,7 +2,7 @@
 
     python benchmarks/realtime.py [--duration 60] [--period 1] [--ordinary]
 
-The knee of examples/, virtual and paced, under PID and under decoupling control, recorded to disk as `mckibben rig
+The knee of examples/, simulated in real time, under PID and under decoupling control, recorded to disk as `mckibben rig
 control` does. It prints how many deadlines were missed, how late samples were taken and commands given, and beside it
 what the machine itself does to a loop of the same period that only sleeps: a deadline that this one misses, no program
 could have met. The machine's load is printed with it.
@@ -18,9 +18,10 @@ from pathlib import Path
 import numpy as np
 from machine import describe, sentence
 
-from mckibben.realtime import JointRig, compute_in_this_thread, prepared
+from mckibben.realtime import JointRig, compute_in_this_thread, prepare
 from mckibben.realtime import loop as module
-from mckibben.realtime.loop import Spread, undisturbed
+from mckibben.realtime.loop import realtime_process_settings
+from mckibben.realtime.record import Percentiles
 from mckibben.study.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -40,7 +41,7 @@ def asleep(duration, period):
     """How late a thread wakes that does nothing but sleep; `missed` are sleeps that took a whole period too long."""
     count = round(duration / period)
     late = np.empty(count)
-    with undisturbed():
+    with realtime_process_settings():
         origin = time.perf_counter()
         for i in range(count):
             until = origin + i * period
@@ -48,7 +49,7 @@ def asleep(duration, period):
             if left > 0:
                 time.sleep(left)
             late[i] = time.perf_counter() - until
-    return int((late > period).sum()), Spread.of(late)
+    return int((late > period).sum()), Percentiles.of(late)
 
 
 class Load:
@@ -81,24 +82,24 @@ def spread(times):
 
 
 def main():
-    parser = argparse.ArgumentParser(description="Control in real time, on a virtual joint.")
+    parser = argparse.ArgumentParser(description="Control in real time, on a simulated joint.")
     parser.add_argument("--duration", type=float, default=60.0, help="of each run [s]")
     parser.add_argument("--period", type=float, default=1.0, help="of control [ms]")
     parser.add_argument("--ordinary", action="store_true", help="without real-time priority")
     asked = parser.parse_args()
     period = asked.period * 1e-3
     if asked.ordinary:
-        module._first = lambda: None
+        module._set_real_time_priority = lambda: None
     compute_in_this_thread()
     print(sentence(describe()) + "\n")
     print("| | missed | skipped | sample to loop [us] | loop to valves [us] | jitter [us] | others, ours [cores] |")
     print("|---|---|---|---|---|---|---|", flush=True)
     for name, controller in (("PID", None), ("decoupling, 80 rad/s", DECOUPLING)):
-        session = prepared(scenario(asked.duration, period, controller), JointRig(virtual={}))
+        session = prepare(scenario(asked.duration, period, controller), JointRig(simulated={}))
         with tempfile.TemporaryDirectory() as folder, Load() as load:
             ran = session.run(folder)
         timing = ran.timing
-        assert ran.ending.completed, ran.ending.text
+        assert ran.outcome.completed, ran.outcome.text
         cells = (
             f"{name}, {ran.priority} priority",
             f"{timing.missed} of {timing.periods}",

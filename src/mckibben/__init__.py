@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     )
     from mckibben.paper import reproduce
     from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
-    from mckibben.rig import IsobaricProtocol, VirtualRig
+    from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
     from mckibben.simulation import Result, check_reference, differentiate, simulate, simulate_many
     from mckibben.study.scenario import Scenario
     from mckibben.study.sweep import sweep
@@ -73,7 +73,7 @@ _HOMES = {
     "joint": "AntagonisticJoint KneeGeometry Load RigidTendon SeriesSpring",
     "muscle": "ChouLaw Domain TripleExponentialLaw ExponentialLaw MaxwellCreep MaxwellSlip Muscle Specimen",
     "plant": "FirstOrderValve IdealValve JointPlant",
-    "rig": "IsobaricProtocol VirtualRig",
+    "rig": "IsobaricProtocol SimulatedIsobaricTest",
     "simulation": "Result check_reference differentiate simulate simulate_many",
     "paper": "reproduce",
     "experiment_design": "plan",
@@ -119,13 +119,13 @@ __all__ = [
     "Samples",
     "Scenario",
     "SeriesSpring",
+    "SimulatedIsobaricTest",
     "Sine",
     "SlidingMode",
     "Specimen",
     "Step",
     "TripleExponentialLaw",
     "VelocityObserver",
-    "VirtualRig",
     "catalog",
     "check_reference",
     "differentiate",

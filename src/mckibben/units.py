@@ -1,4 +1,4 @@
-"""Units, at the edge of the code only: inside there are SI floats.
+"""Units, at the edge of the code only: inside there are SI floats. Unit and range as metadata of fields.
 
 In Python, multiply by a unit to get SI and divide by it to leave SI:
 
@@ -19,8 +19,10 @@ from __future__ import annotations
 import functools
 import math
 import re
+from dataclasses import dataclass
+from typing import Annotated, Any, NoReturn
 
-from mckibben.errors import UnitError
+from mckibben.errors import LONGEST_VALUE, RangeError, UnitError, quoted
 
 Pa = 1.0
 kPa = 1e3  # noqa: N816
@@ -76,7 +78,8 @@ _NAME = r"(?:[A-Za-z]+(?:\^-?[1-9])?)"
 _PRODUCT = rf"{_NAME}(?:[*/]{_NAME})*"
 _FACTOR = rf"(?:{_NAME}|\({_PRODUCT}\))"
 _UNIT = re.compile(rf"{_FACTOR}(?:[*/]{_FACTOR})*")
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_WHOLE = re.compile(r"[+-]?[0-9]{1,15}")
 _TOKEN = re.compile(rf"{_NAME}|[*/()]")
 _LONGEST = 80  # characters in a unit
 _REST = re.compile(r"(?:(?:1?/|[A-Za-z%°(]).*)?", re.DOTALL)
@@ -93,7 +96,7 @@ def _parse(unit: str) -> dict[str, int]:
         text = f"ratio{text[1:]}"
     if not _UNIT.fullmatch(text):
         raise UnitError(
-            f"{unit!r} is not a unit",
+            f"{quoted(unit)} is not a unit",
             value=unit,
             remedy="write units joined by * and /, such as bar, N*m/rad or kg*m^2",
         )
@@ -117,7 +120,7 @@ def _parse(unit: str) -> dict[str, int]:
 
 
 def _size(powers: dict[str, int]) -> float:
-    """How much of SI a unit is."""
+    """The size of a unit in SI."""
     size = 1.0
     for name, power in powers.items():
         size *= _VOCABULARY[name][0] ** power
@@ -130,7 +133,7 @@ def _dimensions(powers: dict[str, int]) -> list[int]:
 
 
 def factor(unit: str, to: str = "") -> float:
-    """What to multiply a number in `unit` by to have it in `to` (by default in SI).
+    """The factor from a number in `unit` to one in `to` (by default SI).
 
     >>> factor("N/bar")
     1e-05
@@ -177,19 +180,19 @@ def quantity(text: str, unit: str) -> float:
     mckibben.errors.UnitError: '4,5 bar' is not a number and a unit; write it like '4.5 bar'
     """
     if not isinstance(text, str):  # type: ignore[unnecessary-isinstance]  # YAML hands over numbers too
-        raise UnitError(f"{text!r} has no unit", value=text, unit=unit, remedy=f"write it like '{text} {unit}'")
+        raise UnitError(f"{quoted(text)} has no unit", value=text, unit=unit, remedy=f"write it like '{text} {unit}'")
     stripped = text.strip()
-    number = _NUMBER.match(stripped)
+    number = NUMBER.match(stripped)
     rest = stripped[number.end() :].strip() if number else ""
     if not number or not (rest or unit == "1") or not _REST.fullmatch(rest):
         example = stripped.replace(",", ".") if re.fullmatch(r"\d+,\d+ \S+", stripped) else f"12.5 {unit}"
         raise UnitError(
-            f"{text!r} is not a number and a unit", value=text, unit=unit, remedy=f"write it like {example!r}"
+            f"{quoted(text)} is not a number and a unit", value=text, unit=unit, remedy=f"write it like {example!r}"
         )
     rest = f"1{rest}" if rest.startswith("/") else rest
     value = float(number.group()) * factor(rest or "1", unit)
     if not math.isfinite(value):
-        raise UnitError(f"{text!r} is not a finite number", value=text, unit=unit)
+        raise UnitError(f"{quoted(text)} is not a finite number", value=text, unit=unit)
     return value
 
 
@@ -200,8 +203,8 @@ def split_range(text: str) -> tuple[str, str]:
     ('1.5e2 mm', '2.6e2 mm')
     """
     low, _, high = (part.strip() for part in text.partition(".."))
-    number = _NUMBER.match(high)
-    if number and _NUMBER.fullmatch(low):
+    number = NUMBER.match(high)
+    if number and NUMBER.fullmatch(low):
         low = f"{low} {high[number.end() :].strip()}".strip()
     return low, high
 
@@ -247,3 +250,227 @@ def show(value: float, unit: str, digits: int = 6) -> str:
     """
     number = f"{value / factor(unit):.{digits}g}"
     return number if unit == "1" else f"{number} {unit}"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Unit and range of a float in SI: metadata of a field, as in ``mass: Annotated[float, Quantity("kg", lower=0)]``.
+
+    Configuration files, parameters of a study and error messages take unit and range from it.
+
+    Parameters
+    ----------
+    unit
+        The SI unit; "1" for a plain number.
+    shown
+        The unit that it is written in; that of SI unless given.
+    lower, upper
+        Its range, in the unit shown.
+    open_lower, open_upper
+        Whether that end is excluded.
+
+    Examples
+    --------
+    >>> time = Quantity("s", "ms", 0, 1e6, open_lower=True)
+    >>> time.read("20 ms"), time.write(0.02), time.range
+    (0.02, '20 ms', 'above 0 to 1e+06 ms')
+    """
+
+    unit: str
+    shown: str = ""
+    lower: float = -1e12
+    upper: float = 1e12
+    open_lower: bool = False
+    open_upper: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.shown:
+            object.__setattr__(self, "shown", self.unit)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_before_validator_function(
+            self.read,
+            core_schema.float_schema(),
+            serialization=core_schema.plain_serializer_function_ser_schema(self.write, when_used="json"),
+        )
+
+    def read(self, value: Any) -> float:
+        """The value in SI, checked: from text with a unit, or from a number in SI.
+
+        Raises
+        ------
+        UnitError, RangeError
+            If it is no such quantity, or outside the range.
+        """
+        if isinstance(value, str):
+            number = self._from_text(value)
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            number = float(value)
+        else:
+            self._fail(f"{quoted(value)} is not a quantity", value)
+        if not self.holds(number):
+            lower, upper = self.limits
+            raise RangeError(
+                f"{quoted(value)} is outside {self.range}",
+                value=number,
+                lower=lower,
+                upper=upper,
+                unit=self.unit,
+                remedy="choose a value inside",
+            )
+        return number
+
+    def write(self, value: float) -> str:
+        """Text that `read` takes back to the same float, in the unit shown wherever that is possible."""
+        if self.unit == "1":
+            return f"{value:.16g}" if float(f"{value:.16g}") == value else repr(value)
+        for digits in (15, 16, 17):
+            text = show(value, self.shown, digits)
+            if quantity(text, self.unit) == value:
+                return text
+        return show(value, self.unit, 17)  # some floats are no float times a factor; in SI the factor is 1
+
+    @functools.cached_property
+    def limits(self) -> tuple[float, float]:
+        """Both ends of the range in SI, whether they belong to it or not."""
+        scale = factor(self.shown, self.unit)
+        return self.lower * scale, self.upper * scale
+
+    def holds(self, number: Any) -> Any:
+        """Test whether a number in SI, or each of an array, is in the range."""
+        lower, upper = self.limits
+        above = number > lower if self.open_lower else number >= lower
+        return above & (number < upper if self.open_upper else number <= upper)
+
+    @property
+    def example(self) -> str:
+        """A value as it is written."""
+        return f"'12.5 {self.shown}'" if self.unit != "1" else "0.5"
+
+    @property
+    def range(self) -> str:
+        """The range as text."""
+        unit = f" {self.shown}" if self.unit != "1" else ""
+        lower = f"above {self.lower:g}" if self.open_lower else f"{self.lower:g}"
+        upper = f"below {self.upper:g}" if self.open_upper else f"{self.upper:g}"
+        return f"{lower} to {upper}{unit}"
+
+    def _from_text(self, text: str) -> float:
+        stripped = text.strip()
+        if not stripped:
+            self._fail("has no value", text, f"write it like {self.example}, or leave the key out")
+        if len(stripped) > LONGEST_VALUE:
+            self._fail(f"{quoted(text)} is not a quantity", text)
+        if self.unit != "1" and NUMBER.fullmatch(stripped):
+            self._fail(f"{quoted(text)} has no unit", text, f"write it like '{stripped} {self.shown}'")
+        try:
+            return quantity(stripped, self.unit)
+        except UnitError:
+            return quantity(stripped, self.shown) * factor(self.shown, self.unit)  # the error names the unit shown
+        except ArithmeticError:  # a product of units beyond the floats
+            self._fail(f"{quoted(text)} is not a finite number", text)
+
+    def _fail(self, message: str, value: object, remedy: str = "") -> NoReturn:
+        raise UnitError(message, value=value, unit=self.shown, remedy=remedy or f"write it like {self.example}")
+
+
+@dataclass(frozen=True)
+class BoundedInt:
+    """Range of an integer: metadata of a field, as `Quantity` is."""
+
+    lower: int
+    upper: int
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_before_validator_function(self.read, core_schema.int_schema())
+
+    def read(self, value: Any) -> int:
+        """The number, checked.
+
+        Raises
+        ------
+        RangeError
+            If it is no whole number, or outside the range.
+        """
+        given = value
+        if isinstance(value, str):
+            value = int(value) if _WHOLE.fullmatch(value.strip()) else None
+        kind = isinstance(value, int) and not isinstance(value, bool)
+        if not kind or not self.lower <= value <= self.upper:
+            message = "is not a whole number" if value is None else f"is outside {self.range}"
+            raise RangeError(
+                f"{quoted(given if value is None else value)} {message}",
+                value=value,
+                lower=self.lower,
+                upper=self.upper,
+                remedy=f"choose a whole number from {self.range}",
+            )
+        return value
+
+    @property
+    def range(self) -> str:
+        """The range as text."""
+        return f"{self.lower} to {self.upper}"
+
+
+SIGNAL_UNIT = "signal"
+"""Stands for the unit of the quantity that a signal is of."""
+
+# Types of fields, for runtime classes and configuration files.
+Duration = Annotated[float, Quantity("s", "s", 0, 1e6, open_lower=True)]
+Instant = Annotated[float, Quantity("s", "s", -1e6, 1e6)]
+ShortTime = Annotated[float, Quantity("s", "ms", 0, 1e6)]
+PositiveTime = Annotated[float, Quantity("s", "ms", 0, 1e6, open_lower=True)]
+Frequency = Annotated[float, Quantity("1/s", "Hz", 0, 1e6)]
+Length = Annotated[float, Quantity("m", "mm", 0, 1e5, open_lower=True)]
+Distance = Annotated[float, Quantity("m", "mm", 0, 1e5)]
+Mass = Annotated[float, Quantity("kg", "kg", 0, 1e4)]
+Inertia = Annotated[float, Quantity("kg*m^2", "kg*m^2", 0, 1e4)]
+Damping = Annotated[float, Quantity("N*m*s/rad", "N*m*s/rad", 0, 1e6)]
+Gravity = Annotated[float, Quantity("m/s^2", "m/s^2", 0, 1e3)]
+SpringRate = Annotated[float, Quantity("N/m", "N/mm", 0, 1e6, open_lower=True)]
+Force = Annotated[float, Quantity("N", "N", 0, 1e6)]
+FrictionForce = Annotated[float, Quantity("N", "N", 1e-6, 1e6)]
+FrictionGrowth = Annotated[float, Quantity("N/Pa", "N/bar", -1e4, 1e4)]
+Presliding = Annotated[float, Quantity("m", "mm", 0, 1e3, open_lower=True)]
+CreepTime = Annotated[float, Quantity("s", "s", 0.01, 1e6)]
+Viscosity = Annotated[float, Quantity("N*s/m", "N*s/m", 0, 1e6)]
+Tension = Annotated[float, Quantity("N", "N", 0, 1e6, open_lower=True)]
+Pressure = Annotated[float, Quantity("Pa", "bar", -1e3, 1e3)]
+PressureNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e5)]
+AngleStep = Annotated[float, Quantity("rad", "deg", 0, 90)]
+Torque = Annotated[float, Quantity("N*m", "N*m", -1e6, 1e6)]
+Share = Annotated[float, Quantity("1", "1", 0, 100)]
+PositiveTorque = Annotated[float, Quantity("N*m", "N*m", 0, 1e6, open_lower=True)]
+Strength = Annotated[float, Quantity("1", "1", 0, 100, open_lower=True)]
+StrengthSpread = Annotated[float, Quantity("1", "1", 0, 0.3, open_lower=True)]
+Delay = Annotated[float, Quantity("1", "1", 0, 1)]
+Angle = Annotated[float, Quantity("rad", "deg", -360, 360)]
+Stiffness = Annotated[float, Quantity("N*m/rad", "N*m/rad", -1e6, 1e6)]
+Phase = Annotated[float, Quantity("rad", "deg", -1e4, 1e4)]
+AngleScale = Annotated[float, Quantity("rad", "deg", 0, 1e6, open_lower=True)]
+StiffnessScale = Annotated[float, Quantity("N*m/rad", "N*m/rad", 0, 1e6, open_lower=True)]
+PressureScale = Annotated[float, Quantity("Pa", "bar", 0, 1e3, open_lower=True)]
+PressureRate = Annotated[float, Quantity("Pa/s", "bar/s", 0, 1e6, open_lower=True)]
+Rate = Annotated[float, Quantity("1/s", "1/s", 0, 1e6)]
+PositiveRate = Annotated[float, Quantity("1/s", "1/s", 0, 1e6, open_lower=True)]
+Bandwidth = Annotated[float, Quantity("rad/s", "rad/s", 0, 1e6, open_lower=True)]
+AngularAcceleration = Annotated[float, Quantity("rad/s^2", "rad/s^2", 0, 1e6, open_lower=True)]
+PoleDamping = Annotated[float, Quantity("1", "1", 2, 3)]
+Momentum = Annotated[float, Quantity("1", "1", 0, 1, open_upper=True)]
+Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
+Count = Annotated[int, BoundedInt(1, 1000)]
+Iterations = Annotated[int, BoundedInt(1, 100)]
+Ratio = Annotated[float, Quantity("1", "1", 1, 1e6, open_lower=True)]
+
+AngleGain = Annotated[float, Quantity("Pa/rad", "bar/rad", -1e6, 1e6)]
+AngleIntegralGain = Annotated[float, Quantity("Pa/(rad*s)", "bar/(rad*s)", -1e6, 1e6)]
+AngleDerivativeGain = Annotated[float, Quantity("Pa*s/rad", "bar*s/rad", -1e6, 1e6)]
+StiffnessGain = Annotated[float, Quantity("Pa/(N*m/rad)", "bar/(N*m/rad)", -1e6, 1e6)]
+StiffnessIntegralGain = Annotated[float, Quantity("Pa/(N*m*s/rad)", "bar/(N*m*s/rad)", -1e6, 1e6)]
+StiffnessDerivativeGain = Annotated[float, Quantity("Pa*s/(N*m/rad)", "bar*s/(N*m/rad)", -1e6, 1e6)]
+SignalValue = Annotated[float, Quantity(SIGNAL_UNIT)]

@@ -10,9 +10,9 @@ import xarray as xr
 
 from mckibben import report
 from mckibben.cli.options import metric
+from mckibben.storage.files import json_ready
 from mckibben.study.benchmark import Suite
 from mckibben.study.benchmark.benchmark import statistics
-from mckibben.study.reporting import plain
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune import read_trials
 from mckibben.study.tune.tune import TuningHistory
@@ -64,7 +64,7 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
     assert Suite.read(kept / "suite.yaml") == suite
     (contest,) = drawn
     numbers = statistics(contest)
-    assert results(kept) == json.loads(json.dumps(plain(numbers)))
+    assert results(kept) == json.loads(json.dumps(json_ready(numbers)))
     for name in contest.tuned:
         scenario = Scenario.read(kept / "controllers" / f"{name.lower().replace(' ', '-')}.yaml")
         expected = contest.tuned[name].get(KP)

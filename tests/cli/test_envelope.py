@@ -1,4 +1,4 @@
-"""`mckibben envelope`: tables, verdict, offers and designs, and mistakes."""
+"""`mckibben envelope`: table, verdict, nearest references, designs and errors."""
 
 import csv
 import json
@@ -14,50 +14,49 @@ INFEASIBLE = ("amplitude: 2 deg, frequency: 0.5 Hz", "amplitude: 20 deg, frequen
 
 @pytest.fixture
 def printed(shortened, tmp_path):
-    """The knee as printed, asked for 20 deg."""
+    """The knee as printed, with a reference of 20 deg."""
     text = shortened("as-printed-constant-pid").replace(*INFEASIBLE)
     (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
     return tmp_path
 
 
-def test_a_wish_within_reach(cli, shortened, tmp_path):
+def test_a_trackable_reference(cli, shortened, tmp_path):
     (tmp_path / "s.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
     found = cli("envelope", "s.yaml")
     assert (found.code, found.err) == (0, "")
-    assert "held standing from -36.49 to 38.57 deg" in found.out
+    assert "static range -36.49 to 38.57 deg" in found.out
     assert re.search(
         r"0 deg +-0.736 N\*m +-7.28..7.28 N\*m +9.96..19.53 N\*m/rad +3.05, 2.72 bar +6, 5.67 bar", found.out
     )
-    assert "the reference is within reach throughout" in found.out
+    assert "trackable throughout" in found.out
     assert "nearest" not in found.out
 
 
-def test_an_infeasible_wish_is_named_and_the_nearest_offered(cli, printed):
+def test_an_infeasible_reference_and_the_nearest(cli, printed):
     found = cli("envelope", "s.yaml", "--out", "kept")
     assert (found.code, found.err) == (0, "")
-    assert "even standing still, no pressures within limits will do for " in found.out
-    assert "wanted 72.5, attainable " in found.out
+    assert "not even statically trackable: " in found.out
     kept = printed / "kept"
     numbers = json.loads((kept / "results.json").read_text(encoding="utf-8"))
-    assert numbers["reachable"] is False and numbers["verdict"] in found.out
-    assert numbers["holdable_deg"] == pytest.approx([-10.37, 10.37], abs=0.01)
-    assert [offer["kept"] for offer in numbers["offers"]] == ["angle", "stiffness"]
+    assert numbers["trackable"] is False and numbers["verdict"] in found.out
+    assert numbers["static_range_deg"] == pytest.approx([-10.37, 10.37], abs=0.01)
+    assert [near["preserved"] for near in numbers["nearest"]] == ["angle", "stiffness"]
     names = {"results.json", "envelope.png", "envelope.svg", "nearest-angle.yaml", "nearest-stiffness.yaml"}
     assert {path.name for path in kept.iterdir()} == names | {"nearest-angle.csv"}
-    for offer in numbers["offers"]:
-        assert f"nearest that keeps the {offer['kept']}: {offer['described']}" in found.out
-        scenario = Scenario.read(kept / f"nearest-{offer['kept']}.yaml")
+    for near in numbers["nearest"]:
+        assert f"nearest, {near['preserved']} preserved: {near['described']}" in found.out
+        scenario = Scenario.read(kept / f"nearest-{near['preserved']}.yaml")
         sine = scenario.signals.angle.sine
-        assert sine.frequency == 5 and sine.amplitude == pytest.approx(offer["amplitude"] * 20 * 0.0174532925)
+        assert sine.frequency == 5 and sine.amplitude == pytest.approx(near["amplitude"] * 20 * 0.0174532925)
         plant = scenario.plant()
         reach = check_reference(plant, scenario.reference(), duration=0.2)
-        assert reach.reachable or offer["kept"] == "stiffness"
+        assert reach.reachable or near["preserved"] == "stiffness"
         scenario.initial(plant)
     with (kept / "nearest-angle.csv").open() as file:
         header, *rows = csv.reader(file)
     assert header == ["time_s", "stiffness_N*m/rad"] and len(rows) == 200
     again = cli("envelope", "kept/nearest-angle.yaml", "--json")
-    assert json.loads(again.out)["reachable"] is True
+    assert json.loads(again.out)["trackable"] is True
 
 
 def test_json_alone_on_standard_output(cli, printed):
@@ -66,7 +65,7 @@ def test_json_alone_on_standard_output(cli, printed):
     assert found.err.startswith("kept results.json, nearest-angle.yaml")
 
 
-def test_a_load_that_cannot_be_held(cli, printed):
+def test_a_load_that_is_too_heavy(cli, printed):
     text = (printed / "s.yaml").read_text(encoding="utf-8")
     heavy = text.replace("load: knee-table-2", "load: {from: knee-table-2, mass2: 500 kg, hanging_angle: 90 deg}")
     (printed / "heavy.yaml").write_text(heavy, encoding="utf-8")
@@ -77,11 +76,11 @@ def test_a_load_that_cannot_be_held(cli, printed):
 
 
 def test_a_design(cli, printed):
-    wish = "stiffness 14..18 N*m/rad over -15..15 deg"
+    target = "stiffness 14..18 N*m/rad over -15..15 deg"
     vary = ("--vary", "connector_length=190..240 mm", "--vary", "joint_radius=20..50 mm")
-    found = cli("envelope", "s.yaml", "--design", wish, *vary, "--out", "kept")
+    found = cli("envelope", "s.yaml", "--design", target, *vary, "--out", "kept")
     assert (found.code, found.err) == (0, "")
-    assert f"{wish}: attained with connector_length 209.4 mm" in found.out
+    assert f"{target}: attained with connector_length 209.4 mm" in found.out
     assert re.search(r"joint radius +30 mm +31\.\d+ mm", found.out)
     numbers = json.loads((printed / "kept" / "results.json").read_text(encoding="utf-8"))
     scenario = Scenario.read(printed / "kept" / "design.yaml")
@@ -98,11 +97,11 @@ def test_a_design(cli, printed):
     [
         (("--margin", "60 %"), "the margin is 0.6"),
         (("--margin", "5 mm"), "--margin: "),
-        (("--rounding", "0 s"), "the rounding is 0 s"),
+        (("--smoothing", "0 s"), "the smoothing is 0 s"),
         (("--vary", "joint_radius=20..50 mm"), "are for a design; add --design"),
-        (("--spare-torque", "1 N*m"), "are for a design; add --design"),
+        (("--torque-reserve", "1 N*m"), "are for a design; add --design"),
         (("--design", "stiffness 14..18 N*m/rad over 0..5 deg"), "varies nothing; add --vary"),
-        (("--design", "much", "--vary", "joint_radius=20..50 mm"), "nothing to design for"),
+        (("--design", "much", "--vary", "joint_radius=20..50 mm"), "not a design target"),
         (("--design", "14..18 N*m/rad over 0..5 deg", "--vary", "radius=20..50 mm"), "known are connector_length"),
     ],
 )

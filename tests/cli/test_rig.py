@@ -4,7 +4,7 @@ import pytest
 
 TEXT = """name: a short test
 muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
-rig: {virtual: {seed: 1}}
+rig: {simulated: {seed: 1}}
 limits: {pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm}
 protocol:
   isobaric: {pressures: [3 bar, 4 bar, 6 bar], contraction_min: 2 %, contraction_max: 6 %, repeats: 2, speed: 4 mm/s,
@@ -23,10 +23,10 @@ def test_a_dry_run_prints_the_steps_and_what_they_take(cli, protocol, tmp_path):
     answer = cli("rig", "run", "p.yaml", "--dry-run")
     assert answer.code == 0 and answer.err == ""
     lines = answer.out.splitlines()
-    assert lines[0] == "a short test: MAS-10-180N-AA-MC-O on the virtual rig"
+    assert lines[0] == "a short test: MAS-10-180N-AA-MC-O on the simulated rig"
     assert lines[1:4] == ["  vent", "  move to 4.778 % contraction at 4 mm/s", "  pressurise to 3 bar"]
     assert "2 times" in lines[6] and "walk to 5.889 % contraction in steps of 1 mm (unloading)" in lines[7]
-    assert "96 points, 9600 samples, " in lines[-2] and "pulses" in lines[-2] and "MB on the disk" in lines[-2]
+    assert "96 points, 9600 samples, " in lines[-2] and "pulses" in lines[-2] and "MB on disk" in lines[-2]
     assert lines[-1].startswith("contraction 0..5.889 %, pressure 0..6 bar; ")
     assert {path.name for path in tmp_path.iterdir()} == {"p.yaml"}
 
@@ -39,7 +39,7 @@ def test_it_runs_and_its_dataset_is_identified(cli, protocol):
     assert found.code == 0 and '"law": "ChouLaw"' in found.out
     assert cli("rig", "data", "out").out.startswith("<IsobaricDataset")
     again = cli("rig", "run", "p.yaml", "--out", "out")
-    assert again.code == 2 and "go on with it (--resume)" in again.err
+    assert again.code == 2 and "resume it (--resume)" in again.err
 
 
 def test_what_is_wrong_is_refused_before_anything_moves(cli, protocol, tmp_path):
@@ -65,14 +65,14 @@ def test_a_stopped_test_says_why_and_how_to_go_on(cli, protocol):
     answer = cli("rig", "run", "p.yaml", "--out", "out")
     assert answer.code == 1
     assert "stopped: the force of 3" in answer.err and "beyond the limit of 300 N; the muscle is vented" in answer.err
-    assert "go on with: mckibben rig run p.yaml --out out --resume" in answer.err
+    assert "resume with: mckibben rig run p.yaml --out out --resume" in answer.err
 
 
 def test_check_shows_the_channels_and_what_stands_against_it(cli, protocol):
     answer = cli("rig", "check", "p.yaml")
     assert answer.code == 0, answer.err
-    assert "force at virtual force: " in answer.out and " N" in answer.out
-    assert answer.out.splitlines()[-1] == "nothing stands against it"
+    assert "force at simulated force: " in answer.out and " N" in answer.out
+    assert answer.out.splitlines()[-1] == "no violations"
     protocol.write_text(TEXT.replace("shorten: 50 mm", "shorten: 5 mm"))
     answer = cli("rig", "check", "p.yaml")
     assert answer.code == 1 and "the travel is 5 mm" in answer.out

@@ -1,18 +1,16 @@
 """mckibben rig control: a run in full, what it keeps, and what it refuses."""
 
 import json
-import os
 import signal
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from mckibben.realtime.record import RowBuffer
 from mckibben.rig.record import read_record
 from mckibben.simulation import Result
-from mckibben.study.reporting import shown
+from mckibben.simulation.metrics import in_shown_units
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_scenario
 
@@ -33,7 +31,7 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     )
     numbers = json.loads(found.out)
     simulated = run_scenario(Scenario.read(tmp_path / "short.yaml")).result
-    expected = shown(simulated.metrics())
+    expected = in_shown_units(simulated.metrics())
     assert (numbers["ended"], numbers["outcome"], numbers["timing"]) == ("completed", "completed", None)
     assert numbers["vented_after_s"] < 0.1
     for name, value in numbers["metrics"].items():
@@ -46,7 +44,7 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     assert Scenario.read(tmp_path / "run" / "scenario.yaml") == Scenario.read(tmp_path / "short.yaml")
     record = read_record(tmp_path / "run")
     assert Scenario.parse(record.header["scenario"]) == Scenario.read(tmp_path / "short.yaml")
-    assert set(record.header) >= {"backend", "calibrations", "limits", "course", "versions", "priority", "rig"}
+    assert set(record.header) >= {"backend", "calibrations", "limits", "plan", "versions", "priority", "rig"}
     assert [event.kind for event in record.events] == ["opened", "completed", "vented"]
 
     again = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced")
@@ -58,7 +56,7 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
     (tmp_path / "rig.yaml").write_text(rig.replace("lowest_angle: -30 deg", "lowest_angle: 10 deg"), encoding="utf-8")
     found = cli("rig", "control", "short.yaml", "--rig", "rig.yaml", "--out", "run", "--unpaced")
     assert found.code == 1
-    assert "stopped and vented: the angle of 9." in found.err and "10 to 45 deg" in found.err
+    assert "stopped: the angle of 9." in found.err and "10 to 45 deg" in found.err
     record = read_record(tmp_path / "run")
     assert "stopped" in [event.kind for event in record.events]
     assert json.loads((tmp_path / "run" / "results.json").read_text())["ended"] == "stopped"
@@ -67,42 +65,39 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("short.yaml",), "say where to keep it: --out DIR"),
+        (("short.yaml",), "add --out DIR"),
         (("nowhere.yaml", "--out", "run"), "nowhere.yaml: 1 problem"),
         (("short.yaml", "--out", "run", "--duration", "1.5 ms"), "no whole number of control periods"),
         (("short.yaml", "--out", "run", "--duration", "3 bar"), "--duration"),
         (
             ("short.yaml", "--out", "run", "--rig", "wrong.yaml"),
-            "line 2, virtual.angle_step: 'bar' is not a unit",
+            "line 2, simulated.angle_step: 'bar' is not a unit",
         ),
-        (("short.yaml", "--out", "run", "--rig", "both.yaml"), "has no rig; give one of virtual, nidaqmx"),
+        (("short.yaml", "--out", "run", "--rig", "both.yaml"), "has no rig; give one of simulated, nidaqmx"),
         (("short.yaml", "--out", "short.yaml"), "it is a file"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_moves(cli, short, tmp_path, arguments, text):
-    (tmp_path / "wrong.yaml").write_text("virtual:\n  angle_step: 5 bar\n", encoding="utf-8")
+    (tmp_path / "wrong.yaml").write_text("simulated:\n  angle_step: 5 bar\n", encoding="utf-8")
     (tmp_path / "both.yaml").write_text("name: none\n", encoding="utf-8")
     found = cli("rig", "control", *arguments)
     assert found.code == 2 and text in found.err, found.err
     assert not list(tmp_path.glob("run/record*"))
 
 
-def test_ctrl_c_vents_keeps_the_record_and_has_the_code_of_shells(cli, short, tmp_path):
-    """In real time, ordinary or not."""
-    record = tmp_path / "run" / "record-0001.chunks"
+def test_ctrl_c_vents_keeps_the_record_and_has_the_code_of_shells(cli, short, tmp_path, monkeypatch):
+    """The signal comes with the fourth block of samples; unpaced, so that no deadline depends on the load."""
+    write, blocks = RowBuffer.flush, []
 
-    def press_keys():
-        begun = time.monotonic()
-        while time.monotonic() - begun < 60 and (not record.exists() or record.stat().st_size < 100_000):
-            time.sleep(0.05)
-        os.kill(os.getpid(), signal.SIGINT)
+    def flush(rows):
+        blocks.append(write(rows))
+        if len(blocks) == 4:
+            signal.raise_signal(signal.SIGINT)
 
-    pressing = threading.Thread(target=press_keys)
-    pressing.start()
-    found = cli("rig", "control", "short.yaml", "--out", "run", "--duration", "60 s")
-    pressing.join()
+    monkeypatch.setattr(RowBuffer, "flush", flush)
+    found = cli("rig", "control", "short.yaml", "--out", "run", "--unpaced")
     assert found.code == 128 + signal.SIGINT
-    assert "stopped and vented: stopped by SIGINT (Ctrl-C)" in found.err
+    assert "stopped: stopped by SIGINT (Ctrl-C); both muscles were below 0.2 bar" in found.err
     kept = read_record(tmp_path / "run")
     assert [event.kind for event in kept.events] == ["opened", "signal", "vented"]
     sample = kept.columns["sample"]

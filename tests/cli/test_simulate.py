@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mckibben.simulation import Result
-from mckibben.study.reporting import METRICS
+from mckibben.simulation.metrics import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_scenario
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mckibben.simulation.metrics import METRICS
 from mckibben.storage.journal import JournalReader
 from mckibben.study.parameters import list_parameters
-from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep import SweepResult
 

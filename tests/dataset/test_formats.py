@@ -138,10 +138,10 @@ def test_a_text_of_numbers_alone_reads_as_one_with_words(put):
     rng = np.random.default_rng(0)
     rows = [f"{p:.3f};{c:.4f};{f:.2e}\n".replace(".", ",") for p, c, f in rng.uniform(0, 0.4, (50, 3))]
     header = "pressure_bar;contraction_ratio;force_N"
-    plain = read_dataset(put(header + "\n" + "".join(rows)))
+    quote = read_dataset(put(header + "\n" + "".join(rows)))
     worded = read_dataset(put(header + ";note\n" + "".join(row[:-1] + ";a\n" for row in rows)))
-    assert plain.force.tolist() == worded.force.tolist()
-    assert plain.pressure.tolist() == worded.pressure.tolist()
+    assert quote.force.tolist() == worded.force.tolist()
+    assert quote.pressure.tolist() == worded.pressure.tolist()
     rows[30] = "-9;0;0\n"
     expected = ["line 32, pressure_bar: -9 bar is below a vacuum (-1.0132 bar, gauge)"]
     assert said_of(put(header + "\n" + "".join(rows))) == expected
@@ -188,8 +188,9 @@ def test_two_sheets_or_groups_are_never_mixed(put):
     book.save(stream)
     path = put(stream.getvalue(), "a.xlsx")
     assert "'run 2/force_N': gives" not in said_of(path)[0]
-    assert "run 2/force_N: gives force again, after 'run 1/force_N'; keep one of them, or tell by columns" in "".join(
-        said_of(path)
+    assert (
+        "run 2/force_N: gives force again, after 'run 1/force_N'; keep one of them, or assign it by columns"
+        in "".join(said_of(path))
     )
     names = ("pressure_bar", "contraction_percent", "force_N")
     assert read_dataset(path, columns={f"run 2/{name}": name for name in names}).force.tolist() == [7]

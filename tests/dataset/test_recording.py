@@ -116,7 +116,7 @@ def test_the_ends_of_a_sensor_are_recognised_and_left_out():
     assert found.max() < high and found.min() > low
     clipped = ((RUN.force <= low) | (RUN.force >= high)).sum()
     assert points.counts["at the floor of force"] + points.counts["at the ceiling of force"] >= clipped * 0.98
-    assert any("force sticks to 180 N, the ceiling of its channel" in note for note in points.notes)
+    assert any("force is saturated at 180 N, the ceiling of its channel" in note for note in points.notes)
 
 
 @pytest.mark.parametrize("step", [0.05, 2.0])
@@ -185,12 +185,12 @@ def test_nothing_is_known_of_the_way_across_a_break(shift):
 
 def test_tolerance_dwell_and_settle_do_what_they_say():
     creeping = RUN.record(force=RUN.force + 20 * np.exp(-(RUN.time % 3.5 - 0.5).clip(0) / 0.3))
-    plain, settled = creeping.plateaus(), creeping.plateaus(settle=0.99)
-    assert len(plain.dataset) == len(settled.dataset) == len(RUN.plan)
-    bias = plain.dataset.force - settled.dataset.force
-    assert np.all(bias > 1) and settled.counts["settling"] > 3 * plain.counts["settling"]
+    quote, as_column = creeping.plateaus(), creeping.plateaus(settle=0.99)
+    assert len(quote.dataset) == len(as_column.dataset) == len(RUN.plan)
+    bias = quote.dataset.force - as_column.dataset.force
+    assert np.all(bias > 1) and as_column.counts["settling"] > 3 * quote.counts["settling"]
     assert len(creeping.plateaus(force_tolerance=0.5).dataset) > 20
-    assert creeping.plateaus(force_tolerance=0.5).samples.sum() < plain.samples.sum()
+    assert creeping.plateaus(force_tolerance=0.5).samples.sum() < quote.samples.sum()
     with pytest.raises(
         RangeError, match=r"nothing in the recording is steady for 4 s\n  23.00 samples: 0 used.*longer|shorter"
     ):
@@ -299,7 +299,7 @@ def test_files_of_samples(put):
     ("bad", "message"),
     [
         ({"force": np.full(len(RUN.time), np.inf)}, "force: inf at sample 0 is not finite .and"),
-        ({"contraction": 5.0}, "contraction: 5 at sample 0 is not between -1 and 1; .* percent"),
+        ({"contraction": 5.0}, "contraction: 5 at sample 0 is not between -1 and 1 .*; .* percent"),
         ({"pressure": RUN.pressure[1:]}, "pressure: has shape"),
         ({"pressure": RUN.pressure - 3e5}, "is below -101325 Pa"),
         ({"initial_length": -1.0}, "initial_length: -1 m is not above 0"),

@@ -10,16 +10,23 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError, ParameterError, RangeError
-from mckibben.experiment_design import Coefficients, Force, JointStiffness, JointTorque, plan, read_quantity
-from mckibben.experiment_design.candidates import Setting, States
+from mckibben.experiment_design import (
+    Coefficients,
+    Force,
+    JointStiffness,
+    JointTorque,
+    parse_quantity_of_interest,
+    plan,
+)
+from mckibben.experiment_design.candidates import DesignRegion, StateGrid
 from mckibben.experiment_design.information import (
-    Aim,
-    Coordinates,
-    Field,
-    Spread,
-    estimated_spread,
-    information,
-    search,
+    DesignCriterion,
+    ExchangeProblem,
+    IdentifiableSubspace,
+    NoiseModel,
+    estimate_noise,
+    exchange,
+    information_matrix,
 )
 from mckibben.identification import Grouping, design_matrix, identify
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, SarosiLaw
@@ -58,72 +65,72 @@ def made(law, directions, *, noise=1.0, half_width=3.0, seed=0, specimen="MAS-10
 # The algebra.
 
 
-def candidates(joint: bool, stroke: float, seed: int = 1) -> Field:
+def candidates(joint: bool, stroke: float, seed: int = 1) -> ExchangeProblem:
     rng = np.random.default_rng(seed)
-    return Field(
+    return ExchangeProblem(
         rows=rng.normal(size=(30, 4)),
         strokes=np.repeat(np.arange(10), 3),
-        known=information(rng.normal(size=(6, 4)), np.arange(6), Spread(0.7)),
-        spread=Spread(0.7, stroke),
-        aim=Aim.of(rng.normal(size=(3, 4)), joint),
+        information=information_matrix(rng.normal(size=(6, 4)), np.arange(6), NoiseModel(0.7)),
+        noise=NoiseModel(0.7, stroke),
+        criterion=DesignCriterion.of(rng.normal(size=(3, 4)), joint),
     )
 
 
-def brute(field: Field, chosen) -> float:
+def brute(problem: ExchangeProblem, chosen) -> float:
     """The same by inverting the whole covariance of the points."""
-    rows, strokes = field.rows[list(chosen)], field.strokes[list(chosen)]
-    covariance = 0.7**2 * np.eye(len(rows)) + field.spread.stroke**2 * (strokes[:, None] == strokes)
-    known = field.known + rows.T @ np.linalg.inv(covariance) @ rows
-    left = field.aim.gradients @ np.linalg.inv(known) @ field.aim.gradients.T
-    return np.log(np.linalg.det(left)) / 3 if field.aim.joint else np.log(np.trace(left) / 3)
+    rows, strokes = problem.rows[list(chosen)], problem.strokes[list(chosen)]
+    covariance = 0.7**2 * np.eye(len(rows)) + problem.noise.stroke**2 * (strokes[:, None] == strokes)
+    known = problem.information + rows.T @ np.linalg.inv(covariance) @ rows
+    left = problem.criterion.gradients @ np.linalg.inv(known) @ problem.criterion.gradients.T
+    return np.log(np.linalg.det(left)) / 3 if problem.criterion.d_optimal else np.log(np.trace(left) / 3)
 
 
 @pytest.mark.parametrize("joint", [False, True])
 @pytest.mark.parametrize("stroke", [0.0, 1.3])
 def test_one_more_point_is_an_update_of_rank_one(joint, stroke):
-    field = candidates(joint, stroke)
+    problem = candidates(joint, stroke)
     chosen = [0, 1, 7]
-    costs = {one: brute(field, [*chosen, one]) for one in range(30) if one not in chosen}
-    found, cost = field.best(chosen)
+    costs = {one: brute(problem, [*chosen, one]) for one in range(30) if one not in chosen}
+    found, cost = problem.best(chosen)
     assert found == min(costs, key=costs.get)
     assert cost == pytest.approx(costs[found], rel=1e-9)
     for one in (2, 8, 29):  # on a stroke with two points, with one, and with none
-        assert field.best(chosen, np.array([one]))[1] == pytest.approx(costs[one], rel=1e-9)
-        assert field.cost([*chosen, one]) == pytest.approx(costs[one], rel=1e-9)
+        assert problem.best(chosen, np.array([one]))[1] == pytest.approx(costs[one], rel=1e-9)
+        assert problem.cost([*chosen, one]) == pytest.approx(costs[one], rel=1e-9)
 
 
 @pytest.mark.parametrize("joint", [False, True])
 def test_the_search_finds_the_best_of_all_pairs_and_no_exchange_improves_more_points(joint):
-    field = candidates(joint, 1.3)
-    best = min(itertools.combinations(range(30), 2), key=lambda pair: brute(field, pair))
-    assert sorted(search(field, 2)) == list(best)
-    five = search(field, 5)
-    least = brute(field, five)
+    problem = candidates(joint, 1.3)
+    best = min(itertools.combinations(range(30), 2), key=lambda pair: brute(problem, pair))
+    assert sorted(exchange(problem, 2)) == list(best)
+    five = exchange(problem, 5)
+    least = brute(problem, five)
     for place, other in itertools.product(range(5), set(range(30)) - set(five)):
-        assert brute(field, [*five[:place], other, *five[place + 1 :]]) > least - 1e-9
+        assert brute(problem, [*five[:place], other, *five[place + 1 :]]) > least - 1e-9
     greedy: list[int] = []
     for _ in range(5):
-        greedy.append(field.best(greedy)[0])
-    assert least <= brute(field, greedy) + 1e-12
+        greedy.append(problem.best(greedy)[0])
+    assert least <= brute(problem, greedy) + 1e-12
 
 
 def test_a_region_costs_what_all_its_places_cost():
     rng = np.random.default_rng(3)
     many, known = rng.normal(size=(400, 4)), np.diag([1.0, 2.0, 3.0, 4.0])
-    whole = Aim(many, joint=False)
-    assert Aim.of(many, joint=False).gradients.shape == (4, 4)
-    assert Aim.of(many, joint=False).cost(known) == pytest.approx(whole.cost(known), rel=1e-12)
+    whole = DesignCriterion(many, d_optimal=False)
+    assert DesignCriterion.of(many, d_optimal=False).gradients.shape == (4, 4)
+    assert DesignCriterion.of(many, d_optimal=False).cost(known) == pytest.approx(whole.cost(known), rel=1e-12)
 
 
 def test_coordinates_leave_out_what_no_force_tells():
     rows = np.random.default_rng(0).normal(size=(40, 3))
     rows = np.column_stack([rows, rows[:, 0] - 2 * rows[:, 2]]) * [1, 1e-5, 1, 1e4]
-    found = Coordinates.of(rows)
-    assert found.forward.shape == (4, 3)
-    np.testing.assert_allclose((rows @ found.forward).T @ rows @ found.forward / 40, np.eye(3), atol=1e-9)
-    misses = found.misses(np.eye(4))
-    assert misses[1] < 1e-9 and misses[[0, 2, 3]].min() > 0.1
-    assert found.misses(rows[:1])[0] < 1e-9
+    found = IdentifiableSubspace.of(rows)
+    assert found.basis.shape == (4, 3)
+    np.testing.assert_allclose((rows @ found.basis).T @ rows @ found.basis / 40, np.eye(3), atol=1e-9)
+    parts = found.unidentifiable_part(np.eye(4))
+    assert parts[1] < 1e-9 and parts[[0, 2, 3]].min() > 0.1
+    assert found.unidentifiable_part(rows[:1])[0] < 1e-9
 
 
 def test_the_spread_of_points_and_strokes_is_found_without_bias():
@@ -133,7 +140,7 @@ def test_the_spread_of_points_and_strokes_is_found_without_bias():
     for _ in range(400):
         errors = 1.5 * rng.normal(size=60) + 2.0 * rng.normal(size=15)[strokes]
         residuals = errors - rows @ np.linalg.lstsq(rows, errors, rcond=None)[0]
-        found = estimated_spread(rows, residuals, strokes)
+        found = estimate_noise(rows, residuals, strokes)
         squares.append((found.point**2, found.stroke**2))
     point, stroke = np.mean(squares, axis=0)
     assert point == pytest.approx(1.5**2, rel=0.03)
@@ -147,17 +154,17 @@ def test_the_errors_now_are_those_of_the_fit_and_after_those_of_all_points_toget
     found = plan(martens, Coefficients(("c1",)), ExponentialLaw, stroke_error=0.0, points=6)
     now = {name: errors[0] for name, errors in found.parameter_errors.items()}
     assert now == pytest.approx(fit.standard_errors, rel=1e-6)
-    assert found.now == pytest.approx(now["c1"], rel=1e-9)
+    assert found.error_now == pytest.approx(now["c1"], rel=1e-9)
     pressure = [*martens.taut.pressure, *(p.pressure for p in found.points)]
     contraction = [*martens.taut.contraction, *(p.contraction for p in found.points)]
     rows = design_matrix(fit.law, NAMES, contraction, pressure)
     size = np.linalg.norm(rows, axis=0)
     inverse = np.linalg.pinv(rows / size)
-    errors = found.spread.point * np.sqrt(np.sum(inverse**2, axis=1)) / size
+    errors = found.noise.point * np.sqrt(np.sum(inverse**2, axis=1)) / size
     assert {name: e[1] for name, e in found.parameter_errors.items()} == pytest.approx(
         dict(zip(NAMES, errors, strict=True)), rel=1e-5
     )
-    assert found.points[-1].standard_error == found.after == pytest.approx(errors[4], rel=1e-5)
+    assert found.points[-1].standard_error == found.error_after == pytest.approx(errors[4], rel=1e-5)
     there = np.argmin(abs(found.map.states.pressures - 4 * bar)), np.argmin(abs(found.map.states.contractions - 0.052))
     band = fit.force_intervals(0.052, 4 * bar, by=Grouping.POINT).confidence
     assert float(band.standard_error) == pytest.approx(found.map.now[there], rel=1e-5)
@@ -168,14 +175,14 @@ def test_its_points_can_be_measured(martens, fit, specimen):
     found = plan(martens, Force(), ExponentialLaw, points=12, repeats=1)
     force = [float(fit.law.force(p.contraction, p.pressure)) for p in found.points]
     assert [p.force for p in found.points] == pytest.approx(force)
-    assert min(force) > 2 * found.spread.point and max(force) <= 0.95 * 630
+    assert min(force) > 2 * found.noise.point and max(force) <= 0.95 * 630
     for point in found.points:
         assert point.pressure / (0.25 * bar) == pytest.approx(round(point.pressure / (0.25 * bar)), abs=1e-9)
         length = point.contraction * 250  # mm
         assert length == pytest.approx(round(length), abs=1e-6)
         assert -0.03 <= point.contraction <= 0.25 and 0 <= point.pressure <= 8 * bar
     assert len({(p.pressure, p.contraction) for p in found.points}) == 12
-    errors = [found.now, *(p.standard_error for p in found.points)]
+    errors = [found.error_now, *(p.standard_error for p in found.points)]
     assert errors == sorted(errors, reverse=True)
     limited = plan(fit, Force(), specimen=specimen, limits=Domain(0.0, 0.1, 3 * bar, 5 * bar), pressure_step=1 * bar)
     assert {p.pressure / bar for p in limited.points} <= {3.0, 4.0, 5.0}
@@ -186,27 +193,29 @@ def test_one_direction_alone_does_not_tell_friction_from_force(law, as_printed):
     data = identify(ExponentialLaw, made(law, ["loading"]))
     for quantity in (Coefficients(("a1",)), JointStiffness(as_printed, 5 * deg), Coefficients(), Force()):
         found = plan(data, quantity)
-        assert np.isinf(found.now) and np.isfinite(found.after)
+        assert np.isinf(found.error_now) and np.isfinite(found.error_after)
         assert "unloading" in {p.direction for p in found.points[:2]}
     assert np.isinf(found.parameter_errors["a1"][0]) and np.isfinite(found.parameter_errors["decay"][0])
     text = found.report()
-    assert "cannot tell friction from force; measure unloading too" in text
-    assert "a1, friction can change together, in one way" in text
+    assert "friction is not distinguished from force; measure unloading too" in text
+    assert "not identifiable: 1 combination of a1, friction" in text
     for quantity in (Coefficients(("decay",)), JointStiffness(as_printed, 0.0)):
-        assert np.isfinite(plan(data, quantity).now)  # an offset changes no shape, and no stiffness of a straight joint
+        assert np.isfinite(
+            plan(data, quantity).error_now
+        )  # an offset changes no shape, and no stiffness of a straight joint
     with pytest.raises(IdentificationError, match="measure in the other direction than loading too") as caught:
         plan(data, Force(), directions=["loading"])
     assert "friction" in str(caught.value)
     without = plan(data, Force(), directions=["loading"], friction=False)
-    assert np.isfinite(without.now) and {p.direction for p in without.points} == {""}
+    assert np.isfinite(without.error_now) and {p.direction for p in without.points} == {""}
 
 
 def test_both_directions_tell_the_half_width_and_clean_the_noise_of_it(law):
     data = made(law, ["loading", "unloading"], half_width=4.0, noise=0.5)
     found = plan(data, Force(), ExponentialLaw, points=4)
     assert found.half_width == pytest.approx(4.0, abs=0.4)
-    assert np.hypot(found.spread.point, found.spread.stroke) == pytest.approx(0.5, rel=0.35)
-    assert plan(data, Force(), ExponentialLaw, points=4, friction=False).spread.point > 3.0
+    assert np.hypot(found.noise.point, found.noise.stroke) == pytest.approx(0.5, rel=0.35)
+    assert plan(data, Force(), ExponentialLaw, points=4, friction=False).noise.point > 3.0
 
 
 def test_where_strokes_err_as_a_whole_the_points_are_chosen_for_that(law):
@@ -225,39 +234,39 @@ def test_where_strokes_err_as_a_whole_the_points_are_chosen_for_that(law):
         rows = np.column_stack([design_matrix(data.law, NAMES, contraction, pressure), sign])
         rows = rows / (size := np.linalg.norm(rows, axis=0))
         same = [a[:, None] == a for a in (pressure, ways, tests)]
-        covariance = found.spread.point**2 * np.eye(len(rows)) + shared**2 * np.logical_and.reduce(same)
+        covariance = found.noise.point**2 * np.eye(len(rows)) + shared**2 * np.logical_and.reduce(same)
         return np.sqrt(np.linalg.inv(rows.T @ np.linalg.solve(covariance, rows))[1, 1]) / size[1]
 
-    assert found.after == pytest.approx(brute(found.points), rel=1e-5)
-    assert found.after < 0.98 * brute(blind.points)
+    assert found.error_after == pytest.approx(brute(found.points), rel=1e-5)
+    assert found.error_after < 0.98 * brute(blind.points)
 
 
 def test_without_a_fit_it_begins_with_a_guess_and_says_so(law):
     data = made(law, ["loading", "unloading"])
     few = data.select(np.arange(len(data)) < 4)
     found = plan(few, Force(), ExponentialLaw, points=12, noise=1.0)
-    assert np.isinf(found.now) and np.isfinite(found.after)
-    assert any("begins with a guess, ExponentialLaw as it fits the chart" in note for note in found.notes)
+    assert np.isinf(found.error_now) and np.isfinite(found.error_after)
+    assert any("a guess, ExponentialLaw fitted to the chart" in note for note in found.notes)
     given = plan(few, Force(), ExponentialLaw, points=12, noise=1.0, guess=law)
     assert any("the guess given" in note for note in given.notes)
     assert given.law.decay == law.decay and given.law.a2 != law.a2
-    assert np.isfinite(given.after)
+    assert np.isfinite(given.error_after)
     with pytest.raises(ParameterError, match="the guess is a ExponentialLaw"):
         plan(few, Force(), SarosiLaw, guess=law)
     too_few = plan(few, Force(), ExponentialLaw, points=2, guess=law)
-    assert any("even these points do not determine" in note for note in too_few.notes)
+    assert any("stays undetermined" in note for note in too_few.notes)
 
 
 def test_what_the_points_at_hand_cannot_see(martens, law):
-    said = "\n".join(plan(martens, Force(), ExponentialLaw, points=2).unseen)
+    said = "\n".join(plan(martens, Force(), ExponentialLaw, points=2).diagnostics)
     for part in (
         "at 0.5 bar all points are slack",
         "no point below 0 % contraction, where -2.8 % is allowed (the muscle stretched beyond its length)",
         "no point above 6.5 bar, where 8 bar is allowed",
         "directions are not recorded",
-        "nothing was measured twice",
+        "no repeated points",
         "times are not recorded",
-        "the force is uncertain by more than 2 times",
+        "the standard error of the force exceeds 2 times",
     ):
         assert part in said
     data = made(law, ["loading", "unloading"])
@@ -269,8 +278,8 @@ def test_what_the_points_at_hand_cannot_see(martens, law):
         },
         specimen="MAS-10-180N-AA-MC-O",
     )
-    said = "\n".join(plan(twice, Force(), ExponentialLaw, points=2, noise=1.0).unseen)
-    for part in ("directions are not", "nothing was measured twice", "times are not", "all points are"):
+    said = "\n".join(plan(twice, Force(), ExponentialLaw, points=2, noise=1.0).diagnostics)
+    for part in ("directions are not", "no repeated points", "times are not", "all points are"):
         assert part not in said
     assert "no taut point above 12 % contraction" in said
 
@@ -283,22 +292,24 @@ def test_what_cannot_be_planned(martens, fit, as_printed):
 
     assert "-12.8 % is outside -3..25 %" in fails(JointStiffness(as_printed, 50 * deg))
     assert "9 bar is outside 0..8 bar" in fails(JointStiffness(as_printed, 0.0, (9 * bar, 3 * bar)))
-    assert "both muscles are slack, or their errors cancel" in fails(
+    assert "both muscles slack, or their errors cancel" in fails(
         JointTorque(as_printed, 0.0, (3 * bar, 3 * bar)), error=IdentificationError
     )
     assert "nothing to gain" in fails(JointStiffness(as_printed, 0.0, (0.0, 0.0)), error=IdentificationError)
     assert "has no coefficient 'mu'" in fails(Coefficients(("mu",)), error=ParameterError)
-    assert "the law has no force there" in fails(Force(Domain(0.2, 0.25, 0.0, 1 * bar)))
-    assert "does the muscle pull" in fails(Force(), limits=Domain(0.2, 0.25, 0.0, 1 * bar))
-    assert "to choose 8 from" in fails(Force(), limits=Domain(0.052, 0.052, 3 * bar, 4 * bar), pressure_step=1 * bar)
-    assert "too many to choose from" in fails(Force(), pressure_step=10.0)
+    assert "the law has no force" in fails(Force(Domain(0.2, 0.25, 0.0, 1 * bar)))
+    assert "no state within" in fails(Force(), limits=Domain(0.2, 0.25, 0.0, 1 * bar))
+    assert "candidates for 8 points" in fails(
+        Force(), limits=Domain(0.052, 0.052, 3 * bar, 4 * bar), pressure_step=1 * bar
+    )
+    assert "too many candidates" in fails(Force(), pressure_step=10.0)
     assert "0 points" in fails(Force(), points=0)
-    assert "'up' is no direction" in fails(Force(), directions=["up"], error=ParameterError)
+    assert "'up' is not a direction" in fails(Force(), directions=["up"], error=ParameterError)
     assert "a noise of 0 N" in fails(Force(), noise=0.0)
     with pytest.raises(ParameterError, match="kind of law"):
         plan(martens, Force())
     exact = made(catalog.law("lei-mas-10-180n"), ["loading", "unloading"], noise=0.0, half_width=0.0)
-    with pytest.raises(IdentificationError, match="no uncertainty to shrink"):
+    with pytest.raises(IdentificationError, match="no uncertainty to reduce"):
         plan(exact, Force(), ExponentialLaw)
 
 
@@ -332,16 +343,16 @@ def test_quantities_are_read_from_text_and_print_back(as_printed):
         ("torque at 5 deg, 2 bar", JointTorque(as_printed, 5 * deg, (2 * bar, 2 * bar))),
         ("stiffness at 0.1 rad, 2 bar, 4 bar", JointStiffness(as_printed, 0.1, (2 * bar, 4 * bar))),
     ):
-        assert str(read_quantity(text, ExponentialLaw, lambda: as_printed)) == str(same)
-    several = read_quantity("stiffness at -4..4 deg, 3 bar", ExponentialLaw, lambda: as_printed)
+        assert str(parse_quantity_of_interest(text, ExponentialLaw, lambda: as_printed)) == str(same)
+    several = parse_quantity_of_interest("stiffness at -4..4 deg, 3 bar", ExponentialLaw, lambda: as_printed)
     assert np.asarray(several.angle) / deg == pytest.approx([-4, -2, 0, 2, 4])
     assert str(several) == "stiffness at -4..4 deg, 3 bar, 3 bar"
     with pytest.raises(ParameterError, match="has braid_angle"):
-        read_quantity("decay", ChouLaw, lambda: as_printed)
+        parse_quantity_of_interest("decay", ChouLaw, lambda: as_printed)
 
 
 def test_states_are_multiples_of_the_steps(law):
-    found = States.of(law, Setting(Domain(-0.03, 0.25, 0, 6 * bar), 1 / 180, 0.5 * bar, 5.0, 600.0))
+    found = StateGrid.of(law, DesignRegion(Domain(-0.03, 0.25, 0, 6 * bar), 1 / 180, 0.5 * bar, 5.0, 600.0))
     assert len(found.pressures) == 13
     assert found.contractions[0] == pytest.approx(-5 / 180) and found.contractions[-1] == pytest.approx(45 / 180)
     force = np.asarray(law.force(found.contractions, found.pressures[:, None]))
@@ -381,7 +392,7 @@ class Family:
         """Least squares of many data sets at once, shape (sets, points): Gauss-Newton from the truth."""
         sets = len(force)
         theta, half = np.tile(self.truth, (sets, 1)), np.zeros((sets, 1))
-        for _ in range(10):
+        for _ in range(7):
             falling = np.exp(-theta[:, -1:] * c)
             steep = -c * falling * (theta[:, -3:-2] + theta[:, -2:-1] * p)
             rows = [*self.columns(np.broadcast_to(c, falling.shape), p, falling), steep, sign]
@@ -403,7 +414,7 @@ def knee_of(paper, family, theta):
     return knee
 
 
-SETS = 1000
+SETS = 400
 
 
 @pytest.mark.parametrize("name", ["lei-mas-10-180n", "sarosi-dmsp-10"])
@@ -450,16 +461,16 @@ def test_planned_points_beat_as_many_evenly_spaced_ones_in_fact(name, paper, as_
             realised[which] = spread(theta, kind)
         assert realised["planned"] < 0.97 * realised["even"], kind
         # In fact as in theory, as far as the plan's own estimates of law and noise go.
-        promised = (found.after / found.even) / (realised["planned"] / realised["even"])
+        promised = (found.error_after / found.error_even) / (realised["planned"] / realised["even"])
         assert promised == pytest.approx(1, abs=0.25), kind
 
 
 def test_without_a_point_that_pulls_the_noise_and_the_specimen_have_to_be_given(specimen):
     slack = IsobaricDataset.of(pressure=[1e5, 2e5], contraction=[0.2, 0.2], force=[0.0, 0.0])
-    with pytest.raises(IdentificationError, match="no point pulls"):
+    with pytest.raises(IdentificationError, match="all forces are zero"):
         plan(slack, Force(), ExponentialLaw)
-    with pytest.raises(RangeError, match="how hard the muscle may pull; name the specimen"):
+    with pytest.raises(RangeError, match="name the specimen"):
         plan(slack, Force(), ExponentialLaw, noise=1.0)
     found = plan(slack, Force(), ExponentialLaw, noise=1.0, specimen=specimen, points=10)
-    assert np.isinf(found.now) and np.isfinite(found.after)
-    assert "no point is taut: nothing is known of the force but that it is small" in found.unseen
+    assert np.isinf(found.error_now) and np.isfinite(found.error_after)
+    assert "no point is taut: the force is not determined anywhere" in found.diagnostics

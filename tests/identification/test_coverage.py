@@ -1,4 +1,4 @@
-"""Whether 95 % intervals hold the truth 95 % of the time, over hundreds of synthetic data sets: see the benchmark."""
+"""Coverage of 95 % intervals over hundreds of synthetic data sets: see the benchmark."""
 
 import importlib.util
 from pathlib import Path
@@ -11,7 +11,7 @@ from mckibben.identification import Grouping
 _SPEC = importlib.util.spec_from_file_location("coverage", Path(__file__).parents[2] / "benchmarks" / "coverage.py")
 coverage = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(coverage)
-SETS = 500
+SETS = 300  # the standard error of a coverage of 95 % is 1.3 %
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +27,8 @@ def knee():
 def test_noise_of_a_plateau_counts_once_and_its_mean_is_covered(points, knee):
     found = coverage.shares(points, knee, SETS, common=False)
     for by, share in found.items():
-        assert np.all(share >= 0.93), (by, share)
-        assert np.all(share <= 0.97), (by, share)
+        assert np.all(share >= 0.92), (by, share)
+        assert np.all(share <= 0.98), (by, share)
 
 
 def test_samples_of_a_plateau_are_no_independent_points(points):
@@ -42,8 +42,8 @@ def test_an_error_common_to_a_stroke_is_covered_where_strokes_are_the_groups(poi
     assert coverage.stroke_labels(points).max() + 1 == 18
     found = coverage.shares(points, knee, SETS, common=True)
     share = found[Grouping.STROKE]
-    assert np.all(share >= 0.93), share
-    assert np.all(share <= 0.97), share
+    assert np.all(share >= 0.92), share
+    assert np.all(share <= 0.98), share
     classical = found[Grouping.POINT]
     assert classical[7] < 0.75  # of the force
     assert np.all(classical[[2, 3]] < 0.9)  # b1, b2

@@ -1,4 +1,4 @@
-"""Creep from the samples of plateaus of the virtual rig, whose truth is known."""
+"""Creep from the samples of plateaus of the simulated rig, whose truth is known."""
 
 import dataclasses
 import math
@@ -12,7 +12,7 @@ from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.creep import identify_creep
 from mckibben.identification.hysteresis import identify_hysteresis
 from mckibben.muscle import MaxwellCreep, Muscle, NoCreep
-from mckibben.rig import IsobaricProtocol, VirtualRig
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar
 
 SPECIMEN, LAW = catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n")
@@ -22,7 +22,7 @@ TIMES = {"interval": 0.05, "dwell": PROTOCOL.dwell, "speed": PROTOCOL.speed}
 
 def measured(creep, seed, protocol=PROTOCOL, **sensor):
     muscle = Muscle(SPECIMEN, LAW, creep=creep)
-    return VirtualRig(muscle, **{"force_noise": 0.1, **sensor}).run(protocol, seed=seed)
+    return SimulatedIsobaricTest(muscle, **{"force_noise": 0.1, **sensor}).run(protocol, seed=seed)
 
 
 @pytest.fixture(scope="module")

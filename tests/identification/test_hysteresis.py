@@ -1,4 +1,4 @@
-"""Friction, law and drift from loading and unloading curves of the virtual rig, whose truth is known."""
+"""Friction, law and drift from loading and unloading curves of the simulated rig, whose truth is known."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ from mckibben.identification import identify
 from mckibben.identification.hysteresis import identify_hysteresis
 from mckibben.identification.loading_path import FRICTION, DriftBasis, LoadingPaths, PathDependentModel
 from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellSlip, Muscle, forces
-from mckibben.rig import IsobaricProtocol, VirtualRig
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, mm, percent
 
 SPECIMEN, LAW = catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n")
@@ -32,18 +32,18 @@ def off(law):
 def drifting():
     """Hysteresis, which grows with pressure, and a sensor that drifts."""
     friction = MaxwellSlip(10.0, 1.5 * mm, growth=1 / bar, reference_pressure=3.5 * bar)
-    data = VirtualRig(Muscle(SPECIMEN, LAW, friction), force_drift=0.5).run(PROTOCOL, seed=1).plateau_means()
+    data = SimulatedIsobaricTest(Muscle(SPECIMEN, LAW, friction), force_drift=0.5).run(PROTOCOL, seed=1).plateau_means()
     return data, identify_hysteresis(ExponentialLaw, data)
 
 
 @pytest.mark.parametrize("seed", [2, 3])
 @pytest.mark.parametrize("sensor", [{}, {"force_drift": -0.5, "force_wander": 0.1}])
 def test_hysteresis_and_law_are_found_as_well_as_the_law_without(seed, sensor):
-    found = identify_hysteresis(ExponentialLaw, VirtualRig(MUSCLE, **sensor).run(PROTOCOL, seed=seed))
+    found = identify_hysteresis(ExponentialLaw, SimulatedIsobaricTest(MUSCLE, **sensor).run(PROTOCOL, seed=seed))
     assert found.friction.half_width == pytest.approx(12, rel=2e-3)
     assert found.friction.presliding_length == pytest.approx(0.5 * mm, rel=0.1)
     assert found.friction.growth == 0.0 and np.isnan(found.standard_errors["growth"])
-    clean = off(identify(ExponentialLaw, VirtualRig(MUSCLE, hysteresis=0).run(PROTOCOL, seed=seed)).law)
+    clean = off(identify(ExponentialLaw, SimulatedIsobaricTest(MUSCLE, hysteresis=0).run(PROTOCOL, seed=seed)).law)
     assert off(found.law) < 2.5 * clean < 0.05  # both are a few hundredths of a newton
     assert (found.drift is None) == (not sensor)
 
@@ -93,7 +93,7 @@ def test_a_known_law_may_be_given(drifting):
 
 def test_a_presliding_shorter_than_a_step_is_said_not_to_be_known():
     coarse = dataclasses.replace(PROTOCOL, step=5 * mm)
-    found = identify_hysteresis(LAW, VirtualRig(MUSCLE).run(coarse, seed=1))
+    found = identify_hysteresis(LAW, SimulatedIsobaricTest(MUSCLE).run(coarse, seed=1))
     assert np.isnan(found.standard_errors["presliding_length"])
     assert found.friction.presliding_length < 5 * mm / 4
     assert len(found.warnings) == 1 and "the presliding length is not determined (steps of 5 mm)" in found.warnings[0]
@@ -102,7 +102,7 @@ def test_a_presliding_shorter_than_a_step_is_said_not_to_be_known():
 
 def test_two_pressures_tell_no_growth():
     few = dataclasses.replace(PROTOCOL, pressures=[2 * bar, 4 * bar])
-    found = identify_hysteresis(LAW, VirtualRig(MUSCLE).run(few, seed=1))
+    found = identify_hysteresis(LAW, SimulatedIsobaricTest(MUSCLE).run(few, seed=1))
     assert found.friction.growth == 0 and "fewer than three pressures" in found.warnings[0]
 
 
@@ -125,7 +125,9 @@ def test_data_that_cannot_tell_are_refused(drifting):
     refused("paths at constant pressure", IsobaricDataset(data.table.drop_vars("set_pressure")))
     by_length = np.lexsort([data.contraction, data.levels])
     refused("the direction changes .* times in .* moves", IsobaricDataset(timeless.isel(point=by_length)))
-    refused("the data show no hysteresis", VirtualRig(MUSCLE, hysteresis=0).run(PROTOCOL, seed=1).plateau_means())
+    refused(
+        "the data show no hysteresis", SimulatedIsobaricTest(MUSCLE, hysteresis=0).run(PROTOCOL, seed=1).plateau_means()
+    )
     apart = data.select((direction == "loading") == (np.round(data.contraction * 90) % 2 == 0))
     refused("in both directions|against the direction", apart)
 
@@ -149,7 +151,7 @@ def model(drifting):
 def test_the_force_along_the_way_is_that_of_the_rig(model):
     quiet = {"force_noise": 0, "pressure_noise": 0, "regulator_offset": 0}
     own = MaxwellSlip(9.0, 1 * mm, growth=1 / bar, reference_pressure=3 * bar)
-    data = VirtualRig(Muscle(SPECIMEN, LAW, own), **quiet).run(PROTOCOL, seed=0)
+    data = SimulatedIsobaricTest(Muscle(SPECIMEN, LAW, own), **quiet).run(PROTOCOL, seed=0)
     exact = dataclasses.replace(model, paths=LoadingPaths.of(data), means=data)
     tension, friction = exact.components({"half_width": 9.0, "growth": 1 / bar, "log_presliding": np.log(1e-3)})
     np.testing.assert_allclose(tension + friction, data.force, atol=1e-9)
@@ -172,7 +174,7 @@ def test_the_jacobian_is_that_of_small_changes(model):
 
 
 def test_the_drift_is_straight_between_its_knots():
-    data = VirtualRig(MUSCLE).run(PROTOCOL, seed=1).plateau_means()
+    data = SimulatedIsobaricTest(MUSCLE).run(PROTOCOL, seed=1).plateau_means()
     none, line, bent = DriftBasis.candidates(LoadingPaths.of(data), data)
     time = data.table["time"].to_numpy()
     assert none.points.shape[1] == 0 and line.points.shape[1] == 2
@@ -189,7 +191,7 @@ def test_a_law_of_another_kind_leaves_what_it_cannot_say_to_the_residuals():
     """Chou's law has no exponential: the friction is still found, roughly, and the residuals show the rest."""
     chou = Muscle(SPECIMEN, ChouLaw.of(SPECIMEN))
     narrow = dataclasses.replace(PROTOCOL, contraction_min=2 * percent)
-    found = identify_hysteresis(ExponentialLaw, VirtualRig(chou).run(narrow, seed=1))
+    found = identify_hysteresis(ExponentialLaw, SimulatedIsobaricTest(chou).run(narrow, seed=1))
     assert found.friction.half_width == pytest.approx(12, rel=0.02)
     assert any("decay is held at the bound" in warning for warning in found.warnings)
 

@@ -1,10 +1,10 @@
-"""What the tests of the paper's study share: one reduced run of it."""
+"""One reduced reproduction for all tests of a worker."""
 
 from __future__ import annotations
 
 import pytest
 
-from mckibben.paper.claims import judge
+from mckibben.paper.claims import evaluate_claims
 from mckibben.paper.identification import run_identification, run_joint
 from mckibben.paper.reproduction import Reproduction
 from mckibben.paper.tracking import run_tracking
@@ -22,16 +22,16 @@ def joint_maps():
 
 @pytest.fixture(scope="session")
 def reported():
-    """The progress that the tracking reported; filled when `tracking` has run."""
+    """Progress reported by `tracking`."""
     return []
 
 
 @pytest.fixture(scope="session")
 def tracking(reported):
-    return run_tracking(seeds=2, generations=2, progress=reported.append)
+    return run_tracking(seeds=2, generations=2, population=8, progress=reported.append)
 
 
 @pytest.fixture(scope="session")
 def reproduction(identification, joint_maps, tracking):
-    claims = judge(identification, joint_maps, tracking)
+    claims = evaluate_claims(identification, joint_maps, tracking)
     return Reproduction(identification, joint_maps, tracking, claims, quick=True, seconds=1.0)

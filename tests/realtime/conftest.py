@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mckibben.plant import JointPlant, PlantState
-from mckibben.realtime import PERFECT, ControlProgram, Course, JointLimits, VirtualJoint, control
-from mckibben.realtime.compiled_step import Answer, PlantProgram
+from mckibben.realtime import PERFECT, ControlProgram, JointLimits, RunPlan, SimulatedJoint, control
+from mckibben.realtime.compiled_step import PlantProgram, StepResult
 from mckibben.study.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
@@ -42,7 +42,7 @@ class StiffJoint:
     def state(self, state):
         return np.array([0.0, 0.0, *map(float, state.pressures)])
 
-    def over(self, state, command1, command2, time):
+    def advance(self, state, command1, command2, time):
         angle, velocity, pressure1, pressure2 = state.tolist()
         share = 1 - math.exp(-time / 0.02)
         pressure1, pressure2 = pressure1 + share * (command1 - pressure1), pressure2 + share * (command2 - pressure2)
@@ -61,7 +61,7 @@ class SteadyControl:
         return None
 
     def step(self, state, told):
-        return Answer(None, np.array([*self.commands, 0.0, 13.0]))
+        return StepResult(None, np.array([*self.commands, 0.0, 13.0]))
 
 
 class Knee(NamedTuple):
@@ -73,20 +73,20 @@ class Knee(NamedTuple):
 
     def joint(self, *, vented=False, sensing=PERFECT, **changes):
         start = None if vented else self.start
-        return VirtualJoint(self.plant, period=PERIOD, start=start, sensing=sensing, program=self.moved, **changes)
+        return SimulatedJoint(self.plant, period=PERIOD, start=start, sensing=sensing, program=self.moved, **changes)
 
-    def course(self, periods=100, raising=0, settling=0, wish=None):
+    def plan(self, periods=100, raising=0, settling=0, reference=None):
         times = np.arange(periods) * PERIOD
-        angle = 10 * deg * np.sin(np.pi * times) if wish is None else np.full(periods, wish)
-        wishes = np.stack([angle, np.full(periods, 13.0)], axis=1)
+        angle = 10 * deg * np.sin(np.pi * times) if reference is None else np.full(periods, reference)
+        references = np.stack([angle, np.full(periods, 13.0)], axis=1)
         pressures = tuple(map(float, self.start.pressures))
-        return Course(wishes, PERIOD, raising, settling, pressures, ((0.0, 8 * bar), (0.0, 8 * bar)))
+        return RunPlan(references, PERIOD, raising, settling, pressures, ((0.0, 8 * bar), (0.0, 8 * bar)))
 
-    def run(self, joint=None, *, course=None, limits=None, recorder=None, **options):
+    def run(self, joint=None, *, plan=None, limits=None, recorder=None, **options):
         kept = Kept() if recorder is None else recorder
         joint = joint or self.joint()
-        ending = control(joint, self.control, course or self.course(), limits or LIMITS, kept, **options)
-        return ending, kept
+        outcome = control(joint, self.control, plan or self.plan(), limits or LIMITS, kept, **options)
+        return outcome, kept
 
 
 LIMITS = JointLimits(lowest_angle=-30 * deg, highest_angle=45 * deg, pressure=8.4 * bar)

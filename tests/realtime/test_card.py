@@ -1,4 +1,4 @@
-"""The joint on a card: the real `nidaqmx`, which talks to a card in this process with a virtual joint behind it."""
+"""The joint on a card: the real `nidaqmx`, which talks to a card in this process with a simulated joint behind it."""
 
 import importlib.util
 import sys
@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.rig.ni import NiBackend
-from mckibben.rig.ni import Wiring as Terminals
-from mckibben.rig.twin.faults import Silent
+from mckibben.rig.ni import NiBackend, Terminals
+from mckibben.rig.simulated.faults import SamplesStopped
 from mckibben.units import bar, ms
 
 from .conftest import PERIOD
@@ -58,7 +57,7 @@ class JointCard(device.Card):
 
     def _wired(self):
         if self.lines[device.HOLD] and self.twin.is_open:
-            self.twin.press(self.valves)
+            self.twin.set_valves(self.valves)
         else:
             self.twin.vent()
 
@@ -83,23 +82,23 @@ def on_card():
 
 
 def test_on_a_card_a_run_is_the_one_without(stiff, on_card):
-    course = stiff.course(30, raising=30, settling=10)
+    plan = stiff.plan(30, raising=30, settling=10)
     joint = stiff.joint(vented=True, patience=1.0)
-    ending, kept = stiff.run(on_card(joint), course=course)
-    alone, expected = stiff.run(stiff.joint(vented=True), course=course)
-    assert ending.completed and alone.completed
+    outcome, kept = stiff.run(on_card(joint), plan=plan)
+    alone, expected = stiff.run(stiff.joint(vented=True), plan=plan)
+    assert outcome.completed and alone.completed
     for name in ("volts_angle", "volts_pressure1", "volts_pressure2", "command1", "command2"):
         mine, other = kept.columns[name][:69], expected.columns[name][:69]
         np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-9)
-    assert ending.vented_after < 0.1
+    assert outcome.vented_after < 0.1
     joint.pass_time(200 * ms)
     assert max(joint.truth[2:]) < 0.05 * bar
 
 
 def test_a_card_that_falls_silent_is_vented(stiff, on_card):
-    joint = stiff.joint(patience=1.0, faults=[Silent(20 * PERIOD)])
-    ending, kept = stiff.run(on_card(joint), course=stiff.course(60))
-    assert ending.kind == "silent"
+    joint = stiff.joint(patience=1.0, faults=[SamplesStopped(20 * PERIOD)])
+    outcome, kept = stiff.run(on_card(joint), plan=stiff.plan(60))
+    assert outcome.kind == "silent"
     assert kept.columns["sample"].size >= 20
     joint.pass_time(200 * ms)
     assert max(joint.truth[2:]) < 0.05 * bar

@@ -15,7 +15,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "rig" / "joint-rig.yaml"
 
 def test_the_example_says_what_the_defaults_are_but_for_the_angles():
     rig = JointRig.read(EXAMPLE)
-    assert rig.virtual.angle_step == pytest.approx(0.022 * deg) and rig.virtual.pressure_noise == 4 * kPa
+    assert rig.simulated.angle_step == pytest.approx(0.022 * deg) and rig.simulated.pressure_noise == 4 * kPa
     assert rig.limits.lowest_angle == -30 * deg and rig.limits.pressure == pytest.approx(8.4 * bar)
     assert rig.limits.silence == 20 * ms and rig.limits.late == 50 * ms
     assert (rig.approach.raising, rig.approach.settling, rig.patience) == (2.0, 2.0, 0.1)

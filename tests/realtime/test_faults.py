@@ -8,8 +8,15 @@ import pytest
 
 from mckibben.realtime import loop
 from mckibben.realtime.loop import StopFlag
-from mckibben.realtime.simulated import Unplugged, VirtualJoint
-from mckibben.rig.twin.faults import Delaying, Dropping, HostDelayed, Silent, SupplyLost
+from mckibben.realtime.simulated import SimulatedJoint
+from mckibben.rig.simulated.faults import (
+    HostDelayed,
+    SamplesDelayed,
+    SamplesDropped,
+    SamplesStopped,
+    SensorDisconnected,
+    SupplyLost,
+)
 from mckibben.units import bar, ms
 
 from .conftest import LIMITS, PERIOD, Kept
@@ -18,7 +25,7 @@ PERIODS = 30
 INSTANTS = np.random.default_rng(5).uniform(0, PERIODS * PERIOD, 200)
 
 
-class Watched(VirtualJoint):
+class Watched(SimulatedJoint):
     """Notes when it was vented first, by its own clock."""
 
     vented_at = math.inf
@@ -38,17 +45,17 @@ def watched(stiff):
     return make
 
 
-def check_vented(joint, kept, ending, kind):
+def check_vented(joint, kept, outcome, kind):
     """Vented, empty, with the reason in the record."""
-    assert ending.kind == kind and ending.error is not None
-    assert next(event for event in kept.events if event[0] == kind)[1] == ending.text
+    assert outcome.kind == kind and outcome.error is not None
+    assert next(event for event in kept.events if event[0] == kind)[1] == outcome.text
     joint.pass_time(200 * ms)
     assert max(joint.truth[2:]) < 0.05 * bar
 
 
-def check_safe(joint, kept, ending, kind):
+def check_safe(joint, kept, outcome, kind):
     """And every sample that was taken is in the record."""
-    check_vented(joint, kept, ending, kind)
+    check_vented(joint, kept, outcome, kind)
     sample = kept.columns["sample"]
     assert np.array_equal(sample, np.arange(sample.size))
     return kept.columns
@@ -61,70 +68,78 @@ SENSORS = ("angle", "pressure1", "pressure2")
 def test_a_sensor_that_is_lost_at_any_time_vents_within_its_period(stiff, watched, monkeypatch, sensor):
     monkeypatch.setattr(loop, "_VENTING", 100 * ms)  # s for which it would look for a pressure that it cannot read
     for instant in INSTANTS:
-        joint = watched(faults=[Unplugged(instant, sensor)])
-        ending, kept = stiff.run(joint, course=stiff.course(PERIODS + 1))
-        columns = check_safe(joint, kept, ending, "stopped")
-        assert f"the sensor of {sensor} is lost" in ending.text
+        joint = watched(faults=[SensorDisconnected(instant, sensor, 0.0)])
+        outcome, kept = stiff.run(joint, plan=stiff.plan(PERIODS + 1))
+        columns = check_safe(joint, kept, outcome, "stopped")
+        assert f"the {sensor[:8]} {sensor[8:]} sensor is lost".replace("  ", " ") in outcome.text
         found = math.ceil(instant / PERIOD - 1e-9)
         assert joint.vented_at == pytest.approx(found * PERIOD, abs=1e-9)
         assert (columns["phase"] < 3).sum() == found + 1
-        assert (ending.vented_after is None) == (sensor != "angle")
+        assert (outcome.vented_after is None) == (sensor != "angle")
 
 
 def test_a_device_that_falls_silent_at_any_time(stiff, watched):
     for instant in INSTANTS:
-        joint = watched(faults=[Silent(instant)])
-        ending, kept = stiff.run(joint, course=stiff.course(PERIODS + 1))
-        check_safe(joint, kept, ending, "silent")
+        joint = watched(faults=[SamplesStopped(instant)])
+        outcome, kept = stiff.run(joint, plan=stiff.plan(PERIODS + 1))
+        check_safe(joint, kept, outcome, "silent")
         found = math.ceil(instant / PERIOD - 1e-9) * PERIOD
         assert joint.vented_at == pytest.approx(found + LIMITS.silence, abs=1e-9)
 
 
 def test_samples_that_are_late_at_any_time(stiff, watched):
     for instant in INSTANTS:
-        joint = watched(faults=[Delaying(instant, 60 * ms)])
-        ending, kept = stiff.run(joint, course=stiff.course(PERIODS + 1))
-        check_safe(joint, kept, ending, "stopped")
-        assert "old" in ending.text
+        joint = watched(faults=[SamplesDelayed(instant, 60 * ms)])
+        outcome, kept = stiff.run(joint, plan=stiff.plan(PERIODS + 1))
+        check_safe(joint, kept, outcome, "stopped")
+        assert "old" in outcome.text
         assert joint.vented_at == pytest.approx(math.ceil(instant / PERIOD - 1e-9) * PERIOD + 60 * ms, abs=1e-9)
 
 
 def test_a_host_that_is_away_for_longer_than_the_rig_waits(stiff, watched):
     for instant in INSTANTS:
         joint = watched(faults=[HostDelayed(instant, 0.12)])
-        ending, kept = stiff.run(joint, course=stiff.course(PERIODS + 1))
-        check_safe(joint, kept, ending, "stopped")
+        outcome, kept = stiff.run(joint, plan=stiff.plan(PERIODS + 1))
+        check_safe(joint, kept, outcome, "stopped")
+
+
+def test_samples_from_before_the_stop_do_not_count_for_the_vent(stiff, watched):
+    """A suspended host finds seconds of samples from before."""
+    joint = watched(faults=[HostDelayed(10 * PERIOD, 5.0)], patience=60.0)
+    outcome, kept = stiff.run(joint, plan=stiff.plan(PERIODS))
+    columns = check_safe(joint, kept, outcome, "stopped")
+    assert 0.03 < outcome.vented_after < 0.2 and columns["time"][-1] > 5.0
 
 
 def test_too_many_samples_dropped_at_any_time(stiff, watched):
     for instant in INSTANTS:
-        joint = watched(faults=[Dropping(instant, 60)])
-        ending, kept = stiff.run(joint, course=stiff.course(PERIODS + 100))
-        check_vented(joint, kept, ending, "stopped")
-        assert "60 samples were dropped" in ending.text
+        joint = watched(faults=[SamplesDropped(instant, 60)])
+        outcome, kept = stiff.run(joint, plan=stiff.plan(PERIODS + 100))
+        check_vented(joint, kept, outcome, "stopped")
+        assert "60 samples were dropped" in outcome.text
 
 
 def test_air_that_fails_is_found_before_the_joint_has_gone_far(stiff, watched):
     for instant in INSTANTS:
         joint = watched(faults=[SupplyLost(instant)])
-        ending, kept = stiff.run(joint, course=stiff.course(300))
-        columns = check_safe(joint, kept, ending, "stopped")
-        assert "does not follow" in ending.text
+        outcome, kept = stiff.run(joint, plan=stiff.plan(300))
+        columns = check_safe(joint, kept, outcome, "stopped")
+        assert "does not follow" in outcome.text
         assert columns["time"][-1] < instant + 0.2
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_at_any_time_vents_within_a_period(stiff, watched, number):
     for instant in INSTANTS:
-        told, joint = StopFlag(), watched()
+        flag, joint = StopFlag(), watched()
 
-        def show(shown, told=told, instant=instant):
+        def progress(shown, flag=flag, instant=instant):
             if shown.time >= instant - PERIOD:
-                told.signal = number
+                flag.signal = number
 
-        ending, kept = stiff.run(joint, course=stiff.course(PERIODS + 2), told=told, show=show)
-        check_safe(joint, kept, ending, "signal")
-        assert ending.error.signal == number
+        outcome, kept = stiff.run(joint, plan=stiff.plan(PERIODS + 2), stop_flag=flag, progress=progress)
+        check_safe(joint, kept, outcome, "signal")
+        assert outcome.error.signal == number
         assert instant - PERIOD <= joint.vented_at <= instant + PERIOD
 
 
@@ -140,12 +155,12 @@ def test_an_exception_at_any_time_vents_and_is_raised_again(stiff, watched):
 
         kept = Noting()
 
-        def show(shown, instant=instant):
+        def progress(shown, instant=instant):
             if shown.time >= instant - PERIOD:
                 raise ZeroDivisionError("a fault of the host's own")
 
         with pytest.raises(ZeroDivisionError):
-            stiff.run(joint, course=stiff.course(PERIODS + 2), recorder=kept, show=show)
+            stiff.run(joint, plan=stiff.plan(PERIODS + 2), recorder=kept, progress=progress)
         assert kept.events[-1] == ("failed", "ZeroDivisionError: a fault of the host's own")
         assert vented_before == [True] and instant - PERIOD <= joint.vented_at <= instant
         joint.pass_time(200 * ms)
@@ -158,11 +173,11 @@ def test_a_host_that_dies_is_found_by_the_rig_itself(stiff):
         joint = stiff.joint(patience=20 * ms)
         joint.open()
         joint.read(1)
-        joint.press([4.0, 4.0])
-        joint.beat()
+        joint.set_valves([4.0, 4.0])
+        joint.heartbeat()
         while joint.clock() < instant:
             joint.read(1)
-            joint.beat()
+            joint.heartbeat()
         joint.pass_time(15 * ms)
         assert min(joint.truth[2:]) > 0.5 * bar
         joint.pass_time(200 * ms)
@@ -179,8 +194,8 @@ def test_a_recorder_that_fails_stops_the_run(stiff, watched):
             super().append(table)
 
     joint, kept = watched(), Full()
-    ending, _ = stiff.run(joint, course=stiff.course(300), recorder=kept)
-    assert ending.kind == "rig" and "no space left" in ending.text
+    outcome, _ = stiff.run(joint, plan=stiff.plan(300), recorder=kept)
+    assert outcome.kind == "rig" and "no space left" in outcome.text
     assert joint.vented_at < 0.11
     joint.pass_time(200 * ms)
     assert max(joint.truth[2:]) < 0.05 * bar

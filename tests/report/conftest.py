@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from mckibben.paper import Reproduction
-from mckibben.paper.claims import judge
+from mckibben.paper.claims import evaluate_claims
 from mckibben.paper.identification import run_identification, run_joint
-from mckibben.paper.settings import SETTINGS, Wish, bp_scenario, gains_of, pid_scenario
-from mckibben.paper.tracking import BP, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, Coupling, Run, Tracking
+from mckibben.paper.settings import SETTINGS, StiffnessReference, bp_scenario, gains_of, pid_scenario
+from mckibben.paper.tracking import BP, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun, Coupling, Tracking
 from mckibben.simulation import Metrics
-from mckibben.study.parameters import list_parameters, with_values
+from mckibben.study.parameters import addresses, with_values
 from mckibben.study.scenario.running import run_scenario
-from mckibben.study.tune import TuningResult
 
 SEEDS = 3
 
@@ -31,23 +30,23 @@ def _spread(run):
 def reproduction():
     runs, tuned, coupling = {}, {}, {}
     for setting in SETTINGS:
-        moderate = pid_scenario(setting, Wish.CONSTANT)
-        doubled = {a.name: 2 * a.nominal for a in list_parameters(moderate) if a.name.endswith(("kp", "ki"))}
+        moderate = pid_scenario(setting, StiffnessReference.CONSTANT)
+        doubled = {a.name: 2 * a.nominal for a in addresses(moderate) if a.name.endswith(("kp", "ki"))}
         found = with_values(moderate, doubled)
-        tuned[setting.key] = TuningResult(doubled, (found,), 5.0, 80.0, 100, ("controller.position.ki",), ())
+        tuned[setting.key] = Tuned(doubled, (found,), 5.0, 80.0, 100, ("controller.position.ki",), ())
         coupling[setting.key] = Coupling(1e-3, 0.1, 1e-14)
         gains = gains_of(found)
-        for wish in Wish:
+        for wish in StiffnessReference:
             for name, given in ((PID, None), (TUNED_PID, gains)):
                 scenario = pid_scenario(setting, wish, given, name=name)
-                runs[setting.key, wish, name] = Run(scenario, run_scenario(scenario).result, None)
+                runs[setting.key, wish, name] = ControllerRun(scenario, run_scenario(scenario).result, None)
             for name, given, ratio in ((BP, None, 2.0), (TUNED_BP, gains, 1.1), (FREE_TUNED_BP, gains, 2.0)):
                 scenario = bp_scenario(setting, wish, given, gain_ratio=ratio, name=name)
-                run = Run(scenario, run_scenario(scenario).result, None)
+                run = ControllerRun(scenario, run_scenario(scenario).result, None)
                 runs[setting.key, wish, name] = dataclasses.replace(run, seeds=_spread(run))
     identification, joint = run_identification(repeats=2), run_joint(resolution=81)
     tracking = Tracking(runs, tuned, coupling, SEEDS)
-    claims = judge(identification, joint, tracking)
+    claims = evaluate_claims(identification, joint, tracking)
     return Reproduction(identification, joint, tracking, claims, True, 12.3)
 
 

@@ -8,7 +8,7 @@ from mckibben.errors import RangeError
 from mckibben.identification.creep import identify_creep
 from mckibben.muscle import MaxwellCreep, Muscle, NoCreep
 from mckibben.report.hysteresis import relaxation
-from mckibben.rig import IsobaricProtocol, VirtualRig
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar
 
 PROTOCOL = IsobaricProtocol(pressures=[3 * bar, 5 * bar], repeats=1, samples=40, acquisition=5.0)
@@ -17,7 +17,7 @@ PROTOCOL = IsobaricProtocol(pressures=[3 * bar, 5 * bar], repeats=1, samples=40,
 def drawn(creep):
     law = catalog.law("lei-mas-10-180n")
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), law, creep=creep)
-    data = VirtualRig(muscle, force_noise=0.05).run(PROTOCOL, seed=1)
+    data = SimulatedIsobaricTest(muscle, force_noise=0.05).run(PROTOCOL, seed=1)
     found = identify_creep(data, interval=0.125, dwell=PROTOCOL.dwell, speed=PROTOCOL.speed)
     return data, found, relaxation(data, found)
 

@@ -12,7 +12,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import RangeError
 from mckibben.identification import identify
 from mckibben.muscle import ExponentialLaw
-from mckibben.paper.settings import SETTINGS, Wish
+from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.report import isobaric, law_comparison, save, tracking
 from mckibben.report.style import CONTROLLERS, house_style, looks_of, robust_limits
 
@@ -103,10 +103,10 @@ def test_the_drawings_are_not_heavy(drawn, tmp_path):
 def test_any_number_of_results_of_one_reference_can_be_drawn(reproduction):
     runs = reproduction.tracking.runs
     key = SETTINGS[1].key
-    one = tracking({"mine": runs[key, Wish.STEP, "PID"].result})
+    one = tracking({"mine": runs[key, StiffnessReference.STEP, "PID"].result})
     check(one)
     assert "pressure [bar]" in [axes.get_ylabel() for axes in one.axes]
-    many = tracking({name: runs[key, Wish.STEP, name].result for name in CONTROLLERS})
+    many = tracking({name: runs[key, StiffnessReference.STEP, name].result for name in CONTROLLERS})
     check(many)
     assert set(texts(many)) >= {"desired", "attainable stiffness", *CONTROLLERS}
 
@@ -119,7 +119,7 @@ def test_the_attainable_band_is_behind_the_desired_stiffness(reproduction):
 
 def test_results_of_different_references_are_refused(reproduction):
     runs = reproduction.tracking.runs
-    first, second = (runs[SETTINGS[0].key, wish, "PID"].result for wish in Wish)
+    first, second = (runs[SETTINGS[0].key, wish, "PID"].result for wish in StiffnessReference)
     with pytest.raises(RangeError, match="desired stiffness"):
         tracking({"a": first, "b": second})
     with pytest.raises(RangeError, match="no result"):

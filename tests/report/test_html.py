@@ -115,7 +115,7 @@ def test_the_numbers_are_those_of_the_results(parsed, reproduction):
     for laws in results["validation"]["measured_rmse_N"].values():
         assert {number(value["all"]) for value in laws.values()} <= cells
     for joint in results["joint"].values():
-        assert {number(value) for value in joint["holdable_angles_deg"]} <= cells
+        assert {number(value) for value in joint["static_range_deg"]} <= cells
     for wishes in results["tracking"].values():
         for controllers in wishes.values():
             for run in controllers.values():

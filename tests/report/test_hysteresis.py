@@ -8,7 +8,7 @@ from mckibben.errors import RangeError
 from mckibben.identification.hysteresis import identify_hysteresis
 from mckibben.muscle import Muscle
 from mckibben.report.hysteresis import loops
-from mckibben.rig import IsobaricProtocol, VirtualRig
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, mm, percent
 
 LAW = catalog.law("lei-mas-10-180n")
@@ -18,7 +18,7 @@ LAW = catalog.law("lei-mas-10-180n")
 def drawn():
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), LAW)
     protocol = IsobaricProtocol(pressures=np.arange(0, 8) * 0.75 * bar, step=3 * mm, repeats=1, samples=20)
-    data = VirtualRig(muscle, force_drift=2.0).run(protocol, seed=1)
+    data = SimulatedIsobaricTest(muscle, force_drift=2.0).run(protocol, seed=1)
     found = identify_hysteresis(LAW, data)
     return data, found, loops(data, found)
 

@@ -7,19 +7,17 @@ import pytest
 
 from mckibben import catalog
 from mckibben.errors import DatasetError, McKibbenWarning
-from mckibben.rig.backend import Drive
-from mckibben.rig.bench import Bench
+from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.record import PLACE, POINT, Event, Point, assemble, points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import columns_of
-from mckibben.rig.safety import Limits
-from mckibben.rig.twin.sensing import FORCE, PRESSURE, VALVE
+from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
 
 BENCH = Bench(
     of=catalog.specimen("MAS-10-180N-AA-MC-O"),
     drive=Drive(),
     calibrations={"force": FORCE, "pressure": PRESSURE, "valve": VALVE},
-    limits=Limits(pressure=6e5, force=630.0, stretch=0.01, shorten=0.05),
+    limits=RigLimits(pressure=6e5, force=630.0, stretch=0.01, shorten=0.05),
 )
 POINT_0 = Point(
     number=0,

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RangeError, RigError
-from mckibben.rig.backend import Channel, Drive
+from mckibben.rig.backend import AnalogChannel
+from mckibben.rig.bench import Drive
 from mckibben.rig.calibration import Calibration, calibrate
 from mckibben.units import bar, mm
 
 FORCE = Calibration(name="force", unit="N", gain=-200.0, offset=0.05, low=-2000.0, high=2000.0)
-CHANNEL = Channel("force", -10.0, 10.0)
+CHANNEL = AnalogChannel("force", -10.0, 10.0)
 WEIGHTS = np.array([0.0, 98.1, 294.3, 588.6, 784.8])  # N, of 0, 10, 30, 60 and 80 kg
 
 
@@ -86,7 +87,7 @@ def test_what_leaves_the_span_or_the_converter_is_told():
     assert FORCE.check(0, 1900, CHANNEL) == []
     (span,) = FORCE.check(0, 2001)
     assert "0..2001 N leaves its span" in str(span)
-    (volts,) = FORCE.check(0, 630, Channel("force", -3.0, 3.0))
+    (volts,) = FORCE.check(0, 630, AnalogChannel("force", -3.0, 3.0))
     assert "-3.1..0.05 V" in str(volts)
 
 
@@ -110,7 +111,7 @@ def test_drive_is_that_of_the_paper():
     drive = Drive()
     # 200 steps, reduced 10 times, make 5 mm; the pulses of 1 mm at 0.2 mm/s take the paper's 5 s.
     assert drive.pulses(5 * mm) == 200 * 10 and drive.pulses(-1 * mm) / drive.rate(0.2 * mm) == -5.0
-    assert drive.way(drive.pulses(0.007)) == 0.007
+    assert drive.travel(drive.pulses(0.007)) == 0.007
     for way in (0.1 * mm / 3, np.nan):
         with pytest.raises(RangeError):
             drive.pulses(way)

@@ -1,4 +1,4 @@
-"""Creep on the virtual rig: what the sensor reads at each sample, move by move."""
+"""Creep on the simulated rig: what the sensor reads at each sample, move by move."""
 
 import dataclasses
 import math
@@ -9,7 +9,7 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellCreep, Muscle, NoCreep
-from mckibben.rig import IsobaricProtocol, VirtualRig
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, mm, percent
 
 PLAIN = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
@@ -22,8 +22,8 @@ PROTOCOL = IsobaricProtocol(
 def test_each_sample_is_that_of_small_steps_in_time():
     """Euler steps of 1 ms through moves, waits and samples; T/2 is the most that the arm holds."""
     creeping = dataclasses.replace(PLAIN, creep=MaxwellCreep(1500.0, 3.0))
-    data = VirtualRig(creeping, **QUIET).run(PROTOCOL, seed=1)
-    without = VirtualRig(PLAIN, **QUIET).run(PROTOCOL, seed=1)
+    data = SimulatedIsobaricTest(creeping, **QUIET).run(PROTOCOL, seed=1)
+    without = SimulatedIsobaricTest(PLAIN, **QUIET).run(PROTOCOL, seed=1)
     added = data.table["force_samples"].to_numpy() - without.table["force_samples"].to_numpy()
     length, tension = 0.18 * (1 - data.contraction), np.asarray(PLAIN.force(data.contraction, data.levels))
     step, held, expected = 1e-3, 0.0, []
@@ -44,13 +44,13 @@ def test_each_sample_is_that_of_small_steps_in_time():
 
 def test_without_creep_the_samples_are_what_they_were():
     said = dataclasses.replace(PLAIN, creep=NoCreep())
-    one, other = (VirtualRig(muscle).run(PROTOCOL, seed=4) for muscle in (PLAIN, said))
+    one, other = (SimulatedIsobaricTest(muscle).run(PROTOCOL, seed=4) for muscle in (PLAIN, said))
     assert one.table.identical(other.table) and "creep" not in one.table.attrs["source"]
 
 
 def test_creep_counts_against_the_rating():
     steep = dataclasses.replace(PLAIN, creep=MaxwellCreep(8000.0, 1000.0))
     tight = dataclasses.replace(PROTOCOL, pressures=[6 * bar], force_reserve=4 * percent)
-    VirtualRig(PLAIN).run(tight, seed=1)
+    SimulatedIsobaricTest(PLAIN).run(tight, seed=1)
     with pytest.raises(RangeError, match="creep and regulator offset can take the force to"):
-        VirtualRig(steep).run(tight, seed=1)
+        SimulatedIsobaricTest(steep).run(tight, seed=1)

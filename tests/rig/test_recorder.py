@@ -129,7 +129,7 @@ def test_what_was_flushed_was_brought_to_the_disk(tmp_path, monkeypatch):
         assert synced[-1] == 10
 
 
-def test_a_record_is_not_begun_twice_and_not_gone_on_with_by_another(filled, tmp_path):
+def test_a_record_is_no_start_twice_and_not_gone_on_with_by_another(filled, tmp_path):
     with pytest.raises(FileError, match="holds a record already; resume it, or choose another"):
         Recorder.create(filled, {}, COLUMNS)
     with pytest.raises(FileError, match="holds a record of other columns"):

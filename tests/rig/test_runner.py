@@ -1,4 +1,4 @@
-"""A test on the virtual rig: it does the steps, records them whole, goes on where it was stopped, and always vents."""
+"""A test on the simulated rig: steps, record, resuming, venting."""
 
 import importlib
 import signal
@@ -13,19 +13,27 @@ from mckibben import catalog
 from mckibben.errors import SignalledError, StoppedError
 from mckibben.muscle import MaxwellSlip, Muscle, forces
 from mckibben.rig import IsobaricProtocol
-from mckibben.rig.bench import Bench
-from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_of
+from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import assemble, read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
-from mckibben.rig.safety import Limits
-from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Repeat, Walk
-from mckibben.rig.twin import Regulator, SupplyLost, TwinRig
+from mckibben.rig.simulated import Regulator, SimulatedRig, SupplyLost
+from mckibben.rig.steps import (
+    Acquire,
+    Dwell,
+    IsometricProtocol,
+    IsotonicProtocol,
+    Move,
+    Pressurise,
+    Repeat,
+    Walk,
+    steps_of,
+)
 from mckibben.units import bar, mm, percent
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-LIMITS = Limits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
+LIMITS = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
 EXACT = Regulator(hysteresis=0.0, repeatability=0.0)
 QUICK = {"dwell": 0.2, "acquisition": 0.1, "samples": 100, "speed": 4 * mm}
 
@@ -38,7 +46,7 @@ def trials(monkeypatch):
 
 
 def run(folder, steps, *, of=MUSCLE, muscle=MUSCLE, twin=None, limits=LIMITS, **given):
-    twin = twin or TwinRig(muscle, seed=3, regulator=EXACT)
+    twin = twin or SimulatedRig(muscle, seed=3, regulator=EXACT)
     bench = Bench(of=of, drive=twin.drive, calibrations=twin.calibrations, limits=limits, steady=0.3)
     with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
         Runner(twin, bench, recorder, **given).run(steps)
@@ -130,7 +138,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
     partly = 0
     for after in np.linspace(1, counting.cycles - 2, 9, dtype=int).tolist():
         folder = tmp_path / str(after)
-        twin = TwinRig(slow, seed=3, regulator=EXACT)
+        twin = SimulatedRig(slow, seed=3, regulator=EXACT)
         bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
         with Recorder.create(folder, {}, columns_of(["force", "pressure"])) as recorder:
             interrupting = Interrupting(after)
@@ -145,7 +153,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
         stop = len(done)
         partly += bool((record.columns["plateau"] == stop).any())
         with Recorder.resume(folder, {}, columns_of(["force", "pressure"])) as recorder:
-            again = TwinRig(slow, seed=4, regulator=EXACT)
+            again = SimulatedRig(slow, seed=4, regulator=EXACT)
             since = float(record.columns["time"][-1]) + 1e-3
             Runner(again, bench, recorder, done=done, since=since).run(steps)
         data = assemble(folder, bench)
@@ -160,7 +168,7 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
 
 def test_it_goes_on_from_where_the_motor_stands(tmp_path):
     """Of a rig that was not opened where the muscle was mounted."""
-    twin = TwinRig(MUSCLE, seed=3, mounted_at=4 * percent, regulator=EXACT)
+    twin = SimulatedRig(MUSCLE, seed=3, mounted_at=4 * percent, regulator=EXACT)
     bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
     with Recorder.create(tmp_path, {}, columns_of(["force", "pressure"])) as recorder:
         steps = [Pressurise(pressure=2 * bar), Move(to=3 * percent, speed=4 * mm), Acquire(samples=100, duration=0.1)]
@@ -185,7 +193,7 @@ def test_a_fault_of_ours_vents_and_is_told(tmp_path):
 def test_a_muscle_that_does_not_pull_as_its_law_tells_stops(tmp_path):
     other = Muscle(MUSCLE.specimen, MUSCLE.law, MaxwellSlip(30.0, 0.5e-3))
     steps = [Pressurise(pressure=3 * bar), Move(to=5 * percent, speed=4 * mm), Acquire(samples=100, duration=0.1)]
-    with pytest.raises(StoppedError, match=r"the muscle pulls [\d.]+ N at 5 % and [\d.]+ bar, and by its law [\d.]+ N"):
+    with pytest.raises(StoppedError, match=r"force of [\d.]+ N at 5 % and [\d.]+ bar deviates from the law, [\d.]+ N"):
         run(tmp_path, steps, muscle=other, limits=replace(LIMITS, deviation=20.0))
 
 
@@ -195,7 +203,7 @@ def test_a_full_disk_vents_and_is_told(tmp_path, monkeypatch):
     def full(recorder, table):
         raise RigError("the disk is full")
 
-    twin = TwinRig(MUSCLE, seed=3)
+    twin = SimulatedRig(MUSCLE, seed=3)
     monkeypatch.setattr(Recorder, "append", full)
     with pytest.raises(StoppedError, match="stopped: the disk is full; the muscle is vented"):
         run(tmp_path, [Pressurise(pressure=2 * bar)], twin=twin)
@@ -203,7 +211,7 @@ def test_a_full_disk_vents_and_is_told(tmp_path, monkeypatch):
 
 
 def test_an_empty_supply_is_found_at_once_after_the_pressure_had_settled(tmp_path):
-    twin = TwinRig(MUSCLE, seed=3, faults=[SupplyLost(4.0)])
+    twin = SimulatedRig(MUSCLE, seed=3, faults=[SupplyLost(4.0)])
     with pytest.raises(StoppedError, match="the pressure does not follow"):
         run(tmp_path, [Pressurise(pressure=2 * bar), Dwell(duration=60.0)], twin=twin)
     assert twin.truth.time < 4.0 + 3.0

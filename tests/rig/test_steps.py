@@ -9,24 +9,34 @@ from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.muscle import Muscle
 from mckibben.rig import IsobaricProtocol
-from mckibben.rig.backend import Drive
-from mckibben.rig.bench import Bench
-from mckibben.rig.dry_run import outline
-from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, steps_of
-from mckibben.rig.safety import Limits
-from mckibben.rig.steps import Acquire, Dwell, HoldForce, Move, Pressurise, Repeat, Vent, Walk, described
-from mckibben.rig.twin.sensing import FORCE, PRESSURE, VALVE
+from mckibben.rig.bench import Bench, Drive, RigLimits
+from mckibben.rig.dry_run import dry_run
+from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
+from mckibben.rig.steps import (
+    Acquire,
+    Dwell,
+    HoldForce,
+    IsometricProtocol,
+    IsotonicProtocol,
+    Move,
+    Pressurise,
+    Repeat,
+    Vent,
+    Walk,
+    describe_steps,
+    steps_of,
+)
 from mckibben.units import bar, mm, percent
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-LIMITS = Limits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
+LIMITS = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
 BENCH = Bench(
     of=MUSCLE, drive=Drive(), calibrations={"force": FORCE, "pressure": PRESSURE, "valve": VALVE}, limits=LIMITS
 )
 
 
 def problems(*steps, bench=BENCH, **arguments):
-    return {str(problem) for problem in outline(steps, bench, **arguments).problems}
+    return {str(problem) for problem in dry_run(steps, bench, **arguments).problems}
 
 
 @pytest.mark.parametrize(
@@ -52,7 +62,7 @@ def test_a_step_without_a_meaning_is_refused(make, message):
 
 def test_the_papers_test_adds_up():
     protocol = IsobaricProtocol(contraction_min=0.0, contraction_max=24.5 * percent, slack_steps=44)
-    found = outline(steps_of(protocol, MUSCLE), BENCH)
+    found = dry_run(steps_of(protocol, MUSCLE), BENCH)
     assert found.problems == []
     assert (found.plateaus, found.samples) == (5850, 5_850_000)
     # 13 times: 130 times 44 steps of 10 s and 45 points of 1 s, 5 s of waiting, and what setting a pressure takes
@@ -65,21 +75,21 @@ def test_the_papers_test_adds_up():
 
 def test_a_test_and_its_plan_have_the_same_plateaus():
     protocol = IsobaricProtocol()
-    assert outline(steps_of(protocol, MUSCLE), BENCH).plateaus == len(protocol.plateaus(MUSCLE).time)
+    assert dry_run(steps_of(protocol, MUSCLE), BENCH).plateaus == len(protocol.plateaus(MUSCLE).time)
 
 
 def test_without_a_law_the_whole_stroke_is_the_upper_bound():
     bench = replace(BENCH, of=MUSCLE.specimen)
     protocol = IsobaricProtocol(pressures=[6 * bar], repeats=2)
-    found = outline(steps_of(protocol, bench.of), bench)
+    found = dry_run(steps_of(protocol, bench.of), bench)
     assert found.at_most and found.problems == []
     assert found.plateaus == 4 * 51
-    assert any("until 598.5 N" in line for line in described(steps_of(protocol, bench.of)))
+    assert any("until 598.5 N" in line for line in describe_steps(steps_of(protocol, bench.of)))
 
 
 @pytest.mark.parametrize("protocol", [IsometricProtocol(), IsotonicProtocol()])
 def test_the_other_tests_suit_the_papers_muscle(protocol):
-    found = outline(steps_of(protocol, MUSCLE), BENCH)
+    found = dry_run(steps_of(protocol, MUSCLE), BENCH)
     assert found.problems == []
     assert found.force < 630 and found.plateaus > 50
 
@@ -97,8 +107,8 @@ def test_every_limit_is_held_against_the_steps():
         "[0].move.speed: 6 mm/s are 2400 pulses a second; the motor does 2000 at most; move at up to 5 mm/s",
         "[1].pressurise.pressure: 7 bar is outside 0..6 bar of MAS-10-180N-AA-MC-O; stay inside",
         "[1].pressurise.pressure: 7 bar is above the limit of 6.5 bar; lower it, or raise limits.pressure",
-        "[2].move: by its law the muscle pulls 982 N at -3 % and 7 bar, above the limit of 630 N; stay on the short "
-        "side there, or lower the pressure",
+        "[2].move: the force by the law is 982 N at -3 % and 7 bar, above the limit of 630 N; stay at higher "
+        "contractions, or lower the pressure",
         "[3].walk.step: 1.001 mm are 400.4 pulses; take a multiple of 0.0025 mm",
         "[3].walk.acquire.samples: 700 samples in 1 s are no whole part of 1000 Hz; take 1000, or a whole part of it",
     }
@@ -127,7 +137,7 @@ def test_limits_beyond_muscle_and_sensors_are_refused():
 
 def test_a_force_that_cannot_be_held_is_refused():
     (said,) = problems(Pressurise(pressure=1 * bar), HoldForce(force=500.0))
-    assert said.startswith("[1].hold_force: at 1 bar the muscle pulls 0 to") and "500 N are to be held" in said
+    assert said.startswith("[1].hold_force: at 1 bar the force is 0 to") and "500 N are to be held" in said
 
 
 def test_the_cycle_has_to_fit_into_the_patience():
@@ -136,6 +146,6 @@ def test_the_cycle_has_to_fit_into_the_patience():
 
 
 def test_a_walk_back_returns_to_where_the_one_before_began():
-    found = outline((Move(to=2 * percent), Walk(to=10 * percent), Walk(to=None), Vent()), BENCH)
+    found = dry_run((Move(to=2 * percent), Walk(to=10 * percent), Walk(to=None), Vent()), BENCH)
     assert found.plateaus == 2 * 15
     assert found.pulses == 3.6 * 400 + 2 * 14 * 400

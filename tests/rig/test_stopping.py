@@ -9,17 +9,16 @@ from mckibben import catalog
 from mckibben.errors import RigError, SignalledError, SilentError, StoppedError
 from mckibben.muscle import Muscle
 from mckibben.rig.backend import Block
-from mckibben.rig.bench import Bench
+from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import read_record, recorded_points
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
-from mckibben.rig.safety import Limits
+from mckibben.rig.simulated import Regulator, SamplesStopped, SimulatedRig, SupplyLost
 from mckibben.rig.steps import Acquire, Dwell, Move, Pressurise, Walk
-from mckibben.rig.twin import Regulator, Silent, SupplyLost, TwinRig
 from mckibben.units import bar, mm, percent
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-LIMITS = Limits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
+LIMITS = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
 UNDER_PRESSURE = [Pressurise(pressure=2 * bar), Dwell(duration=5.0)]
 
 
@@ -56,7 +55,7 @@ def start(folder, rig, steps, **given):
 
 
 def twin(**given):
-    return TwinRig(MUSCLE, seed=3, regulator=Regulator(hysteresis=0.0, repeatability=0.0), **given)
+    return SimulatedRig(MUSCLE, seed=3, regulator=Regulator(hysteresis=0.0, repeatability=0.0), **given)
 
 
 def empty(rig):
@@ -83,7 +82,7 @@ def test_a_signal_that_comes_again_while_it_stops_cuts_the_watching_short(tmp_pa
         raise KeyboardInterrupt
 
     rig = Around(twin(), 20, read=again)
-    with pytest.raises(SignalledError, match="no reading tells that it did"):
+    with pytest.raises(SignalledError, match="no sensor shows that it did"):
         start(tmp_path, rig, UNDER_PRESSURE, report=Signalling(20))
     assert empty(rig) and rig.closed
     assert [event.kind for event in read_record(tmp_path).events][-2:] == ["stopped", "vented"]
@@ -123,12 +122,12 @@ def test_readings_from_before_the_stop_do_not_tell_that_it_is_vented(tmp_path):
     def away(progress):
         if not went:  # the host is away, and meanwhile air comes in: the samples that wait begin without it
             went.append(rig.pass_time(0.6))
-            rig.press([float(rig.calibrations["valve"].volts(2 * bar))])
+            rig.set_valves([float(rig.calibrations["valve"].volts(2 * bar))])
             rig.pass_time(0.3)
 
     went = []
     rig = twin()
-    with pytest.raises(StoppedError, match=r"readings are .* old;.*; the muscle is vented"):
+    with pytest.raises(StoppedError, match=r"newest sample is .* old;.*; the muscle is vented"):
         start(tmp_path, rig, UNDER_PRESSURE, report=away)
     assert rig.truth.pressure < 0.2 * bar
     record = read_record(tmp_path)
@@ -144,7 +143,7 @@ def test_readings_that_come_twice_or_go_back_stop_it(tmp_path, back):
         return Block(block.first - past, block.time - past / 1e3, block.volts, block.pulses)
 
     rig = Around(twin(), 20, read=same)
-    with pytest.raises(StoppedError, match="the readings go back in time"):
+    with pytest.raises(StoppedError, match="the time of the samples goes back"):
         start(tmp_path, rig, UNDER_PRESSURE)
     assert empty(rig)
 
@@ -193,7 +192,7 @@ def test_where_the_motor_stands_is_recorded_only_where_it_was_seen_to_stand(tmp_
     told = read_record(tmp_path / "1").events[-1]
     assert told.kind == "vented"
     assert told.data["pulses"] == pytest.approx(rig.drive.nearest(rig.truth.stretch), abs=9)  # the play of the nut
-    rig = twin(faults=[Silent(2.0)])
+    rig = twin(faults=[SamplesStopped(2.0)])
     with pytest.raises(StoppedError) as stopped:
         start(tmp_path / "2", rig, steps)
     assert isinstance(stopped.value.__cause__, SilentError)
@@ -226,7 +225,7 @@ def test_a_walk_that_goes_on_from_elsewhere_keeps_its_places(tmp_path, stop_at):
     """A card's motor stands where it was left, and the first walk begins where the muscle was mounted."""
     acquire = Acquire(samples=20, duration=0.02)
     steps = [Walk(to=4 * percent, step=1 * mm, speed=4 * mm, dwell=0.0, acquire=acquire)]
-    elsewhere = TwinRig(MUSCLE, seed=3, mounted_at=10 * percent)
+    elsewhere = SimulatedRig(MUSCLE, seed=3, mounted_at=10 * percent)
     found = resumed(tmp_path, steps, stop_at, again=elsewhere, origin=elsewhere.drive.nearest(-18 * mm))
     assert [point.pulses for point in found] == [-400 * number for number in range(8)]
 

@@ -9,10 +9,11 @@ import scipy.stats
 import xarray as xr
 
 from mckibben.simulation import Batch, Metrics, Outcome
+from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES
+from mckibben.storage.files import to_json
 from mckibben.study.benchmark import BenchmarkResult, Suite, draw
 from mckibben.study.benchmark.benchmark import statistics, write_table
-from mckibben.study.reporting import METRICS, to_json
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import deg, litre
 

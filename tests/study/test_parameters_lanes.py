@@ -150,7 +150,7 @@ def test_lanes_leave_the_scenario_as_it_is_and_copy_the_table():
     column[:] = 7.0
     assert PID.dumps() == before
     assert many.load.mass2.tolist() == [0.5, 0.8]
-    assert many.load.base == "knee-table-2"
+    assert many.load.entry == "knee-table-2"
 
 
 def test_lanes_take_a_whole_design():

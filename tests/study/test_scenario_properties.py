@@ -7,19 +7,18 @@ from pathlib import Path
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from mckibben.config import fields
-from mckibben.config.fields import Quantity
+from mckibben import units
 from mckibben.errors import ScenarioError
 from mckibben.study.scenario import Scenario
-from mckibben.units import factor
+from mckibben.units import Quantity, factor
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TEXTS = [path.read_text() for path in sorted(EXAMPLES.glob("*.yaml"))]
 BASES = [Scenario.parse(text).model_dump(by_alias=True) for text in TEXTS]
 KINDS = {
     name: kind.__metadata__[0]
-    for name, kind in vars(fields).items()
-    if isinstance(getattr(kind, "__metadata__", [None])[0], Quantity)
+    for name, kind in vars(units).items()
+    if isinstance(getattr(kind, "__metadata__", [None])[0], Quantity) and name != "SignalValue"
 }
 
 quick = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -170,7 +170,7 @@ def test_what_is_not_there_cannot_be_varied(name, what):
         (text(sensors="sensors: {seed: 1.5}\n"), "sensors.seed", "1.5"),
         (text(sensors="sensors: {noise: 1 kPa}\n"), "sensors.noise", "is not a known key"),
         (text(disturbance="disturbance: {}\n"), "disturbance.pulses", "is missing"),
-        (text(disturbance=PULSES.replace(", start: 250 ms", "")), "disturbance.pulses.start", "is missing"),
+        (text(disturbance=PULSES.replace("height: 0.5 N*m, ", "")), "disturbance.pulses.height", "is missing"),
         (text(disturbance=PULSES.replace("1 s", "0 s")), "disturbance.pulses.interval", "outside above 0"),
         (text(adaptation="{strength_spread: 0.5}"), "controller.decoupling.adaptation.strength_spread", "to 0.3"),
         (text(adaptation="{torque_error: 0 N*m}"), "controller.decoupling.adaptation.torque_error", "outside above 0"),

@@ -47,7 +47,7 @@ def reproduce(
 ) -> None:
     """Reproduce the paper: test, identification, knee and control, with a report and figures."""
     make_folder(out)  # fails before the computation
-    from mckibben.study.reporting import to_json
+    from mckibben.storage.files import to_json
 
     with progress() as report:
         from mckibben.paper import reproduce as run
@@ -91,7 +91,8 @@ def simulate(
     from mckibben.study.scenario import Scenario
 
     read = Scenario.read(scenario)
-    from mckibben.study.reporting import METRICS, shown, to_json, write_json
+    from mckibben.simulation.metrics import METRICS, in_shown_units
+    from mckibben.storage.files import to_json, write_json
     from mckibben.study.scenario.running import run_scenario
 
     result, feasibility = run_scenario(read, source=str(scenario))
@@ -101,7 +102,7 @@ def simulate(
         "outcome": result.outcome.name.lower(),
         "described": result.describe(),
         "infeasible": infeasible,
-        "metrics": shown(result.metrics()),
+        "metrics": in_shown_units(result.metrics()),
     }
     if json:
         typer.echo(to_json(numbers))
@@ -135,7 +136,7 @@ def laws(json: Json = False) -> None:
     """List the force laws and the published parameter sets."""
     from mckibben import catalog
     from mckibben.muscle import LAWS
-    from mckibben.study.reporting import to_json
+    from mckibben.storage.files import to_json
 
     published = {name: catalog.law(name) for name in catalog.names("laws")}
     if json:
@@ -153,7 +154,7 @@ def laws(json: Json = False) -> None:
 def specimens(json: Json = False) -> None:
     """List the specimens and measured datasets of the catalog."""
     from mckibben import catalog
-    from mckibben.study.reporting import to_json
+    from mckibben.storage.files import to_json
     from mckibben.units import mm
 
     known = {name: catalog.specimen(name) for name in catalog.names("specimens")}
@@ -180,10 +181,20 @@ def specimens(json: Json = False) -> None:
 
 
 @app.callback(invoke_without_command=True)
-def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    extension: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE.py", help="Python file with classes of one's own; runs it. Repeat for several."),
+    ] = None,
+) -> None:
     if version:
         typer.echo(f"mckibben {mckibben.__version__}")
         raise typer.Exit
+    for path in extension or ():
+        from mckibben.config.schema import load_extension
+
+        load_extension(path)
 
 
 def main() -> None:

@@ -98,8 +98,8 @@ def _alone(out: Path, repeat: str) -> str:
 
 def _show(contest: BenchmarkResult, out: Path, json: bool) -> None:
     from mckibben import report
+    from mckibben.storage.files import to_json, write_json
     from mckibben.study.benchmark.benchmark import statistics, write_table
-    from mckibben.study.reporting import to_json, write_json
 
     numbers = statistics(contest)
     write_json(out / "results.json", numbers)  # before anything is drawn

@@ -1,4 +1,4 @@
-"""`mckibben envelope`: what a joint can hold, whether a reference can be followed, and what would be needed for it."""
+"""`mckibben envelope`: static envelope, trackability of the reference, nearest feasible references, and sizing."""
 
 from __future__ import annotations
 
@@ -17,97 +17,91 @@ if TYPE_CHECKING:
 
 
 def envelope(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="Whose joint and reference.")],
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="Scenario with the joint and reference.")],
     margin: Annotated[
-        str, typer.Option(metavar="PART", help="Of the band, that nearest references stay off either end.")
+        str, typer.Option(metavar="FRACTION", help="Margin of nearest references to both ends of the stiffness band.")
     ] = "5 %",
-    rounding: Annotated[
+    smoothing: Annotated[
         str,
-        typer.Option(
-            metavar="TIME", help="Over which jumps and corners are rounded off; the least that does, unless given."
-        ),
+        typer.Option(metavar="TIME", help="Smoothing of jumps and corners; the narrowest trackable one unless given."),
     ] = "",
     design: Annotated[
         str | None,
-        typer.Option(metavar="WISH", help="Choose lengths instead, for 'stiffness 12..18 N*m/rad over -20..20 deg'."),
+        typer.Option(metavar="TARGET", help="Size the joint for 'stiffness 12..18 N*m/rad over -20..20 deg' instead."),
     ] = None,
     vary: Annotated[
         list[str] | None,
         typer.Option(
             metavar="'NAME=RANGE'",
-            help="What a design may choose: 'connector_length=150..260 mm', joint_radius, joint_length, "
+            help="Design variable with its bounds: 'connector_length=150..260 mm', joint_radius, joint_length, "
             "muscle_length, muscle1_length, muscle2_length. May be given several times.",
         ),
     ] = None,
-    spare_torque: Annotated[
-        str, typer.Option(metavar="TORQUE", help="That a design gives either way besides holding the load.")
+    torque_reserve: Annotated[
+        str, typer.Option(metavar="TORQUE", help="Torque of a design in either direction beyond that against gravity.")
     ] = "0 N*m",
-    minimum_tension: Annotated[str, typer.Option(metavar="FORCE", help="That each muscle of a design keeps.")] = "0 N",
+    minimum_tension: Annotated[str, typer.Option(metavar="FORCE", help="Minimum muscle tension of a design.")] = "0 N",
     json: Json = False,
     out: Out = None,
 ) -> None:
-    """Show what a joint can hold, whether the reference can be followed, and the nearest that can; or design it."""
+    """Show the static envelope, whether the reference is trackable, and the nearest that is; or size the joint."""
     if out:
         make_folder(out)
-    part = parse_quantity("--margin", margin, "1")
-    time = parse_optional_quantity("--rounding", rounding, "s")
-    spare = parse_quantity("--spare-torque", spare_torque, "N*m")
+    fraction = parse_quantity("--margin", margin, "1")
+    width = parse_optional_quantity("--smoothing", smoothing, "s")
+    reserve = parse_quantity("--torque-reserve", torque_reserve, "N*m")
     tension = parse_quantity("--minimum-tension", minimum_tension, "N")
-    if design is None and (vary or spare or tension):
+    if design is None and (vary or reserve or tension):
         raise ParameterError(
-            "--vary, --spare-torque and --minimum-tension are for a design",
+            "--vary, --torque-reserve and --minimum-tension are for a design",
             remedy="add --design 'stiffness 12..18 N*m/rad over -20..20 deg'",
         )
     if design is not None and not vary:
         raise ParameterError("a design varies nothing", remedy="add --vary 'connector_length=150..260 mm'")
+    from mckibben import reachability
     from mckibben.study.scenario import Scenario
 
     read = Scenario.read(scenario)
     if design is None:
-        from mckibben.reachability import envelope as run
-
-        _show(run(read, margin=part, rounding=time), json, out)
+        _show(reachability.envelope(read, margin=fraction, smoothing=width), json, out)
         return
-    from mckibben.reachability import design as choose
-    from mckibben.reachability import read_choice, read_wanted
-
-    wanted = read_wanted(design, torque=spare)
-    choices = [read_choice(text) for text in vary or []]
-    _show_design(read, choose(read.plant(), wanted, choices, minimum_tension=tension), json, out)
+    target = reachability.parse_target(design, torque_reserve=reserve)
+    variables = [reachability.parse_variable(text) for text in vary or []]
+    _show_design(read, reachability.design(read.plant(), target, variables, minimum_tension=tension), json, out)
 
 
 def _show(found: Envelope, json: bool, out: Path | None) -> None:
-    from mckibben.reachability import HEADERS, keep_offer
-    from mckibben.study.reporting import to_json, write_json
+    from mckibben.reachability import HEADERS, save_reference
+    from mckibben.storage.files import to_json, write_json
     from mckibben.units import deg
 
-    numbers, holds = found.records(), found.holds
+    numbers, static = found.records(), found.static
     if json:
         typer.echo(to_json(numbers))
     else:
-        title = f"{found.scenario.name}: held standing from {holds.first / deg:.4g} to {holds.last / deg:.4g} deg"
-        if holds.first <= holds.last:
-            table(title, HEADERS, found.rows())
+        if static.exists:
+            angles = f"{static.angle_min / deg:.4g} to {static.angle_max / deg:.4g} deg"
+            table(f"{found.scenario.name}: static range {angles}", HEADERS, found.rows())
         typer.echo(found.verdict())
-        for offer in found.offers:
-            typer.echo(f"nearest that keeps the {offer.kept.name.lower()}: {offer.describe()}")
-        if not found.following.reachable and not found.offers:
-            typer.echo("no smaller or slower motion about this centre can be followed either")
+        for near in found.nearest:
+            typer.echo(f"nearest, {near.preserved.name.lower()} preserved: {near.describe()}")
+        if not found.trackability.trackable and not found.nearest:
+            typer.echo("no smaller or slower motion about this centre is feasible either")
     if out:
         from mckibben.report.joint import envelope as draw
         from mckibben.report.style import save
 
         names = ["results.json"]
-        for offer in found.offers:
-            names += keep_offer(found.scenario, offer, out, f"nearest-{offer.kept.name.lower()}")
+        for near in found.nearest:
+            names += save_reference(found.scenario, near, out, f"nearest-{near.preserved.name.lower()}")
         write_json(out / "results.json", numbers)
         save(draw(found), out, "envelope")
         notify(f"kept {', '.join(names)} and envelope.png and .svg in {out}", json)
 
 
 def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None) -> None:
-    from mckibben.reachability import holdable, keep_design
-    from mckibben.study.reporting import to_json, write_json
+    from mckibben.reachability import save_design, static_envelope
+    from mckibben.storage.files import to_json, write_json
     from mckibben.units import mm
 
     numbers = found.records()
@@ -115,10 +109,10 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
         typer.echo(to_json(numbers))
     else:
         rows = [
-            (name.replace("_", " "), f"{found.before[name] / mm:.4g} mm", f"{value / mm:.4g} mm")
+            (name.replace("_", " "), f"{found.initial[name] / mm:.4g} mm", f"{value / mm:.4g} mm")
             for name, value in found.lengths.items()
         ]
-        table(f"{scenario.name}: {found.wanted.describe()}", ("length", "before", "found"), rows)
+        table(f"{scenario.name}: {found.target.describe()}", ("length", "initial", "design"), rows)
         table("Attained", ("angle", "stiffness"), found.rows())
         typer.echo(found.describe())
     if out:
@@ -126,13 +120,11 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
         from mckibben.report.style import save
 
         names = ["results.json"]
-        if keep_design(scenario, found, out / "design.yaml"):
+        if save_design(scenario, found, out / "design.yaml"):
             names.append("design.yaml")
         else:
-            typer.echo(
-                "no scenario is kept: a muscle's length belongs to its specimen, which the catalog has", err=True
-            )
+            typer.echo("no scenario written: the length of a muscle belongs to its specimen in the catalog", err=True)
         write_json(out / "results.json", numbers)
-        about = sum(found.wanted.angles) / 2
-        save(draw(found, holdable(scenario.plant(), about=about)), out, "design")
+        about = sum(found.target.angles) / 2
+        save(draw(found, static_envelope(scenario.plant(), about=about)), out, "design")
         notify(f"kept {', '.join(names)} and design.png and .svg in {out}", json)

@@ -70,25 +70,18 @@ def identify(
         return
     from mckibben.identification import identify as run
     from mckibben.identification import identify_hysteresis
-    from mckibben.study.reporting import (
-        fit_numbers,
-        further,
-        further_report,
-        hysteresis_numbers,
-        interval_numbers,
-        to_json,
-        write_json,
-    )
+    from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
+    from mckibben.storage.files import to_json, write_json
 
     friction = identify_hysteresis(law_type, points) if hysteresis else None
     static = friction.corrected(points) if friction else points
     fit = run(law_type, static)
-    found = further(fit, level=level, profiles=profile, refits=bootstrap)
-    numbers = {**fit_numbers(fit), "uncertainty": interval_numbers(fit, found)}
+    uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
+    numbers = {**fit_numbers(fit), "uncertainty": uncertainty.records()}
     if friction:
         numbers["hysteresis"] = hysteresis_numbers(friction)
     texts = [friction.report() + "\n\nForce law of the points corrected for friction and drift:\n" if friction else ""]
-    texts += [fit.report(level), further_report(fit, found)]
+    texts += [fit.report(level), uncertainty.describe()]
     typer.echo(to_json(numbers) if json else "\n".join(filter(None, texts)))
     if out:
         from mckibben import report
@@ -97,7 +90,7 @@ def identify(
         points.to_netcdf(out / "data.nc")
         write_json(out / "results.json", numbers)
         figures = {"fit": report.isobaric(static, fit), "bands": report.force_bands(static, fit, level=level)}
-        figures |= {f"profile-{one.name}": report.profile_likelihood(one, fit) for one in found.profiles}
+        figures |= {f"profile-{one.name}": report.profile_likelihood(one, fit) for one in uncertainty.profiles}
         figures |= {"loops": report.loops(points, friction)} if friction else {}
         for name, figure in figures.items():
             report.save(figure, out, name)
@@ -123,7 +116,7 @@ def validate(
     known = law_named(law, specimen=specimen)
     points = read_data(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
     from mckibben.identification import validate as run
-    from mckibben.study.reporting import to_json, write_json
+    from mckibben.storage.files import to_json, write_json
 
     validation = run({law: known}, points)
     numbers = {"slack": validation.slack, "errors": validation.records()}
@@ -135,7 +128,7 @@ def validate(
 
 def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
     from mckibben.identification import rank
-    from mckibben.study.reporting import to_json, write_json
+    from mckibben.storage.files import to_json, write_json
 
     with progress() as report_progress:
         ranking = rank(points, progress=report_progress)

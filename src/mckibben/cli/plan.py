@@ -1,4 +1,4 @@
-"""`mckibben plan`: what to measure next, and what the points at hand cannot see."""
+"""`mckibben plan`: optimal experiment design of the next test, and diagnostics of the data."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mckibben.errors import ParameterError, UnitError
 from mckibben.storage.files import make_folder
 
 if TYPE_CHECKING:
-    from mckibben.experiment_design import Plan
+    from mckibben.experiment_design import ExperimentPlan
     from mckibben.muscle import Domain, Specimen
 
 _DIRECTIONS = {"both": ("loading", "unloading"), "loading": ("loading",), "unloading": ("unloading",)}
@@ -31,50 +31,54 @@ _DIRECTIONS = {"both": ("loading", "unloading"), "loading": ("loading",), "unloa
 
 def plan(
     data: Data,
-    law: Annotated[str, typer.Option(help="The kind of law; 'mckibben laws' lists them.")] = "exponential",
+    law: Annotated[str, typer.Option(help="Kind of law; 'mckibben laws' lists them.")] = "exponential",
     of: Annotated[
         str,
         typer.Option(
             "--for",
             metavar="QUANTITY",
-            help="What is to become sure: 'coefficients', or names such as 'decay'; 'force', or 'force at 0..10 %, "
+            help="Quantity of interest: 'coefficients', or names such as 'decay'; 'force', or 'force at 0..10 %, "
             "3..6 bar'; 'stiffness' or 'torque', or 'stiffness at 5 deg, 2 bar, 4 bar'.",
         ),
     ] = "force",
-    points: Annotated[int, typer.Option(metavar="N", help="How many points to plan.")] = 8,
+    points: Annotated[int, typer.Option(metavar="N", help="Number of points.")] = 8,
     joint: Annotated[
-        str, typer.Option(metavar="JOINT", help="For stiffness and torque: of the catalog, or of a scenario file.")
+        str, typer.Option(metavar="JOINT", help="Joint of stiffness and torque: of the catalog, or a scenario file.")
     ] = "knee-table-2",
     contraction: Annotated[
-        str, typer.Option(metavar="RANGE", help="Measure within, such as '0..20 %'; the specimen's range unless given.")
+        str, typer.Option(metavar="RANGE", help="Limits, such as '0..20 %'; the specimen's range unless given.")
     ] = "",
     pressure: Annotated[
         str,
-        typer.Option(metavar="RANGE", help="Measure within, such as '1..6 bar'; the specimen's range unless given."),
+        typer.Option(metavar="RANGE", help="Limits, such as '1..6 bar'; the specimen's range unless given."),
     ] = "",
     contraction_step: Annotated[
-        str, typer.Option(metavar="STEP", help="Of the rig, '1 mm' or '0.5 %'; 1 mm unless given.")
+        str, typer.Option(metavar="STEP", help="Resolution of the rig, '1 mm' or '0.5 %'; 1 mm unless given.")
     ] = "",
-    pressure_step: Annotated[str, typer.Option(metavar="STEP", help="Of the rig.")] = "0.25 bar",
+    pressure_step: Annotated[str, typer.Option(metavar="STEP", help="Resolution of the rig.")] = "0.25 bar",
     directions: Annotated[
-        str, typer.Option(metavar="|".join(_DIRECTIONS), help="That the rig can measure in.")
+        str, typer.Option(metavar="|".join(_DIRECTIONS), help="Directions that the rig can measure in.")
     ] = "both",
-    repeats: Annotated[int, typer.Option(metavar="N", help="How often a point may be in the plan.")] = 2,
+    repeats: Annotated[int, typer.Option(metavar="N", help="How often a point may be planned.")] = 2,
     friction: Annotated[
         bool | None,
-        typer.Option(help="A gap between the directions is an unknown; where directions are recorded unless said."),
+        typer.Option(help="Friction is an unknown; where directions are recorded unless given."),
     ] = None,
     noise: Annotated[
-        str, typer.Option(metavar="FORCE", help="Scatter of a point; by what the fit leaves over unless given.")
+        str, typer.Option(metavar="FORCE", help="Standard deviation of a point; from the residuals unless given.")
     ] = "",
     stroke_error: Annotated[
-        str, typer.Option(metavar="FORCE", help="What the points of a stroke share; by the fit unless given.")
+        str, typer.Option(metavar="FORCE", help="Error shared by a stroke; from the residuals unless given.")
     ] = "",
     guess: Annotated[
-        str, typer.Option(metavar="LAW", help="A fit file or law of the catalog, where the data determine none.")
+        str,
+        typer.Option(
+            metavar="LAW", help="Fit file or law of the catalog to linearise about where the data determine none."
+        ),
     ] = "",
     specimen: Annotated[
-        str, typer.Option(metavar="NAME", help="Range and rating of the muscle; by the name in the data unless given.")
+        str,
+        typer.Option(metavar="NAME", help="Specimen, for range and rating; the one named in the data unless given."),
     ] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
@@ -82,32 +86,33 @@ def plan(
     json: Json = False,
     out: Out = None,
 ) -> None:
-    """Plan the next test: the points that shrink the uncertainty of a quantity most, and what is not seen so far."""
+    """Plan the next test: the points that most reduce the uncertainty of a quantity, and diagnostics of the data."""
     if out:
         make_folder(out)
     if directions not in _DIRECTIONS:
         raise ParameterError(
-            f"{directions!r} is no direction", value=directions, remedy=f"choose of {', '.join(_DIRECTIONS)}"
+            f"{directions!r} is not a direction", value=directions, remedy=f"choose of {', '.join(_DIRECTIONS)}"
         )
     from mckibben import catalog
-    from mckibben.experiment_design import joint_named, read_quantity
+    from mckibben.experiment_design import parse_quantity_of_interest
     from mckibben.experiment_design import plan as run
-    from mckibben.study.inputs import law_named, law_type_named
-    from mckibben.study.reporting import to_json, write_json
+    from mckibben.storage.files import to_json, write_json
+    from mckibben.study.inputs import joint_named, law_named, law_type_named
 
     law_type = law_type_named(law)
     known = catalog.specimen(specimen) if specimen else None
-    asked = read_quantity(of, law_type, lambda: joint_named(joint))
-    begun = law_named(guess, specimen=specimen) if guess else None
+    quantity = parse_quantity_of_interest(of, law_type, lambda: joint_named(joint))
+    initial = law_named(guess, specimen=specimen) if guess else None
     read = read_data(data, column, initial_length, slack_force)
-    name = known or (catalog.specimen(n) if (n := read.table.attrs["specimen"]) in catalog.names("specimens") else None)
-    length = read.table.attrs.get("initial_length") or (float(name.initial_length) if name else None)
+    in_catalog = read.table.attrs["specimen"] in catalog.names("specimens")
+    muscle = known or (catalog.specimen(read.table.attrs["specimen"]) if in_catalog else None)
+    length = read.table.attrs.get("initial_length") or (float(muscle.initial_length) if muscle else None)
     found = run(
         read,
-        asked,
+        quantity,
         law_type,
         points=points,
-        limits=_limits(contraction, pressure, name),
+        limits=_limits(contraction, pressure, muscle),
         specimen=known,
         contraction_step=_contraction_step(contraction_step, length),
         pressure_step=parse_quantity("--pressure-step", pressure_step, "Pa"),
@@ -116,7 +121,7 @@ def plan(
         friction=friction,
         noise=parse_optional_quantity("--noise", noise, "N"),
         stroke_error=parse_optional_quantity("--stroke-error", stroke_error, "N"),
-        guess=begun,
+        guess=initial,
     )
     numbers = found.records()
     if json:
@@ -133,17 +138,17 @@ def plan(
         notify(f"kept plan.csv, results.json and plan.png and .svg in {out}", json)
 
 
-def _show(found: Plan, specimen: str) -> None:
+def _show(found: ExperimentPlan, specimen: str) -> None:
     headers, *rows = found.rows()
     law = type(found.law).__name__.removesuffix("Law")
-    table(f"{specimen}, {law} law: {len(rows)} points to measure next, the one that gains most first", headers, rows)
+    table(f"{specimen}, {law} law: {len(rows)} points to measure next, by gain", headers, rows)
     typer.echo(found.summary())
     for sentence in found.sentences():
         typer.echo(sentence)
 
 
 def _limits(contraction: str, pressure: str, specimen: Specimen | None) -> Domain | None:
-    """Where to measure; one that is not given is the specimen's."""
+    """Design region; a limit that is not given is the specimen's."""
     if not contraction and not pressure:
         return None
     from mckibben.muscle import Domain
@@ -151,7 +156,7 @@ def _limits(contraction: str, pressure: str, specimen: Specimen | None) -> Domai
 
     if specimen is None and not (contraction and pressure):
         raise ParameterError(
-            "the specimen is not known, so one limit alone is not enough",
+            "the specimen is unknown: both limits are needed",
             remedy="give --contraction and --pressure, or --specimen",
         )
 
@@ -181,7 +186,7 @@ def _contraction_step(text: str, length: float | None) -> float | None:
         step = parse_quantity("--contraction-step", text, "m")
     if length is None:
         raise ParameterError(
-            f"--contraction-step {text!r} is a length, and the initial length of the muscle is not known",
+            f"--contraction-step {text!r} is a length, and the initial length of the muscle is unknown",
             remedy="give the step in percent, or --initial-length",
         )
     return step / length

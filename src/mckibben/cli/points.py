@@ -120,7 +120,7 @@ def points(
 
 
 def _show(read: Recording, found: ExtractedPoints, path: Path, json: bool) -> None:
-    from mckibben.study.reporting import to_json
+    from mckibben.storage.files import to_json
 
     report_ignored_columns(read.table.attrs)
     rows = _rows(found)

@@ -94,7 +94,7 @@ def sweep(
 
 def _show(swept: SweepResult, out: Path, json: bool) -> None:
     """Write and print the statistics, and write the figure."""
-    from mckibben.study.reporting import to_json, write_json
+    from mckibben.storage.files import to_json, write_json
     from mckibben.study.sweep import summary
     from mckibben.study.sweep.result import correlation_rows, feasibility_sentence, metric_rows, outcome_rows
 
@@ -121,7 +121,7 @@ def _show(swept: SweepResult, out: Path, json: bool) -> None:
 
 
 def _list(path: Path, json: bool) -> None:
-    from mckibben.study.reporting import to_json
+    from mckibben.storage.files import to_json
     from mckibben.study.scenario import Scenario
     from mckibben.study.sweep.result import parameter_rows
 

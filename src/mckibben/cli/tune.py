@@ -100,7 +100,8 @@ def tune(
 
 def _show(tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges: Any, out: Path, json: bool) -> None:
     from mckibben import report
-    from mckibben.study.reporting import METRICS, to_json, write_json
+    from mckibben.simulation.metrics import METRICS
+    from mckibben.storage.files import to_json, write_json
 
     kept = _keep_scenarios(tuned, paths, out)
     runs = [
@@ -144,11 +145,11 @@ def _show(tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges
 
 def _metrics(scenario: Scenario) -> dict[str, float]:
     """Metrics in shown units; NaN if the scenario cannot be run (an untuned one may be infeasible)."""
-    from mckibben.study.reporting import METRICS, shown
+    from mckibben.simulation.metrics import METRICS, in_shown_units
     from mckibben.study.scenario.running import run_scenario
 
     try:
-        return shown(run_scenario(scenario).result.metrics())
+        return in_shown_units(run_scenario(scenario).result.metrics())
     except McKibbenError:
         return dict.fromkeys(METRICS, float("nan"))
 

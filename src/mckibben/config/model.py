@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, ClassVar, NoReturn, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic_core import ErrorDetails
 
 from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read_document
-from mckibben.errors import Problem, ScenarioError, quoted, suggest
+from mckibben.errors import McKibbenError, Problem, ScenarioError, quoted, suggest
 
 
 class ConfigModel(BaseModel):
@@ -34,24 +34,23 @@ def explicit_fields(part: ConfigModel | None, *without: str) -> dict[str, Any]:
     }
 
 
-def fail_validation(
-    message: str,
-    remedy: str = "",
-    *,
-    parent: bool = False,
-    value: object = None,
-    lower: float | None = None,
-    upper: float | None = None,
-    unit: str = "",
-) -> NoReturn:
+class _ValidationError(McKibbenError, ValueError):
+    """A mistake found by a validator.
+
+    Parameters
+    ----------
+    parent
+        Whether it is one of the section around the field.
+    """
+
+    def __init__(self, message: str, *, parent: bool, **details: Any) -> None:
+        super().__init__(message, **details)
+        self.parent = parent
+
+
+def fail_validation(message: str, remedy: str = "", *, parent: bool = False, value: object = None) -> NoReturn:
     """Report a mistake from within a validator; with `parent` it is that of the section around the field."""
-    context = {
-        "message": message,
-        "remedy": remedy,
-        "parent": parent,
-        "range": {"value": value, "lower": lower, "upper": upper, "unit": unit},
-    }
-    raise PydanticCustomError("mckibben", "{message}; {remedy}" if remedy else "{message}", context)
+    raise _ValidationError(message, remedy=remedy, parent=parent, value=value)
 
 
 def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: str = "examples/") -> str:
@@ -123,125 +122,154 @@ def problems_of(error: ValidationError, document: Document, model: type[BaseMode
 
     A key that is missing only because it is misspelt is not reported twice, nor a value that the document has rejected.
     """
-    details = error.errors(include_url=False)
-    misspelt = {
-        (*found["loc"][:-1], close)
-        for found in details
-        if found["type"] == "extra_forbidden"
-        for close in _close_keys(found["loc"], document, model)
-    }
-    problems = []
-    for found in details:
-        place = tuple(found["loc"])
-        if any(place[: len(rejected)] == rejected for rejected in document.rejected):
-            continue
-        if found["type"] == "missing" and place in misspelt:
-            continue
-        if found.get("ctx", {}).get("parent") and any(key[:-1] == place[:-1] for key in misspelt):
-            continue  # the section probably lacks only the key that is misspelt
-        problems.append(_problem(found, place, document, model))
-    return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
+    return _Diagnosis(document, model).problems(error)
 
 
-def _problem(found: ErrorDetails, place: Place, document: Document, model: type[BaseModel]) -> Problem:
-    kind, value, context = found["type"], found["input"], found.get("ctx", {})
-    message, remedy, numbers = found["msg"], "", {"value": value}
-    if kind == "mckibben":
-        message, remedy = context["message"], context["remedy"]
-        numbers |= {name: one for name, one in context["range"].items() if one is not None}
-        place = place[:-1] if context["parent"] else place
-        while place not in document.lines and place:  # a name alone stands for `from`, a quantity for `constant`
-            place = place[:-1]
-    elif kind == "missing":
-        message, remedy = "is missing", f"add it{_example(place, model)}"
-    elif kind == "extra_forbidden":
-        message, remedy = "is not a known key here", _other_key(place, document, model)
-        if str(place[-1])[:1].isdigit() and value == "":
-            message, remedy = "follows a comma", "write decimals with a point"
-    elif value in ("", None):
-        message, remedy = "has no value", "write one, or leave the key out"
-    elif kind == "model_type":
-        message = f"{_given(value, 'a list')} stands where keys and values belong"
-        remedy = f"give a mapping of {', '.join(_keys(place, model))}"
-    elif kind == "dict_type":
-        message = f"{_given(value, 'a list')} stands where names and sections belong"
-        remedy = "give a mapping, each section under a name of its own"
-    elif kind == "tuple_type":
-        message = f"{_given(value, 'a mapping')} stands where a list belongs"
-        remedy = "write [first, second, ...]"
-    elif kind == "too_long":
-        message = f"has {context['actual_length']} items, more than {context['max_length']}"
-        remedy = "put them in a CSV file (samples: {file: reference.csv})"
-    elif kind == "too_short":
-        message, remedy = "is empty", "give at least one"
-    return Problem(message, document.line(place), dotted(place), remedy, **numbers)
+class _Diagnosis:
+    """From the errors of a validation to problems with line, field and remedy."""
+
+    def __init__(self, document: Document, model: type[BaseModel]) -> None:
+        self.document, self.model = document, model
+
+    def problems(self, error: ValidationError) -> list[Problem]:
+        document, details = self.document, error.errors(include_url=False)
+        misspelt = {
+            (*found["loc"][:-1], close)
+            for found in details
+            if found["type"] == "extra_forbidden"
+            for close in self.close_keys(found["loc"])
+        }
+        problems = []
+        for found in details:
+            place = tuple(found["loc"])
+            if any(place[: len(rejected)] == rejected for rejected in document.rejected):
+                continue
+            if found["type"] == "missing" and place in misspelt:
+                continue
+            parent = getattr(found.get("ctx", {}).get("error"), "parent", False)
+            if parent and any(key[:-1] == place[:-1] for key in misspelt):
+                continue  # the section probably lacks only the key that is misspelt
+            problems.append(self.problem(found, place))
+        return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
+
+    def problem(self, found: ErrorDetails, place: Place) -> Problem:
+        kind, value, context = found["type"], found["input"], found.get("ctx", {})
+        message, remedy, error = found["msg"], "", context.get("error")
+        if isinstance(error, McKibbenError):
+            place = place[:-1] if isinstance(error, _ValidationError) and error.parent else place
+            while place not in self.document.lines and place:  # a name alone stands for `from`, a number for `constant`
+                place = place[:-1]
+            return Problem.of(error, self.document.line(place), dotted(place))
+        if kind == "missing":
+            message, remedy = "is missing", f"add it{self.example(place)}"
+        elif kind == "extra_forbidden":
+            message, remedy = "is not a known key here", self.other_key(place)
+            if str(place[-1])[:1].isdigit() and value == "":
+                message, remedy = "follows a comma", "write decimals with a point"
+        elif value in ("", None):
+            message, remedy = "has no value", "write one, or leave the key out"
+        elif kind == "model_type":
+            message = f"{_given(value, 'a list')} stands where keys and values belong"
+            remedy = f"give a mapping of {', '.join(self.keys(place))}"
+        elif kind == "dict_type":
+            message = f"{_given(value, 'a list')} stands where names and sections belong"
+            remedy = "give a mapping, each section under a name of its own"
+        elif kind == "tuple_type":
+            message = f"{_given(value, 'a mapping')} stands where a list belongs"
+            remedy = "write [first, second, ...]"
+        elif kind == "string_type":
+            message, remedy = (
+                f"{_given(value, 'a list or mapping')} stands where text belongs",
+                "write one line of text",
+            )
+        elif kind == "too_long":
+            message = f"has {context['actual_length']} items, more than {context['max_length']}"
+            remedy = "put them in a CSV file (samples: {file: reference.csv})"
+        elif kind == "too_short":
+            message, remedy = "is empty", "give at least one"
+        return Problem(message, self.document.line(place), dotted(place), remedy, value)
+
+    def example(self, place: Place) -> str:
+        parent = self.model_at(place[:-1])
+        if parent is None:
+            return ""
+        for name, info in parent.model_fields.items():
+            if (info.alias or name) == place[-1]:
+                if info.examples:
+                    return f", such as `{place[-1]}: {info.examples[0]}`"
+                for mark in info.metadata:
+                    if example := getattr(mark, "example", ""):
+                        return f", such as `{place[-1]}: {example.strip(chr(39))}`"
+                inner = model_in(info.annotation)
+                return f", a mapping of {', '.join(_keys_of(inner))}" if inner else ""
+        return ""
+
+    def close_keys(self, place: Place) -> list[str]:
+        """The keys that a misspelt one may stand for."""
+        remedy = self.other_key(place).rstrip("?")
+        return [key for key in self.free_keys(place) if remedy.endswith(f" {key!r}")]
+
+    def other_key(self, place: Place) -> str:
+        """A remedy for an unknown key."""
+        around = self.model_at(place[:-1])
+        if around is not None and issubclass(around, ConfigModel) and place[-1] in around.renamed:
+            return f"it was renamed to {around.renamed[str(place[-1])]!r}"
+        return suggest(str(place[-1]), self.free_keys(place))
+
+    def free_keys(self, place: Place) -> list[str]:
+        """The keys that could stand in place of an unknown one: those not given yet, or all if all are."""
+        keys = self.keys(place[:-1])
+        return [key for key in keys if (*place[:-1], key) not in self.document.lines] or keys
+
+    def keys(self, place: Place) -> list[str]:
+        found = self.model_at(place)
+        return _keys_of(found) if found else []
+
+    def model_at(self, place: Place) -> type[BaseModel] | None:
+        """The model that validates a place."""
+        annotation: Any = self.model
+        value = self.document.data
+        for key in place:
+            value = _item(value, key)
+            if isinstance(key, int):  # an item of a list of models
+                continue
+            if get_origin(annotation) is dict:  # of sections, by names that people choose
+                annotation, marks = get_args(annotation)[1], ()
+            else:
+                found = model_in(annotation)
+                fields = {info.alias or name: info for name, info in found.model_fields.items()} if found else {}
+                if key not in fields:
+                    return None
+                annotation, marks = fields[str(key)].annotation, fields[str(key)].metadata
+            for mark in (*marks, *_marks_in(annotation)):
+                if hasattr(mark, "model_for"):
+                    annotation = mark.model_for(value) or annotation
+        return None if get_origin(annotation) is dict else model_in(annotation)
 
 
 def _given(value: object, otherwise: str) -> str:
     return quoted(value) if isinstance(value, str) else otherwise
 
 
-def _example(place: Place, model: type[BaseModel]) -> str:
-    parent = _model_at(place[:-1], model)
-    if parent is None:
-        return ""
-    for name, info in parent.model_fields.items():
-        if (info.alias or name) == place[-1]:
-            if info.examples:
-                return f", such as `{place[-1]}: {info.examples[0]}`"
-            for mark in info.metadata:
-                if example := getattr(mark, "example", ""):
-                    return f", such as `{place[-1]}: {example.strip(chr(39))}`"
-            inner = _model_in(info.annotation)
-            return f", a mapping of {', '.join(_keys((), inner))}" if inner else ""
-    return ""
+def _item(value: Any, key: str | int) -> Any:
+    try:
+        return value[key]
+    except (KeyError, IndexError, TypeError):
+        return None
 
 
-def _close_keys(place: Place, document: Document, model: type[BaseModel]) -> list[str]:
-    """The keys that a misspelt one may stand for."""
-    keys = _free_keys(place, document, model)
-    remedy = _other_key(place, document, model)
-    return [key for key in keys if remedy.rstrip("?").endswith(f" {key!r}")]
+def _keys_of(model: type[BaseModel]) -> list[str]:
+    return [info.alias or name for name, info in model.model_fields.items()]
 
 
-def _other_key(place: Place, document: Document, model: type[BaseModel]) -> str:
-    """A remedy for an unknown key."""
-    around = _model_at(place[:-1], model)
-    if around is not None and issubclass(around, ConfigModel) and place[-1] in around.renamed:
-        return f"it was renamed to {around.renamed[str(place[-1])]!r}"
-    return suggest(str(place[-1]), _free_keys(place, document, model))
+def _marks_in(annotation: Any) -> tuple[Any, ...]:
+    """The marks of ``Annotated[Model, mark]`` in an annotation such as ``Annotated[Model, mark] | None``."""
+    own = getattr(annotation, "__metadata__", ())
+    return (*own, *(mark for one in get_args(annotation) for mark in getattr(one, "__metadata__", ())))
 
 
-def _free_keys(place: Place, document: Document, model: type[BaseModel]) -> list[str]:
-    """The keys that could stand in place of an unknown one: those not given yet, or all if all are."""
-    keys = _keys(place[:-1], model)
-    return [key for key in keys if (*place[:-1], key) not in document.lines] or keys
-
-
-def _keys(place: Place, model: type[BaseModel]) -> list[str]:
-    found = _model_at(place, model)
-    return [info.alias or name for name, info in found.model_fields.items()] if found else []
-
-
-def _model_at(place: Place, model: type[BaseModel]) -> type[BaseModel] | None:
-    """The model that validates a place."""
-    annotation: Any = model
-    for key in place:
-        if isinstance(key, int):  # an item of a list of models
-            continue
-        if get_origin(annotation) is dict:  # of sections, by names that people choose
-            annotation = get_args(annotation)[1]
-            continue
-        found = _model_in(annotation)
-        fields = {info.alias or name: info for name, info in found.model_fields.items()} if found else {}
-        if key not in fields:
-            return None
-        annotation = fields[str(key)].annotation
-    return None if get_origin(annotation) is dict else _model_in(annotation)
-
-
-def _model_in(annotation: Any) -> type[BaseModel] | None:
+def model_in(annotation: Any) -> type[BaseModel] | None:
     """The model in an annotation such as ``Model | None`` or ``tuple[Model, ...]``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next(filter(None, map(_model_in, get_args(annotation))), None)
+    return next(filter(None, map(model_in, get_args(annotation))), None)

@@ -15,6 +15,7 @@ from mckibben.joint.geometry import Pair
 from mckibben.muscle import scaled_law
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp, floating, sincos
+from mckibben.units import Bandwidth, Mass, PositiveTorque, Share, StrengthSpread
 
 Scalar = Float[Array, ""]
 
@@ -96,11 +97,11 @@ class LawAdaptation(eqx.Module):
     filtered regressors).
     """
 
-    strength_spread: float = 0.06
-    mass_spread: float = 0.0
-    friction_spread: float = 0.6
-    torque_error: float = 0.05
-    bandwidth: float = 30.0
+    strength_spread: StrengthSpread = 0.06
+    mass_spread: Mass = 0.0
+    friction_spread: Share = 0.6
+    torque_error: PositiveTorque = 0.05
+    bandwidth: Bandwidth = 30.0
 
     def __check_init__(self) -> None:
         check_positive("LawAdaptation", strength_spread=self.strength_spread)

@@ -14,6 +14,7 @@ from mckibben.control.base import Loop
 from mckibben.control.pid import PID, PIDState
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
+from mckibben.units import Count, Momentum, PressureRate, Rate, Ratio, Seed
 
 Scalar = Float[Array, ""]
 
@@ -93,13 +94,13 @@ class BackpropPID(Loop):
     base: PID
     signal_scale: float = eqx.field(kw_only=True)
     error_scale: float = eqx.field(kw_only=True)
-    output_scale: float = eqx.field(kw_only=True)
-    learning_rate: float = eqx.field(kw_only=True, default=10.0)
-    momentum: float = eqx.field(kw_only=True, default=0.5)
-    gain_ratio: float = eqx.field(kw_only=True, default=5.0)
-    hidden: int = eqx.field(kw_only=True, static=True, default=6)
+    output_scale: PressureRate = eqx.field(kw_only=True)
+    learning_rate: Rate = eqx.field(kw_only=True, default=10.0)
+    momentum: Momentum = eqx.field(kw_only=True, default=0.5)
+    gain_ratio: Ratio = eqx.field(kw_only=True, default=5.0)
+    hidden: Count = eqx.field(kw_only=True, static=True, default=6)
     jacobian: Jacobian = eqx.field(kw_only=True, static=True, default=Jacobian.SIGN)
-    seed: int | Int[Array, ""] = eqx.field(kw_only=True, default=0)
+    seed: Seed | Int[Array, ""] = eqx.field(kw_only=True, default=0)
 
     def __check_init__(self) -> None:
         check_positive(

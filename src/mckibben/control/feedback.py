@@ -9,6 +9,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import floating
+from mckibben.units import AngularAcceleration, Bandwidth, PositiveRate, PositiveTime
 
 # No `from __future__ import annotations` here: equinox does not see an AbstractVar written as text.
 
@@ -76,7 +77,7 @@ class PolePlacement(Feedback):
     One bandwidth for all gains: Z. Gao, Scaling and bandwidth-parameterization based controller tuning, ACC 2003.
     """
 
-    bandwidth: float = 80.0
+    bandwidth: Bandwidth = 80.0
     integral: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
@@ -127,10 +128,10 @@ class SlidingMode(Feedback):
     J.-J. E. Slotine and W. Li, Applied Nonlinear Control, Prentice Hall 1991, ch. 7.
     """
 
-    slope: float = 40.0
-    reach: float = 80.0
-    layer: float = 1.0
-    lag: float = 0.005
+    slope: PositiveRate = 40.0
+    reach: AngularAcceleration = 80.0
+    layer: Bandwidth = 1.0
+    lag: PositiveTime = 0.005
 
     def __check_init__(self) -> None:
         check_positive("SlidingMode", "1/s", slope=self.slope)

@@ -19,6 +19,17 @@ from mckibben.joint.geometry import Pair
 from mckibben.numerics.batching import apart
 from mckibben.numerics.checks import check_kind, check_positive
 from mckibben.numerics.elementary import exp, floating
+from mckibben.units import (
+    AngleScale,
+    AngularAcceleration,
+    Bandwidth,
+    Count,
+    PressureScale,
+    Rate,
+    Seed,
+    ShortTime,
+    StiffnessScale,
+)
 
 Scalar = Float[Array, ""]
 
@@ -152,16 +163,16 @@ class InverseModelControl(Controller):
 
     loops: PositionStiffnessControl
     load: Load | None = None
-    learning_rate: float = eqx.field(kw_only=True, default=10.0)
-    hidden: int = eqx.field(kw_only=True, static=True, default=8)
-    valve_time_constant: float = eqx.field(kw_only=True, default=0.02)
-    filter_bandwidth: float = eqx.field(kw_only=True, default=60.0)
-    angle_scale: float = eqx.field(kw_only=True, default=0.15)
-    velocity_scale: float = eqx.field(kw_only=True, default=1.0)
-    acceleration_scale: float = eqx.field(kw_only=True, default=8.0)
-    stiffness_scale: float = eqx.field(kw_only=True, default=3.0)
-    pressure_scale: float = eqx.field(kw_only=True, default=1e5)
-    seed: int | Int[Array, ""] = eqx.field(kw_only=True, default=0)
+    learning_rate: Rate = eqx.field(kw_only=True, default=10.0)
+    hidden: Count = eqx.field(kw_only=True, static=True, default=8)
+    valve_time_constant: ShortTime = eqx.field(kw_only=True, default=0.02)
+    filter_bandwidth: Bandwidth = eqx.field(kw_only=True, default=60.0)
+    angle_scale: AngleScale = eqx.field(kw_only=True, default=0.15)
+    velocity_scale: Bandwidth = eqx.field(kw_only=True, default=1.0)
+    acceleration_scale: AngularAcceleration = eqx.field(kw_only=True, default=8.0)
+    stiffness_scale: StiffnessScale = eqx.field(kw_only=True, default=3.0)
+    pressure_scale: PressureScale = eqx.field(kw_only=True, default=1e5)
+    seed: Seed | Int[Array, ""] = eqx.field(kw_only=True, default=0)
 
     def __check_init__(self) -> None:
         owner = "InverseModelControl"

@@ -24,6 +24,7 @@ from mckibben.joint.geometry import Pair
 from mckibben.numerics.batching import apart
 from mckibben.numerics.checks import check_kind, check_positive
 from mckibben.numerics.elementary import exp
+from mckibben.units import Force, ShortTime
 
 Scalar = Float[Array, ""]
 
@@ -75,8 +76,8 @@ class ModelBasedControl(Controller):
 
     model: AntagonisticJoint
     load: Load
-    valve_time_constant: float = eqx.field(kw_only=True, default=0.02)
-    minimum_tension: float = eqx.field(kw_only=True, default=5.0)
+    valve_time_constant: ShortTime = eqx.field(kw_only=True, default=0.02)
+    minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
     adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
 

@@ -14,6 +14,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import exp, floating
+from mckibben.units import Bandwidth
 
 Scalar = Float[Array, ""]
 
@@ -109,7 +110,7 @@ class VelocityObserver(Observer):
     [0.1813, 9.0559, 0.0]
     """
 
-    bandwidth: float = 250.0
+    bandwidth: Bandwidth = 250.0
 
     def __check_init__(self) -> None:
         check_positive("VelocityObserver", "rad/s", bandwidth=self.bandwidth)
@@ -143,7 +144,7 @@ class ExtendedStateObserver(Observer):
     [0.2592, 25.8751, 861.7844]
     """
 
-    bandwidth: float = 250.0
+    bandwidth: Bandwidth = 250.0
 
     def __check_init__(self) -> None:
         check_positive("ExtendedStateObserver", "rad/s", bandwidth=self.bandwidth)
@@ -168,7 +169,7 @@ class PressureObserver(eqx.Module):
         omega_p [rad/s]; infinite where the sensors are to be taken as they are.
     """
 
-    bandwidth: float = 200.0
+    bandwidth: Bandwidth = 200.0
 
     def __check_init__(self) -> None:
         if not (isinstance(self.bandwidth, Real) and math.isinf(self.bandwidth)):

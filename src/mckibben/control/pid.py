@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.control.base import Loop
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import floating
+from mckibben.units import ShortTime
 
 Scalar = Float[Array, ""]
 
@@ -50,8 +51,8 @@ class PID(Loop):
     kp: float
     ki: float
     kd: float
-    filter_time: float = 0.005
-    tracking_time: float = 0.05
+    filter_time: ShortTime = 0.005
+    tracking_time: ShortTime = 0.05
     derivative_on_error: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:

@@ -19,7 +19,7 @@ from mckibben.joint.geometry import Pair
 from mckibben.numerics.batching import apart
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp
-from mckibben.units import bar, deg
+from mckibben.units import AngleScale, Bandwidth, Count, Iterations, PoleDamping, PositiveTime, StiffnessScale, bar, deg
 
 Scalar = Float[Array, ""]
 
@@ -124,14 +124,14 @@ class PredictiveControl(ModelBasedControl):
 
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
-    bandwidth: float = eqx.field(kw_only=True, default=80.0)
-    stiffness_bandwidth: float = eqx.field(kw_only=True, default=200.0)
-    damping: float = eqx.field(kw_only=True, default=2.25)
-    angle_scale: float = eqx.field(kw_only=True, default=0.01 * deg)
-    stiffness_scale: float = eqx.field(kw_only=True, default=0.5)
-    horizon: float = eqx.field(kw_only=True, default=0.06)
-    stages: int = eqx.field(kw_only=True, static=True, default=12)
-    iterations: int = eqx.field(kw_only=True, static=True, default=1)
+    bandwidth: Bandwidth = eqx.field(kw_only=True, default=80.0)
+    stiffness_bandwidth: Bandwidth = eqx.field(kw_only=True, default=200.0)
+    damping: PoleDamping = eqx.field(kw_only=True, default=2.25)
+    angle_scale: AngleScale = eqx.field(kw_only=True, default=0.01 * deg)
+    stiffness_scale: StiffnessScale = eqx.field(kw_only=True, default=0.5)
+    horizon: PositiveTime = eqx.field(kw_only=True, default=0.06)
+    stages: Count = eqx.field(kw_only=True, static=True, default=12)
+    iterations: Iterations = eqx.field(kw_only=True, static=True, default=1)
 
     def __check_init__(self) -> None:
         name = "PredictiveControl"

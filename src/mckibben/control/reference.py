@@ -14,6 +14,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import RANK
 from mckibben.numerics.elementary import floating, sin
+from mckibben.units import Frequency, Instant, Phase, SignalValue
 
 
 class Signal(eqx.Module):
@@ -27,7 +28,7 @@ class Signal(eqx.Module):
 class Constant(Signal):
     """The same value always."""
 
-    value: float
+    value: SignalValue
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         return jnp.full_like(floating(time), self.value)
@@ -36,9 +37,9 @@ class Constant(Signal):
 class Step(Signal):
     """One value before a time [s], another from then on."""
 
-    before: float
-    after: float
-    at: float
+    before: SignalValue
+    after: SignalValue
+    at: Instant
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         return jnp.where(floating(time) < self.at, self.before, self.after) * 1.0
@@ -47,10 +48,10 @@ class Step(Signal):
 class Sine(Signal):
     """offset + amplitude sin(2 pi frequency t + phase); frequency in Hz, phase in rad."""
 
-    amplitude: float
-    frequency: float
-    offset: float = 0.0
-    phase: float = 0.0
+    amplitude: SignalValue
+    frequency: Frequency
+    offset: SignalValue = 0.0
+    phase: Phase = 0.0
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         cycles = self.frequency * floating(time)
@@ -61,10 +62,10 @@ class Sine(Signal):
 class Multisine(Signal):
     """offset + a sum of sines; one amplitude, frequency [Hz] and phase [rad] each."""
 
-    amplitudes: tuple[float, ...]
-    frequencies: tuple[float, ...]
-    phases: tuple[float, ...] = ()
-    offset: float = 0.0
+    amplitudes: tuple[SignalValue, ...]
+    frequencies: tuple[Frequency, ...]
+    phases: tuple[Phase, ...] = ()
+    offset: SignalValue = 0.0
 
     def __check_init__(self) -> None:
         counts = {len(self.amplitudes), len(self.frequencies), len(self.phases or self.amplitudes)}

@@ -1,4 +1,4 @@
-"""Measurements: points of isobaric tests, raw recordings, and readers for the files that labs have."""
+"""Measurements: isobaric datasets, raw recordings, and readers of laboratory files."""
 
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.points import ExtractedPoints

@@ -1,4 +1,4 @@
-"""Column headers: quantity and unit of each column."""
+"""Column headers: quantity and unit of each column of a file."""
 
 from __future__ import annotations
 
@@ -25,9 +25,8 @@ ACCEPTED: Mapping[str, tuple[str, ...]] = {
     "phase": (),
 }
 
-# Other names, read only where a unit of theirs follows. No word of which the sign or the zero is open: a strain may be
-# positive when longer, a displacement may begin anywhere. Of letters, those that are capitals alone are so on purpose:
-# f is a frequency and T a temperature.
+# Other names, accepted only with a unit. None whose sign or zero is ambiguous, such as strain or displacement. Letters
+# are case-sensitive: f is a frequency and T a temperature.
 _NAMES: Mapping[str, str] = {
     "p": "pressure",
     "P": "pressure",
@@ -77,14 +76,14 @@ _ABSOLUTE = re.compile(r"(.*?)(?:\s*\((?:a|abs|absolute)\)|[ _]?abs(?:olute)?| a
 
 
 class Header(NamedTuple):
-    """What a header says: a key of `ACCEPTED`, and its unit; `direction`, `repeat` and `phase` have none."""
+    """Meaning of a header: a key of `ACCEPTED`, and its unit; `direction`, `repeat` and `phase` have none."""
 
     quantity: str
     unit: str
 
 
 def names(quantity: str) -> str:
-    """The accepted headers of a quantity, as text.
+    """Accepted headers of a quantity, as text.
 
     >>> names("contraction")
     'contraction_percent or contraction_ratio'
@@ -93,25 +92,25 @@ def names(quantity: str) -> str:
     return " or ".join(filter(None, [", ".join(spelled[:-1]), spelled[-1]]))
 
 
-def recognise(header: str, unit: str = "") -> Header | None:
-    """What a header says, or None where it is not one of ours.
+def parse_header(header: str, unit: str = "") -> Header | None:
+    """Parse a header; None if it names no accepted quantity with its unit.
 
-    The case of letters is free, except that of a leading m in a unit: MPa is not mPa, mbar is not Mbar.
+    Case-insensitive, except for a leading m in a unit: MPa is not mPa, mbar is not Mbar.
 
     Parameters
     ----------
     header
-        The name of a column.
+        Name of a column.
     unit
-        Its unit, where the file has it elsewhere; what the name says goes before.
+        Its unit, where the file has it elsewhere; a unit in the name has priority.
 
     Examples
     --------
-    >>> recognise("Pressure_KPA"), recognise("p / kPa"), recognise("Force", "N")
-    (Column(quantity='pressure', unit='kPa'), Column(quantity='pressure', unit='kPa'),
-     Column(quantity='force', unit='N'))
-    >>> recognise("pressure_mPa"), recognise("Pressure"), recognise("Pressure (bar abs)"), recognise("T / s")
-    (None, None, None, None)
+    >>> parse_header("Pressure_KPA"), parse_header("p / kPa"), parse_header("Force", "N")
+    (Header(quantity='pressure', unit='kPa'), Header(quantity='pressure', unit='kPa'),
+     Header(quantity='force', unit='N'))
+    >>> [parse_header(text) for text in ("pressure_mPa", "Pressure", "Pressure (bar abs)", "T / s")]
+    [None, None, None, None]
     """
     for quantity, spelled in _readings(header, unit):
         for known in ACCEPTED[quantity] or ("",):
@@ -120,15 +119,15 @@ def recognise(header: str, unit: str = "") -> Header | None:
     return None
 
 
-def foreign_unit(header: str, unit: str = "") -> str:
-    """Why a header names a quantity of ours in a unit that it cannot have; empty where it does not.
+def unit_error(header: str, unit: str = "") -> str:
+    """Error of a header that names a quantity with a wrong unit; empty where there is none.
 
-    >>> foreign_unit("pressure_mPa"), foreign_unit("Pressure [psia]")
+    >>> unit_error("pressure_mPa"), unit_error("Pressure [psia]")
     ("'mPa' is not a unit of pressure here", "'psia' is absolute; a gauge pressure is needed")
-    >>> foreign_unit("pressure_sensor"), foreign_unit("pressure_bar"), foreign_unit("p / W")
+    >>> unit_error("pressure_sensor"), unit_error("pressure_bar"), unit_error("p / W")
     ('', '', '')
     """
-    if recognise(header, unit):
+    if parse_header(header, unit):
         return ""
     known = {name.lower() for name in units.UNITS}
     for quantity, spelled in _readings(header, unit):
@@ -141,7 +140,7 @@ def foreign_unit(header: str, unit: str = "") -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a cell is a unit and no number, as in a row of units under the header.
+    """True if a cell is a unit, as in a row of units under the header.
 
     >>> [is_unit(text) for text in ("[bar]", "%", "N", "-", "1", "loading", "")]
     [True, True, True, True, False, False, False]
@@ -152,7 +151,7 @@ def is_unit(text: str) -> bool:
 
 
 def _readings(header: str, unit: str) -> list[tuple[str, str]]:
-    """What a header may say: pairs of a quantity and a unit as it is spelled."""
+    """Candidate readings of a header: pairs of quantity and unit as spelled."""
     text = " ".join(header.split())
     found: list[tuple[str, str]] = []
     if match := _CLASSIC.fullmatch(text):
@@ -162,8 +161,8 @@ def _readings(header: str, unit: str) -> list[tuple[str, str]]:
     if match := _WITH_UNIT.fullmatch(text):
         spelled = _bare(next(filter(None, (match["a"], match["b"], match["c"], match["d"]))))
     quantity = _NAMES.get(name) or _NAMES.get(name.lower() if len(name) > 1 else "")
-    if (plain := name.lower().replace(" ", "_")) in ACCEPTED:
-        quantity = plain
+    if (key := name.lower().replace(" ", "_")) in ACCEPTED:
+        quantity = key
     if quantity and spelled:
         found.append((quantity, spelled))
     return found
@@ -175,7 +174,7 @@ def _name(header: str) -> str:
 
 
 def _bare(unit: str) -> str:
-    """A unit without its brackets."""
+    """Unit without brackets."""
     text = unit.strip()
     for left, right in ("()", "[]"):
         if text.startswith(left) and text.endswith(right):
@@ -197,43 +196,33 @@ _SHOWN = 40  # names of the file's columns in a message
 
 @dataclass
 class Layout:
-    """Where the columns of a file are.
-
-    Attributes
-    ----------
-    places
-        Index and meaning of each column of ours, by quantity.
-    ignored
-        The other headers.
-    problems
-        What is wrong with the header.
-    """
+    """Columns of a file by quantity (index and header), ignored headers, and problems of the header."""
 
     places: dict[str, tuple[int, Header]] = field(default_factory=dict)
     ignored: list[str] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
 
 
-def lay_out(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) -> Layout:
-    """Find the columns of ours in a file.
+def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) -> Layout:
+    """Find the columns of known quantities in a file.
 
     Parameters
     ----------
     sheet
-        Its columns.
+        Columns of the file.
     mapping
-        From names in the file to names of ours. They go before what a header says by itself.
+        Names in the file to accepted headers; these have priority.
     needed
-        The quantities that must be there; a length does for a contraction.
+        Required quantities; a length may stand for a contraction.
 
     Examples
     --------
     >>> from mckibben.dataset.sheet import RawColumn
     >>> headers = ["Druck [bar]", "contraction_percent", "note"]
     >>> sheet = RawTable([RawColumn(header, [], []) for header in headers], header_line=1)
-    >>> layout = lay_out(sheet, {"Druck [bar]": "pressure_bar"}, ["pressure", "contraction", "force"])
+    >>> layout = find_columns(sheet, {"Druck [bar]": "pressure_bar"}, ["pressure", "contraction", "force"])
     >>> layout.places["pressure"], layout.ignored
-    ((0, Column(quantity='pressure', unit='bar')), ['note'])
+    ((0, Header(quantity='pressure', unit='bar')), ['note'])
     >>> print(*layout.problems)
     line 1: no column for force; the file has 'Druck [bar]', 'contraction_percent', 'note'; name it force_N ...
     """
@@ -246,7 +235,7 @@ def lay_out(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) 
 
     asked: set[str] = set()
     for given, name in mapping.items():
-        column = recognise(name)
+        column = parse_header(name)
         if given not in header:
             problem(f"columns has {given!r}, the file {shown}")
         if column is None:
@@ -256,30 +245,30 @@ def lay_out(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) 
     for index, channel in enumerate(sheet.channels):
         text = channel.name
         mapped = text in mapping
-        column = recognise(mapping[text]) if mapped else recognise(channel.label, channel.unit)
+        column = parse_header(mapping[text]) if mapped else parse_header(channel.label, channel.unit)
         if text and text in header[:index]:
             problem("stands twice in the header", text)
         elif column is None or (column.quantity in asked and not mapped):
-            if column is None and not mapped and (reason := foreign_unit(channel.label, channel.unit)):
+            if column is None and not mapped and (reason := unit_error(channel.label, channel.unit)):
                 problem(reason, text, f"accepted are {_accepted(channel.label)}")
             layout.ignored += [text] if text else []
         elif column.quantity in layout.places:
             first = header[layout.places[column.quantity][0]]
-            remedy = "keep one of them, or tell by columns={...} which it is"
+            remedy = "keep one of them, or assign it by columns={...}"
             problem(f"gives {column.quantity} again, after {first!r}", text, remedy)
         else:
             layout.places[column.quantity] = index, column
     for name in needed:
         if name not in layout.places and not (name == "contraction" and "length" in layout.places):
             wanted = names(name) + (f" (or {names('length')})" if name == "contraction" else "")
-            remedy = f"name it {wanted}, or tell by columns={{...}} which it is"
+            remedy = f"name it {wanted}, or assign it by columns={{...}}"
             problem(f"no column for {name}; the file has {shown}", remedy=remedy)
     _same_length(sheet, layout)
     return layout
 
 
 def _same_length(sheet: RawTable, layout: Layout) -> None:
-    """Columns are read together row by row: they must be of one length."""
+    """Check that the columns that are read have one length."""
     read = [sheet.channels[index] for index, _ in layout.places.values()]
     for channel in read[1:]:
         if len(channel.cells) != len(read[0].cells):

@@ -1,4 +1,4 @@
-"""Excel workbooks (.xlsx) to a `RawTable`."""
+"""Reader of Excel workbooks (.xlsx)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mckibben.dataset.columns import is_unit
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, settled
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column
 from mckibben.errors import DatasetError, Problem
 
 _ROWS = 1_048_576  # of a sheet of Excel
@@ -20,7 +20,7 @@ _LARGEST = 2**30  # bytes of a workbook's content
 
 
 def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> RawTable:
-    """Read the sheets of a workbook that have a row of names. Formulas are read as the values they had when saved.
+    """Read the sheets of a workbook that have a header. Formulas are read as their saved values.
 
     With one such sheet the columns are named as in it; with several ``sheet/column``.
 
@@ -64,7 +64,7 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
 
 
 def _rows(path: Path, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
-    """The rows of a sheet that are not empty, with their numbers."""
+    """Rows of a sheet that are not empty, with their numbers."""
     sheet.reset_dimensions()  # what the file says of its size is not always true
     rows = [
         (number, row)
@@ -77,7 +77,7 @@ def _rows(path: Path, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
 
 
 def _table(rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, str], bool]) -> list[RawColumn]:
-    """The columns of a sheet."""
+    """Columns of a sheet."""
     if len(rows) < 2:
         return []
     start = _start(rows, known)
@@ -95,13 +95,13 @@ def _table(rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, st
     units = (under if has_units else []) + [""] * len(header)
     lines = [number for number, _ in body]
     return [
-        RawColumn(name, settled([row[i] if i < len(row) else None for _, row in body]), lines, unit=units[i])
+        RawColumn(name, as_column([row[i] if i < len(row) else None for _, row in body]), lines, unit=units[i])
         for i, name in enumerate(header)
     ]
 
 
 def _start(rows: Sequence[tuple[int, tuple[Any, ...]]], known: Callable[[str, str], bool]) -> int:
-    """The index of the row of names: the first, or a later one with two known names where the first has none."""
+    """Index of the header: the first row, or a later one with two known names where the first has none."""
     for index, (_, row) in enumerate(rows[: min(_HEADER, len(rows) - 1)]):
         below = [_name(cell) for cell in rows[index + 1][1]] + [""] * len(row)
         names = [(_name(cell), unit if is_unit(unit) else "") for cell, unit in zip(row, below, strict=False)]

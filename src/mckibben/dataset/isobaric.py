@@ -1,10 +1,11 @@
-"""The raw samples of plateaus to their means."""
+"""Datasets of isobaric tests."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Self
 
@@ -12,29 +13,29 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.schema import assemble, conform, held_in, spanned, write_csv, write_netcdf
+from mckibben.dataset.schema import assemble, format_range, load_validated, normalize, write_csv, write_netcdf
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, percent
 
 _BLOCK = 32768  # samples worked on at a time: 256 KiB of floats stay in a core's cache
 
 
-def mean_and_spread(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and standard deviation of each row, in one pass through memory and without a copy of the whole.
+def mean_and_std(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and standard deviation of each row, computed in blocks that stay in cache.
 
     Parameters
     ----------
     samples
-        Shape (points, samples), of any float type; the sums are of float64.
+        Shape (points, samples), of any float type; sums are in float64.
 
     Returns
     -------
-    mean, spread
+    mean, deviation
         Shape (points,), in the unit of the samples.
 
     Examples
     --------
-    >>> mean_and_spread(np.array([[1.0, 3.0], [5.0, 5.0]]))
+    >>> mean_and_std(np.array([[1.0, 3.0], [5.0, 5.0]]))
     (array([2., 5.]), array([1., 0.]))
     """
     points, count = samples.shape
@@ -50,8 +51,8 @@ def mean_and_spread(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[n
     return mean, spread
 
 
-def near(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: float = 1e3) -> NDArray[np.bool_]:
-    """The points whose level is within `tolerance` of any of the pressures, all in Pa.
+def at_levels(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: float = 1e3) -> NDArray[np.bool_]:
+    """Mask of the points whose level is within `tolerance` of any of the pressures, all in Pa.
 
     Raises
     ------
@@ -62,16 +63,16 @@ def near(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: float = 1
     close = np.abs(levels[:, None] - wanted) <= tolerance
     if len(missing := wanted[~np.any(close, axis=0)]):
         raise RangeError(
-            f"there is no point at {listed(missing / bar)} bar",
+            f"there is no point at {format_list(missing / bar)} bar",
             value=float(missing[0]),
             unit="Pa",
-            remedy=f"the pressures are {listed(np.unique(levels) / bar)} bar" if len(levels) else "",
+            remedy=f"the pressures are {format_list(np.unique(levels) / bar)} bar" if len(levels) else "",
         )
     return np.asarray(np.any(close, axis=1))
 
 
-def among(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.bool_]:
-    """The points whose entry in a column is one of the values; an empty column is one that is not recorded.
+def equal_to(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.bool_]:
+    """Mask of the points whose entry in a column is one of the values; an empty column is not recorded.
 
     Raises
     ------
@@ -84,24 +85,26 @@ def among(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.bool_]
         raise RangeError(
             f"there is no point of {name} {', '.join(map(str, missing))}",
             value=missing[0],
-            remedy=f"the {name}s are {listed(present)}" if len(present) else f"no {name} is recorded",
+            remedy=f"the {name}s are {format_list(present)}" if len(present) else f"no {name} is recorded",
         )
     if not len(wanted):
-        raise RangeError(f"no {name} is given", remedy=f"the {name}s are {listed(present)}" if len(present) else "")
+        raise RangeError(
+            f"no {name} is given", remedy=f"the {name}s are {format_list(present)}" if len(present) else ""
+        )
     return np.asarray(np.isin(column, wanted))
 
 
-def listed(values: np.ndarray, most: int = 24) -> str:
-    """Numbers or words as text, the first of them where there are many."""
+def format_list(values: np.ndarray, most: int = 24) -> str:
+    """Numbers or words as text, shortened where there are many."""
     shown = [value if isinstance(value, str) else f"{value:g}" for value in values[:most].tolist()]
     return ", ".join(shown) + (f", ... ({len(values)} in all)" if len(values) > most else "")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class IsobaricDataset:
-    """Points of isobaric tests: at each a pressure, a contraction and a force.
+    """Points of isobaric tests: pressure, contraction and force.
 
-    Make one with `of` or `read_dataset`; two are the same where ``a.table.identical(b.table)``.
+    Made by `of` or `read_dataset`; two are equal where ``a.table.identical(b.table)``.
 
     Attributes
     ----------
@@ -117,7 +120,7 @@ class IsobaricDataset:
     Raises
     ------
     DatasetError
-        If a variable is missing, of the wrong shape or unit, or holds a value that cannot have been measured.
+        If a variable is missing, of the wrong shape or unit, or holds an impossible value.
 
     Examples
     --------
@@ -134,7 +137,7 @@ class IsobaricDataset:
     table: xr.Dataset
 
     def __post_init__(self) -> None:
-        table, problems = conform(self.table)
+        table, problems = normalize(self.table)
         if problems:
             raise DatasetError("dataset", problems)
         object.__setattr__(self, "table", table)
@@ -175,20 +178,20 @@ class IsobaricDataset:
         set_pressure
             Shape (points,): nominal pressure [Pa], NaN where it is not known.
         force_samples, pressure_samples
-            Shape (points, samples): raw samples [N], [Pa]. They are not copied: do not write to them after.
+            Shape (points, samples): raw samples [N], [Pa], not copied.
         specimen
-            The make of the muscle.
+            Name of the muscle's type.
         initial_length
             Length of the deflated muscle [m].
         source
-            Where the numbers come from.
+            Source of the data.
         slack_force
-            A force up to this [N] means that the muscle was slack. Set it above the noise of the rig.
+            Force [N] up to which the muscle counts as slack. Set it above the noise of the rig.
 
         Raises
         ------
         DatasetError
-            With all that is wrong: shapes that do not match, values that are not finite, or out of range.
+            With every problem: shapes that do not match, values that are not finite or out of range.
         """
         variables = {
             "pressure": pressure,
@@ -226,12 +229,12 @@ class IsobaricDataset:
 
     @property
     def slack(self) -> NDArray[np.bool_]:
-        """Where the muscle was slack: the force is no measurement there, it only says "not above"."""
+        """Mask of points with a slack muscle, where the force is not determined by the muscle."""
         return self.force <= self.table.attrs["slack_force"]
 
     @property
     def taut(self) -> Self:
-        """The points at which the muscle was taut."""
+        """Points with a taut muscle."""
         return self.select(~self.slack)
 
     @property
@@ -244,22 +247,22 @@ class IsobaricDataset:
 
     @property
     def pressures(self) -> NDArray[np.float64]:
-        """The distinct levels [Pa], ascending."""
+        """Distinct levels [Pa], ascending."""
         return np.unique(self.levels)
 
     @property
     def repeats(self) -> NDArray[np.int64]:
-        """The distinct repeats, ascending; empty where they are not recorded."""
+        """Distinct repeats, ascending; empty if not recorded."""
         return np.unique(self._column("repeat"))
 
     @property
     def directions(self) -> NDArray[np.str_]:
-        """The distinct directions; empty where they are not recorded."""
+        """Distinct directions; empty if not recorded."""
         return self._words("direction")
 
     @property
     def phases(self) -> NDArray[np.str_]:
-        """The distinct phases; empty where they are not recorded."""
+        """Distinct phases; empty if not recorded."""
         return self._words("phase")
 
     def __len__(self) -> int:
@@ -272,20 +275,23 @@ class IsobaricDataset:
         if len(self):
             levels, contraction = self.pressures / bar, self.contraction / percent
             count = f"{len(levels)} pressure{'s' if len(levels) > 1 else ''}"
-            parts.append(f"{count} {spanned(levels)} bar")
-            parts.append(f"contraction {spanned(contraction)} %")
+            parts.append(f"{count} {format_range(levels)} bar")
+            parts.append(f"contraction {format_range(contraction)} %")
         if len(self.directions):
             parts.append(" and ".join(self.directions))
         if len(self.phases):
             parts.append(" and ".join(self.phases))
         if len(self.repeats):
-            parts.append(f"repeats {listed(self.repeats)}")
+            parts.append(f"repeats {format_list(self.repeats)}")
         if samples := self.table.sizes.get("sample"):
             parts.append(f"{samples} samples a point")
         return f"<IsobaricDataset{f' {name!r}' if name else ''}: {', '.join(parts)}>"
 
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(repr(self))}</p>{self.table._repr_html_()}"
+
     def select(self, mask: ArrayLike) -> Self:
-        """The points where `mask` (booleans, one per point) is true, in their order."""
+        """Points where `mask` (booleans, one per point) is true, in their order."""
         where = np.asarray(mask)
         if where.dtype != np.bool_ or where.shape != (len(self),):
             raise RangeError(
@@ -295,14 +301,14 @@ class IsobaricDataset:
         return type(self)(self.table.isel(point=where))
 
     def at(self, pressures: ArrayLike, tolerance: float = 1e3) -> Self:
-        """The points whose level [Pa] is within `tolerance` [Pa] of any of the given pressures [Pa].
+        """Points whose level [Pa] is within `tolerance` [Pa] of any of the given pressures [Pa].
 
         Raises
         ------
         RangeError
             If there is no point at one of them; the error names the pressures that there are.
         """
-        return self.select(near(self.levels, pressures, tolerance))
+        return self.select(at_levels(self.levels, pressures, tolerance))
 
     def split(
         self,
@@ -311,32 +317,32 @@ class IsobaricDataset:
         repeats: ArrayLike | None = None,
         directions: str | Sequence[str] | None = None,
     ) -> tuple[Self, Self]:
-        """Hold points out by whole pressures, repeats or directions.
+        """Split into training and held-out points by whole pressures, repeats or directions.
 
         Parameters
         ----------
         pressures
-            Levels [Pa], met within 0.01 bar.
+            Levels [Pa], matched within 0.01 bar.
         repeats, directions
             As in the dataset.
 
         Returns
         -------
         train, held_out
-            `held_out` has the points at any of the given things, `train` all others.
+            `held_out` has the points at any of the given values, `train` all others.
 
         Raises
         ------
         RangeError
-            If nothing is given, something given is not in the dataset, or no point would be left on one side.
+            If nothing is given, a value is not in the dataset, or one part would be empty.
         """
         held_out = np.zeros(len(self), bool)
         if pressures is not None:
-            held_out |= near(self.levels, pressures)
+            held_out |= at_levels(self.levels, pressures)
         if repeats is not None:
-            held_out |= among(self._column("repeat"), repeats, "repeat")
+            held_out |= equal_to(self._column("repeat"), repeats, "repeat")
         if directions is not None:
-            held_out |= among(self._column("direction"), directions, "direction")
+            held_out |= equal_to(self._column("direction"), directions, "direction")
         if held_out.all() or not held_out.any():
             side = "train on" if held_out.any() else "hold out"
             raise RangeError(
@@ -346,15 +352,14 @@ class IsobaricDataset:
         return self.select(~held_out), self.select(held_out)
 
     def plateau_means(self) -> Self:
-        """The dataset with pressure and force as means over the raw samples, and without the samples.
+        """Dataset with the mean pressure and force of the raw samples, without the samples.
 
-        ``force_spread`` is then the standard deviation of the force over the samples of each point [N]
-        (`numpy.std`, that of the samples and not of their mean). A dataset without samples is returned as it
-        is.
+        ``force_spread`` is the standard deviation of the samples of each point [N] (`numpy.std`). A dataset without
+        samples is returned unchanged.
         """
         columns: dict[str, NDArray[np.float64]] = {}
         if "force_samples" in self.table:
-            columns["force"], columns["force_spread"] = mean_and_spread(self.table["force_samples"].to_numpy())
+            columns["force"], columns["force_spread"] = mean_and_std(self.table["force_samples"].to_numpy())
         if "pressure_samples" in self.table:
             columns["pressure"] = self.table["pressure_samples"].to_numpy().mean(axis=1, dtype=np.float64)
         if not columns:
@@ -363,10 +368,7 @@ class IsobaricDataset:
         return type(self)(table.assign({name: ("point", values) for name, values in columns.items()}))
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write everything, samples included, to a NetCDF-4 file; `from_netcdf` gives the same dataset back.
-
-        The file appears complete or not at all.
-        """
+        """Write everything, samples included, to a NetCDF-4 file atomically; `from_netcdf` reads it back."""
         write_netcdf(self.table, Path(path))
 
     @classmethod
@@ -378,14 +380,13 @@ class IsobaricDataset:
         DatasetError
             If the file is not there, is no NetCDF file, or does not hold an isobaric dataset.
         """
-        return held_in(Path(path), cls)
+        return load_validated(Path(path), cls)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the plateau means as CSV text in SI units; `read_dataset` gives the same numbers back.
+        """Write the plateau means as CSV text in SI units atomically; `read_dataset` reads the same numbers back.
 
-        The specimen, initial length, source and slack force stand in comment lines at the top. Samples, their
-        spread and variables that are not ours are left out: `to_netcdf` keeps them. The file appears complete
-        or not at all.
+        The attributes are comment lines at the top. Samples, their standard deviation and other variables are left
+        out: `to_netcdf` keeps them.
         """
         write_csv(self.plateau_means().table, Path(path))
 

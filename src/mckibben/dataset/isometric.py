@@ -1,4 +1,4 @@
-"""A record at a fixed length: the force at chosen pressures, apart for filling and venting."""
+"""Points of a recording at a fixed length: force at given pressures, separately for filling and venting."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, account, check
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, extracted_points, format_counts
 from mckibben.errors import RangeError
 from mckibben.units import bar, kPa
 
@@ -27,58 +26,61 @@ def isometric(
     reversal: float,
     gap: float | None,
 ) -> ExtractedPoints:
-    """`Recording.isometric`, of the recording's table."""
-    check("reversal", reversal, "Pa")
-    check("contraction_tolerance", contraction_tolerance, "1")
+    """`Recording.isometric` for the recording's table."""
+    check_positive("reversal", reversal, "Pa")
+    check_positive("contraction_tolerance", contraction_tolerance, "1")
     time, pressure, force = (table[name].to_numpy() for name in ("time", "pressure", "force"))
     if not len(time):
         raise RangeError("the recording has no samples")
-    ledger = SampleAccount(table, gap)
-    held = _held(table, contraction, contraction_tolerance, ledger)
-    usable = ledger.of < 0
+    account = SampleAccount(table, gap)
+    held = _held(table, contraction, contraction_tolerance, account)
+    usable = account.of < 0
     wanted = _levels(pressure[usable], levels, count)
     spacing = np.diff(wanted).min() if len(wanted) > 1 else np.inf
     if band is None:
         band = float(min(spacing / 2, np.ptp(wanted) / _BAND)) if len(wanted) > 1 else 10 * kPa
-    check("band", band, "Pa")
+    check_positive("band", band, "Pa")
     if 2 * band > spacing * (1 + 1e-9):
         raise RangeError(
             f"bands of {band:g} Pa around levels {spacing:g} Pa apart overlap", value=band, upper=spacing / 2, unit="Pa"
         )
-    phases = _phases(pressure, ledger.broken, reversal)
-    ledger.put(phases.of < 0, "at rest or turning")
-    usable = ledger.of < 0
+    phases = _phases(pressure, account.broken, reversal)
+    account.assign_reason(phases.of < 0, "at rest or turning")
+    usable = account.of < 0
 
     nearest = np.clip(np.searchsorted(wanted, pressure), 1, len(wanted) - 1) if len(wanted) > 1 else 0
     if len(wanted) > 1:
         nearest = np.where(pressure - wanted[nearest - 1] < wanted[nearest] - pressure, nearest - 1, nearest)
     offset = pressure - wanted[nearest]
     near = usable & (np.abs(offset) <= band)
-    ledger.put(usable & ~near, "between levels")
+    account.assign_reason(usable & ~near, "between levels")
     cell = (phases.of * len(wanted) + nearest)[near]
     sums = _Lines.through(cell, offset[near], force[near], time[near], len(phases.rising) * len(wanted))
-    ledger.put(near, "used")
+    account.assign_reason(near, "used")
 
     good = (sums.samples >= _LEAST) & (sums.below < 0) & (sums.above > 0)
     index = np.flatnonzero(good)
     few = np.flatnonzero(~good)
-    ledger.of[np.flatnonzero(near)[~good[cell]]] = -1
-    ledger.put(near, "too few at a level")
+    account.of[np.flatnonzero(near)[~good[cell]]] = -1
+    account.assign_reason(near, "too few at a level")
     for number, rising in enumerate(phases.rising):
         missed = [wanted[i % len(wanted)] for i in few if i // len(wanted) == number]
         if missed:
             what = f"{'filling' if rising else 'venting'} {phases.repeat[number]}"
             shown = ", ".join(f"{level / bar:g}" for level in missed[:8]) + (" ..." if len(missed) > 8 else "")
-            ledger.notes.append(f"{what} does not pass {shown} bar")
-    counts = ledger.counts("between levels")
+            account.notes.append(f"{what} does not pass {shown} bar")
     if not len(index):
+        counts = account.counts("between levels")
         raise RangeError(
-            "no level is passed\n  " + account(counts, ledger.notes).replace("\n", "\n  "),
+            "no level is passed\n  " + format_counts(counts, account.notes).replace("\n", "\n  "),
             remedy="give levels inside the range of the pressure, a wider band, or a smaller reversal",
         )
     phase_of, level_of = index // len(wanted), wanted[index % len(wanted)]
-    attrs = {name: value for name, value in table.attrs.items() if name not in ("repairs", "ignored_columns")}
-    dataset = IsobaricDataset.of(
+    return extracted_points(
+        table,
+        account,
+        "between levels",
+        sums.samples[index],
         pressure=level_of,
         contraction=np.full(len(index), held),
         force=sums.force[index],
@@ -86,15 +88,12 @@ def isometric(
         repeat=phases.repeat[phase_of],
         time=sums.time[index],
         set_pressure=level_of,
-        **attrs,
+        force_spread=sums.spread[index],
     )
-    spread = ("point", sums.spread[index])
-    dataset = IsobaricDataset(dataset.table.assign(force_spread=spread).assign_attrs(table.attrs))
-    return ExtractedPoints(dataset, sums.samples[index], counts, tuple(ledger.notes))
 
 
-def _held(table: xr.Dataset, contraction: float | None, tolerance: float, ledger: SampleAccount) -> float:
-    """The contraction at which the muscle was held [-]."""
+def _held(table: xr.Dataset, contraction: float | None, tolerance: float, account: SampleAccount) -> float:
+    """Contraction of the test [-]."""
     if "contraction" not in table:
         if contraction is None:
             raise RangeError(
@@ -116,7 +115,7 @@ def _held(table: xr.Dataset, contraction: float | None, tolerance: float, ledger
             f"the length was not fixed: contraction {values.min():.4g} to {values.max():.4g}",
             remedy="use plateaus, or cut the recording to a part of one length",
         )
-    ledger.put(moved, "at another length")
+    account.assign_reason(moved, "at another length")
     return held if contraction is None else float(contraction)
 
 
@@ -136,15 +135,7 @@ def _levels(pressure: NDArray[np.float64], levels: ArrayLike | None, count: int)
 
 
 class _Phases:
-    """The fillings and ventings of a record.
-
-    Attributes
-    ----------
-    of
-        Shape (samples,): the number of the phase, -1 where the pressure turns or rests.
-    rising, repeat
-        Shape (phases,): whether it is a filling, and which of the fillings or ventings.
-    """
+    """Phases of a recording: number by sample (-1 at reversal or rest); direction and repeat by phase."""
 
     def __init__(self, of: NDArray[np.int64], rising: NDArray[np.bool_]) -> None:
         self.of = of
@@ -154,7 +145,7 @@ class _Phases:
 
 
 def _phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], reversal: float) -> _Phases:
-    """Cut a record where its pressure turns, by means over a two-thousandth of it; a phase begins under way."""
+    """Split a recording at the reversals of its pressure, by means over a two-thousandth of it."""
     size = max(1, len(pressure) // _SMOOTHED)
     edges = np.arange(0, max(1, len(pressure) - size + 1), size)
     bounds = np.append(edges, len(pressure))
@@ -165,7 +156,7 @@ def _phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], reversal: 
 
     def close(start: int, end: int, up: bool) -> None:
         away = np.abs(means[start : end + 1] - means[start]) >= reversal
-        if away.any():  # before, the muscle rests, or friction is on the side of the phase before
+        if away.any():  # before, the muscle rests, or friction is that of the last phase
             of[start + int(np.argmax(away)) : end + 1] = len(rising)
             rising.append(up)
 
@@ -191,7 +182,7 @@ def _phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], reversal: 
 
 
 class _Lines:
-    """Straight lines of force over pressure, one for each group of samples, at offset 0."""
+    """Least-squares lines of force over pressure, one for each group of samples, at offset 0."""
 
     def __init__(self, samples: NDArray[np.int64], force: NDArray[np.float64]) -> None:
         self.samples = samples
@@ -207,7 +198,7 @@ class _Lines:
         time: NDArray[np.float64],
         groups: int,
     ) -> _Lines:
-        """Fit them; shape (groups,) each, NaN where a group is empty."""
+        """Fit the lines; shape (groups,) each, NaN where a group is empty."""
         samples = np.bincount(group, minlength=groups)
 
         def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:

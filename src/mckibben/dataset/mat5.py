@@ -1,7 +1,7 @@
-"""The bytes of MATLAB files of versions 4 to 7, by their published format.
+"""Parser of MATLAB files of versions 4 to 7, by their published format.
 
-scipy.io.loadmat reads more of it (sparse matrices, objects), but a damaged file can end the process (SciPy 1.17 reads
-memory that is not its own): of a few bytes that were wrong in a file, a user should get a message.
+`scipy.io.loadmat` reads more (sparse matrices, objects), but a corrupt file can crash the process (SciPy 1.17 reads out
+of bounds).
 """
 
 from __future__ import annotations
@@ -37,29 +37,29 @@ _CELL, _STRUCT, _CHAR, _FIRST_NUMBER, _LAST_NUMBER, _OPAQUE = 1, 2, 4, 6, 15, 17
 _COMPLEX = 0x0800
 
 
-class Opaque:
-    """An object of MATLAB, of a class that the format does not describe: tables, strings, times."""
+class MatlabObject:
+    """MATLAB object of a class that the format does not describe: tables, strings, times."""
 
 
-class Other:
-    """What is no column: sparse and complex matrices, functions."""
+class Unsupported:
+    """Variable that is no column: sparse and complex matrices, functions."""
 
 
-Value = NDArray[np.float64] | str | list["Value"] | dict[str, "Value"] | Opaque | Other
-"""A matrix, shape (rows, columns, ...); a text; the cells of a cell array; the fields of a struct of one element."""
+Value = NDArray[np.float64] | str | list["Value"] | dict[str, "Value"] | MatlabObject | Unsupported
+"""Matrix, shape (rows, columns, ...); text; cells of a cell array; fields of a struct of one element."""
 
 
-class DamagedError(Exception):
-    """The bytes do not follow the format."""
+class CorruptFileError(Exception):
+    """Raised where bytes violate the format."""
 
 
 def variables(data: bytes) -> Iterator[tuple[str, Value]]:
-    r"""The variables of a file, by name.
+    r"""Variables of a file, by name.
 
     Raises
     ------
-    DamagedError
-        If the bytes end too early, or say what cannot be.
+    CorruptFileError
+        If the file is truncated or inconsistent.
 
     Examples
     --------
@@ -71,7 +71,7 @@ def variables(data: bytes) -> Iterator[tuple[str, Value]]:
         yield from _version_4(data)
         return
     if len(data) < 136 or data[126:128] not in (b"IM", b"MI"):
-        raise DamagedError("its head is not that of a MATLAB file")
+        raise CorruptFileError("its head is not that of a MATLAB file")
     reader = _Reader(memoryview(data), "<" if data[126:128] == b"IM" else ">")
     reader.at = 128
     while reader.at < len(data):
@@ -79,14 +79,14 @@ def variables(data: bytes) -> Iterator[tuple[str, Value]]:
         if kind == _COMPRESSED:
             kind, content = _Reader(_unpacked(content), reader.order).element()
         if kind != _MATRIX:
-            raise DamagedError(f"an element of kind {kind} stands where a variable should")
+            raise CorruptFileError(f"an element of kind {kind} stands where a variable should")
         name, value = _array(content, reader.order, 0)
         if name:  # what has none is data of the objects
             yield name, value
 
 
 class _Reader:
-    """Elements one after the other."""
+    """Reader of consecutive elements."""
 
     def __init__(self, data: memoryview, order: str) -> None:
         self.data: Final = data
@@ -94,13 +94,13 @@ class _Reader:
         self.at = 0
 
     def element(self, *, padded: bool = False) -> tuple[int, memoryview]:
-        """The kind and the content of the next one; compressed ones are not padded."""
+        """Kind and content of the next element; compressed ones are not padded."""
         head = self._take(8)
         kind, size = struct.unpack(f"{self.order}2I", head)
         if kind >> 16:  # small: both in the first word, the content in the second
             size, kind = kind >> 16, kind & 0xFFFF
             if size > 4:
-                raise DamagedError(f"a small element claims {size} bytes")
+                raise CorruptFileError(f"a small element claims {size} bytes")
             return kind, head[4 : 4 + size]
         content = self._take(size)
         if not (padded and kind == _COMPRESSED):
@@ -108,34 +108,34 @@ class _Reader:
         return kind, content
 
     def numbers(self) -> np.ndarray:
-        """The next one as an array, of the type in which it is kept."""
+        """Next element as an array of its stored type."""
         kind, content = self.element()
         if kind not in _KINDS:
-            raise DamagedError(f"an element of kind {kind} stands where numbers should")
+            raise CorruptFileError(f"an element of kind {kind} stands where numbers should")
         dtype = np.dtype(self.order + _KINDS[kind])
         if len(content) % dtype.itemsize:
-            raise DamagedError(f"{len(content)} bytes are no whole numbers")
+            raise CorruptFileError(f"{len(content)} bytes are no whole numbers")
         return np.frombuffer(content, dtype)
 
     def text(self) -> str:
-        """The next one as text of one byte a letter."""
+        """Next element as Latin-1 text."""
         return self.element()[1].tobytes().decode("latin-1")
 
     def name(self) -> str:
-        """The next one as the name of a variable, which may be empty."""
+        """Next element as the name of a variable, which may be empty."""
         return _named(self.text().rstrip("\0"))
 
     def _take(self, size: int) -> memoryview:
         if size > len(self.data) - self.at:
             missing = size - (len(self.data) - self.at)
-            raise DamagedError(f"it ends {missing} bytes too early: was it cut off?")
+            raise CorruptFileError(f"it is truncated by {missing} bytes")
         self.at += size
         return self.data[self.at - size : self.at]
 
 
 def _named(name: str) -> str:
     if name and not (name.isascii() and name.isidentifier()):
-        raise DamagedError(f"{name[:20]!r} is no name of a variable")
+        raise CorruptFileError(f"{name[:20]!r} is no name of a variable")
     return name
 
 
@@ -144,28 +144,28 @@ def _unpacked(content: memoryview) -> memoryview:
     try:
         data = machine.decompress(content, _LARGEST)
     except zlib.error as error:
-        raise DamagedError(f"a compressed variable is damaged ({error})") from None
+        raise CorruptFileError(f"a compressed variable is damaged ({error})") from None
     if not machine.eof:
-        raise DamagedError("a compressed variable is cut off, or larger than 2 GiB")
+        raise CorruptFileError("a compressed variable is cut off, or larger than 2 GiB")
     return memoryview(data)
 
 
 def _array(content: memoryview, order: str, depth: int) -> tuple[str, Value]:
-    """The name and the value of a matrix element."""
+    """Name and value of a matrix element."""
     if depth > _DEEPEST:
-        raise DamagedError(f"arrays stand {_DEEPEST} deep in each other")
+        raise CorruptFileError(f"arrays stand {_DEEPEST} deep in each other")
     if not len(content):
         return "", np.empty((0, 0))
     reader = _Reader(content, order)
     flags = reader.numbers()
     if len(flags) != 2:
-        raise DamagedError("a variable has no flags")
+        raise CorruptFileError("a variable has no flags")
     kind, is_complex = int(flags[0]) & 0xFF, bool(int(flags[0]) & _COMPLEX)
     if kind == _OPAQUE:
-        return reader.name(), Opaque()
+        return reader.name(), MatlabObject()
     dims = [int(size) for size in reader.numbers()]
     if len(dims) < 2 or min(dims) < 0:
-        raise DamagedError(f"a variable has dimensions {dims}")
+        raise CorruptFileError(f"a variable has dimensions {dims}")
     name, count = reader.name(), math.prod(dims)
     if kind == _CELL:
         return name, [_array(_matrix(reader), order, depth + 1)[1] for _ in range(_possible(count, reader))]
@@ -173,12 +173,12 @@ def _array(content: memoryview, order: str, depth: int) -> tuple[str, Value]:
         return name, _struct(reader, count, order, depth)
     if kind == _CHAR:
         codes = reader.numbers()
-        return name, _letters(codes) if dims[0] <= 1 else Other()
+        return name, _letters(codes) if dims[0] <= 1 else Unsupported()
     if not _FIRST_NUMBER <= kind <= _LAST_NUMBER or is_complex:
-        return name, Other()
+        return name, Unsupported()
     values = reader.numbers()
     if len(values) != count:
-        raise DamagedError(f"{name or 'a variable'} has {len(values)} values for dimensions {dims}")
+        raise CorruptFileError(f"{name or 'a variable'} has {len(values)} values for dimensions {dims}")
     return name, values.astype(np.float64).reshape(dims, order="F")
 
 
@@ -186,32 +186,32 @@ def _struct(reader: _Reader, count: int, order: str, depth: int) -> Value:
     lengths, names = reader.numbers(), reader.text()
     length = int(lengths[0]) if len(lengths) else 0
     if not 1 <= length <= 256:
-        raise DamagedError(f"names of {length} letters")
+        raise CorruptFileError(f"names of {length} letters")
     fields = [_named(names[at : at + length].split("\0")[0]) for at in range(0, len(names), length)]
     elements = [
         {field: _array(_matrix(reader), order, depth + 1)[1] for field in fields}
         for _ in range(_possible(count * max(1, len(fields)), reader) // max(1, len(fields)))
     ]
-    return elements[0] if len(elements) == 1 else Other()
+    return elements[0] if len(elements) == 1 else Unsupported()
 
 
 def _matrix(reader: _Reader) -> memoryview:
     kind, content = reader.element()
     if kind != _MATRIX:
-        raise DamagedError(f"an element of kind {kind} stands where an array should")
+        raise CorruptFileError(f"an element of kind {kind} stands where an array should")
     return content
 
 
 def _possible(count: int, reader: _Reader) -> int:
-    """A number of elements that the bytes can hold: each has 8 at least."""
+    """Check a number of elements: each has at least 8 bytes."""
     if count > len(reader.data) // 8:
-        raise DamagedError(f"{count} elements are claimed, which the file does not hold")
+        raise CorruptFileError(f"{count} elements are claimed, which the file does not hold")
     return count
 
 
 def _letters(codes: np.ndarray) -> str:
     if codes.dtype.kind == "f":
-        raise DamagedError("a text has letters that are no whole numbers")
+        raise CorruptFileError("a text has letters that are no whole numbers")
     if codes.dtype.itemsize == 1:
         return codes.tobytes().decode("utf-8", "replace")
     return "".join(chr(code) if 0 <= code < 0xD800 else "\ufffd" for code in codes.tolist())
@@ -221,18 +221,18 @@ def _version_4(data: bytes) -> Iterator[tuple[str, Value]]:
     at = 0
     while at < len(data):
         if len(data) - at < 20:
-            raise DamagedError("it ends in the head of a variable: was it cut off?")
+            raise CorruptFileError("it is truncated in the header of a variable")
         order = "<" if 0 <= struct.unpack_from("<i", data, at)[0] < 1000 else ">"
         code, rows, columns, imaginary, letters = struct.unpack_from(f"{order}5i", data, at)
         number_type, kind = code // 10 % 10, code % 10
         if code // 1000 not in (0, 1) or code // 100 % 10 or number_type > 5 or min(rows, columns, letters) < 0:
-            raise DamagedError("it is no MATLAB file, or its head is damaged")
+            raise CorruptFileError("it is no MATLAB file, or its head is damaged")
         dtype = np.dtype(order + _KINDS_4[number_type])
         size = rows * columns * dtype.itemsize * (2 if imaginary else 1)
         start = at + 20 + letters
         if start + size > len(data):
-            raise DamagedError(f"it ends {start + size - len(data)} bytes too early: was it cut off?")
+            raise CorruptFileError(f"it is truncated by {start + size - len(data)} bytes")
         name = data[at + 20 : start].split(b"\0")[0].decode("latin-1")
         values = np.frombuffer(data, dtype, rows * columns, start).astype(np.float64)
-        yield _named(name), Other() if kind or imaginary else values.reshape((rows, columns), order="F")
+        yield _named(name), Unsupported() if kind or imaginary else values.reshape((rows, columns), order="F")
         at = start + size

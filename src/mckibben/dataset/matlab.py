@@ -1,4 +1,4 @@
-"""MATLAB .mat files and other HDF5 files."""
+"""Readers of MATLAB .mat and HDF5 files, and the HDF5 check."""
 
 from __future__ import annotations
 
@@ -10,23 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.dataset.mat5 import DamagedError, Opaque, Value, variables
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, settled
+from mckibben.dataset.mat5 import CorruptFileError, MatlabObject, Value, variables
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column
 from mckibben.errors import DatasetError, Problem
 
 _SIGNATURE, _HEADER, _PART = b"GCOL\x01\x00\x00\x00", 16, 16
 
 
 def global_heaps_are_valid(content: bytes | mmap.mmap) -> bool:
-    """Whether the parts of all global heap collections of a file follow one another to the end of each.
+    """Check the global heap collections of an HDF5 file: their objects must fill each collection.
 
-    HDF5 File Format Specification 3.0, III.E. Files whose lengths are not of 8 bytes, which no program of today
-    writes, are not looked at.
+    HDF5 File Format Specification 3.0, III.E. Files with lengths other than 8 bytes are not checked.
 
     Parameters
     ----------
     content
-        Of the file.
+        Content of the file.
 
     Examples
     --------
@@ -47,7 +46,7 @@ def global_heaps_are_valid(content: bytes | mmap.mmap) -> bool:
 
 
 def _follow(content: bytes | mmap.mmap, at: int, end: int) -> bool:
-    """Whether parts of a heap lie one behind the other from a place to the end."""
+    """True if the objects of a heap are contiguous up to its end."""
     while at + _PART <= end:
         index = int.from_bytes(content[at : at + 2], "little")
         size = int.from_bytes(content[at + 8 : at + _PART], "little")
@@ -82,7 +81,7 @@ def read_matlab(path: Path, data: bytes) -> RawTable:
     try:
         for name, value in variables(data):
             _add(sheet, name, value, 0)
-    except DamagedError as error:
+    except CorruptFileError as error:
         raise _unreadable(path, "a MATLAB file", error) from error
     return _checked(path, sheet)
 
@@ -98,7 +97,7 @@ def read_hdf5(path: Path, data: bytes) -> RawTable:
     import h5py
 
     if not global_heaps_are_valid(data):
-        raise _unreadable(path, "an HDF5 file", ValueError("a heap of texts is damaged"))
+        raise _unreadable(path, "an HDF5 file", ValueError("a heap of strings is corrupt"))
     sheet = RawTable(kind=RowProblem)
     matlab = data.startswith(b"MATLAB 7.3")
     try:
@@ -125,33 +124,33 @@ def _unreadable(path: Path, what: str, error: Exception) -> DatasetError:
 
 
 def _add(sheet: RawTable, name: str, value: Value, depth: int) -> None:
-    """Add what a variable of an old file holds."""
+    """Add the columns of a variable."""
     if isinstance(value, dict):
         if depth >= _DEEPEST:
             sheet.ignored.append(name)
             return
         for field, each in value.items():
             _add(sheet, f"{name}.{field}", each, depth + 1)
-    elif isinstance(value, Opaque):
+    elif isinstance(value, MatlabObject):
         sheet.problems.append(Problem(_TABLE, field=name, remedy=_TABLE_REMEDY))
     elif isinstance(value, np.ndarray):
         _columns(sheet, name, value)
     elif isinstance(value, list) and len(value) > 1:
-        cells = settled([_one(cell) for cell in value])
+        cells = as_column([_one(cell) for cell in value])
         sheet.channels.append(RawColumn(name, cells, range(1, len(cells) + 1), short=name.rpartition(".")[2]))
     else:
         sheet.ignored.append(name)
 
 
 def _one(cell: Value) -> object:
-    """What a cell of a cell array holds, if that is one number or text."""
+    """Number or text of a cell of a cell array."""
     if isinstance(cell, np.ndarray):
         return cell.item() if cell.size == 1 else None
     return cell if isinstance(cell, str) else None
 
 
 def _columns(sheet: RawTable, name: str, array: np.ndarray) -> None:
-    """Add the columns of a matrix of numbers, as MATLAB counts them."""
+    """Add the columns of a matrix, numbered as in MATLAB."""
     matrix = array.reshape(-1, 1) if array.ndim == 1 or (array.ndim == 2 and 1 in array.shape) else array
     if len(sheet.channels) >= _MOST or matrix.ndim > 2 or matrix.size <= 1 or matrix.shape[1] > _WIDEST:
         sheet.ignored.append(name)
@@ -162,7 +161,7 @@ def _columns(sheet: RawTable, name: str, array: np.ndarray) -> None:
 
 
 def _nodes(group: Any, separator: str, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """The datasets under a group, and under its groups. Links that lead out of the file are not followed."""
+    """Datasets of a group and its subgroups. External links are not followed."""
     import h5py
 
     for key in group:
@@ -205,7 +204,7 @@ def _add_node(sheet: RawTable, name: str, node: Any, matlab: bool) -> None:
 
 
 def _referred(file: Any, reference: Any) -> str:
-    """The text that a cell of a cell array refers to."""
+    """Text that a cell of a cell array refers to."""
     node = file[reference]
     codes = np.ravel(node[()])
     if codes.dtype.kind != "u" or codes.size > 1000:

@@ -1,4 +1,4 @@
-"""Steady-state points of a recording, and samples at the limits of a channel."""
+"""Points extracted from a recording, saturated samples, and counts of all samples by use."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.errors import RangeError
@@ -21,13 +21,11 @@ _SHARE = 0.2  # of the samples of a stretch, at an end that was found
 
 
 def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
-    """Which samples stick to the lowest or the highest value of a channel.
+    """Samples saturated at the lowest or the highest value of a channel.
 
-    An end of the channel is an extreme value that comes at least 10 times in a row, and 10 times longer than the run in
-    which a usual sample stands: a converter of few bits repeats its values everywhere. And there must be noise between
-    the ends, as a record without any may well have been held at its extremes.
-    Where such an end was found, a stretch of which a fifth is at it counts whole: noise around the end lifts samples
-    off it, and a mean over them would lie inside.
+    Saturation is an extreme value repeated at least 10 times in a row, and 10 times longer than the typical run, as a
+    converter of few bits repeats values everywhere. There must be noise between the extremes: a noise-free signal may
+    have been constant there. A stretch with a fifth of its samples saturated counts as a whole.
 
     Parameters
     ----------
@@ -37,7 +35,7 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
     Returns
     -------
     dict
-        "floor" and "ceiling", where there is one: shape (n,).
+        Masks "floor" and "ceiling", where samples are saturated: shape (n,).
 
     Examples
     --------
@@ -70,7 +68,7 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
 
 
 def _noisy(heights: NDArray[np.float64], inside: NDArray[np.bool_]) -> bool:
-    """Whether values jitter: the bend of noise changes its sign from one to the next, that of a motion does not."""
+    """True if second differences change sign from sample to sample, as those of noise do."""
     bend = np.diff(heights, 2)
     bend[np.abs(bend) <= _ROUNDING * np.ptp(heights)] = 0
     within = inside[:-3] & inside[1:-2] & inside[2:-1] & inside[3:]
@@ -80,14 +78,14 @@ def _noisy(heights: NDArray[np.float64], inside: NDArray[np.bool_]) -> bool:
 
 
 def _usual(lengths: NDArray[np.int64]) -> int:
-    """The length of the run in which the middle one of all samples stands."""
+    """Run length of the median sample."""
     counts = np.bincount(lengths)
     samples = np.cumsum(counts * np.arange(len(counts)))
     return int(np.searchsorted(samples, samples[-1] / 2))
 
 
 def _stretches(at_end: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The samples at an end, and those around which at least a fifth is."""
+    """Saturated samples, and those around which at least a fifth is saturated."""
     window = 2 * _LEAST + 1
     if len(at_end) < window:
         return at_end
@@ -104,18 +102,18 @@ _NAMED = 5  # places that a note names
 
 @dataclass(frozen=True, eq=False)
 class ExtractedPoints:
-    """The points of a recording, with an account of all its samples.
+    """Points extracted from a recording, and the use of all its samples.
 
     Attributes
     ----------
     dataset
-        What `identify` takes.
+        Points for `identify`.
     samples
-        How many of the recording's samples made each point, shape (points,).
+        Number of samples of each point, shape (points,).
     counts
-        Samples by what became of them; they add up to the recording.
+        Number of samples by use or reason for leaving them out; their sum is the length of the recording.
     notes
-        What was found in the record: gaps, ends of a sensor's range, levels that were not reached.
+        Findings: gaps, saturation of a sensor, levels that were not reached.
     """
 
     dataset: IsobaricDataset
@@ -124,12 +122,23 @@ class ExtractedPoints:
     notes: tuple[str, ...]
 
     def describe(self) -> str:
-        """The account as text: samples by what became of them, and the notes."""
-        return account(self.counts, self.notes)
+        """Counts of samples by use, and the notes, as text."""
+        return format_counts(self.counts, self.notes)
+
+
+def extracted_points(
+    table: xr.Dataset, account: SampleAccount, rest: str, samples: NDArray[np.int64], **columns: ArrayLike | None
+) -> ExtractedPoints:
+    """Points of a recording's table; `columns` are those of a dataset, and ``force_spread``."""
+    spread = ("point", columns.pop("force_spread"))
+    attrs = {name: value for name, value in table.attrs.items() if name not in ("repairs", "ignored_columns")}
+    dataset = IsobaricDataset.of(**columns, **attrs)  # type: ignore[arg-type]
+    dataset = IsobaricDataset(dataset.table.assign(force_spread=spread).assign_attrs(table.attrs))
+    return ExtractedPoints(dataset, samples, account.counts(rest), tuple(account.notes))
 
 
 class SampleAccount:
-    """What becomes of each sample, as it is found out; the first reason counts."""
+    """Use of each sample, or reason for leaving it out; the first reason counts."""
 
     def __init__(self, table: xr.Dataset, gap: float | None) -> None:
         self.table = table
@@ -140,21 +149,21 @@ class SampleAccount:
         for name in ("pressure", "force"):
             self._ends(name)
 
-    def put(self, where: NDArray[np.bool_] | NDArray[np.int64] | slice, reason: str) -> None:
-        """Say of samples what became of them, where it is not said yet."""
+    def assign_reason(self, where: NDArray[np.bool_] | NDArray[np.int64] | slice, reason: str) -> None:
+        """Assign a reason to samples that have none yet."""
         if reason not in self.reasons:
             self.reasons.append(reason)
         part = self.of[where]
         self.of[where] = np.where(part < 0, self.reasons.index(reason), part)
 
     def counts(self, rest: str) -> dict[str, int]:
-        """Samples by what became of them; all that nothing was said of are the rest."""
-        self.put(self.of < 0, rest)
+        """Number of samples by reason; those without one get `rest`."""
+        self.assign_reason(self.of < 0, rest)
         found = np.bincount(self.of, minlength=len(self.reasons))
         return {reason: int(n) for reason, n in zip(self.reasons, found, strict=True) if n or reason == "used"}
 
     def _breaks(self, gap: float | None) -> NDArray[np.bool_]:
-        """Samples that do not follow the one before: after a gap, or with a clock that went back."""
+        """Samples after a gap or a clock that went back."""
         time = self.table["time"].to_numpy()
         steps = np.diff(time)
         broken = np.zeros(len(time), bool)
@@ -172,22 +181,22 @@ class SampleAccount:
         return broken
 
     def _ends(self, name: str) -> None:
-        """Leave out what sticks to the floor or the ceiling of a channel."""
+        """Leave out saturated samples."""
         values = self.table[name].to_numpy()
         for end, where in saturated_samples(values).items():
             value = values.min() if end == "floor" else values.max()
             unit = "bar" if name == "pressure" else "N"
             runs = int(np.count_nonzero(np.diff(where.view(np.int8), prepend=0) == 1))
             times = f"{runs} times" if runs > 1 else "once"
-            held = f"{name} sticks to {show(float(value), unit)}, the {end} of its channel, {times}"
-            self.notes.append(f"{held}: {int(where.sum())} samples are left out")
-            self.put(where, f"at the {end} of {name}")
+            saturated = f"{name} is saturated at {show(float(value), unit)}, the {end} of its channel, {times}"
+            self.notes.append(f"{saturated}: {int(where.sum())} samples are left out")
+            self.assign_reason(where, f"at the {end} of {name}")
 
 
-def account(counts: Mapping[str, int], notes: tuple[str, ...] | list[str]) -> str:
+def format_counts(counts: Mapping[str, int], notes: tuple[str, ...] | list[str]) -> str:
     """Counts and notes as text.
 
-    >>> print(account({"used": 90, "moving": 10}, ["gap: 1 to 2 s; nothing is joined across"]))
+    >>> print(format_counts({"used": 90, "moving": 10}, ["gap: 1 to 2 s; nothing is joined across"]))
     100 samples: 90 used, 10 moving
     gap: 1 to 2 s; nothing is joined across
     """
@@ -195,14 +204,8 @@ def account(counts: Mapping[str, int], notes: tuple[str, ...] | list[str]) -> st
     return "\n".join([f"{sum(counts.values())} samples: {parts}", *notes])
 
 
-def check(name: str, value: float, unit: str, *, may_be_zero: bool = False) -> None:
-    """Refuse an argument that is not above 0.
-
-    Raises
-    ------
-    RangeError
-        If it is not, or not finite.
-    """
+def check_positive(name: str, value: float, unit: str, *, may_be_zero: bool = False) -> None:
+    """Raise a `RangeError` unless an argument is finite and above 0."""
     if not (np.isfinite(value) and (value > 0 or (may_be_zero and value == 0))):
         shown = f"{value / factor(unit):g}" + ("" if unit == "1" else f" {unit}")
         what = "below" if may_be_zero else "not above"

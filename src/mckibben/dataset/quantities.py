@@ -1,4 +1,4 @@
-"""The columns of a file in SI units, with all that is wrong in them."""
+"""Conversion of the columns of a file to SI units, with all problems found."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.columns import lay_out
-from mckibben.dataset.schema import VACUUM, WORDS, unplain
+from mckibben.dataset.columns import find_columns
+from mckibben.dataset.schema import VACUUM, WORDS, unquote
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError
 from mckibben.units import factor, quantity
 
 OnCorrupt = Literal["raise", "report"]
-"""What to do about rows that hold no number: an error, or leave them out and report each."""
+"""Treatment of corrupt rows: raise an error, or leave them out and report each."""
 
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
 _LENGTH_ROUNDING = 0.5e-3, 0.002  # m and parts of the initial length: a rule's and a printed table's
@@ -42,19 +42,19 @@ _WORD_REMEDY = {
 
 
 class ColumnConverter:
-    """One file on its way from cells to SI columns; `problems`, `corrupt` and `suspicions` gather as it goes."""
+    """Converts the cells of a file to SI columns; collects `problems`, `corrupt` rows and `suspect` values."""
 
     def __init__(
         self, sheet: RawTable, mapping: Mapping[str, str], initial_length: float | None, needed: Sequence[str]
     ) -> None:
         self.sheet = sheet
         self.initial_length = initial_length
-        layout = lay_out(sheet, mapping, needed)
+        layout = find_columns(sheet, mapping, needed)
         self.places = layout.places
         self.ignored = layout.ignored
         self.problems = layout.problems + sheet.problems
         self.corrupt = list(sheet.corrupt)
-        self.suspicions = list(sheet.suspicions)
+        self.suspect = list(sheet.suspect)
         read = [sheet.channels[index] for index, _ in self.places.values()]
         if len({len(channel.cells) for channel in read}) > 1:  # then there are no rows
             self.places, read = {}, []
@@ -65,7 +65,7 @@ class ColumnConverter:
         self.decimal = decimal_sign(numeric, self.lines, sheet.delimiter)
 
     def attributes(self, path: Path, specimen: str, slack_force: float | None) -> dict[str, Any]:
-        """The attributes from the comments, where no argument is given instead."""
+        """Attributes from the comments, unless given as arguments."""
         comments = self.sheet.comments
         found: dict[str, float] = {}
         for key, unit in (("initial_length", "m"), ("slack_force", "N")):
@@ -77,13 +77,13 @@ class ColumnConverter:
         if self.initial_length is None:
             self.initial_length = found.get("initial_length")
         return {
-            "specimen": specimen or unplain(comments.get("specimen", (0, ""))[1]),
-            "source": unplain(comments["source"][1]) if "source" in comments else path.name,
+            "specimen": specimen or unquote(comments.get("specimen", (0, ""))[1]),
+            "source": unquote(comments["source"][1]) if "source" in comments else path.name,
             "slack_force": found.get("slack_force", 0.0) if slack_force is None else slack_force,
         }
 
     def columns(self) -> dict[str, np.ndarray]:
-        """The columns in SI units and our words, with lengths turned into contractions."""
+        """Columns in SI units, lengths converted to contractions, and categorical columns."""
         data = {name: self._numbers(name) for name in self.places if name not in WORDS}
         if (length := data.pop("length", None)) is not None:
             if "contraction" in data:
@@ -95,18 +95,7 @@ class ColumnConverter:
     def settle(
         self, path: Path, data: dict[str, np.ndarray], on_corrupt: OnCorrupt
     ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-        """The rows that hold numbers, and attributes that say what was left out; or the error with all problems.
-
-        Raises
-        ------
-        DatasetError
-            If something is wrong that leaving rows out does not mend, or half of the rows would go.
-
-        Warns
-        -----
-        McKibbenWarning
-            If rows are left out; and of each suspicion.
-        """
+        """Valid rows, and attributes that list the corrupt ones; raises a `DatasetError` with all problems."""
         bad = {problem.line for problem in self.corrupt}
         lines = np.asarray(self.lines)
         kept = ~np.isin(lines, [line for line in bad if line is not None])
@@ -118,11 +107,11 @@ class ColumnConverter:
         if self.problems or (self.corrupt and on_corrupt == "raise"):
             found = sorted(self.problems + self.corrupt, key=self._place)
             raise DatasetError(str(path), found)
-        for text in self.suspicions:
+        for text in self.suspect:
             warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=4)
         attrs = {"ignored_columns": ", ".join(self.ignored)} if self.ignored else {}
         if "repairs" in self.sheet.comments:  # of the file from which this one was made
-            attrs["repairs"] = unplain(self.sheet.comments["repairs"][1])
+            attrs["repairs"] = unquote(self.sheet.comments["repairs"][1])
         if self.corrupt:
             found = sorted(self.corrupt, key=self._place)
             attrs["repairs"] = "\n".join([*filter(None, [attrs.get("repairs")]), *map(str, found)])
@@ -138,14 +127,14 @@ class ColumnConverter:
         return problem.line or 0, names.index(problem.field) if problem.field in names else len(names)
 
     def _problem(self, message: str, line: int | None, name: str, remedy: str = "") -> None:
-        """Record a problem in the column of a quantity, or with an attribute."""
+        """Add a problem of a quantity's column or of an attribute."""
         self.problems.append(self.sheet.kind(message, line=line, field=self._field(name), remedy=remedy))
 
     def _field(self, name: str) -> str:
         return self.sheet.channels[self.places[name][0]].name if name in self.places else name
 
     def _words(self, name: str) -> NDArray[np.str_]:
-        """The directions or phases in our words."""
+        """Directions or phases."""
         cells = [str(cell) for cell in self.sheet.channels[self.places[name][0]].cells]
         meaning = {text: _MEANINGS[name].get(text.strip().lower()) for text in set(cells)}
         for line, text in zip(self.lines, cells, strict=True):
@@ -179,7 +168,7 @@ class ColumnConverter:
             vacuum = f"a vacuum ({VACUUM / factor(column.unit):.5g}{unit}, gauge)"
             self._refuse(name, values, si < VACUUM, f"{{:g}}{unit} is below {vacuum}")
             if column.unit == "Pa" and 0 < np.nanmax(np.abs(si), initial=0.0) <= 100:
-                self.suspicions.append(f"{header} never exceeds 100 Pa; if these are bar, name it {name}_bar")
+                self.suspect.append(f"{header} never exceeds 100 Pa; if these are bar, name it {name}_bar")
         elif name == "contraction" and column.unit == "ratio":
             remedy = "this looks like percent: name the column contraction_percent"
             self._refuse(name, values, np.abs(si) >= 1, "{:g} is not between -1 and 1", remedy)
@@ -187,7 +176,7 @@ class ColumnConverter:
             self._refuse(name, values, np.abs(si) >= 1, "{:g} % is not between -100 and 100 %")
             if np.nanmax(np.abs(values), initial=0.0) <= 0.5 and len(np.unique(values)) > 3:
                 meant = "if these are ratios, name it contraction_ratio"
-                self.suspicions.append(f"{header} never exceeds 0.5 %; {meant}")
+                self.suspect.append(f"{header} never exceeds 0.5 %; {meant}")
         elif name == "length":
             self._refuse(name, values, si <= 0, f"{{:g}}{unit} is not above 0")
         elif name == "repeat":
@@ -216,7 +205,7 @@ class ColumnConverter:
         return contraction
 
     def _compare(self, contraction: NDArray[np.float64], length: NDArray[np.float64]) -> None:
-        """Find the initial length that contractions and lengths agree on, and the rows that do not."""
+        """Check contractions against lengths; infer the initial length if it is not given."""
         usable = np.isfinite(contraction) & np.isfinite(length) & (np.abs(contraction) < 1) & (length > 0)
         if not usable.any():
             return

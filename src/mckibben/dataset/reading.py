@@ -1,4 +1,4 @@
-"""Files of measurements to an `IsobaricDataset` or a `Recording`, with all errors of a file at once."""
+"""Readers of measurement files, which report all errors of a file at once."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.columns import recognise
+from mckibben.dataset.columns import parse_header
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.quantities import ColumnConverter, OnCorrupt
 from mckibben.dataset.recording import Recording
@@ -23,24 +24,11 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def read_sheet(path: Path, mapping: Mapping[str, str]) -> RawTable:
-    """The columns of a file of any kind that is read.
-
-    Parameters
-    ----------
-    path
-        A text, .xlsx, .mat, .tdms, .lvm or HDF5 file.
-    mapping
-        Names of the file that the user has given a meaning.
-
-    Raises
-    ------
-    DatasetError
-        If it is none of these, or damaged so that nothing of it can be read.
-    """
+    """Columns of a text, .xlsx, .mat, .tdms, .lvm or HDF5 file; `mapping` assigns quantities to its headers."""
     data = read_bytes(path)
 
     def known(header: str, unit: str) -> bool:
-        return header in mapping or recognise(header, unit) is not None
+        return header in mapping or parse_header(header, unit) is not None
 
     if data.startswith(b"TDSm"):
         from mckibben.dataset.tdms import read_tdms
@@ -81,34 +69,34 @@ def read_dataset(
 ) -> IsobaricDataset:
     """Read the points of isobaric tests from a file.
 
-    A file named ``*.nc`` is NetCDF. Others are known by their first bytes: Excel (.xlsx), MATLAB (.mat), TDMS, HDF5,
-    and text with a header and one row per point, in cells parted by comma, semicolon, tab or white space. Leading
-    lines of a text may be comments; of these ``# key: value`` is read for `specimen`, `source`, `initial_length` and
-    `slack_force` (both with a unit). Decimal commas are read where the delimiter is no comma.
+    A file named ``*.nc`` is NetCDF. Others are recognised by their first bytes: Excel (.xlsx), MATLAB (.mat), TDMS,
+    HDF5, and text with a header and one row per point, delimited by comma, semicolon, tab or white space. Leading lines
+    of a text may be comments; ``# key: value`` is read for `specimen`, `source`, `initial_length` and `slack_force`
+    (both with a unit). Decimal commas are read unless the delimiter is a comma.
 
-    Needed are ``pressure_*`` (bar, kPa, MPa, Pa, mbar or psi; gauge), ``force_*`` (N or kN) and
+    Required are ``pressure_*`` (bar, kPa, MPa, Pa, mbar or psi; gauge), ``force_*`` (N or kN) and
     ``contraction_*`` (percent or ratio) or ``length_*`` (mm, m or cm). Read where present: ``direction``, ``phase``,
     ``repeat``, ``time_*`` (s, ms or min) and ``set_pressure_*``, which may have empty cells. ``Pressure [bar]``,
-    ``p / kPa`` and the like say the same, as do units in a row under the header or in the properties of a channel.
-    Other columns are named in the attribute ``ignored_columns``.
+    ``p / kPa`` and the like are equivalent, as are units in a row under the header or in the properties of a channel.
+    Other columns are listed in the attribute ``ignored_columns``.
 
     Parameters
     ----------
     path
-        The file.
+        File to read.
     columns
-        From a header of the file to one of the names above: ``{"Druck [bar]": "pressure_bar"}``. In files with
+        Header of the file to one of the names above: ``{"Druck [bar]": "pressure_bar"}``. In files with
         groups or structs: ``group/channel``, ``struct.field``, ``matrix(:,2)``, ``sheet/header``.
     initial_length
-        Length of the deflated muscle [m]: needed where the file has lengths and no contractions, and taken
-        from the two where it has both.
+        Length of the deflated muscle [m]: required where the file has lengths and no contractions, inferred where it
+        has both.
     specimen
-        The make of the muscle; if empty, what the file says.
+        Name of the muscle's type; if empty, from the file.
     slack_force
-        A force up to this [N] means that the muscle was slack; if not given, what the file says, or 0.
+        Force [N] up to which the muscle counts as slack; unless given, from the file, or 0.
     on_corrupt
-        "raise": a row that is cut off, or a cell that holds no number, is an error. "report": such rows are left out,
-        a warning counts them, and the attribute ``repairs`` names every one.
+        "raise": a truncated row, or a cell without a number, is an error. "report": such rows are left out with a
+        warning, and the attribute ``repairs`` lists them.
 
     Returns
     -------
@@ -118,24 +106,24 @@ def read_dataset(
     Raises
     ------
     DatasetError
-        With every problem of the file, its line and column. If more than half of the rows are corrupt, also under
-        "report".
+        With every problem of the file, its line and column; also if more than half of the rows are corrupt.
 
     Warns
     -----
     McKibbenWarning
-        If pressures in Pa never exceed 100, or contractions in percent 0.5: the unit may be wrong. If contractions lie
-        where no muscle gets: the initial length, the unit of the lengths or the sign may be. If rows are left out.
+        If the unit of pressure or contraction is implausible, contractions are beyond those of any muscle, or rows are
+        left out.
 
     Notes
     -----
-    A direction is loading (also load, stretching, lengthening) or unloading (unload, shortening). The numbers
-    1 and -1 are refused: which is which is a convention (Hunt 2017 has +1 for shortening), and the sign of
-    the hysteresis hangs on it.
+    A direction is loading (also load, stretching, lengthening) or unloading (unload, shortening). The numbers 1 and -1
+    are refused: their meaning is a convention (Hunt 2017 has +1 for shortening).
     """
     path = Path(path)
     if path.suffix.lower() == ".nc":
-        return _from_netcdf(path, columns, initial_length, specimen, slack_force)
+        return _from_netcdf(
+            IsobaricDataset, path, columns, initial_length=initial_length, specimen=specimen, slack_force=slack_force
+        )
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
     file = ColumnConverter(read_sheet(path, mapping), mapping, initial_length, _NEEDED)
     attrs = file.attributes(path, specimen, slack_force)
@@ -161,22 +149,20 @@ def _implausible(contraction: NDArray[np.float64]) -> list[str]:
     ]
 
 
-def _from_netcdf(
-    path: Path,
-    columns: Mapping[str, str] | None,
-    initial_length: float | None,
-    specimen: str,
-    slack_force: float | None,
-) -> IsobaricDataset:
+Kind = TypeVar("Kind", IsobaricDataset, Recording)
+
+
+def _from_netcdf(kind: type[Kind], path: Path, columns: Mapping[str, str] | None, **given: float | str | None) -> Kind:
+    """Dataset or recording of a NetCDF file, with the attributes that are given."""
     if columns:
         raise DatasetError(str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")])
-    dataset = IsobaricDataset.from_netcdf(path)
-    given = {"initial_length": initial_length, "specimen": specimen or None, "slack_force": slack_force}
-    changes = {name: value for name, value in given.items() if value is not None}
-    return IsobaricDataset(dataset.table.assign_attrs(changes)) if changes else dataset
+    found = kind.from_netcdf(path)
+    changes = {name: value for name, value in given.items() if value not in (None, "")}
+    return kind(found.table.assign_attrs(changes)) if changes else found
 
 
 _KEPT = ("time", "pressure", "force", "contraction", "set_pressure")
+_OWN_CONTRACTION = "contraction is given, and the file has its own"
 _RATE_REMEDY = "give sample_rate (command line: --sample-rate '1000 Hz'), or a column time_s, time_ms or time_min"
 
 
@@ -191,22 +177,21 @@ def read_recording(
     slack_force: float | None = None,
     on_corrupt: OnCorrupt = "raise",
 ) -> Recording:
-    """Read a raw record of a rig from a file of any kind that `read_dataset` reads, by the same names of columns.
+    """Read a raw recording from a file of any format of `read_dataset`, with the same column names.
 
-    Needed are a pressure and a force. The time may be a column, come from `sample_rate`, or from the waveforms of a
-    TDMS file. A length becomes a contraction by the initial length. A file named ``*.nc`` is one that
-    `Recording.to_netcdf` wrote.
+    Required are pressure and force. The time is a column, or follows from `sample_rate` or the waveforms of a TDMS
+    file. A length is converted to a contraction. A file named ``*.nc`` was written by `Recording.to_netcdf`.
 
     Parameters
     ----------
     path, columns, initial_length, specimen, slack_force
         As for `read_dataset`.
     contraction
-        At which the muscle was held [-], where the file has neither contractions nor lengths.
+        Contraction of the test [-], where the file has neither contractions nor lengths.
     sample_rate
-        Of a file without times [Hz].
+        Sample rate [Hz] of a file without times.
     on_corrupt
-        As for `read_dataset`. The time of samples that are left out remains: they leave a gap.
+        As for `read_dataset`. Samples that are left out leave a gap in time.
 
     Raises
     ------
@@ -220,7 +205,14 @@ def read_recording(
     """
     path = Path(path)
     if path.suffix.lower() == ".nc":
-        return _recording_from_netcdf(path, columns, initial_length, contraction, specimen, slack_force)
+        found = _from_netcdf(
+            Recording, path, columns, initial_length=initial_length, specimen=specimen, slack_force=slack_force
+        )
+        if contraction is None:
+            return found
+        if "contraction" in found.table:
+            raise DatasetError(str(path), [Problem(_OWN_CONTRACTION, remedy="leave contraction out")])
+        return Recording(found.table.assign(contraction=("sample", np.full(len(found), contraction))))
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
     sheet = read_sheet(path, mapping)
     file = ColumnConverter(sheet, mapping, initial_length, ("pressure", "force"))
@@ -234,14 +226,13 @@ def read_recording(
         if step is None or not np.isfinite(step):
             file.problems.append(Problem("no column for time, and no sample rate", remedy=_RATE_REMEDY))
         else:
-            # by the number of the row: one that is left out keeps its place
+            # by row number: a row that is left out keeps its time
             rows = np.asarray(file.lines, np.float64)
             data["time"] = (rows - (rows[0] if len(rows) else 0)) * step
     elif sample_rate is not None and "time" in data:
         file.problems.append(Problem("sample_rate is given, and the file has times", remedy="leave sample_rate out"))
     if contraction is not None and "contraction" in data:
-        remedy = "leave contraction out"
-        file.problems.append(Problem("contraction is given, and the file has its own", remedy=remedy))
+        file.problems.append(Problem(_OWN_CONTRACTION, remedy="leave contraction out"))
     data, found = file.settle(path, data, on_corrupt)
     if contraction is not None:
         data["contraction"] = np.full(len(data["pressure"]), contraction)
@@ -250,24 +241,3 @@ def read_recording(
     except DatasetError as error:  # what an argument brought in
         raise DatasetError(str(path), error.problems) from None
     return Recording(recording.table.assign_attrs(found)) if found else recording
-
-
-def _recording_from_netcdf(
-    path: Path,
-    columns: Mapping[str, str] | None,
-    initial_length: float | None,
-    contraction: float | None,
-    specimen: str,
-    slack_force: float | None,
-) -> Recording:
-    if columns:
-        raise DatasetError(str(path), [Problem("columns cannot be renamed in NetCDF", remedy="leave columns out")])
-    recording = Recording.from_netcdf(path)
-    given = {"initial_length": initial_length, "specimen": specimen or None, "slack_force": slack_force}
-    table = recording.table.assign_attrs({name: value for name, value in given.items() if value is not None})
-    if contraction is not None:
-        if "contraction" in table:
-            message = "contraction is given, and the file has its own"
-            raise DatasetError(str(path), [Problem(message, remedy="leave contraction out")])
-        table = table.assign(contraction=("sample", np.full(len(recording), contraction)))
-    return Recording(table)

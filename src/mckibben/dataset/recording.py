@@ -1,11 +1,11 @@
-"""A raw record of a rig: pressure and force against time, and where it is known the contraction."""
+"""Raw recordings of a rig: pressure, force and contraction against time."""
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Self
 
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isometric import isometric
 from mckibben.dataset.points import ExtractedPoints
-from mckibben.dataset.schema import VACUUM, held_in, spanned, write_netcdf
+from mckibben.dataset.schema import format_range, load_validated, normalize_attributes, value_problems, write_netcdf
 from mckibben.dataset.segmentation import plateaus
 from mckibben.errors import DatasetError, Problem
 from mckibben.units import bar, kPa, percent
@@ -32,10 +32,10 @@ _NEEDED = ("time", "pressure", "force")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording:
-    """Samples of a test in the order in which they were taken.
+    """Samples of a test in the order of time, made by `of` or `read_recording`.
 
-    Make one with `of` or `read_recording`. It becomes points by `plateaus`, where pressure and contraction were
-    held, or by `isometric`, where a muscle of a fixed length was filled and vented.
+    Points are extracted by `plateaus`, where pressure and contraction were constant, or by `isometric`, where a muscle
+    of a fixed length was filled and vented.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Recording:
     Raises
     ------
     DatasetError
-        If a variable is missing, of the wrong shape or unit, or holds what is no finite number.
+        If a variable is missing, of the wrong shape or unit, or not finite.
 
     Examples
     --------
@@ -87,7 +87,7 @@ class Recording:
         Parameters
         ----------
         time, pressure, force
-            Shape (samples,): [s], gauge [Pa], [N]. Arrays of float64 are not copied: do not write to them after.
+            Shape (samples,): [s], gauge [Pa], [N]. Arrays of float64 are not copied.
         contraction, set_pressure
             Shape (samples,), or one number for all: [-], [Pa].
         specimen, initial_length, source, slack_force
@@ -96,7 +96,7 @@ class Recording:
         Raises
         ------
         DatasetError
-            With all that is wrong.
+            With every problem.
         """
         given = {"time": time, "pressure": pressure, "force": force}
         given |= {"contraction": contraction, "set_pressure": set_pressure}
@@ -117,7 +117,7 @@ class Recording:
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """When each sample was taken [s], read-only."""
+        """Time of each sample [s], read-only."""
         return self.table["time"].to_numpy()
 
     @property
@@ -143,10 +143,13 @@ class Recording:
         parts = [f"{len(self)} samples"]
         if len(self):
             parts[0] += f" in {np.ptp(self.time):.4g} s"
-            parts += [f"{spanned(self.pressure / bar)} bar", f"{spanned(self.force)} N"]
+            parts += [f"{format_range(self.pressure / bar)} bar", f"{format_range(self.force)} N"]
             if self.contraction is not None:
-                parts.append(f"contraction {spanned(self.contraction / percent)} %")
+                parts.append(f"contraction {format_range(self.contraction / percent)} %")
         return f"<Recording{f' {name!r}' if name else ''}: {', '.join(parts)}>"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(repr(self))}</p>{self.table._repr_html_()}"
 
     def plateaus(
         self,
@@ -159,7 +162,7 @@ class Recording:
         level_tolerance: float = 10 * kPa,
         gap: float | None = None,
     ) -> ExtractedPoints:
-        """The steady segments of the record, a point each: means of pressure, contraction and force.
+        """Points of the steady segments: means of pressure, contraction and force.
 
         Parameters
         ----------
@@ -212,27 +215,27 @@ class Recording:
         reversal: float = 10 * kPa,
         gap: float | None = None,
     ) -> ExtractedPoints:
-        """Points at given pressures of a record at a fixed length, apart for each filling and venting.
+        """Points at given pressures of a recording at a fixed length, separately for each filling and venting.
 
-        Nothing needs to be steady. At each level the force is the value of a straight line through the samples whose
-        pressure is near it.
+        At each level the force is that of a least-squares line through the samples with a pressure near it; nothing
+        needs to be steady.
 
         Parameters
         ----------
         levels
-            Pressures [Pa]; `count` evenly spaced ones inside the range of the record unless given.
+            Pressures [Pa]; `count` evenly spaced ones inside the range of the recording unless given.
         count
-            Of these, how many.
+            Number of levels.
         contraction
-            At which the muscle was held [-]; what the record says unless given.
+            Contraction of the test [-]; the recorded one unless given.
         contraction_tolerance
-            How far a recorded contraction may be from its median [-]; samples beyond are left out.
+            Largest deviation of a recorded contraction from its median [-]; samples beyond are left out.
         band
-            Samples within this [Pa] of a level belong to it: half the least distance between levels, but at most a
-            fortieth of their range, unless given.
+            Largest deviation of a sample's pressure from its level [Pa]; unless given, half the least distance between
+            levels, and at most a fortieth of their range.
         reversal
-            A pressure has turned when it is this far [Pa] from its last extreme; what lies between belongs to neither
-            phase, as there the muscle rests, or friction is still on the other side.
+            Pressure has reversed when it is this far [Pa] from its last extreme; samples in between belong to neither
+            phase, as there the muscle rests or friction has not reversed yet.
         gap
             As for `plateaus`.
 
@@ -240,8 +243,7 @@ class Recording:
         -------
         Points
             The dataset has ``phase`` ("filling" or "venting"), ``repeat`` (the filling or venting's number, from 0),
-            ``set_pressure`` (the level) and ``force_spread`` (about the line), and no direction: a muscle of a fixed
-            length is neither being stretched nor shortening, and on which side of the loop it is hangs on the pressure.
+            ``set_pressure`` (the level) and ``force_spread`` (about the line); no direction.
 
         Raises
         ------
@@ -260,7 +262,7 @@ class Recording:
         )
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write all samples to a NetCDF-4 file, which appears whole or not at all."""
+        """Write all samples to a NetCDF-4 file atomically."""
         write_netcdf(self.table, Path(path))
 
     @classmethod
@@ -272,11 +274,11 @@ class Recording:
         DatasetError
             If the file is not there, is no NetCDF file, or does not hold a recording.
         """
-        return held_in(Path(path), cls)
+        return load_validated(Path(path), cls)
 
 
 def _conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
-    """A table in the one form that a recording holds, and all that is wrong with it."""
+    """Normalised table of a recording, and all problems found."""
     problems = [Problem("is missing", field=name) for name in _NEEDED if name not in table]
     columns: dict[str, tuple[str, np.ndarray, dict[str, str]]] = {}
     for name, (unit, long_name) in _VARIABLES.items():
@@ -290,36 +292,11 @@ def _conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
             problems.append(Problem(f"is in {said!r}", field=name, remedy=f"give it in {unit!r}"))
         values = np.asarray(array.to_numpy(), np.float64).view()
         values.setflags(write=False)
-        problems += _values(name, values)
+        problems += value_problems(name, values, "sample")
         columns[name] = "sample", values, {"units": unit, "long_name": long_name}
-    attrs = dict(table.attrs)
-    for name in ("specimen", "source"):
-        attrs[name] = str(attrs.get(name, ""))
-    attrs.setdefault("slack_force", 0.0)
-    if attrs.get("initial_length") is None:
-        attrs.pop("initial_length", None)
-    for name in ("slack_force", "initial_length"):
-        value = attrs.get(name, 1.0)
-        if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
-            problems.append(Problem(f"{value!r} is not a finite number", field=name))
-        elif name == "initial_length" and value <= 0:
-            problems.append(Problem(f"{value:g} m is not above 0", field=name))
+    attrs, wrong = normalize_attributes(table.attrs)
+    problems += wrong
     if not problems:
         table = table.assign(columns)
         table.attrs = attrs
     return table, problems
-
-
-def _values(name: str, values: NDArray[np.float64]) -> list[Problem]:
-    wrong = {"is not finite": ~np.isfinite(values) & ~(np.isnan(values) & (name == "set_pressure"))}
-    if name.endswith("pressure"):
-        wrong[f"is below {VACUUM:g} Pa, the gauge pressure of a vacuum"] = values < VACUUM
-    if name == "contraction":
-        wrong["is not between -1 and 1; contraction is a ratio: divide percent by 100"] = np.abs(values) >= 1
-    problems = []
-    for what, bad in wrong.items():
-        if (count := int(bad.sum())) > 0:
-            more = f" (and {count - 1} more)" if count > 1 else ""
-            at = int(np.argmax(bad))
-            problems.append(Problem(f"{values[at]:g} at sample {at} {what}{more}", field=name))
-    return problems

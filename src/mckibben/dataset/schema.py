@@ -1,14 +1,14 @@
-"""The schema of an isobaric dataset, its validation, and tables in NetCDF and CSV files."""
+"""Schema of an isobaric dataset, validation, and NetCDF and CSV files."""
 
 from __future__ import annotations
 
 import json
 import math
 import mmap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -19,14 +19,14 @@ from mckibben.errors import DatasetError, Problem
 from mckibben.storage.files import atomic_write
 
 VACUUM = -101325.0
-"""The lowest gauge pressure there is [Pa]: absolute zero below a standard atmosphere."""
+"""Lowest possible gauge pressure [Pa]: vacuum at a standard atmosphere."""
 
 WORDS: Mapping[str, tuple[str, ...]] = {"direction": ("loading", "unloading"), "phase": ("filling", "venting")}
-"""The variables that hold words, and these; an empty text is a point of which it is not known."""
+"""Categorical variables and their values; an empty text is unknown."""
 
 
 class Variable(NamedTuple):
-    """One variable of the table."""
+    """Variable of the table."""
 
     unit: str
     long_name: str
@@ -49,19 +49,12 @@ VARIABLES: Mapping[str, Variable] = {
 }
 
 
-def conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
-    """Bring a table to the one form that an `IsobaricDataset` holds.
+def normalize(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
+    """Normalised table of an `IsobaricDataset`, and all problems found.
 
-    Columns become float64 (`repeat` int64, `direction` and `phase` text) and read-only; float32 samples stay so, and
-    samples are not copied. Every variable gets its `units` and `long_name`, the table its four attributes.
-    Variables that are not ours pass through.
-
-    Returns
-    -------
-    table
-        In that form; of use only where there are no problems.
-    problems
-        All that is wrong, each with the name of its variable or attribute.
+    Columns become float64 (`repeat` int64, `direction` and `phase` text) and read-only; samples are not copied. Every
+    variable gets its `units` and `long_name`, the table its four attributes. Other variables pass through. With
+    problems the table is not normalised.
     """
     problems = list(_structure(table))
     if problems:
@@ -70,9 +63,19 @@ def conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
     for name, variable in VARIABLES.items():
         if name in table:
             values = _settled(name, table[name].to_numpy())
-            problems += _values(name, values)
+            problems += value_problems(name, values)
             columns[name] = (variable.dims, values, {"units": variable.unit, "long_name": variable.long_name})
-    attrs = dict(table.attrs)
+    attrs, wrong = normalize_attributes(table.attrs)
+    problems += wrong
+    if not problems:
+        table = table.assign(columns)
+        table.attrs = attrs
+    return table, problems
+
+
+def normalize_attributes(attrs: Mapping[Hashable, Any]) -> tuple[dict[Hashable, Any], list[Problem]]:
+    """Attributes of a dataset or recording with defaults, and all problems found."""
+    attrs, problems = dict(attrs), []
     for name in ("specimen", "source"):
         attrs[name] = str(attrs.get(name, ""))
     for name, default in (("slack_force", 0.0), ("initial_length", None)):
@@ -87,22 +90,11 @@ def conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
             problems.append(Problem(f"{number:g} m is not above 0", field=name))
         else:
             attrs[name] = number
-    if not problems:
-        table = table.assign(columns)
-        table.attrs = attrs
-    return table, problems
+    return attrs, problems
 
 
 def assemble(variables: Mapping[str, ArrayLike]) -> tuple[xr.Dataset, list[Problem]]:
-    """Make a table of array-likes by name.
-
-    Returns
-    -------
-    table
-        Empty if there are problems.
-    problems
-        The variables whose shapes do not go together.
-    """
+    """Table of array-likes by name, empty if shapes do not match, and the problems."""
     arrays: dict[str, np.ndarray] = {}
     problems: list[Problem] = []
     for name, values in variables.items():
@@ -154,46 +146,50 @@ def _structure(table: xr.Dataset) -> Iterator[Problem]:
 
 def _settled(name: str, values: np.ndarray) -> np.ndarray:
     if name.endswith("_samples"):
-        settled = values.view() if values.dtype == np.float32 else np.asarray(values, np.float64).view()
+        as_column = values.view() if values.dtype == np.float32 else np.asarray(values, np.float64).view()
     elif name in WORDS:
-        settled = np.array(values, dtype="<U9") if _words(name, values) else np.array(values, dtype=str)
+        as_column = np.array(values, dtype="<U9") if _words(name, values) else np.array(values, dtype=str)
     elif name == "repeat" and np.all(np.isfinite(values) & (values == np.round(values))):
-        settled = np.array(values, dtype=np.int64)
+        as_column = np.array(values, dtype=np.int64)
     else:
-        settled = np.array(values, dtype=np.float64)
-    settled.setflags(write=False)
-    return settled
+        as_column = np.array(values, dtype=np.float64)
+    as_column.setflags(write=False)
+    return as_column
 
 
 def _words(name: str, values: np.ndarray) -> bool:
     return bool(np.isin(values.astype(str), [*WORDS[name], ""]).all())
 
 
-def _values(name: str, values: np.ndarray) -> Iterator[Problem]:
+def value_problems(name: str, values: np.ndarray, place: str = "point") -> Iterator[Problem]:
+    """Problems of the values of a variable."""
     if name in WORDS:
         if (bad := ~np.isin(values, [*WORDS[name], ""])).any():
             yield _first(bad, values, name, "is neither " + " nor ".join(map(repr, WORDS[name])))
         return
     finite = np.isfinite(values)
     if name == "set_pressure":
-        finite |= np.isnan(values)  # not known for this point
+        finite |= np.isnan(values)  # unknown
     if not finite.all():
-        yield _first(~finite, values, name, "is not finite")
+        yield _first(~finite, values, name, "is not finite", place=place)
     if "pressure" in name and (bad := values < VACUUM).any():
-        yield _first(bad, values, name, f"is below {VACUUM:g} Pa, the gauge pressure of a vacuum")
+        yield _first(bad, values, name, f"is below {VACUUM:g} Pa, the gauge pressure of a vacuum", place=place)
     if name == "contraction" and (bad := finite & (np.abs(values) >= 1)).any():
-        yield _first(bad, values, name, "is not between -1 and 1", "contraction is a ratio: divide percent by 100")
+        remedy = "contraction is a ratio: divide percent by 100"
+        yield _first(bad, values, name, "is not between -1 and 1", remedy, place)
     if name == "repeat" and (bad := finite & ((values < 0) | (values != np.round(values)))).any():
         yield _first(bad, values, name, "is not an integer from 0 up")
 
 
-def _first(bad: np.ndarray, values: np.ndarray, name: str, what: str, remedy: str = "") -> Problem:
+def _first(
+    bad: np.ndarray, values: np.ndarray, name: str, what: str, remedy: str = "", place: str = "point"
+) -> Problem:
     at = tuple(int(index) for index in np.argwhere(bad)[0])
     count = int(bad.sum())
     more = f" (and {count - 1} more)" if count > 1 else ""
     value = values[at].item()
     shown = f"{value:g}" if isinstance(value, float) else repr(value)
-    return Problem(f"{shown} at point {at[0]} {what}{more}", field=name, remedy=remedy)
+    return Problem(f"{shown} at {place} {at[0]} {what}{more}", field=name, remedy=remedy)
 
 
 def _finite(value: object) -> float | None:
@@ -204,10 +200,10 @@ def _finite(value: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def spanned(values: np.ndarray) -> str:
-    """From the least to the largest of some values, as text.
+def format_range(values: np.ndarray) -> str:
+    """Range of values as text.
 
-    >>> spanned(np.array([1.0, 2.5])), spanned(np.array([3.0, 3.0]))
+    >>> format_range(np.array([1.0, 2.5])), format_range(np.array([3.0, 3.0]))
     ('1..2.5', '3')
     """
     low, high = f"{values.min():.4g}", f"{values.max():.4g}"
@@ -215,7 +211,7 @@ def spanned(values: np.ndarray) -> str:
 
 
 def write_netcdf(table: xr.Dataset, path: Path) -> None:
-    """Write a table, samples included."""
+    """Write a table, samples included, atomically."""
     # Not compressed: the low bits of samples are noise, so that gzip and lzf make the file smaller by a quarter to a
     # half, but 5 to 10 times slower to read and 10 times slower to write (5.85 million samples: 47 MB in 20 ms).
     encoding = {str(name): {"_FillValue": None} for name, values in table.variables.items() if values.dtype.kind == "f"}
@@ -224,19 +220,19 @@ def write_netcdf(table: xr.Dataset, path: Path) -> None:
 
 
 def load_netcdf(path: Path) -> xr.Dataset:
-    """The content of a NetCDF file.
+    """Read a NetCDF file.
 
     Raises
     ------
     DatasetError
-        If the file is not there, or is no NetCDF file.
+        If the file is missing or no NetCDF file.
     """
     try:
         with path.open("rb") as file:  # so that what the system objects to is told from what is wrong with the content
             if file.seek(0, 2) > 0:
                 with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
                     if not global_heaps_are_valid(content):
-                        raise ValueError("a heap of texts is damaged")
+                        raise ValueError("a heap of strings is corrupt")
         return xr.load_dataset(path, engine="h5netcdf", decode_times=False).drop_encoding()
     except ImportError:
         raise
@@ -247,8 +243,8 @@ def load_netcdf(path: Path) -> xr.Dataset:
 Held = TypeVar("Held")
 
 
-def held_in(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
-    """What a NetCDF file holds, made of its table; an error names the file.
+def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
+    """Object made of the table of a NetCDF file; errors name the file.
 
     Raises
     ------
@@ -280,29 +276,29 @@ CSV_COLUMNS = {
 
 
 def write_csv(table: xr.Dataset, path: Path) -> None:
-    """Write a table of plateau means: comments, header, and a row per point, floats in full."""
+    """Write plateau means as CSV: comments, header, and a row per point at full precision."""
     attrs = table.attrs
-    comments = [f"# specimen: {plain(attrs['specimen'])}", f"# source: {plain(attrs['source'])}"]
+    comments = [f"# specimen: {quote(attrs['specimen'])}", f"# source: {quote(attrs['source'])}"]
     if "initial_length" in attrs:
         comments.append(f"# initial_length: {attrs['initial_length']!r} m")
     comments.append(f"# slack_force: {attrs['slack_force']!r} N")
     present = [name for name in CSV_COLUMNS if name in table]
     rows = zip(*(_cells(table[name].to_numpy()) for name in present), strict=True)
     if "repairs" in attrs:
-        comments.append(f"# repairs: {plain(attrs['repairs'])}")
+        comments.append(f"# repairs: {quote(attrs['repairs'])}")
     header = ",".join(CSV_COLUMNS[name] for name in present)
     text = "\n".join([*comments, header, *map(",".join, rows)])
     with atomic_write(path, overwrite=True) as sibling:
         sibling.write_text(f"{text}\n", encoding="utf-8", newline="\n")
 
 
-def plain(text: str) -> str:
-    """A text for the rest of a line: as it is, or in JSON's quotes where it would not come back the same."""
+def quote(text: str) -> str:
+    """Text for the rest of a line, as JSON where it would not be read back unchanged."""
     return text if text.isprintable() and text == text.strip() and not text.startswith('"') else json.dumps(text)
 
 
-def unplain(text: str) -> str:
-    """The inverse of `plain`; a text that only looks quoted is left as it is."""
+def unquote(text: str) -> str:
+    """Inverse of `quote`; a text that only looks quoted is left unchanged."""
     try:
         value = json.loads(text) if text.startswith('"') else text
     except ValueError:

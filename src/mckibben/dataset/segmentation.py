@@ -1,4 +1,4 @@
-"""Where several signals hold still at once."""
+"""Steady segments of a recording, and the plateaus in them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, account, check
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, extracted_points, format_counts
 from mckibben.errors import RangeError
 from mckibben.units import kPa
 
@@ -18,18 +17,7 @@ _PARTS = 20  # of a dwell: the means that are compared
 
 
 class Segments(NamedTuple):
-    """Steady segments, in the order of the samples.
-
-    Attributes
-    ----------
-    first, last
-        Shape (segments,): of each the first sample, and the one after the last.
-    drifting
-        Shape (samples,): steady for a dwell at a time, and yet not part of a segment.
-    edge
-        Samples at either end of each segment in which motion may already have begun, or not quite have ended: those of
-        one mean.
-    """
+    """Steady segments: first and one past the last sample; mask of drifting samples; uncertain samples at the ends."""
 
     first: NDArray[np.int64]
     last: NDArray[np.int64]
@@ -42,9 +30,9 @@ def steady_segments(
 ) -> Segments:
     """Find the segments in which every signal stays within its tolerance.
 
-    Means over a twentieth of the dwell are compared, so that noise counts little. A dwell is steady where the means of
-    each signal lie within twice its tolerance of each other; steady dwells that overlap make a segment; and of
-    a segment its ends are cut off up to where every mean is within the tolerance of the segment's middle half.
+    Means over a twentieth of the dwell are compared, which suppresses noise. A dwell is steady where the means of each
+    signal lie within twice its tolerance; overlapping steady dwells make a segment, whose ends are trimmed to where
+    every mean is within the tolerance of the segment's middle half.
 
     Parameters
     ----------
@@ -53,7 +41,7 @@ def steady_segments(
     broken
         Shape (n,): samples that no segment may contain.
     dwell
-        Samples that a segment has at least.
+        Minimum number of samples of a segment.
 
     Examples
     --------
@@ -99,7 +87,7 @@ def steady_segments(
 
 
 def _sliding(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
-    """Highest and lowest of each window of that many values, shape (n - window + 1,)."""
+    """Sliding maximum and minimum, shape (n - window + 1,)."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # 50 ms that reading points does not need
 
     shift = -(window // 2)
@@ -112,7 +100,7 @@ def _sliding(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
 def _trimmed(
     means: Sequence[tuple[NDArray[np.float64], float]], first: NDArray[np.int64], last: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Segments of blocks cut to where all is within the tolerance of their middle half."""
+    """Segments of blocks trimmed to the tolerance around their middle half."""
     if not len(first):
         return first, last
     lengths = last - first
@@ -150,15 +138,15 @@ def plateaus(
     level_tolerance: float,
     gap: float | None,
 ) -> ExtractedPoints:
-    """`Recording.plateaus`, of the recording's table."""
-    check("pressure_tolerance", pressure_tolerance, "Pa")
-    check("contraction_tolerance", contraction_tolerance, "1")
-    check("dwell", dwell, "s")
-    check("dwell - settle", dwell - settle, "s")
-    check("settle", settle, "s", may_be_zero=True)
-    check("level_tolerance", level_tolerance, "Pa")
+    """`Recording.plateaus` for the recording's table."""
+    check_positive("pressure_tolerance", pressure_tolerance, "Pa")
+    check_positive("contraction_tolerance", contraction_tolerance, "1")
+    check_positive("dwell", dwell, "s")
+    check_positive("dwell - settle", dwell - settle, "s")
+    check_positive("settle", settle, "s", may_be_zero=True)
+    check_positive("level_tolerance", level_tolerance, "Pa")
     if force_tolerance is not None:
-        check("force_tolerance", force_tolerance, "N")
+        check_positive("force_tolerance", force_tolerance, "N")
     if "contraction" not in table:
         raise RangeError(
             "the recording has no contraction",
@@ -167,7 +155,7 @@ def plateaus(
     time, pressure, contraction, force = (
         table[name].to_numpy() for name in ("time", "pressure", "contraction", "force")
     )
-    ledger = SampleAccount(table, gap)
+    account = SampleAccount(table, gap)
     forward = np.diff(time)
     forward = forward[forward > 0]
     if not len(forward):
@@ -177,8 +165,8 @@ def plateaus(
     if force_tolerance is not None:
         signals.append((force, force_tolerance))
     least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
-    found = steady_segments(signals, ledger.broken | (ledger.of >= 0), least)
-    ledger.put(found.drifting, "drifting")
+    found = steady_segments(signals, account.broken | (account.of >= 0), least)
+    account.assign_reason(found.drifting, "drifting")
     first, last = found.first, found.last
     firsts = zip(first, last, strict=True)
     begins = first + np.array([np.searchsorted(time[a:b], time[a] + settle) for a, b in firsts], np.int64)
@@ -186,16 +174,16 @@ def plateaus(
     # from the first to the last sample, and an interval: each stands for one
     whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
     for a, b in zip(first[~whole], last[~whole], strict=True):
-        ledger.put(slice(a, b), "steady too shortly")
+        account.assign_reason(slice(a, b), "steady too shortly")
     for a, b, c, d in zip(first[whole], begins[whole], ends[whole], last[whole], strict=True):
-        ledger.put(slice(a, b), "settling")
-        ledger.put(slice(c, d), "at the end of a plateau")
+        account.assign_reason(slice(a, b), "settling")
+        account.assign_reason(slice(c, d), "at the end of a plateau")
     first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
     if not len(first):
-        counts = ledger.counts("not steady")
+        counts = account.counts("not steady")
         raise RangeError(
             f"nothing in the recording is steady for {dwell:g} s\n  "
-            + account(counts, ledger.notes).replace("\n", "\n  "),
+            + format_counts(counts, account.notes).replace("\n", "\n  "),
             value=dwell,
             unit="s",
             remedy="allow a larger pressure_tolerance or contraction_tolerance, or a shorter dwell; for a record that "
@@ -204,7 +192,7 @@ def plateaus(
     samples = ends - begins
     owner = np.repeat(np.arange(len(first)), samples)
     at = np.arange(len(owner)) + np.repeat(begins - np.concatenate([[0], np.cumsum(samples)[:-1]]), samples)
-    ledger.put(at, "used")
+    account.assign_reason(at, "used")
 
     def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
         middle = values[begins]  # subtracted, so that sums of many samples keep their digits
@@ -217,13 +205,15 @@ def plateaus(
     else:
         set_pressure, wide = levels_of(p, level_tolerance)
         if wide:
-            ledger.notes.append(
+            account.notes.append(
                 f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
             )
-    direction, phase = _approach(table, ledger.broken, first, last, c, p, contraction_tolerance, pressure_tolerance)
-    counts = ledger.counts("not steady")
-    attrs = {name: value for name, value in table.attrs.items() if name not in ("repairs", "ignored_columns")}
-    dataset = IsobaricDataset.of(
+    direction, phase = _approach(table, account.broken, first, last, c, p, contraction_tolerance, pressure_tolerance)
+    return extracted_points(
+        table,
+        account,
+        "not steady",
+        samples,
         pressure=p,
         contraction=c,
         force=f,
@@ -231,28 +221,26 @@ def plateaus(
         phase=phase if np.any(phase != "") else None,
         time=t,
         set_pressure=set_pressure,
-        **attrs,
+        force_spread=spread,
     )
-    dataset = IsobaricDataset(dataset.table.assign(force_spread=("point", spread)).assign_attrs(table.attrs))
-    return ExtractedPoints(dataset, samples, counts, tuple(ledger.notes))
 
 
 def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], int]:
-    """The level of each of some pressures: the mean, in whole kPa, of those that follow each other closely.
+    """Level of each pressure: the mean, in whole kPa, of its cluster.
 
     Parameters
     ----------
     pressures
         Shape (n,) [Pa].
     tolerance
-        Sorted pressures closer than this [Pa] are of one level; a chain of more than three times that is none.
+        Sorted pressures closer than this [Pa] are one cluster; a cluster wider than three times this has no level.
 
     Returns
     -------
     levels
-        Shape (n,) [Pa]; NaN where there is none.
+        Shape (n,) [Pa]; NaN without a level.
     chained
-        How many have none.
+        Number of pressures without a level.
 
     Examples
     --------
@@ -282,11 +270,9 @@ def _approach(
     contraction_tolerance: float,
     pressure_tolerance: float,
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
-    """Direction and phase of each plateau, by what moved last between the one before it and it.
+    """Direction and phase of each plateau, by the last motion before it.
 
-    The side from which it came is that of the last sample out of twice the tolerance; where none is, that of the
-    plateau before. Nothing is known of what happened in a gap: the first plateau after one begins anew, as that of a
-    record does, and has only the samples since to tell.
+    It is told by the last sample outside of twice the tolerance, else by the plateau before; never across a gap.
     """
     before = np.concatenate([[0], last[:-1]])
     breaks = np.append(0, np.flatnonzero(broken))

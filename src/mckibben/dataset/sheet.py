@@ -1,4 +1,4 @@
-"""Named columns of numbers or text with their line numbers: the common form of every file that is read."""
+"""Raw table of a file: named columns of numbers or text with their line numbers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mckibben.errors import Problem
 
 @dataclass(frozen=True, slots=True)
 class RowProblem(Problem):
-    """One thing that is wrong in a table that has rows instead of lines.
+    """Problem of a table with rows instead of lines.
 
     >>> print(RowProblem("is not finite", line=7, field="rig/force"))
     row 7, rig/force: is not finite
@@ -27,21 +27,7 @@ class RowProblem(Problem):
 
 @dataclass(frozen=True, eq=False)
 class RawColumn:
-    """One column of a file.
-
-    Attributes
-    ----------
-    name
-        As the user has to write it: a header, ``group/channel`` or ``struct.field``.
-    cells
-        Texts, or float64 where the file has numbers; shape (rows,).
-    lines
-        The number of the line or row of each cell.
-    short
-        The part of the name that may say what the column is.
-    unit
-        What the file says of its unit elsewhere than in the name; empty where it does not.
-    """
+    """Raw column: full name (``group/channel``), cells, line numbers, short name and unit given outside the name."""
 
     name: str
     cells: Sequence[str] | NDArray[np.float64]
@@ -51,34 +37,34 @@ class RawColumn:
 
     @property
     def label(self) -> str:
-        """The part of the name that may say what the column is."""
+        """Part of the name that is parsed as a header."""
         return self.short or self.name
 
 
 @dataclass
 class RawTable:
-    """The columns of a file.
+    """Raw columns of a file.
 
     Attributes
     ----------
     channels
-        In the order of the file.
+        Columns in the order of the file.
     header_line
-        The number of the line with their names, where there is one.
+        Line number of the header, if any.
     comments
-        From the leading ``# key: value`` lines: the number of the line and the value, by key.
+        Line number and value of leading ``# key: value`` lines, by key.
     delimiter
-        Of a text; the decimal sign hangs on it.
+        Delimiter of a text, which determines the decimal sign.
     corrupt
-        Rows that are no rows: with too few cells, or cut off. They are in no channel.
+        Truncated or incomplete rows, which are in no column.
     problems
-        What makes the file unreadable, or unreadable after a line.
-    suspicions
-        What is legal and probably not meant.
+        Problems that make the file unreadable.
+    suspect
+        Warnings of valid but implausible content.
     ignored
-        Things in the file that are no columns, by name.
+        Names of content that is no column.
     interval
-        From one row to the next [s], where the file says so, and not in a column.
+        Sampling interval [s], if the file has it outside of a column.
     kind
         `Problem` of lines or `RowProblem`.
     """
@@ -89,26 +75,26 @@ class RawTable:
     delimiter: str = ";"
     corrupt: list[Problem] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
-    suspicions: list[str] = field(default_factory=list)
+    suspect: list[str] = field(default_factory=list)
     ignored: list[str] = field(default_factory=list)
     interval: float | None = None
     kind: type[Problem] = Problem
 
     @property
     def names(self) -> list[str]:
-        """The names of the columns."""
+        """Names of the columns."""
         return [channel.name for channel in self.channels]
 
     @property
     def unit(self) -> str:
-        """What a line of this file is called."""
+        """Name of a line of this file."""
         return "line" if self.kind is Problem else "row"
 
 
-def settled(cells: Sequence[object]) -> list[str] | NDArray[np.float64]:
-    """The cells of a column as numbers, if all are, or as texts; nothing is an empty text.
+def as_column(cells: Sequence[object]) -> list[str] | NDArray[np.float64]:
+    """Cells of a column as numbers, if all are, else as texts; an empty cell is an empty text.
 
-    >>> settled([1, 2.5]), settled([1, None, "a"])
+    >>> as_column([1, 2.5]), as_column([1, None, "a"])
     (array([1. , 2.5]), ['1', '', 'a'])
     """
     if all(isinstance(cell, (int, float, np.integer, np.floating)) and not isinstance(cell, bool) for cell in cells):
@@ -127,7 +113,7 @@ _NAMES = {".": "point", ",": "comma"}
 
 @dataclass(frozen=True)
 class DecimalSign:
-    """The decimal sign of a file, and the line that settled it (None where the delimiter did)."""
+    """Decimal sign of a file, and the line where it was found (None if it follows from the delimiter)."""
 
     sign: str
     line: int | None = None
@@ -136,10 +122,7 @@ class DecimalSign:
 def decimal_sign(
     columns: Iterable[Sequence[str] | NDArray[np.float64]], lines: Sequence[int], delimiter: str
 ) -> DecimalSign:
-    """The sign that the first number with one has; in a comma-separated file it is always the point.
-
-    Columns that are numbers already say nothing.
-    """
+    """Decimal sign of the first number that has one; in a comma-separated file always the point."""
     columns = [column for column in columns if not isinstance(column, np.ndarray)]
     if delimiter == "," or not columns:
         return DecimalSign(".")
@@ -222,7 +205,7 @@ def read_numbers(
 
 
 def _wrong(text: str, decimal: DecimalSign, place: str) -> tuple[str, str]:
-    """What is wrong with a cell and what to do about it; two empty texts where nothing is."""
+    """Problem of a cell and its remedy; empty texts where there is none."""
     shown = repr(text if len(text) <= 40 else f"{text[:37]}...")
     other = "," if decimal.sign == "." else "."
     if not text:

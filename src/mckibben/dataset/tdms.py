@@ -1,4 +1,4 @@
-"""TDMS files (LabVIEW, FlexLogger, DIAdem) to a `RawTable`."""
+"""Reader of TDMS files (LabVIEW, FlexLogger, DIAdem)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, settled
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column
 from mckibben.errors import DatasetError, Problem
 
 
 def read_tdms(path: Path, data: bytes) -> RawTable:
-    """Read the channels of a TDMS file, named ``group/channel``, with the units that their properties say.
+    """Read the channels of a TDMS file, named ``group/channel``, with the units of their properties.
 
-    Scaled channels are read scaled. Where channels are waveforms, their increment is the interval of the samples.
+    Scaled channels are read scaled; the increment of waveforms is the sampling interval.
 
     Raises
     ------
@@ -34,7 +34,7 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
     sheet = RawTable(kind=RowProblem)
     intervals: set[float] = set()
     try:
-        with _heard() as warned:
+        with _captured_log() as warned:
             file = TdmsFile.read_metadata(io.BytesIO(data))
             claimed = sum(len(channel) for group in file.groups() for channel in group.channels())
             if claimed > len(data):  # a sample has at least a byte
@@ -50,7 +50,7 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
         text = (str(error) or type(error).__name__).splitlines()[0]
         problem = Problem(f"cannot be read as TDMS: {text}", remedy="copy it again from where it was written")
         raise DatasetError(str(path), [problem]) from error
-    sheet.corrupt += [RowProblem(f"npTDMS says: {text[:120]}") for text in dict.fromkeys(warned)]
+    sheet.corrupt += [RowProblem(f"npTDMS: {text[:120]}") for text in dict.fromkeys(warned)]
     if status.incomplete_final_segment:
         lost = sum(c.expected_length - c.read_length for c in (status.channel_statuses or {}).values())
         what = f" ({lost} values are missing)" if lost > 0 else ""
@@ -64,7 +64,7 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
 
 
 def _even(channels: list[RawColumn]) -> list[RawColumn]:
-    """Channels of groups as long as the longest in each, so that rows of which a part is missing are named."""
+    """Pad the channels of each group to the longest, so that incomplete rows are reported."""
     longest: dict[str, int] = {}
     for channel in channels:
         group = channel.name.removesuffix(channel.short)
@@ -81,8 +81,8 @@ def _even(channels: list[RawColumn]) -> list[RawColumn]:
 
 
 @contextmanager
-def _heard() -> Iterator[list[str]]:
-    """What npTDMS would log: it goes on where a file is damaged, and says so there only."""
+def _captured_log() -> Iterator[list[str]]:
+    """Capture the log of npTDMS, its only report of a corrupt file."""
     said: list[str] = []
     handler = logging.Handler(logging.WARNING)
     handler.emit = lambda record: said.append(record.getMessage())
@@ -106,7 +106,7 @@ def _add(sheet: RawTable, name: str, channel: Any, intervals: set[float]) -> Non
     if values.dtype.kind in "biuf":
         cells = values.astype(np.float64)
     elif values.dtype.kind in "OU":
-        cells = settled(values.tolist())
+        cells = as_column(values.tolist())
     else:  # time stamps, complex numbers
         sheet.ignored.append(name)
         return

@@ -27,19 +27,19 @@ _Known = Callable[[str, str], bool]
 def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTable:
     """Read a text of cells.
 
-    The delimiter is that of comma, semicolon and tab which gives the header most names that are `known`,
-    then most names; where there is none of these in it, white space. Blank lines, and rows of empty cells only,
-    are passed over. Lines before the header are, too, where the first line has no known name, a later one has two,
-    and none between is a row of numbers. A row under the header that has units instead of numbers says the units.
+    The delimiter is that of comma, semicolon and tab with most `known` names in the header, then most names; without
+    any of these, white space. Blank lines and rows of empty cells are skipped, and so are lines before the header if
+    the first line has no known name, a later one has two, and none between is a row of numbers. A row under the header
+    may hold the units.
 
     Parameters
     ----------
     text, source
-        The content of the file, and its name.
+        Content of the file, and its name.
     known
-        Whether a name, and a unit that stands elsewhere, are those of a column of ours.
+        Predicate: a name, with a unit from elsewhere, is that of a known quantity.
     zeros
-        Bytes that were cut from the end of the file.
+        Number of zero bytes removed from the end of the file.
 
     Raises
     ------
@@ -75,14 +75,14 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTa
 
 
 def _header(line: str, stream: io.StringIO, number: int, known: _Known) -> tuple[list[str], int]:
-    """The lines from the header on that were taken from the stream, and the number of the header."""
-    if _merit(line, _delimiter(line, known), known)[0]:
+    """Lines read from the stream, from the header on, and the line number of the header."""
+    if _score(line, _delimiter(line, known), known)[0]:
         return [line], number
     lines = [line, *islice(stream, _PREAMBLE)]
     for index, candidate in enumerate(lines):
         delimiter = _delimiter(candidate, known)
         cells = _split(candidate, delimiter)
-        if index and _merit(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
+        if index and _score(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
             return lines[index:], number + index
         if sum(bool(_NUMBER.fullmatch(cell)) for cell in cells) >= 2:
             break  # a row: what follows is no header
@@ -90,7 +90,7 @@ def _header(line: str, stream: io.StringIO, number: int, known: _Known) -> tuple
 
 
 def _known_word(lines: Sequence[str], index: int, known: _Known) -> Callable[[str], bool]:
-    """Whether a cell is a name of ours with the unit that stands under it."""
+    """Predicate: a cell is a known name with the unit under it."""
     below = lines[index + 1] if index + 1 < len(lines) else ""
     delimiter = _delimiter(lines[index], known)
     under = dict(zip(_split(lines[index], delimiter), _split(below, delimiter), strict=False))
@@ -98,18 +98,18 @@ def _known_word(lines: Sequence[str], index: int, known: _Known) -> Callable[[st
 
 
 def _delimiter(header: str, known: _Known) -> str:
-    best = max(_DELIMITERS, key=lambda delimiter: _merit(header, delimiter, known))
-    words = _merit(header, " ", known)
-    return best if _merit(header, best, known)[1] > 1 or words[1] < 2 else " "
+    best = max(_DELIMITERS, key=lambda delimiter: _score(header, delimiter, known))
+    words = _score(header, " ", known)
+    return best if _score(header, best, known)[1] > 1 or words[1] < 2 else " "
 
 
-def _merit(header: str, delimiter: str, known: _Known) -> tuple[int, int]:
+def _score(header: str, delimiter: str, known: _Known) -> tuple[int, int]:
     cells = _split(header, delimiter)
     return sum(known(cell, "") for cell in cells), len(cells)
 
 
 def _split(line: str, delimiter: str) -> list[str]:
-    """The cells of a line, stripped; none where it cannot be read."""
+    """Cells of a line, stripped; none where it cannot be parsed."""
     try:
         cells = next(_reader([line], delimiter), [])
     except csv.Error:
@@ -124,10 +124,7 @@ def _reader(lines: Iterator[str] | Sequence[str], delimiter: str) -> Iterator[li
 
 
 def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -> list[RawColumn] | None:
-    """The columns of a file that has nothing but rows of numbers, read by NumPy; None where there is anything else.
-
-    A row a line, so that millions of samples are read in seconds, and each still knows its line.
-    """
+    """Columns of a file with nothing but rows of numbers, read by NumPy; None for any other file."""
     header, under = _split(lines[0], sheet.delimiter), _split("".join(lines[1:2]), sheet.delimiter)
     skipped = 1 + _is_units(under)
     at = stream.tell()
@@ -157,7 +154,7 @@ def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable)
 
 
 class _Row(NamedTuple):
-    """A row, the line on which it begins, and the one on which it ends."""
+    """Row with its first and last line."""
 
     cells: list[str]
     line: int
@@ -165,7 +162,7 @@ class _Row(NamedTuple):
 
 
 def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -> None:
-    """The columns of any other file, and the rows of it that are none."""
+    """Columns of any other file, and its corrupt rows."""
     rows: list[_Row] = []
     reader = _reader(chain(lines, stream), sheet.delimiter)
     try:
@@ -205,7 +202,7 @@ def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -
 
 
 def _numbered(reader: Iterator[list[str]], first: int) -> Iterator[_Row]:
-    """The rows that are not blank."""
+    """Rows that are not blank."""
     last = first - 1
     for count, cells in enumerate(reader, 1):
         line, last = last + 1, first - 1 + getattr(reader, "line_num", count)
@@ -214,7 +211,7 @@ def _numbered(reader: Iterator[list[str]], first: int) -> Iterator[_Row]:
 
 
 def _wrong(row: _Row, header: list[str], delimiter: str) -> Problem | None:
-    """That a row is none: it has another number of cells than the header, or a quotation mark swallowed other rows."""
+    """Problem of a row: another number of cells than the header, or a quotation mark that joins rows."""
     found, expected = len(row.cells), len(header)
     if found != expected:
         decimals = found > expected and delimiter == ","
@@ -229,14 +226,14 @@ def _wrong(row: _Row, header: list[str], delimiter: str) -> Problem | None:
 
 
 def _is_units(row: Sequence[str]) -> bool:
-    """Whether a row has units where others have numbers."""
+    """True if a row has units instead of numbers."""
     cells = [cell.strip() for cell in row if cell.strip()]
     found = sum(map(is_unit, cells))
     return 2 * found >= len(cells) > 0 < found and not any(_NUMBER.fullmatch(cell) for cell in cells)
 
 
 def _look_at_the_end(text: str, zeros: int, sheet: RawTable) -> None:
-    """Say of a last line that was cut off that it was."""
+    """Report a truncated last line."""
     last = text.count("\n") + 1
     lengths = [channel.lines[-1] for channel in sheet.channels if len(channel.lines)]
     ends = max([*lengths, *(problem.line or 0 for problem in sheet.corrupt)], default=0)
@@ -250,11 +247,11 @@ def _look_at_the_end(text: str, zeros: int, sheet: RawTable) -> None:
         if "has" in cut.message and not cut.remedy:
             sheet.corrupt[-1] = Problem(f"{cut.message}, and no line end: the file was cut off here", line=last)
     elif sheet.channels and not zeros and (short := _short(text, sheet.delimiter)):
-        sheet.suspicions.append(f"line {last} has no line end and {short}; the file may have been cut off in it")
+        sheet.suspect.append(f"line {last} has no line end and {short}; the file may have been cut off in it")
 
 
 def _short(text: str, delimiter: str) -> str:
-    """That the last number of a text has fewer decimals than those above it all have; empty where it has not."""
+    """Sign of a truncated last number: fewer decimals than all above; empty where there is none."""
     tail = [
         re.search(r"\.([0-9]+)\s*$" if delimiter == "," else r"[.,]([0-9]+)\s*$", line)
         for line in text.rsplit("\n", 12)[-12:]
@@ -277,13 +274,7 @@ _PROBED = 4096  # bytes
 
 
 def read_bytes(path: Path) -> bytes:
-    """The content of a file.
-
-    Raises
-    ------
-    DatasetError
-        If the system has none.
-    """
+    """Read a file; raises a `DatasetError` if it cannot be read."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -295,18 +286,15 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decode(data: bytes, source: str) -> tuple[str, int]:
-    r"""The text of a file, and how many zero bytes were cut from its end.
+    r"""Text of a file, and the number of zero bytes removed from its end.
 
-    A mark at the beginning says what the encoding is. Without one it is UTF-16 if every other byte is zero, else UTF-8
-    if it is valid, and else Windows-1252. For numbers it makes no difference; what goes wrong is a header in
-    another alphabet, and the header is then shown as it was read.
-
-    Zero bytes at the end are what a logger leaves that lost its power. Single ones elsewhere stay in the text.
+    The encoding is that of the byte order mark; else UTF-16 if every other byte is zero, UTF-8 if valid, or
+    Windows-1252. Zero bytes at the end are left by a logger that lost power.
 
     Raises
     ------
     DatasetError
-        If it is no text.
+        If the file is not text.
 
     Examples
     --------
@@ -354,7 +342,7 @@ def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros
     Raises
     ------
     DatasetError
-        If there is no segment, or more than one.
+        If there is not exactly one segment.
     """
     parts = text.split(_END)
     if len(parts) != 3:
@@ -368,7 +356,7 @@ def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros
     names = header.rstrip("\r\n").split("\t")
     if names[-1] == "Comment":  # its cells are written only where there is a comment
         rows = "".join(_padded(line, len(names)) for line in rows.splitlines(keepends=True))
-    # the lines before are put back blank, so that every row keeps its number
+    # blank lines in front keep the line numbers
     sheet = read_text("\n" * first + f"{header}\n{rows}", source, known, zeros=zeros)
     units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
     if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
@@ -387,7 +375,7 @@ def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros
 
 
 def _padded(line: str, cells: int) -> str:
-    """A row with the cell of its comment, if that alone is missing."""
+    """Row padded with the cell of its comment, if that alone is missing."""
     content = line.rstrip("\r\n")
     missing = cells - 1 - content.count("\t")
     return f"{content}\t{line[len(content) :]}" if missing == 1 and content.strip() else line

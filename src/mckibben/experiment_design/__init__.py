@@ -1,4 +1,4 @@
-"""The next test: which points to measure so that a quantity becomes surest, and what those at hand cannot see."""
+"""Optimal experiment design: the measurement points that most reduce the uncertainty of a quantity of interest."""
 
 from mckibben.experiment_design.planning import plan
 from mckibben.experiment_design.quantities import (
@@ -6,22 +6,20 @@ from mckibben.experiment_design.quantities import (
     Force,
     JointStiffness,
     JointTorque,
-    Quantity,
-    joint_named,
-    read_quantity,
+    QuantityOfInterest,
+    parse_quantity_of_interest,
 )
-from mckibben.experiment_design.result import ErrorMap, Plan, PlannedPoint
+from mckibben.experiment_design.result import ErrorMap, ExperimentPlan, PlannedPoint
 
 __all__ = [
     "Coefficients",
     "ErrorMap",
+    "ExperimentPlan",
     "Force",
     "JointStiffness",
     "JointTorque",
-    "Plan",
     "PlannedPoint",
-    "Quantity",
-    "joint_named",
+    "QuantityOfInterest",
+    "parse_quantity_of_interest",
     "plan",
-    "read_quantity",
 ]

@@ -1,4 +1,4 @@
-"""Candidate points of the next test, and the evenly spaced design."""
+"""Design region, candidate set, and evenly spaced designs."""
 
 from __future__ import annotations
 
@@ -10,144 +10,131 @@ from numpy.typing import NDArray
 
 from mckibben import catalog
 from mckibben.errors import RangeError
-from mckibben.experiment_design.prior import SIGN, AtHand
+from mckibben.experiment_design.information import Floats, Indices
+from mckibben.experiment_design.prior import DIRECTION_SIGN, PriorData
 from mckibben.identification.intervals import force_gradients
 from mckibben.muscle import Domain, ForceLaw, Specimen, forces
-from mckibben.units import bar, mm, percent
+from mckibben.units import mm, percent
 
-_MOST = 40_000  # states of a grid: beyond it no rig sets so fine
+_MAX_STATES = 40_000
+_FORCE_RESERVE = 0.05  # of the rated force, as in a protocol
+_SLACK_MARGIN = 3.0  # standard deviations of a point above the slack force
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What a rig can set, and what the muscle bears.
+class DesignRegion:
+    """States that a rig can set and the muscle permits.
 
     Attributes
     ----------
-    box
-        Contractions [-] and gauge pressures [Pa] from which to choose.
+    domain
+        Contractions [-] and gauge pressures [Pa].
     contraction_step, pressure_step
-        Of the rig [-], [Pa]: states are whole multiples of these.
-    lowest_force, highest_force
-        What a force must be above to be a measurement, and may not exceed [N].
+        Resolution of the rig [-], [Pa]; states are whole multiples.
+    force_min, force_max
+        Force of a measurable state [N].
     """
 
-    box: Domain
+    domain: Domain
     contraction_step: float
     pressure_step: float
-    lowest_force: float
-    highest_force: float
+    force_min: float
+    force_max: float
 
     def __post_init__(self) -> None:
-        for what, step, unit in (
-            ("contraction", self.contraction_step, ""),
-            ("pressure", self.pressure_step, " Pa"),
-        ):
+        for name, step, unit in (("contraction", self.contraction_step, ""), ("pressure", self.pressure_step, " Pa")):
             if not (math.isfinite(step) and step > 0):
-                raise RangeError(f"a {what} step of {step:g}{unit} is none", value=step, lower=0.0)
+                raise RangeError(f"the {name} step is {step:g}{unit}, not above 0", value=step, lower=0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class States:
-    """A grid of states, and which of them can be measured.
+class StateGrid:
+    """Grid of states with a mask of those that can be measured.
 
     Attributes
     ----------
     contractions, pressures
-        Shape (contractions,), (pressures,): the axes [-], [Pa], ascending.
+        Axes [-], [Pa], ascending.
     force
         Shape (pressures, contractions): by the law [N].
     allowed
-        The same shape: taut, not overloaded, and where the law has a meaning.
+        The same shape: taut, not overloaded and within the domain of the law.
     """
 
-    contractions: NDArray[np.float64] = field(repr=False)
-    pressures: NDArray[np.float64] = field(repr=False)
-    force: NDArray[np.float64] = field(repr=False)
+    contractions: Floats = field(repr=False)
+    pressures: Floats = field(repr=False)
+    force: Floats = field(repr=False)
     allowed: NDArray[np.bool_] = field(repr=False)
 
     @classmethod
-    def of(cls, law: ForceLaw, setting: Setting) -> States:
-        """All states of a setting.
-
-        Raises
-        ------
-        RangeError
-            If none of them can be measured, or the steps make more than a rig would ever set.
-        """
-        box = setting.box
-        contractions = multiples(float(box.contraction_min), float(box.contraction_max), setting.contraction_step)
-        pressures = multiples(float(box.pressure_min), float(box.pressure_max), setting.pressure_step)
-        if len(contractions) * len(pressures) > _MOST:
+    def of(cls, law: ForceLaw, region: DesignRegion) -> StateGrid:
+        """Grid of a region; raises RangeError if no state can be measured or there are too many."""
+        domain = region.domain
+        contractions = _grid_axis(domain.contraction_min, domain.contraction_max, region.contraction_step)
+        pressures = _grid_axis(domain.pressure_min, domain.pressure_max, region.pressure_step)
+        if len(contractions) * len(pressures) > _MAX_STATES:
             raise RangeError(
-                f"{len(pressures)} pressures x {len(contractions)} contractions are too many to choose from",
+                f"{len(pressures)} pressures x {len(contractions)} contractions are too many candidates",
                 value=len(contractions) * len(pressures),
-                upper=_MOST,
+                upper=_MAX_STATES,
                 remedy="choose coarser steps or narrower limits",
             )
         grid = contractions[None, :], pressures[:, None]
         force = forces(law, *grid)
-        meant = np.asarray(type(law).formula_domain.contains(*grid))
+        valid = np.asarray(type(law).formula_domain.contains(*grid))
         with np.errstate(invalid="ignore"):
-            allowed = np.isfinite(force) & meant & (force > setting.lowest_force) & (force <= setting.highest_force)
+            allowed = np.isfinite(force) & valid & (force > region.force_min) & (force <= region.force_max)
         if not allowed.any():
             raise RangeError(
-                f"at no state within contraction {_range(box.contraction_min, box.contraction_max, percent)} % and "
-                f"pressure {_range(box.pressure_min, box.pressure_max, bar)} bar does the muscle pull with more than "
-                f"{setting.lowest_force:.3g} and at most {setting.highest_force:.4g} N",
+                f"no state within {domain} has a force above {region.force_min:.3g} and up to {region.force_max:.4g} N",
                 remedy="widen the limits, or choose finer steps",
             )
         return cls(contractions, pressures, force, allowed)
 
     @property
-    def places(self) -> NDArray[np.int64]:
+    def places(self) -> Indices:
         """Rows and columns of the allowed states, shape (states, 2)."""
         return np.argwhere(self.allowed)
 
 
-def multiples(low: float, high: float, step: float) -> NDArray[np.float64]:
-    """The whole multiples of a step from low to high, to rounding.
+def _grid_axis(low: object, high: object, step: float) -> Floats:
+    """Whole multiples of a step from low to high.
 
-    >>> multiples(-0.03, 0.01, 0.01)
+    >>> _grid_axis(-0.03, 0.01, 0.01)
     array([-0.03, -0.02, -0.01,  0.  ,  0.01])
     """
-    first, last = math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6)
+    first, last = math.ceil(float(low) / step - 1e-6), math.floor(float(high) / step + 1e-6)  # type: ignore[arg-type]
     return np.asarray(np.round(np.arange(first, last + 1) * step, 12), np.float64)
 
 
-def _range(low: object, high: object, unit: float) -> str:
-    return f"{float(low) / unit:g}..{float(high) / unit:g}"  # type: ignore[arg-type]
-
-
-def even_layouts(states: States, count: int, directions: int) -> list[NDArray[np.int64]]:
-    """Ways to spread points evenly: over so many pressures, and at each from one end of the taut stroke to the other.
+def even_layouts(states: StateGrid, count: int, directions: int) -> list[Indices]:
+    """Evenly spaced designs: one for each number of pressures from 1 to half of the points.
 
     Parameters
     ----------
     states
-        From which to choose.
+        Grid to choose from.
     count
-        How many points.
+        Number of points.
     directions
-        How many directions there are; they alternate from point to point and from pressure to pressure.
+        Number of directions; they alternate from point to point and from pressure to pressure.
 
     Returns
     -------
     list of ndarray
-        Of shape (count, 3) each: pressure and contraction by number, and direction; one layout for each number of
-        pressures from one to half of the points. Empty if there are fewer states than points.
+        Shape (count, 3) each: row, column, direction. Empty if there are fewer states than points.
 
     Examples
     --------
     >>> axis = np.arange(5.0)
-    >>> layouts = even_layouts(States(axis, axis, np.ones((5, 5)), np.ones((5, 5), bool)), 4, 2)
+    >>> layouts = even_layouts(StateGrid(axis, axis, np.ones((5, 5)), np.ones((5, 5), bool)), 4, 2)
     >>> [layout.tolist() for layout in layouts]
     [[[2, 0, 0], [2, 1, 1], [2, 3, 0], [2, 4, 1]], [[0, 0, 0], [0, 4, 1], [4, 0, 1], [4, 4, 0]]]
     """
     usable = np.flatnonzero(states.allowed.any(axis=1))
     layouts = []
     for levels in range(1, max(count // 2, 1) + 1):
-        rows = usable[_spread(len(usable), levels)]
+        rows = usable[_spaced(len(usable), levels)]
         sizes = np.full(levels, count // levels)
         sizes[levels - count % levels :] += 1  # more at high pressure, where the taut stroke is long
         if len(np.unique(rows)) < levels:
@@ -155,75 +142,63 @@ def even_layouts(states: States, count: int, directions: int) -> list[NDArray[np
         layout = []
         for i, (row, size) in enumerate(zip(rows, sizes, strict=True)):
             there = np.flatnonzero(states.allowed[row])
-            columns = there[_spread(len(there), int(size))]
+            columns = there[_spaced(len(there), int(size))]
             layout += [(row, column, (i + j) % directions) for j, column in enumerate(columns)]
         if len(set(layout)) == count:
             layouts.append(np.array(layout))
     return layouts
 
 
-def _spread(size: int, count: int) -> NDArray[np.int64]:
-    """So many of `size` places from the first to the last; of one, the middle."""
+def _spaced(size: int, count: int) -> Indices:
+    """`count` evenly spaced indices out of `size`; the middle for one."""
     if count == 1:
         return np.array([(size - 1) // 2])
     return np.round(np.linspace(0, size - 1, count)).astype(np.int64)
 
 
-_RESERVE = 0.05  # of the rated force stays unused, as in a protocol
-_CLEAR = 3.0  # standard deviations of a point from which a force is no slack muscle's
-
-
-def setting_for(
-    hand: AtHand,
+def design_region(
+    prior: PriorData,
     limits: Domain | None,
     specimen: Specimen | None,
     contraction_step: float | None,
     pressure_step: float,
-) -> tuple[Setting, list[str]]:
-    """Where the rig may go, and sentences on it; arguments as for `mckibben.experiment_design.plan`.
+) -> tuple[DesignRegion, list[str]]:
+    """The design region and notes on it; arguments as for `mckibben.experiment_design.plan`.
 
-    Raises
-    ------
-    RangeError
-        If nothing says where to measure, or how hard the muscle may pull; or the limits lie outside the specimen's.
+    Raises RangeError if neither data nor specimen give a region or a largest force, or the limits lie outside.
     """
-    attrs = hand.measured.table.attrs
-    said: list[str] = []
+    data, attrs = prior.measured, prior.measured.table.attrs
+    notes: list[str] = []
     if specimen is None and attrs["specimen"] in catalog.names("specimens"):
         specimen = catalog.specimen(attrs["specimen"])
-    highest = float(hand.measured.force.max())
     if specimen is not None:
-        box, highest = specimen.domain, (1 - _RESERVE) * float(specimen.rated_force)
+        domain, highest = specimen.domain, (1 - _FORCE_RESERVE) * float(specimen.rated_force)
     else:
-        data = hand.measured
         if len(data) == 0:
-            raise RangeError("neither points nor a specimen say where to measure", remedy="name the specimen")
-        box = Domain(data.contraction.min(), data.contraction.max(), data.levels.min(), data.levels.max())
-        if highest <= hand.measured.table.attrs["slack_force"]:
+            raise RangeError("neither data nor a specimen give the range of states", remedy="name the specimen")
+        domain = Domain(data.contraction.min(), data.contraction.max(), data.levels.min(), data.levels.max())
+        highest = float(data.force.max())
+        if highest <= attrs["slack_force"]:
             raise RangeError(
-                "no point is taut and the specimen is not known: nothing says how hard the muscle may pull",
+                "no point is taut and the specimen is unknown: the largest permitted force is not known",
                 remedy="name the specimen",
             )
-        said.append(
+        notes.append(
             "the specimen is not in the catalog: the plan stays within contractions, pressures and forces of the data"
-            + (" as far as the limits do not say otherwise" if limits else "")
+            + (" where the limits do not set others" if limits else "")
         )
     if limits is not None:
-        box = limits if specimen is None else _within(limits, specimen)
+        domain = limits if specimen is None else _intersection(limits, specimen)
     length = attrs.get("initial_length") or (float(specimen.initial_length) if specimen else None)
-    usual = 1 * mm / length if length else 0.5 * percent
-    step = usual if contraction_step is None else contraction_step
-    lowest = float(attrs["slack_force"]) + _CLEAR * hand.spread.point
-    return Setting(box, step, pressure_step, lowest, highest), said
+    default = 1 * mm / length if length else 0.5 * percent
+    lowest = float(attrs["slack_force"]) + _SLACK_MARGIN * prior.noise.point
+    step = default if contraction_step is None else contraction_step
+    return DesignRegion(domain, step, pressure_step, lowest, highest), notes
 
 
-def _within(limits: Domain, specimen: Specimen) -> Domain:
-    """The part of the limits that the specimen permits."""
-    box = limits.intersection(specimen.domain)
+def _intersection(limits: Domain, specimen: Specimen) -> Domain:
     try:
-        return Domain(
-            *(float(x) for x in (box.contraction_min, box.contraction_max, box.pressure_min, box.pressure_max))
-        )
+        return limits.intersection(specimen.domain)
     except RangeError:
         raise RangeError(
             f"the limits {limits} lie outside {specimen.domain} of {specimen.name}",
@@ -232,63 +207,65 @@ def _within(limits: Domain, specimen: Specimen) -> Domain:
 
 
 @dataclass(frozen=True, eq=False)
-class Choices:
-    """Every state in every direction as often as it may be measured, in this order; the last counts fastest.
+class CandidateSet:
+    """Every allowed state in every direction and repeat, in this order; the last varies fastest.
 
     Attributes
     ----------
     states
-        That can be measured.
-    ways
-        The directions; one that is empty where they make no difference.
+        Grid of states.
+    directions
+        Directions; ("",) where they are not distinguished.
     repeats
-        How often.
+        Largest number of times a point may be measured.
     rows
-        Shape (choices, unknowns): of the design matrix.
+        Design matrix, shape (candidates, unknowns).
     strokes
-        Shape (choices,): those of one pressure, direction and repeat share a stroke.
+        Shape (candidates,): stroke index, the same for one pressure, direction and repeat.
     """
 
-    states: States
-    ways: tuple[str, ...]
+    states: StateGrid
+    directions: tuple[str, ...]
     repeats: int
-    rows: NDArray[np.float64] = field(repr=False)
-    strokes: NDArray[np.int64] = field(repr=False)
+    rows: Floats = field(repr=False)
+    strokes: Indices = field(repr=False)
 
     @classmethod
-    def of(cls, hand: AtHand, states: States, ways: tuple[str, ...], repeats: int) -> Choices:
-        """All that can be measured."""
+    def of(cls, prior: PriorData, states: StateGrid, directions: tuple[str, ...], repeats: int) -> CandidateSet:
+        """All candidates of a grid."""
         levels, columns = states.places.T
-        names = [p.name for p in type(hand.law).parameters()]
-        rows = force_gradients(hand.law, names, states.contractions[columns], states.pressures[levels])
-        each = len(ways) * repeats
+        names = [p.name for p in type(prior.law).parameters()]
+        rows = force_gradients(prior.law, names, states.contractions[columns], states.pressures[levels])
+        each = len(directions) * repeats
         rows = np.repeat(rows, each, axis=0)
-        if hand.friction:
-            signs = np.tile(np.repeat([SIGN[way] for way in ways], repeats), len(levels))
+        if prior.friction:
+            signs = np.tile(np.repeat([DIRECTION_SIGN[one] for one in directions], repeats), len(levels))
             rows = np.concatenate([rows, signs[:, None]], axis=1)
         strokes = np.repeat(levels * each, each) + np.tile(np.arange(each), len(levels))
-        return cls(states, ways, repeats, rows, np.unique(strokes, return_inverse=True)[1].reshape(-1))
+        return cls(states, directions, repeats, rows, np.unique(strokes, return_inverse=True)[1].reshape(-1))
 
-    def places(self, chosen: list[int]) -> list[tuple[float, float, str, int, float]]:
-        """Pressure, contraction, direction, repeat and expected force; passes are counted as they come."""
+    def points(self, chosen: list[int]) -> list[tuple[float, float, str, int, float]]:
+        """Pressure, contraction, direction, repeat and expected force; repeats numbered in order of appearance."""
         passes: dict[tuple[int, int], list[int]] = {}
         found = []
         for one in chosen:
-            place, rest = divmod(one, len(self.ways) * self.repeats)
-            way, repeat = divmod(rest, self.repeats)
+            place, rest = divmod(one, len(self.directions) * self.repeats)
+            direction, repeat = divmod(rest, self.repeats)
             row, column = self.states.places[place]
-            seen = passes.setdefault((int(row), way), [])
+            seen = passes.setdefault((int(row), direction), [])
             if repeat not in seen:
                 seen.append(repeat)
             where = float(self.states.pressures[row]), float(self.states.contractions[column])
-            found.append((*where, self.ways[way], seen.index(repeat), float(self.states.force[row, column])))
+            found.append(
+                (*where, self.directions[direction], seen.index(repeat), float(self.states.force[row, column]))
+            )
         return found
 
-    def even(self, count: int) -> list[list[int]]:
-        """Evenly spaced points, in several layouts."""
+    def even_designs(self, count: int) -> list[list[int]]:
+        """Evenly spaced designs, as indices of candidates."""
         numbers = np.cumsum(self.states.allowed.ravel()).reshape(self.states.allowed.shape) - 1
-        each = len(self.ways) * self.repeats
+        each = len(self.directions) * self.repeats
         return [
-            [int(numbers[row, column]) * each + int(way) * self.repeats for row, column, way in layout]
-            for layout in even_layouts(self.states, count, len(self.ways))
+            [int(numbers[row, column]) * each + int(direction) * self.repeats for row, column, direction in layout]
+            for layout in even_layouts(self.states, count, len(self.directions))
         ]

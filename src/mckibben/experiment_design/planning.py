@@ -1,4 +1,4 @@
-"""From points at hand to the points that come next: what of them makes a quantity surest."""
+"""Plan of the next test: from prior data to the design of measurement points."""
 
 from __future__ import annotations
 
@@ -6,36 +6,37 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, ParameterError, RangeError
-from mckibben.experiment_design.candidates import Choices, Setting, States, setting_for
-from mckibben.experiment_design.information import Aim, Coordinates, Field, Judge, information, search
-from mckibben.experiment_design.prior import AtHand
-from mckibben.experiment_design.quantities import Quantity
-from mckibben.experiment_design.result import (
-    ErrorMap,
-    Plan,
-    PlannedPoint,
-    about_coverage,
-    about_force,
-    about_parameters,
+from mckibben.experiment_design.candidates import CandidateSet, StateGrid, design_region
+from mckibben.experiment_design.information import (
+    DesignCriterion,
+    ErrorEstimator,
+    ExchangeProblem,
+    Floats,
+    IdentifiableSubspace,
+    exchange,
+    information_matrix,
 )
+from mckibben.experiment_design.prior import PriorData
+from mckibben.experiment_design.quantities import QuantityOfInterest
+from mckibben.experiment_design.result import ErrorMap, ExperimentPlan, PlannedPoint, diagnostics
 from mckibben.identification import Fit
 from mckibben.muscle import Domain, ForceLaw, Specimen
 from mckibben.units import bar
 
 DIRECTIONS = ("loading", "unloading")
-_PRIOR = 100.0  # highest forces, by which each coordinate may be off before anything is measured
-_ROUNDING = 1e-10  # of the information of one point: a weaker prior would drown in rounding
-_MOST_POINTS = 200
-_NOTHING = 1e-9  # a quantity that moves by less per newton depends on nothing
+_PRIOR = 100.0  # largest forces: prior standard deviation of each coordinate
+_ROUNDING = 1e-10  # of the information of one point: a weaker prior would be lost in rounding
+_MAX_POINTS = 200
+_SENSITIVITY = 1e-9  # a quantity that changes by less per newton depends on no parameter
+_UNIDENTIFIABLE = 1e-6
 
 
 def plan(
     data: IsobaricDataset | Fit,
-    quantity: Quantity,
+    quantity: QuantityOfInterest,
     law_type: type[ForceLaw] | None = None,
     *,
     points: int = 8,
@@ -49,134 +50,136 @@ def plan(
     noise: float | None = None,
     stroke_error: float | None = None,
     guess: ForceLaw | None = None,
-) -> Plan:
-    """Which points to measure next, so that a quantity becomes as sure as possible.
+) -> ExperimentPlan:
+    """Plan the measurement points that most reduce the standard error of a quantity.
 
-    A locally optimal exact design: the law is taken as linear in its parameters about the fit, and points are chosen
-    from a grid and exchanged until nothing improves. Where directions are recorded, half the gap between them is an
-    unknown of the fit: points of one direction alone do not tell it from the force.
+    A locally optimal exact design: the law is linearised in its parameters about the fit, and points are chosen from a
+    grid by an exchange algorithm. Where directions are recorded, half the gap between them is an unknown of the fit:
+    points of one direction alone do not distinguish it from the force.
 
     Parameters
     ----------
     data
-        The points at hand, or a fit to them.
+        Measured points, or a fit to them.
     quantity
         `Coefficients`, `Force`, `JointStiffness` or `JointTorque`.
     law_type
-        The kind of law; that of the fit, where a fit is given.
+        Kind of law; by default that of the fit.
     points
-        How many.
+        Number of points.
     limits
-        Where to measure, as far as the specimen permits; all of its range unless given, and that of the data where the
-        specimen is not known.
+        Contractions and pressures to measure within; by default those of the specimen, or of the data where the
+        specimen is unknown.
     specimen
-        Range, rating and length of the muscle; that of the catalog by the name in the data unless given.
+        Range, rating and length of the muscle; by default that of the catalog by the name in the data.
     contraction_step, pressure_step
-        What the rig can set [-], [Pa]: whole multiples of these. 1 mm unless given, or 0.5 % of an unknown length.
+        Resolution of the rig [-], [Pa]; states are whole multiples. By default 1 mm, or 0.5 % of an unknown length.
     directions
-        In which it can measure.
+        Directions that the rig can measure in.
     repeats
-        How often a point may be in the plan, each time on another pass.
+        How often a point may be planned, each time on another pass.
     friction
-        Whether an unknown gap between the directions is part of the model; unless said, where directions are recorded.
+        Whether the gap between the directions is an unknown; by default where directions are recorded.
     noise, stroke_error
-        Standard deviation of a point on its own, and of what the points of a stroke share [N]; estimated from what the
-        fit leaves over unless given.
+        Standard deviation of a point, and of the error shared by a stroke [N]; by default estimated from residuals.
     guess
-        A law to begin with where the data do not determine one; fitted to a maker's chart unless given.
+        Law to linearise about where the data do not determine one; by default fitted to a manufacturer's chart.
 
     Raises
     ------
     IdentificationError
-        If no measurement within the limits can make the quantity surer.
+        If no measurement within the limits reduces the error.
     RangeError
-        If nothing can be measured within the limits, or a number makes no sense.
+        If nothing can be measured within the limits, or a number is out of range.
     ParameterError
-        If the law has no such coefficient, a direction is none, or the law's kind is missing.
+        If the law has no such coefficient, a direction is unknown, or the kind of law is missing.
 
     Examples
     --------
     >>> from mckibben import catalog
+    >>> from mckibben.experiment_design import Coefficients
     >>> from mckibben.muscle import ExponentialLaw
-    >>> from mckibben.study.planning import Coefficients
     >>> data = catalog.dataset("dmsp-10-250-martens2017")
     >>> found = plan(data, Coefficients(("decay",)), ExponentialLaw, points=4)
-    >>> found.after < found.even < found.now
+    >>> found.error_after < found.error_even < found.error_now
     True
     """
-    _check(points, repeats, directions, noise, stroke_error)
-    hand = AtHand.of(data, law_type, friction, noise, stroke_error, guess)
-    setting, said = setting_for(hand, limits, specimen, contraction_step, pressure_step)
-    states = States.of(hand.law, setting)
-    ways = tuple(d for d in DIRECTIONS if d in directions) if hand.friction else ("",)
-    candidates = Choices.of(hand, states, ways, repeats)
+    _check_options(points, repeats, directions, noise, stroke_error)
+    prior = PriorData.of(data, law_type, friction, noise, stroke_error, guess)
+    region, notes = design_region(prior, limits, specimen, contraction_step, pressure_step)
+    states = StateGrid.of(prior.law, region)
+    measured_in = tuple(d for d in DIRECTIONS if d in directions) if prior.friction else ("",)
+    candidates = CandidateSet.of(prior, states, measured_in, repeats)
     if len(candidates.rows) < points:
         raise RangeError(
-            f"there are {len(candidates.rows)} points to choose {points} from",
+            f"there are {len(candidates.rows)} candidates for {points} points",
             value=points,
             upper=len(candidates.rows),
             remedy="choose finer steps, wider limits or fewer points",
         )
-    target = quantity.target(hand.law, states)
-    gradients = np.pad(target.gradients, ((0, 0), (0, hand.friction)))  # friction is of no interest itself
-    coordinates = Coordinates.of(np.concatenate([candidates.rows[:: candidates.repeats], hand.rows]))
-    _check_sensible(quantity, gradients, coordinates, hand, ways)
-    aim = Aim.of(gradients @ coordinates.forward, target.joint)
-    weakest = 1 / (_PRIOR * float(states.force[states.allowed].max())) ** 2, _ROUNDING / hand.spread.point**2
-    prior = np.eye(coordinates.forward.shape[1]) * max(weakest)
-    known = information(hand.rows @ coordinates.forward, hand.strokes, hand.spread)
-    field = Field(candidates.rows @ coordinates.forward, candidates.strokes, known + prior, hand.spread, aim)
-    judge = Judge(known, prior)
+    linear = quantity.linearize(prior.law, states)
+    gradients = np.pad(linear.gradients, ((0, 0), (0, prior.friction)))  # friction itself is of no interest
+    subspace = IdentifiableSubspace.of(np.concatenate([candidates.rows[::repeats], prior.rows]))
+    _check_identifiable(quantity, gradients, subspace, prior, measured_in)
+    criterion = DesignCriterion.of(gradients @ subspace.basis, linear.d_optimal)
+    weakest = 1 / (_PRIOR * float(states.force[states.allowed].max())) ** 2, _ROUNDING / prior.noise.point**2
+    weak = np.eye(subspace.basis.shape[1]) * max(weakest)
+    known = information_matrix(prior.rows @ subspace.basis, prior.strokes, prior.noise)
+    problem = ExchangeProblem(
+        candidates.rows @ subspace.basis, candidates.strokes, known + weak, prior.noise, criterion
+    )
+    estimator = ErrorEstimator(known, weak)
 
-    chosen = search(field, points)
-    added = [field.after(chosen[: i + 1]) - field.known for i in range(points)]
-    errors = [judge.error(aim), *(judge.error(aim, more) for more in added)]
-    layouts = [(judge.error(aim, field.after(one) - field.known), one) for one in candidates.even(points)]
-    even, evenly = min(layouts, default=(math.nan, []))
-    each = np.eye(len(hand.names)) @ coordinates.forward
-    lost = coordinates.misses(np.eye(len(hand.names))) > 1e-6
-    now, after = (np.where(lost, np.inf, judge.errors(each, more)) for more in (0.0, added[-1]))
-    over = candidates.rows[:: candidates.repeats * len(ways)].copy()
-    over[:, len(over[0]) - hand.friction :] = 0.0  # the law's force, midway between the directions
-    maps = [_mapped(states, judge.errors(over @ coordinates.forward, more)) for more in (0.0, added[-1])]
-    combinations = np.concatenate([coordinates.lost, judge.unknown(coordinates)], axis=1)
-    values = np.array([*(float(getattr(hand.law, name)) for name in hand.names[: hand.parameters]), *hand.width])
-    return Plan(
+    chosen = exchange(problem, points)
+    added = [problem.added(chosen[: i + 1]) for i in range(points)]
+    errors = [estimator.error(criterion), *(estimator.error(criterion, more) for more in added)]
+    designs = [(estimator.error(criterion, problem.added(one)), one) for one in candidates.even_designs(points)]
+    even, even_design = min(designs, default=(math.nan, []))
+    unit_vectors = np.eye(len(prior.names))
+    unidentifiable = subspace.unidentifiable_part(unit_vectors) > _UNIDENTIFIABLE
+    now, after = (
+        np.where(unidentifiable, np.inf, estimator.errors(unit_vectors @ subspace.basis, more))
+        for more in (0.0, added[-1])
+    )
+    force_rows = candidates.rows[:: repeats * len(measured_in)].copy()
+    force_rows[:, len(prior.parameters) :] = 0.0  # the law's force, midway between the directions
+    maps = ErrorMap(
+        states,
+        *(_mapped(states, estimator.errors(force_rows @ subspace.basis, more)) for more in (0.0, added[-1])),
+    )
+    free = np.concatenate([subspace.null_space, estimator.undetermined(subspace)], axis=1)
+    planned = candidates.points(chosen)
+    risky = estimator.errors(problem.rows[chosen])
+    return ExperimentPlan(
         quantity=quantity,
-        law=hand.law,
+        law=prior.law,
         points=tuple(
-            PlannedPoint(*place, standard_error=error, gain=_gain(before, error))
-            for place, before, error in zip(candidates.places(chosen), errors, errors[1:], strict=False)
+            PlannedPoint(*point, standard_error=error, gain=_gain(before, error))
+            for point, before, error in zip(planned, errors, errors[1:], strict=False)
         ),
-        now=errors[0],
-        after=errors[-1],
-        even=even,
-        even_points=tuple(place[:4] for place in candidates.places(evenly)),
-        value=float(target.values[0]) if len(target.values) == 1 else None,
-        parameter_errors={
-            name: (float(now[i]), float(after[i])) for i, name in enumerate(hand.names[: hand.parameters])
-        },
-        spread=hand.spread,
-        half_width=float(values[-1]) if hand.friction and np.isfinite(now[-1]) else None,
-        unseen=(
-            *about_parameters(hand.names, combinations, values, now),
-            *about_force(states, maps[0], hand.spread.point),
-            *about_coverage(hand.points, hand.measured, states),
-        ),
+        error_now=errors[0],
+        error_after=errors[-1],
+        error_even=even,
+        even_points=tuple(point[:4] for point in candidates.points(even_design)),
+        value=float(linear.values[0]) if len(linear.values) == 1 else None,
+        parameter_errors={name: (float(now[i]), float(after[i])) for i, name in enumerate(prior.parameters)},
+        noise=prior.noise,
+        half_width=prior.half_width if prior.friction and np.isfinite(now[-1]) else None,
+        diagnostics=diagnostics(prior, free, now, maps),
         notes=(
-            *hand.notes,
-            *said,
-            *target.doubts,
-            *_risky(field, chosen, candidates, judge, setting),
-            *_hopeless(errors, target.values),
+            *prior.notes,
+            *notes,
+            *linear.warnings,
+            *_overload_note([point[-1] for point in planned], risky, region.force_max),
+            *_gain_note(errors, linear.values),
         ),
-        measured=hand.measured,
-        map=ErrorMap(states, *maps),
-        target_states=target.states,
+        measured=prior.measured,
+        map=maps,
+        target_states=linear.states,
     )
 
 
-def _mapped(states: States, errors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mapped(states: StateGrid, errors: Floats) -> Floats:
     mapped = np.full(states.allowed.shape, np.nan)
     mapped[states.allowed] = errors
     return mapped
@@ -188,66 +191,68 @@ def _gain(before: float, after: float) -> float:
     return 1 - after / before
 
 
-def _hopeless(errors: list[float], values: NDArray[np.float64]) -> list[str]:
+def _gain_note(errors: list[float], values: Floats) -> list[str]:
     if math.isinf(errors[-1]):
-        return ["even these points do not determine the quantity: plan more of them"]
+        return ["the quantity stays undetermined with these points: plan more of them"]
     if math.isfinite(errors[0]) and errors[-1] > 0.99 * errors[0]:
-        return ["there is little to gain: these points shrink the standard error by less than 1 %"]
+        return ["the gain is small: these points reduce the standard error by less than 1 %"]
     if len(values) == 1 and math.isfinite(errors[0]) and errors[0] > abs(values[0]):
-        return ["the standard error is larger than the value: measure a few of these points, and plan again"]
+        return ["the standard error exceeds the value: measure a few of these points, then plan again"]
     return []
 
 
-def _risky(field: Field, chosen: list[int], candidates: Choices, judge: Judge, setting: Setting) -> list[str]:
-    """Which points may pull harder than they should, as far as is known."""
-    force = np.array([place[-1] for place in candidates.places(chosen)])
-    errors = judge.errors(field.rows[chosen])
-    over = [str(i + 1) for i in np.flatnonzero(np.isfinite(errors) & (force + 2 * errors > setting.highest_force))]
+def _overload_note(force: list[float], errors: Floats, force_max: float) -> list[str]:
+    """Points whose force may exceed the limit by two standard errors."""
+    over = [str(i + 1) for i in np.flatnonzero(np.isfinite(errors) & (np.array(force) + 2 * errors > force_max))]
     if not over:
         return []
     return [
-        f"the force may exceed {setting.highest_force:.0f} N at point{'s' * (len(over) > 1)} {', '.join(over)}, "
-        "as far as is known now: come there slowly"
+        f"the force may exceed {force_max:.0f} N at point{'s' * (len(over) > 1)} {', '.join(over)}, by the present "
+        "uncertainty: approach slowly"
     ]
 
 
-def _check(
+def _check_options(
     points: int, repeats: int, directions: Sequence[str], noise: float | None, stroke_error: float | None
 ) -> None:
-    if not 1 <= points <= _MOST_POINTS:
-        raise RangeError(
-            f"{points} points cannot be planned; 1 to {_MOST_POINTS} can", value=points, lower=1, upper=_MOST_POINTS
-        )
-    if not 1 <= repeats <= 20:
-        raise RangeError(f"{repeats} repeats cannot be planned; 1 to 20 can", value=repeats, lower=1, upper=20)
+    for name, value, most in (("points", points, _MAX_POINTS), ("repeats", repeats, 20)):
+        if not 1 <= value <= most:
+            raise RangeError(f"{value} {name} are not within 1..{most}", value=value, lower=1, upper=most)
     for direction in directions or [""]:
         if direction not in DIRECTIONS:
             raise ParameterError(
-                f"{direction!r} is no direction", value=direction, remedy=f"give {' or '.join(DIRECTIONS)}, or both"
+                f"{direction!r} is not a direction", value=direction, remedy=f"give {' or '.join(DIRECTIONS)}, or both"
             )
-    for name, value, least in (("noise", noise, "above 0"), ("stroke error", stroke_error, "0 or above")):
-        if value is not None and not (math.isfinite(value) and (value > 0 or (value == 0 and least != "above 0"))):
+    for name, value, valid, least in (
+        ("noise", noise, noise is None or noise > 0, "above 0"),
+        ("stroke error", stroke_error, stroke_error is None or stroke_error >= 0, "0 or above"),
+    ):
+        if value is not None and not (valid and math.isfinite(value)):
             raise RangeError(f"a {name} of {value:g} N is not {least}", value=value, lower=0.0, unit="N")
 
 
-def _check_sensible(
-    quantity: Quantity, gradients: NDArray[np.float64], coordinates: Coordinates, hand: AtHand, ways: tuple[str, ...]
+def _check_identifiable(
+    quantity: QuantityOfInterest,
+    gradients: Floats,
+    subspace: IdentifiableSubspace,
+    prior: PriorData,
+    directions: tuple[str, ...],
 ) -> None:
-    """Refuse a quantity that no measurement can make surer."""
-    if not np.abs(gradients / coordinates.size).max() > _NOTHING:
+    """Raise for a quantity whose error no measurement reduces."""
+    if not np.abs(gradients / subspace.scale).max() > _SENSITIVITY:
         raise IdentificationError(
-            f"{quantity}: there is nothing to gain; it does not depend on the law's parameters there (both muscles are "
-            "slack, or their errors cancel)",
+            f"{quantity}: nothing to gain, it does not depend on the law's parameters there (both muscles slack, or "
+            "their errors cancel)",
             remedy="choose another angle or other pressures",
         )
-    if (coordinates.misses(gradients) > 1e-6).any():
-        share = np.abs(coordinates.lost).max(axis=1)
-        tied = [name for name, part in zip(hand.names, share, strict=True) if part > 0.05 * share.max()]
-        one_way = hand.friction and len(ways) == 1 and "friction" in tied
+    if (subspace.unidentifiable_part(gradients) > _UNIDENTIFIABLE).any():
+        share = np.abs(subspace.null_space).max(axis=1)
+        tied = [name for name, part in zip(prior.names, share, strict=True) if part > 0.05 * share.max()]
+        one_direction = prior.friction and len(directions) == 1 and "friction" in tied
         raise IdentificationError(
-            f"{quantity}: no measurement within the limits can tell it, for {', '.join(tied)} can change together and "
-            "leave all forces as they are",
-            remedy=f"measure in the other direction than {ways[0]} too, or plan without friction"
-            if one_way
+            f"{quantity} is not identifiable within the limits: {', '.join(tied)} can change together without changing "
+            "any measurable force",
+            remedy=f"measure in the other direction than {directions[0]} too, or plan without friction"
+            if one_direction
             else "take a law with fewer parameters, or wider limits",
         )

@@ -1,4 +1,4 @@
-"""The law and the measured points that a plan starts from."""
+"""Prior data of a plan: measured points, the law linearised about its estimate, and the noise model."""
 
 from __future__ import annotations
 
@@ -6,32 +6,34 @@ import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, ParameterError
-from mckibben.experiment_design.information import Spread, estimated_spread
+from mckibben.experiment_design.information import Floats, Indices, NoiseModel, estimate_noise
 from mckibben.identification import Fit, Grouping, identify
 from mckibben.identification.intervals import force_gradients
 from mckibben.identification.uncertainty import finest_grouping, group_labels
 from mckibben.muscle import Domain, ForceLaw, forces
 
+DIRECTION_SIGN = {"loading": 1.0, "unloading": -1.0}
+"""Sign of the friction force, by direction."""
 _CHART = "festo-tool-10mm"
+_DEFAULT_NOISE = 0.01  # of the highest force, without a fit
 
 
-def guessed_law(law_type: type[ForceLaw], points: IsobaricDataset, given: ForceLaw | None) -> tuple[ForceLaw, str]:
-    """The law about which a plan is made before there is a fit, and where it comes from.
+def initial_guess(law_type: type[ForceLaw], points: IsobaricDataset, given: ForceLaw | None) -> tuple[ForceLaw, str]:
+    """The law to linearise about without a fit, and its origin.
 
-    Where none is given it is fitted to the maker's chart of a 10 mm muscle. Its linear parameters are then scaled
-    together to the taut points, where there are any: a muscle of twice the area pulls twice as hard.
+    By default it is fitted to the manufacturer's chart of a 10 mm muscle. Its linear parameters are scaled together to
+    the taut points, if any: a muscle of twice the area pulls twice as hard.
 
     Parameters
     ----------
     law_type
         The kind of law.
     points
-        Taut points at hand, perhaps none.
+        Taut points, perhaps none.
     given
         A law of that kind.
 
@@ -40,7 +42,7 @@ def guessed_law(law_type: type[ForceLaw], points: IsobaricDataset, given: ForceL
     ParameterError
         If the law given is of another kind.
     IdentificationError
-        If there is none and the chart does not determine one either.
+        If there is none and the chart does not determine one.
     """
     if given is not None:
         if type(given) is not law_type:
@@ -57,70 +59,64 @@ def guessed_law(law_type: type[ForceLaw], points: IsobaricDataset, given: ForceL
                 f"there is no guess for {law_type.__name__}: the chart {_CHART} does not determine it either ({error})",
                 remedy="give a law to begin with (--guess)",
             ) from error
-        origin = f"{law_type.__name__} as it fits the chart {_CHART}"
+        origin = f"{law_type.__name__} fitted to the chart {_CHART}"
     law = dataclasses.replace(law, domain=Domain())
     names = [p.name for p in law_type.linear_parameters]
     if not len(points) or not names:
         return law, origin
     place = points.contraction, points.pressure
-    without = dataclasses.replace(law, **dict.fromkeys(names, 0.0))
-    fixed, whole = forces(without, *place), forces(law, *place)
-    part = whole - fixed
-    scale = float(part @ (points.force - fixed) / (part @ part)) if part @ part else np.nan
+    offset = forces(dataclasses.replace(law, **dict.fromkeys(names, 0.0)), *place)
+    part = forces(law, *place) - offset
+    scale = float(part @ (points.force - offset) / (part @ part)) if part @ part else np.nan
     if not (np.isfinite(scale) and scale > 0):
         return law, origin
     law = dataclasses.replace(law, **{name: scale * float(getattr(law, name)) for name in names})
-    return law, f"{origin}, times {scale:.3g} to meet the points at hand"
-
-
-SIGN = {"loading": 1.0, "unloading": -1.0}
-"""Of what friction adds to the force, by direction."""
-_GUESSED_NOISE = 0.01  # of the highest force, where no fit tells
+    return law, f"{origin}, scaled by {scale:.3g} to the data"
 
 
 @dataclass(frozen=True, eq=False)
-class AtHand:
-    """The points at hand, and the law about which they are linear in its parameters.
+class PriorData:
+    """Measured points and the law linearised in its parameters.
 
     Attributes
     ----------
     law
-        Fitted, or guessed.
+        Fitted or guessed.
     points, measured
-        The taut ones, and all.
+        Taut points, and all points.
     friction
         Whether half the gap between the directions is an unknown, the last one.
     rows
-        Shape (taut points, unknowns).
+        Design matrix, shape (taut points, unknowns).
     strokes
-        Shape (taut points,): which of them may share an error.
-    spread
-        How they scatter.
-    width
-        The half width of the friction [N] by the fit, where it is an unknown.
+        Shape (taut points,): stroke index.
+    noise
+        Variance components.
+    half_width
+        Half width of the friction [N], where it is an unknown and there is a fit.
     notes
-        Sentences on all that.
+        Notes on assumptions.
     """
 
     law: ForceLaw
     points: IsobaricDataset = field(repr=False)
     measured: IsobaricDataset = field(repr=False)
     friction: bool
-    rows: NDArray[np.float64] = field(repr=False)
-    strokes: NDArray[np.int64] = field(repr=False)
-    spread: Spread
-    width: tuple[float, ...]
+    rows: Floats = field(repr=False)
+    strokes: Indices = field(repr=False)
+    noise: NoiseModel
+    half_width: float
     notes: tuple[str, ...] = ()
 
     @property
-    def names(self) -> list[str]:
-        """Of the unknowns."""
-        return [p.name for p in type(self.law).parameters()] + ["friction"] * self.friction
+    def parameters(self) -> list[str]:
+        """Names of the law's parameters."""
+        return [p.name for p in type(self.law).parameters()]
 
     @property
-    def parameters(self) -> int:
-        """How many of the unknowns are parameters of the law."""
-        return len(type(self.law).parameters())
+    def names(self) -> list[str]:
+        """Names of the unknowns."""
+        return self.parameters + ["friction"] * self.friction
 
     @classmethod
     def of(
@@ -131,31 +127,23 @@ class AtHand:
         noise: float | None,
         stroke_error: float | None,
         guess: ForceLaw | None,
-    ) -> AtHand:
-        """Arguments as for `mckibben.experiment_design.plan`.
-
-        Raises
-        ------
-        IdentificationError
-            If the points leave nothing over, and no noise is given.
-        ParameterError
-            If there is neither a fit nor a kind of law.
-        """
-        fit, why = (data, "") if isinstance(data, Fit) else _fit(data, law_type)
+    ) -> PriorData:
+        """Prior data from points or a fit; arguments as for `mckibben.experiment_design.plan`."""
+        fit, reason = (data, "") if isinstance(data, Fit) else _fit(data, law_type)
         measured = data.plateau_means() if isinstance(data, IsobaricDataset) else data.require_regression().points
         points = measured.taut
         notes: list[str] = []
         residuals = np.zeros(len(points))
         if fit is None:
             assert law_type is not None
-            law, origin = guessed_law(law_type, points, guess)
-            notes.append(f"the plan begins with a guess, {origin}, because there is no fit: {why}")
+            law, origin = initial_guess(law_type, points, guess)
+            notes.append(f"no fit ({reason}): the plan is linearised about a guess, {origin}")
         else:
             law, residuals = fit.law, fit.require_regression().solution.residuals
         modelled = bool(len(points.directions)) if friction is None else friction
         signs = np.zeros(len(points))
         if "direction" in points.table:
-            signs = np.array([SIGN.get(str(d), 0.0) for d in points.table["direction"].to_numpy()])
+            signs = np.array([DIRECTION_SIGN.get(str(d), 0.0) for d in points.table["direction"].to_numpy()])
         names = [p.name for p in type(law).parameters()]
         rows = force_gradients(law, names, points.contraction, points.pressure)
         rows = np.concatenate([rows, signs[:, None]], axis=1) if modelled else rows
@@ -165,46 +153,44 @@ class AtHand:
         if stroke_error is not None:
             by = finest_grouping(points) if stroke_error else Grouping.POINT
         strokes = group_labels(points, by) if len(points) else np.empty(0, np.int64)
-        spread = _spread(rows, residuals, strokes if by is not Grouping.POINT else None, measured, noise, stroke_error)
+        grouped = strokes if by is not Grouping.POINT else None
+        components = _noise_model(rows, residuals, grouped, measured, noise, stroke_error)
         if fit is None and noise is None:
-            notes.append(f"the scatter of a point is not known: {spread.point:.3g} N is assumed, see noise")
+            notes.append(f"the noise of a point is unknown: {components.point:.3g} N is assumed, see noise")
         elif by is Grouping.POINT and stroke_error is None:
             notes.append(f"the points of a stroke count as independent: {ungrouped}")
         width = float(np.linalg.lstsq(rows, residuals, rcond=1e-10)[0][-1]) if modelled and len(rows) else 0.0
-        return cls(law, points, measured, modelled, rows, strokes, spread, (width,) * modelled, tuple(notes))
+        return cls(law, points, measured, modelled, rows, strokes, components, width, tuple(notes))
 
 
 def _fit(data: IsobaricDataset, law_type: type[ForceLaw] | None) -> tuple[Fit | None, str]:
-    """The fit to the points at hand, or why there is none."""
+    """The fit to the points, or the reason why there is none."""
     if law_type is None:
-        raise ParameterError(
-            "a plan is made for a kind of law", remedy="say which, such as ExponentialLaw, or give a fit"
-        )
+        raise ParameterError("a plan needs the kind of law", remedy="give one, such as ExponentialLaw, or a fit")
     try:
         return identify(law_type, data), ""
     except IdentificationError as error:
         return None, error.message
 
 
-def _spread(
-    rows: NDArray[np.float64],
-    residuals: NDArray[np.float64],
-    strokes: NDArray[np.int64] | None,
+def _noise_model(
+    rows: Floats,
+    residuals: Floats,
+    strokes: Indices | None,
     measured: IsobaricDataset,
     noise: float | None,
     stroke_error: float | None,
-) -> Spread:
-    """How points scatter: as given, else as the fit leaves over."""
+) -> NoiseModel:
+    """Variance components as given, else estimated from residuals."""
     highest = float(measured.force.max()) if len(measured) else 0.0
-    found = estimated_spread(rows, residuals, strokes) if np.any(residuals) else Spread(_GUESSED_NOISE * highest)
+    found = estimate_noise(rows, residuals, strokes) if np.any(residuals) else NoiseModel(_DEFAULT_NOISE * highest)
     point = found.point if noise is None else noise
     if not point > 1e-9 * highest:
-        pulls = highest > 0
         raise IdentificationError(
-            "the points lie on the law to rounding: there is no uncertainty to shrink"
-            if pulls
-            else "no point pulls, so nothing says how much points will scatter",
+            "the residuals are zero to rounding: there is no uncertainty to reduce"
+            if highest > 0
+            else "all forces are zero, so the noise of a point cannot be estimated",
             value=point,
-            remedy="give the scatter of a point that the rig will have (noise)",
+            remedy="give the standard deviation of a point on the rig (noise)",
         )
-    return Spread(point, found.stroke if stroke_error is None else stroke_error)
+    return NoiseModel(point, found.stroke if stroke_error is None else stroke_error)

@@ -1,4 +1,4 @@
-"""Quantities of interest of a plan, and their text form."""
+"""Quantities of interest of an experiment design, and their text form."""
 
 from __future__ import annotations
 
@@ -6,82 +6,71 @@ import abc
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
-from numpy.typing import NDArray
 
-from mckibben import catalog
-from mckibben.errors import NotInCatalogError, ParameterError, RangeError, UnitError
-from mckibben.experiment_design.candidates import States
+from mckibben.errors import ParameterError, RangeError, UnitError
+from mckibben.experiment_design.candidates import StateGrid
+from mckibben.experiment_design.information import Floats
 from mckibben.identification.intervals import force_gradients
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.numerics.compiled import compiled
-from mckibben.units import bar, deg, factor, parse_range, percent, quantity
+from mckibben.units import bar, deg, parse_range, quantity
 
-if TYPE_CHECKING:
-    from mckibben.joint import AntagonisticJoint
-
-
-_SIDE = 21  # places along each side of a region
+_SIDE = 21  # states along each side of a region
+_ANGLES = 5  # in a range of angles
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
-    """A quantity at the estimate of the parameters.
+class LinearizedQuantity:
+    """A quantity of one or more values at the estimate of the parameters.
 
     Attributes
     ----------
     gradients
-        Shape (numbers, parameters): of each number of the quantity with respect to the parameters, in SI.
+        Shape (values, parameters), in SI.
     values
-        Shape (numbers,): what they are at the estimate.
-    joint
-        Whether the volume of their joint confidence region counts (numbers of different units), and not the mean of
-        their variances.
+        Shape (values,).
+    d_optimal
+        Whether the volume of the joint confidence region counts (values of different units), not the mean variance.
     states
-        Shape (states, 2): contraction [-] and pressure [Pa] of the muscle that they are about; empty where about none
-        in particular.
-    doubts
-        Sentences on what the answer is worth.
+        Shape (states, 2): contraction [-] and pressure [Pa] of the muscle that the quantity depends on; perhaps none.
+    warnings
+        Warnings on its value.
     """
 
-    gradients: NDArray[np.float64] = field(repr=False)
-    values: NDArray[np.float64] = field(repr=False)
-    joint: bool = False
-    states: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)), repr=False)
-    doubts: tuple[str, ...] = ()
+    gradients: Floats = field(repr=False)
+    values: Floats = field(repr=False)
+    d_optimal: bool = False
+    states: Floats = field(default_factory=lambda: np.empty((0, 2)), repr=False)
+    warnings: tuple[str, ...] = ()
 
 
-class Quantity(abc.ABC):
-    """Something that depends on the parameters of a law."""
+class QuantityOfInterest(abc.ABC):
+    """A quantity that depends on the parameters of a law."""
 
     @abc.abstractmethod
-    def target(self, law: ForceLaw, states: States) -> Target:
-        """Its gradients at a law; `states` are those that can be measured."""
+    def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
+        """Linearise about a law; `states` are those that can be measured."""
 
     @abc.abstractmethod
     def unit(self, law_type: type[ForceLaw]) -> str:
-        """In which its standard error is shown; empty where several units make it a bare ratio."""
+        """Unit of its standard error; empty for values of several units."""
 
 
 @dataclass(frozen=True)
-class Coefficients(Quantity):
-    """Parameters of the law: one, or several at once.
-
-    Of one it is the variance that counts, of several the volume of their confidence ellipsoid (D-optimal, which does
-    not depend on their units).
+class Coefficients(QuantityOfInterest):
+    """Parameters of the law: c-optimal for one, D-optimal for several (independent of their units).
 
     Parameters
     ----------
     names
-        Which; all of them unless given.
+        All unless given.
     """
 
     names: tuple[str, ...] = ()
@@ -90,16 +79,18 @@ class Coefficients(Quantity):
         return ", ".join(self.names) or "all coefficients"
 
     def unit(self, law_type: type[ForceLaw]) -> str:
-        names = self._of(law_type)
+        names = self._known(law_type)
         return next(p.shown for p in law_type.parameters() if p.name == names[0]) if len(names) == 1 else ""
 
-    def target(self, law: ForceLaw, states: States) -> Target:
+    def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
         known = [p.name for p in type(law).parameters()]
-        names = self._of(type(law))
+        names = self._known(type(law))
         gradients = np.eye(len(known))[[known.index(name) for name in names]]
-        return Target(gradients, np.array([float(getattr(law, name)) for name in names]), joint=len(names) > 1)
+        return LinearizedQuantity(
+            gradients, np.array([float(getattr(law, name)) for name in names]), d_optimal=len(names) > 1
+        )
 
-    def _of(self, law_type: type[ForceLaw]) -> tuple[str, ...]:
+    def _known(self, law_type: type[ForceLaw]) -> tuple[str, ...]:
         known = [p.name for p in law_type.parameters()]
         for name in self.names:
             if name not in known:
@@ -110,13 +101,13 @@ class Coefficients(Quantity):
 
 
 @dataclass(frozen=True)
-class Force(Quantity):
-    """The force in a region, on average over it (V-optimal).
+class Force(QuantityOfInterest):
+    """Force of the law, in the mean over a region (V-optimal).
 
     Parameters
     ----------
     region
-        A box of contraction and pressure, of which the taut part counts; all that can be measured unless given.
+        Contractions and pressures, of which the taut part counts; all that can be measured unless given.
     """
 
     region: Domain | None = None
@@ -127,11 +118,11 @@ class Force(Quantity):
     def unit(self, law_type: type[ForceLaw]) -> str:
         return "N"
 
-    def target(self, law: ForceLaw, states: States) -> Target:
+    def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
         if self.region is None:
             rows, columns = states.places.T
             contraction, pressure = states.contractions[columns], states.pressures[rows]
-            force, asked = states.force[rows, columns], np.empty((0, 2))
+            force, region = states.force[rows, columns], np.empty((0, 2))
         else:
             box = self.region
             sides = (
@@ -147,19 +138,19 @@ class Force(Quantity):
                 taut = (force > 0) & np.asarray(type(law).formula_domain.contains(contraction, pressure))
             if not taut.any():
                 raise RangeError(
-                    f"nothing in the region {box} is known to pull: the law has no force there",
+                    f"the law has no force anywhere in the region {box}",
                     remedy="choose a region where the muscle is taut",
                 )
             contraction, pressure, force = contraction[taut], pressure[taut], force[taut]
-            asked = np.stack([contraction, pressure], axis=1)
+            region = np.stack([contraction, pressure], axis=1)
         names = [p.name for p in type(law).parameters()]
         gradients = force_gradients(law, names, contraction, pressure)
-        return Target(gradients, force, states=asked)
+        return LinearizedQuantity(gradients, force, states=region)
 
 
 @dataclass(frozen=True)
-class _OfJoint(Quantity):
-    """What both kinds of a joint's quantity share."""
+class _JointQuantity(QuantityOfInterest):
+    """Torque or stiffness of a joint."""
 
     joint: AntagonisticJoint
     angle: float | Sequence[float] = 0.0
@@ -178,14 +169,13 @@ class _OfJoint(Quantity):
     def unit(self, law_type: type[ForceLaw]) -> str:
         return self._unit
 
-    def target(self, law: ForceLaw, states: States) -> Target:
+    def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
         angles = np.atleast_1d(np.asarray(self.angle, np.float64))
         pressures = [np.full(len(angles), float(pressure)) for pressure in self.pressures]
         joint = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), self.joint, (law, law))
         values = np.array([float(getattr(law, p.name)) for p in type(law).parameters()])
-        answers = jax.tree.map(np.asarray, _derivatives(joint, values, angles, *pressures))
-        found, gradients, contractions = answers
-        doubts: list[str] = []
+        found, gradients, contractions = jax.tree.map(np.asarray, _derivatives(joint, values, angles, *pressures))
+        warnings: list[str] = []
         muscles = self.joint.muscle1, self.joint.muscle2
         for number, muscle, contraction, pressure in zip((1, 2), muscles, contractions, pressures, strict=True):
             domain, name = muscle.specimen.domain, muscle.specimen.name
@@ -203,21 +193,21 @@ class _OfJoint(Quantity):
                     unit="Pa",
                 )
             if np.any(forces(law, contraction, pressure) <= 0):
-                doubts.append(f"muscle {number} is slack there, and has no part in the {self._name}")
+                warnings.append(f"muscle {number} is slack there and does not contribute to the {self._name}")
         places = np.stack([np.concatenate(contractions), np.concatenate(pressures)], axis=1)
-        return Target(gradients[self._row].T, found[self._row], states=places, doubts=tuple(doubts))
+        return LinearizedQuantity(gradients[self._row].T, found[self._row], states=places, warnings=tuple(warnings))
 
 
 @dataclass(frozen=True)
-class JointTorque(_OfJoint):
-    """The torque of a joint's muscles, which both follow the law.
+class JointTorque(_JointQuantity):
+    """Torque of a joint whose muscles both follow the law.
 
     Parameters
     ----------
     joint
         Geometry, specimens and tendon; the laws of its muscles are replaced.
     angle
-        [rad]; of several the mean variance counts.
+        [rad]; for several the mean variance counts.
     pressures
         Of muscle 1 and muscle 2 [Pa].
     """
@@ -228,77 +218,63 @@ class JointTorque(_OfJoint):
 
 
 @dataclass(frozen=True)
-class JointStiffness(_OfJoint):
-    """The stiffness of a joint at constant pressures; parameters as for `JointTorque`."""
+class JointStiffness(_JointQuantity):
+    """Stiffness of a joint at constant pressures; parameters as for `JointTorque`."""
 
     _row = 1
     _name = "stiffness"
     _unit = "N*m/rad"
 
 
-def shown(value: float, unit: str) -> float:
-    """A number in SI in the unit in which it is shown."""
-    return value / factor(unit) if unit else value
-
-
-def in_words(contraction: float, pressure: float) -> str:
-    """A state as text.
-
-    >>> in_words(0.124, 3e5)
-    '12.4 % and 3 bar'
-    """
-    return f"{contraction / percent:.4g} % and {pressure / bar:.4g} bar"
-
-
 @compiled
 def _derivatives(
     joint: AntagonisticJoint, values: ArrayLike, angle: ArrayLike, pressure1: ArrayLike, pressure2: ArrayLike
 ) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Torque and stiffness, shape (2, angles); their gradients, shape (2, parameters, angles); contractions."""
+    """Torque and stiffness, shape (2, angles), their gradients, shape (2, parameters, angles), and contractions."""
     names = [p.name for p in type(joint.muscle1.law).parameters()]
 
-    def answer(given: Array) -> Array:
+    def torque_and_stiffness(given: Array) -> Array:
         law = dataclasses.replace(joint.muscle1.law, **dict(zip(names, given, strict=True)))
         changed = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, (law, law))
         return jnp.stack(changed.torque_and_stiffness(angle, (pressure1, pressure2)))
 
     def column(direction: Array) -> Array:
-        return jax.jvp(answer, (jnp.asarray(values),), (direction,))[1]
+        return jax.jvp(torque_and_stiffness, (jnp.asarray(values),), (direction,))[1]
 
     gradients = jax.vmap(column, out_axes=1)(jnp.eye(len(names)))
-    return answer(jnp.asarray(values)), gradients, joint.contractions(angle, (pressure1, pressure2))
+    return torque_and_stiffness(jnp.asarray(values)), gradients, joint.contractions(angle, (pressure1, pressure2))
 
 
-_ANGLES = 5  # in a range of angles
-
-
-def read_quantity(text: str, law_type: type[ForceLaw], joint: Callable[[], AntagonisticJoint]) -> Quantity:
-    """A quantity from text.
+def parse_quantity_of_interest(
+    text: str, law_type: type[ForceLaw], joint: Callable[[], AntagonisticJoint]
+) -> QuantityOfInterest:
+    """Parse a quantity of interest.
 
     Parameters
     ----------
     text
-        "coefficients", or names of them such as "decay" or "a1, a2"; "force", or "force at 0..10 %, 3..6 bar";
-        "stiffness" or "torque", or either "at 5 deg, 3 bar" (in both muscles), "at -10..10 deg, 2 bar, 4 bar" (in
-        muscle 1 and 2). Without a place a joint is at 0 deg and 3 bar.
+        "coefficients", or names such as "decay" or "a1, a2"; "force", or "force at 0..10 %, 3..6 bar"; "stiffness" or
+        "torque", or either "at 5 deg, 3 bar" (both muscles), "at -10..10 deg, 2 bar, 4 bar" (muscles 1 and 2). The
+        default is 0 deg and 3 bar.
     law_type
-        Whose coefficients.
+        Law with the coefficients.
     joint
-        Makes the joint, where one is needed.
+        Returns the joint, called if one is needed.
 
     Raises
     ------
     ParameterError
-        If the text is none of these.
+        If the text has another form.
     UnitError
-        If what follows "at" is no quantity of its kind.
+        If a quantity after "at" has another unit.
 
     Examples
     --------
+    >>> from mckibben import catalog
     >>> from mckibben.muscle import ExponentialLaw
     >>> knee = lambda: catalog.joint("knee-table-2")
     >>> for words in ("decay", "force at 0..10 %, 3..6 bar", "stiffness at 5 deg, 2 bar, 4 bar"):
-    ...     print(read_quantity(words, ExponentialLaw, knee))
+    ...     print(parse_quantity_of_interest(words, ExponentialLaw, knee))
     decay
     force at contraction 0..10 %, pressure 3..6 bar
     stiffness at 5 deg, 2 bar, 4 bar
@@ -310,7 +286,7 @@ def read_quantity(text: str, law_type: type[ForceLaw], joint: Callable[[], Antag
         if not parts:
             return made(joint())
         if len(parts) > 3:
-            raise ParameterError(f"{text!r} has too many places", value=text, remedy="write 'at 5 deg, 2 bar, 4 bar'")
+            raise ParameterError(f"{text!r} has too many values", value=text, remedy="write 'at 5 deg, 2 bar, 4 bar'")
         try:
             low, high = parse_range(parts[0], "rad")
             pressures = [quantity(part, "Pa") for part in parts[1:]] or [3 * bar]
@@ -322,7 +298,7 @@ def read_quantity(text: str, law_type: type[ForceLaw], joint: Callable[[], Antag
         if not parts:
             return Force()
         if len(parts) != 2:
-            raise ParameterError(f"{text!r} is no region", value=text, remedy="write 'force at 0..10 %, 3..6 bar'")
+            raise ParameterError(f"{text!r} is not a region", value=text, remedy="write 'force at 0..10 %, 3..6 bar'")
         try:
             return Force(Domain(*parse_range(parts[0], "1"), *parse_range(parts[1], "Pa")))
         except UnitError as error:
@@ -335,33 +311,9 @@ def read_quantity(text: str, law_type: type[ForceLaw], joint: Callable[[], Antag
         return Coefficients()
     if not all(name in known for name in names):
         raise ParameterError(
-            f"{text!r} is no quantity",
+            f"{text!r} is not a quantity of interest",
             value=text,
             remedy="give stiffness, torque, force, coefficients, or names of coefficients; "
             f"{law_type.__name__} has {', '.join(known.values())}",
         )
     return Coefficients(tuple(known[name] for name in names))
-
-
-def joint_named(name: str) -> AntagonisticJoint:
-    """A joint of the catalog by its name, or that of a scenario file.
-
-    Raises
-    ------
-    NotInCatalogError
-        If it is neither.
-    ScenarioError
-        If the file is no scenario.
-    """
-    if Path(name).suffix in (".yaml", ".yml"):
-        from mckibben.study.scenario import Scenario
-        from mckibben.study.scenario.building import build_joint
-
-        return build_joint(Scenario.read(name).joint)
-    if name in catalog.names("joints"):
-        return catalog.joint(name)
-    raise NotInCatalogError(
-        f"there is no joint {name!r}",
-        value=name,
-        remedy=f"give a scenario file (.yaml), or one of {', '.join(catalog.names('joints'))}",
-    )

@@ -173,12 +173,12 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
     --------
     >>> from mckibben import catalog
     >>> from mckibben.muscle import MaxwellCreep, Muscle
-    >>> from mckibben.rig import IsobaricProtocol, VirtualRig
+    >>> from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
     >>> from mckibben.units import bar
     >>> law = catalog.law("lei-mas-10-180n")
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), law, creep=MaxwellCreep(1000.0, 8.0))
     >>> test = IsobaricProtocol(pressures=[3 * bar, 5 * bar], repeats=2, samples=100, acquisition=5.0)
-    >>> data = VirtualRig(muscle, force_noise=0.05).run(test, seed=1)
+    >>> data = SimulatedIsobaricTest(muscle, force_noise=0.05).run(test, seed=1)
     >>> found = identify_creep(data, interval=0.05, dwell=test.dwell, speed=test.speed)
     >>> round(found.creep.stiffness, -2), round(found.creep.time_constant, 0)
     (1000.0, 8.0)

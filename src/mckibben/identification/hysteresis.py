@@ -207,11 +207,11 @@ def identify_hysteresis(
     --------
     >>> from mckibben import catalog
     >>> from mckibben.muscle import ExponentialLaw, Muscle
-    >>> from mckibben.rig import IsobaricProtocol, VirtualRig
+    >>> from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
     >>> from mckibben.units import bar, mm
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     >>> protocol = IsobaricProtocol(pressures=[2 * bar, 4 * bar, 6 * bar], repeats=1)
-    >>> found = identify_hysteresis(ExponentialLaw, VirtualRig(muscle).run(protocol, seed=1))
+    >>> found = identify_hysteresis(ExponentialLaw, SimulatedIsobaricTest(muscle).run(protocol, seed=1))
     >>> round(found.friction.half_width, 1), round(found.friction.presliding_length / mm, 2)
     (12.0, 0.5)
     """

@@ -93,13 +93,13 @@ class Posterior:
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Equal-tailed credible intervals by parameter, in SI."""
-        lower, upper = np.t_quantile(self.draws, _tails(level), axis=0)
+        lower, upper = np.quantile(self.draws, _tails(level), axis=0)
         return {n: Interval(*ends) for n, *ends in zip(self._names, lower.tolist(), upper.tolist(), strict=True)}
 
     def force_interval(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> IntervalEstimate:
         """Posterior mean and credible interval of the law's force [N] at contractions [-] and pressures [Pa]."""
         forces = law_forces(type(self.law), self.draws, contraction, pressure)
-        lower, upper = np.t_quantile(forces, _tails(level), axis=0)
+        lower, upper = np.quantile(forces, _tails(level), axis=0)
         value, error = forces.mean(axis=0), np.std(forces, axis=0, ddof=1)
         return IntervalEstimate(level, value, error, np.full_like(value, np.inf), lower, upper)
 
@@ -184,7 +184,7 @@ def posterior(
     found = {name: np.asarray(values) for name, values in sampler.get_samples(group_by_chain=True).items()}
     divergences = int(np.sum(np.asarray(sampler.get_extra_fields()["diverging"])))
     found.pop("common", None)
-    scale = float(data["spread"])
+    scale = float(data["deviation"])
     scatter = {"sigma": scale * np.exp(found["log_sigma"]).ravel()}
     if by is not None:
         scatter["tau"] = scale * found["tau"].ravel()
@@ -224,10 +224,10 @@ def _data(regression: Regression, by: Grouping | None) -> dict[str, Any]:
     problem, solution, points = regression.problem, regression.solution, regression.points
     rates = np.concatenate([np.ones(problem.linear), problem.cube.rates(solution.position)])
     jacobian = solution.jacobian * rates
-    spread = float(np.sqrt(solution.residuals @ solution.residuals / (len(points) - len(rates))))
+    deviation = float(np.sqrt(solution.residuals @ solution.residuals / (len(points) - len(rates))))
     lengths = np.linalg.norm(jacobian, axis=0)
     triangle = np.linalg.qr(jacobian / lengths, mode="r")
-    whitening = spread * np.linalg.inv(triangle) / lengths[:, None]
+    whitening = deviation * np.linalg.inv(triangle) / lengths[:, None]
     labels = group_labels(points, by) if by is not None else np.zeros(len(points), np.int64)
     order = np.argsort(labels, kind="stable")
     return {
@@ -238,54 +238,62 @@ def _data(regression: Regression, by: Grouping | None) -> dict[str, Any]:
         "counts": np.bincount(labels).astype(float),
         "centre": np.concatenate([solution.values[: problem.linear], solution.position]),
         "whitening": whitening,
-        "spread": spread,
+        "deviation": deviation,
     }
 
 
 @functools.cache
 def _model(law_type: type[ForceLaw], noise: Noise, grouped: bool) -> Callable[..., None]:
-    import jax.numpy as jnp
     import numpyro  # pyright: ignore[reportMissingImports]
+    from numpyro import distributions as dist  # pyright: ignore[reportMissingImports]
+
+    count = len(law_type.parameters())
+    log_likelihood = _log_likelihood(law_type, noise)
+
+    def model(**data: Any) -> None:
+        real = dist.constraints
+        white = numpyro.sample("white", dist.ImproperUniform(real.real_vector, (), event_shape=(count,)))
+        log_sigma = numpyro.sample("log_sigma", dist.ImproperUniform(real.real, (), ()))
+        tau = numpyro.sample("tau", dist.HalfNormal(2.0)) if grouped else 0.0
+        freedom, common = 0.0, np.zeros_like(data["counts"])
+        if noise is Noise.STUDENT:
+            freedom = numpyro.sample("freedom", dist.Gamma(2.0, 0.1))
+            if grouped:
+                normal = dist.Normal(0.0, 1.0).expand([data["counts"].shape[0]]).to_event(1)
+                common = numpyro.sample("common", normal)
+        numpyro.factor("likelihood", log_likelihood(white, log_sigma, tau, freedom, common, data))
+
+    return model
+
+
+def _log_likelihood(law_type: type[ForceLaw], noise: Noise) -> Callable[..., Any]:
+    """Compiled log-likelihood: the sampler evaluates its model outside of compiled code, too."""
+    import jax
+    import jax.numpy as jnp
     from numpyro import distributions as dist  # pyright: ignore[reportMissingImports]
 
     names = [p.name for p in law_type.parameters()]
     linear = len(law_type.linear_parameters)
     cube = UnitCube(law_type.shape_parameters)
 
-    def model(
-        contraction: Any,
-        pressure: Any,
-        force: Any,
-        labels: Any,
-        counts: Any,
-        centre: Any,
-        whitening: Any,
-        spread: Any,
-    ) -> None:
-        white = numpyro.sample(
-            "white", dist.ImproperUniform(dist.constraints.real_vector, (), event_shape=(len(names),))
-        )
-        coordinates = centre + whitening @ white
+    @jax.jit
+    def log_likelihood(white: Any, log_sigma: Any, tau: Any, freedom: Any, common: Any, data: dict[str, Any]) -> Any:
+        coordinates = data["centre"] + data["whitening"] @ white
         position = coordinates[linear:]
-        numpyro.factor("range", jnp.where(jnp.all((position >= 0) & (position <= 1)), 0.0, -jnp.inf))
-        position = jnp.clip(position, 0.0, 1.0)
-        values = [*coordinates[:linear], *cube.values(position)]
-        sigma = jnp.exp(numpyro.sample("log_sigma", dist.ImproperUniform(dist.constraints.real, (), ())))
+        outside = jnp.where(jnp.all((position >= 0) & (position <= 1)), 0.0, -jnp.inf)
+        values = [*coordinates[:linear], *cube.values(jnp.clip(position, 0.0, 1.0))]
+        sigma = jnp.exp(log_sigma)
         law = law_type(**dict(zip(names, values, strict=True)))
-        residuals = (force - law.force(contraction, pressure)) / spread
-        tau = numpyro.sample("tau", dist.HalfNormal(2.0)) if grouped else 0.0
+        residuals = (data["force"] - law.force(data["contraction"], data["pressure"])) / data["deviation"]
         if noise is Noise.STUDENT:
-            freedom = numpyro.sample("freedom", dist.Gamma(2.0, 0.1))
-            if grouped:
-                common = numpyro.sample("common", dist.Normal(0.0, 1.0).expand([counts.shape[0]]).to_event(1))
-                residuals = residuals - tau * jnp.asarray(common)[labels]
-            numpyro.factor("errors", jnp.sum(dist.StudentT(freedom, 0.0, sigma).log_prob(residuals)))
-            return
+            residuals = residuals - tau * jnp.asarray(common)[data["labels"]]
+            return outside + jnp.sum(dist.StudentT(freedom, 0.0, sigma).log_prob(residuals))
         # The random effects are integrated out: each group has the covariance sigma^2 I + tau^2 1 1^T.
+        counts = data["counts"]
         within = jnp.sum(residuals**2) / sigma**2 + 2 * len(residuals) * jnp.log(sigma)
-        sums = jnp.zeros_like(counts).at[labels].add(residuals)
+        sums = jnp.zeros_like(counts).at[data["labels"]].add(residuals)
         ratio = tau**2 / sigma**2
         between = jnp.sum(jnp.log1p(counts * ratio) - ratio / (1 + counts * ratio) * (sums / sigma) ** 2)
-        numpyro.factor("errors", -0.5 * (within + between))
+        return outside - 0.5 * (within + between)
 
-    return model
+    return log_likelihood

@@ -14,15 +14,16 @@ import numpy as np
 from pydantic import ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
 from mckibben.config.document import read_document, to_text
-from mckibben.config.fields import BoundedInt, Number, OneOf
+from mckibben.config.fields import Number, OneOf
 from mckibben.config.model import ConfigModel, fail_validation, problems_of, read_text
-from mckibben.errors import Problem, ScenarioError, UnitError, quoted, suggest
+from mckibben.config.schema import concrete_subclasses
+from mckibben.errors import Problem, ScenarioError, quoted, suggest
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.uncertainty import Grouping
 from mckibben.muscle import LAWS, Domain, ForceLaw
 from mckibben.storage.files import atomic_write
-from mckibben.units import factor, quantity, show
+from mckibben.units import BoundedInt, factor, quantity, show
 
 _HEAD = "# A force law identified by mckibben. Numbers have their unit beside them, comments that of publications.\n"
 
@@ -98,6 +99,11 @@ def read_fit(path: Path) -> Fit:
     return _read(path, complete=True).fit()
 
 
+def law_types() -> dict[str, type[ForceLaw]]:
+    """Force laws by name: those of mckibben, and classes of one's own that are imported."""
+    return {**{law.__name__: law for law in concrete_subclasses(ForceLaw) if law.parameters()}, **LAWS}
+
+
 class _Section(ConfigModel):
     """Numbers in the unit that stands beside them; other keys are ignored."""
 
@@ -126,10 +132,7 @@ class _Estimate(_Section):
     def _from_text(cls, value: Any) -> Any:
         if not isinstance(value, str):
             return value
-        try:
-            return {"estimate": quantity(value, cls.expected), "unit": cls.expected}
-        except UnitError as error:
-            fail_validation(error.message, error.remedy, value=value, unit=cls.expected)
+        return {"estimate": quantity(value, cls.expected), "unit": cls.expected}
 
 
 class _FittedEstimate(_Estimate):
@@ -215,7 +218,7 @@ class _LawFile(ConfigModel):
     domain: _Domain
 
     def force_law(self) -> ForceLaw:
-        law_type, contraction, pressure = LAWS[self.law], self.domain.contraction, self.domain.pressure
+        law_type, contraction, pressure = law_types()[self.law], self.domain.contraction, self.domain.pressure
         values = {name: row.si("estimate") for name, row in self.parameters}
         limits = (contraction.si("min"), contraction.si("max"), pressure.si("min"), pressure.si("max"))
         return law_type(**values, domain=Domain(*limits))
@@ -233,7 +236,7 @@ class _FitFile(_LawFile):
     @field_validator("correlations", mode="after")
     @classmethod
     def _square(cls, value: Any, info: Any) -> Any:
-        size = len(LAWS[info.data["law"]].parameters()) if "law" in info.data else len(value)
+        size = len(law_types()[info.data["law"]].parameters()) if "law" in info.data else len(value)
         if len(value) != size or any(len(row) != size for row in value):
             fail_validation(f"is not a table of {size} rows of {size} numbers", "keep the order of the parameters")
         return value
@@ -279,13 +282,14 @@ def _read(path: str | os.PathLike[str], *, complete: bool) -> Any:
     if not document.readable:
         raise ScenarioError(source, document.problems)
     data = document.data if isinstance(document.data, dict) else {}
-    law_type = LAWS.get(data["law"]) if isinstance(data.get("law"), str) else None
+    known = law_types()
+    law_type = known.get(data["law"]) if isinstance(data.get("law"), str) else None
     if law_type is None and "law" in data:
         problem = Problem(
             f"there is no law {quoted(data['law'])}",
             document.line(("law",)),
             "law",
-            suggest(str(data["law"]), sorted(LAWS)),
+            suggest(str(data["law"]), sorted(known)),
             value=data["law"],
         )
         raise ScenarioError(source, [*document.problems, problem])
@@ -310,10 +314,8 @@ def _read(path: str | os.PathLike[str], *, complete: bool) -> Any:
 
 
 def _of_kind(unit: str, expected: str) -> str:
-    try:
-        factor(unit, expected)
-    except UnitError as error:
-        fail_validation(error.message, error.remedy, value=unit, unit=expected)
+    """The unit, if it is of the expected kind."""
+    factor(unit, expected)
     return unit
 
 

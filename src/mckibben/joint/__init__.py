@@ -1,13 +1,14 @@
 """The joint: geometry (Eqs. 4-5), torque and stiffness (Eqs. 7-8), load (Eq. 6) and attainable set."""
 
 from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, Measurement, TorqueStiffnessMap
-from mckibben.joint.geometry import KneeGeometry
+from mckibben.joint.geometry import Geometry, KneeGeometry
 from mckibben.joint.load import Load
 from mckibben.joint.tendon import RigidTendon, SeriesSpring, Tendon
 
 __all__ = [
     "AffineMap",
     "AntagonisticJoint",
+    "Geometry",
     "KneeGeometry",
     "Load",
     "Measurement",

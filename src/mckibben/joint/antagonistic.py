@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError
 from mckibben.joint import attainable
-from mckibben.joint.geometry import KneeGeometry, Pair
+from mckibben.joint.geometry import Geometry, Pair
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw
 from mckibben.muscle.muscle import warn_outside
@@ -123,7 +123,7 @@ class AntagonisticJoint(eqx.Module):
     71.93
     """
 
-    geometry: KneeGeometry
+    geometry: Geometry
     muscle1: Muscle
     muscle2: Muscle
     tendon: Tendon = RigidTendon()
@@ -131,7 +131,7 @@ class AntagonisticJoint(eqx.Module):
     def __check_init__(self) -> None:
         check_kind(
             "AntagonisticJoint",
-            geometry=(self.geometry, KneeGeometry),
+            geometry=(self.geometry, Geometry),
             muscle1=(self.muscle1, Muscle),
             muscle2=(self.muscle2, Muscle),
             tendon=(self.tendon, Tendon),

@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 
 from mckibben.errors import RangeError, UnreachableError
-from mckibben.joint.geometry import KneeGeometry, Pair
+from mckibben.joint.geometry import Geometry, Pair
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.calculus import value_and_derivative
@@ -34,7 +34,7 @@ class Joint(Protocol):
     """Attributes of an `AntagonisticJoint` that its attainable set depends on."""
 
     @property
-    def geometry(self) -> KneeGeometry: ...
+    def geometry(self) -> Geometry: ...
     @property
     def muscle1(self) -> Muscle: ...
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import math
 from numbers import Real
 
@@ -12,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import sincos
+from mckibben.units import Distance, Length
 
 Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
 """One value for muscle 1 (antagonist: it lengthens as the angle grows) and one for muscle 2 (agonist)."""
@@ -20,7 +22,24 @@ Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
 _LONGEST = 10.0  # m: a longer joint is one in millimetres
 
 
-class KneeGeometry(eqx.Module):
+class Geometry(eqx.Module):
+    """Path lengths of both muscles over the joint angle; moment arms follow by differentiation."""
+
+    @abc.abstractmethod
+    def path_lengths(self, angle: ArrayLike) -> Pair:
+        """Length [m] available to each muscle and its series spring at an angle [rad]."""
+
+    def moment_arms(self, angle: ArrayLike) -> Pair:
+        """Moment arm [m] of each muscle; both positive where muscle 2 drives and muscle 1 brakes."""
+        return self.paths_and_arms(angle)[1]
+
+    def paths_and_arms(self, angle: ArrayLike) -> tuple[Pair, Pair]:
+        """`path_lengths` and `moment_arms` in one pass."""
+        paths, (slope1, slope2) = value_and_derivative(self.path_lengths, angle)
+        return paths, (slope1, -slope2)
+
+
+class KneeGeometry(Geometry):
     r"""Two muscles on either side of a round joint.
 
     .. math::
@@ -49,9 +68,9 @@ class KneeGeometry(eqx.Module):
     [0.03, 0.03]
     """
 
-    joint_length: float
-    joint_radius: float
-    connector_length: float
+    joint_length: Length
+    joint_radius: Length
+    connector_length: Distance
 
     def __check_init__(self) -> None:
         check_positive("KneeGeometry", "m", joint_length=self.joint_length, joint_radius=self.joint_radius)
@@ -76,12 +95,3 @@ class KneeGeometry(eqx.Module):
             jnp.sqrt(common + difference) - self.connector_length,
             jnp.sqrt(common - difference) - self.connector_length,
         )
-
-    def moment_arms(self, angle: ArrayLike) -> Pair:
-        """The arm [m] at which each muscle turns the joint; positive, muscle 2 drives and muscle 1 brakes."""
-        return self.paths_and_arms(angle)[1]
-
-    def paths_and_arms(self, angle: ArrayLike) -> tuple[Pair, Pair]:
-        """`path_lengths` and `moment_arms`, from one pass."""
-        paths, (slope1, slope2) = value_and_derivative(self.path_lengths, angle)
-        return paths, (slope1, -slope2)

@@ -8,6 +8,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import sincos
+from mckibben.units import Angle, Damping, Distance, Gravity, Inertia, Mass
 
 
 class Load(eqx.Module):
@@ -39,14 +40,14 @@ class Load(eqx.Module):
         The sign of the gravity torque, see above.
     """
 
-    mass1: float
-    mass2: float
-    distance1: float
-    distance2: float
-    inertia: float
-    damping: float
-    hanging_angle: float = jnp.pi / 6
-    gravity: float = 9.81
+    mass1: Mass
+    mass2: Mass
+    distance1: Distance
+    distance2: Distance
+    inertia: Inertia
+    damping: Damping
+    hanging_angle: Angle = jnp.pi / 6
+    gravity: Gravity = 9.81
     hanging: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self) -> None:

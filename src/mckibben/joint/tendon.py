@@ -14,6 +14,7 @@ from mckibben.muscle import NO_STATE, Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import floating
+from mckibben.units import Distance, Force, SpringRate
 
 
 class Tendon(eqx.Module):
@@ -78,9 +79,9 @@ class SeriesSpring(Tendon):
         Largest extension [m].
     """
 
-    stiffness: float
-    preload: float
-    travel: float
+    stiffness: SpringRate
+    preload: Force
+    travel: Distance
 
     def __check_init__(self) -> None:
         check_positive("SeriesSpring", "N/m", stiffness=self.stiffness)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
+from mckibben.units import CreepTime, SpringRate
 
 CreepState = tuple[Array, ...]
 """Force [N] in each Maxwell arm."""
@@ -142,8 +143,8 @@ class MaxwellCreep(Creep):
     array([4.532, 1.667, 0.613])
     """
 
-    stiffness: float
-    time_constant: float
+    stiffness: SpringRate
+    time_constant: CreepTime
     arms: int = eqx.field(default=1, kw_only=True, static=True)
 
     def __check_init__(self) -> None:

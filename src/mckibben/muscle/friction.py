@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
+from mckibben.units import FrictionForce, FrictionGrowth, Presliding, Pressure, Viscosity
 
 FrictionState = tuple[Array, ...]
 """Anchor of each element: the length [m] at which it is unstressed."""
@@ -155,11 +156,11 @@ class MaxwellSlip(Friction):
     array([  0.  ,  12.  ,  -8.57, -12.  ])
     """
 
-    half_width: float
-    presliding_length: float
-    growth: float = eqx.field(default=0.0, kw_only=True)
-    reference_pressure: float = eqx.field(default=0.0, kw_only=True)
-    viscous: float = eqx.field(default=0.0, kw_only=True)
+    half_width: FrictionForce
+    presliding_length: Presliding
+    growth: FrictionGrowth = eqx.field(default=0.0, kw_only=True)
+    reference_pressure: Pressure = eqx.field(default=0.0, kw_only=True)
+    viscous: Viscosity = eqx.field(default=0.0, kw_only=True)
     elements: int = eqx.field(default=6, kw_only=True, static=True)
 
     def __check_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The paper, end to end: its test, its law, its knee, its control, and what of its claims holds."""
+"""Reproduction of the paper: test, identification, knee, control, and verdicts on its claims."""
 
 from mckibben.paper.claims import Claim
 from mckibben.paper.reproduction import Reproduction, file_stem, reproduce

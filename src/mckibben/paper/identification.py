@@ -15,13 +15,13 @@ from mckibben.identification import Fit, Validation, identify, validate
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ChouLaw, ExponentialLaw, ForceLaw, Muscle
 from mckibben.numerics.compiled import compiled
-from mckibben.paper.settings import SETTINGS, Setting, Wish, pid_scenario
+from mckibben.paper.settings import SETTINGS, Setting, StiffnessReference, pid_scenario
 from mckibben.plant import JointPlant
-from mckibben.rig import IsobaricProtocol, VirtualRig, away_from_turns
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest, away_from_turns
 from mckibben.units import bar, deg
 
 TEST_PRESSURES = (2 * bar, 3 * bar, 4.5 * bar, 6 * bar)
-"""Those of the paper's validation; they are also on the grid of its identification."""
+"""Pressures of the paper's validation [Pa]; its identification uses them too."""
 
 EXPERIMENTAL, CHOU = "experimental (Eq. 2)", "Chou (Eq. 1)"
 CHOU_FITTED, PUBLISHED = "Chou (Eq. 1), fitted", "Eq. 3 as published"
@@ -29,27 +29,27 @@ RIG, MARTENS, FESTO = "virtual-rig", "dmsp-10-250-martens2017", "festo-tool-10mm
 
 
 @dataclass(frozen=True)
-class RigTest:
-    """The isobaric test of the paper on the virtual rig.
+class SimulatedRigTest:
+    """Isobaric test of the paper on the simulated rig.
 
     Attributes
     ----------
     muscle
-        What the rig tests: the paper's specimen, following Eq. 3.
+        The paper's specimen, following Eq. 3.
     rig, protocol
-        The virtual rig, and what it ran.
+        Simulated rig and its protocol.
     test
         Plateau means of the whole test (Fig. 3).
     settled
-        Those away from the turning points: what is identified from.
+        Those away from the turning points, used in identification.
     retest
-        A second test at the four pressures of the paper's validation, with other noise and offsets (Fig. 4).
+        Second test at the four pressures of the paper's validation, with other noise and offsets (Fig. 4).
     samples
-        How many raw samples the test recorded.
+        Number of raw samples of the test.
     """
 
     muscle: Muscle
-    rig: VirtualRig
+    rig: SimulatedIsobaricTest
     protocol: IsobaricProtocol
     test: IsobaricDataset
     settled: IsobaricDataset
@@ -64,21 +64,19 @@ class Identification:
     Attributes
     ----------
     rig
-        The test on the virtual rig.
-    data
-        The points behind each fit, by dataset.
-    fits
-        Eq. 2 fitted to each.
+        Test on the simulated rig.
+    data, fits
+        Points and Eq. 2 fitted to them, by dataset.
     retested
-        The fitted law and Chou's against the retest, which neither has seen.
+        Validation of the fitted law and Chou's on the retest.
     held_out_pressures, held_out_repeat
-        Errors at the four pressures, and at the last repeat, of Eq. 2 fitted without them, and of Chou's law.
+        Validation at the four pressures, and at the last repeat, of Eq. 2 fitted without them, and of Chou's law.
     measured
-        On each real dataset: Eq. 2 fitted to it, Chou's law of the specimen and Chou's law with braid angle and
-        diameter fitted, and Eq. 3 as published.
+        Validation on each measured dataset of Eq. 2 fitted to it, Chou's law, Chou's law with fitted braid angle and
+        diameter, and Eq. 3 as published.
     """
 
-    rig: RigTest
+    rig: SimulatedRigTest
     data: dict[str, IsobaricDataset]
     fits: dict[str, Fit]
     retested: Validation
@@ -88,13 +86,7 @@ class Identification:
 
 
 def run_identification(*, repeats: int = 5) -> Identification:
-    """Run the test, fit and validate.
-
-    Parameters
-    ----------
-    repeats
-        Of the isobaric test; the paper has five.
-    """
+    """Run the isobaric test with so many repeats (five in the paper), fit and validate."""
     rig = _test(repeats)
     real = {name: catalog.dataset(name) for name in (MARTENS, FESTO)}
     fits = {RIG: identify(ExponentialLaw, rig.settled)} | {
@@ -124,17 +116,17 @@ def run_identification(*, repeats: int = 5) -> Identification:
     )
 
 
-def _held_out(chou: ChouLaw, train: IsobaricDataset, unseen: IsobaricDataset) -> Validation:
-    return validate({EXPERIMENTAL: identify(ExponentialLaw, train).law, CHOU: chou}, unseen)
+def _held_out(chou: ChouLaw, train: IsobaricDataset, held_out: IsobaricDataset) -> Validation:
+    return validate({EXPERIMENTAL: identify(ExponentialLaw, train).law, CHOU: chou}, held_out)
 
 
 def direction_gap(data: IsobaricDataset) -> tuple[float, float]:
-    """How far loading and unloading are apart at the same pressure and contraction.
+    """Difference of force between loading and unloading at the same state.
 
     Returns
     -------
-    gap, span
-        The mean difference of force, loading minus unloading [N], and the largest force of the data [N].
+    gap, largest
+        Mean of loading minus unloading, and the largest force of the data [N].
     """
     forces: dict[tuple[float, float], dict[str, list[float]]] = {}
     taut = data.taut
@@ -147,36 +139,35 @@ def direction_gap(data: IsobaricDataset) -> tuple[float, float]:
     return float(np.mean(gaps)), float(taut.force.max())
 
 
-def _test(repeats: int) -> RigTest:
+def _test(repeats: int) -> SimulatedRigTest:
     law: ForceLaw = catalog.law("lei-mas-10-180n")
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), law)
-    rig, protocol = VirtualRig(muscle), IsobaricProtocol(repeats=repeats)
+    rig, protocol = SimulatedIsobaricTest(muscle), IsobaricProtocol(repeats=repeats)
     raw = rig.run(protocol, seed=1)
     test = raw.plateau_means()
     retest = rig.run(IsobaricProtocol(pressures=TEST_PRESSURES, repeats=1), seed=2).plateau_means()
     samples = raw.table["force_samples"].size
-    return RigTest(muscle, rig, protocol, test, away_from_turns(test), retest, samples)
+    return SimulatedRigTest(muscle, rig, protocol, test, away_from_turns(test), retest, samples)
 
 
 @dataclass(frozen=True)
 class JointMap:
-    """What a joint can hold over its angle.
+    """Attainable stiffness of a joint.
 
     Attributes
     ----------
     angles
         Shape (angles,) [rad].
     lowest, highest
-        Stiffness attainable while the muscles hold the load against gravity, shape (angles,) [N*m/rad]; NaN where they
-        cannot.
+        Attainable stiffness under gravity, shape (angles,) [N*m/rad]; NaN outside the static range.
     torques
         Shape (torques,) [N*m].
     lowest_at, highest_at
-        Stiffness attainable at each torque of the muscles, shape (torques, angles) [N*m/rad].
+        Attainable stiffness at each muscle torque, shape (torques, angles) [N*m/rad].
     gravity_torque
-        What the muscles have to give, shape (angles,) [N*m].
-    holdable
-        The range of angle around 0 that can be held without a gap [rad]; both NaN if 0 cannot.
+        Muscle torque that balances gravity, shape (angles,) [N*m].
+    static_range
+        Contiguous range of static angles around 0 [rad]; NaN if 0 is not static.
     """
 
     angles: NDArray[np.float64]
@@ -186,45 +177,45 @@ class JointMap:
     lowest_at: NDArray[np.float64]
     highest_at: NDArray[np.float64]
     gravity_torque: NDArray[np.float64]
-    holdable: tuple[float, float]
+    static_range: tuple[float, float]
 
     def at(self, angle: float) -> tuple[float, float]:
-        """The attainable stiffness [N*m/rad] at the tabulated angle nearest to one [rad]."""
+        """Attainable stiffness [N*m/rad] at the tabulated angle nearest to one [rad]."""
         index = int(np.argmin(np.abs(self.angles - angle)))
         return float(self.lowest[index]), float(self.highest[index])
 
 
 def run_joint(*, resolution: int = 241) -> dict[str, JointMap]:
-    """The maps of both geometries, by setting key, with `resolution` angles (odd, so that 0 is one of them)."""
+    """Attainable stiffness of both geometries, by setting key, at an odd number of angles (with 0)."""
     return {setting.key: _map(setting, resolution) for setting in SETTINGS}
 
 
 def _map(setting: Setting, resolution: int) -> JointMap:
     plant = plant_of(setting)
     angles = jnp.linspace(-40 * deg, 40 * deg, resolution)
-    holding = -plant.load.gravity_torque(angles)
+    balancing = -plant.load.gravity_torque(angles)
     torques = jnp.linspace(-8.0, 8.0, resolution)
-    lowest, highest = _attainable(plant.joint, angles, holding)
+    lowest, highest = _attainable(plant.joint, angles, balancing)
     lowest_at, highest_at = _attainable(plant.joint, angles[None, :], torques[:, None])
-    maps = (np.asarray(x) for x in (angles, lowest, highest, torques, lowest_at, highest_at, holding))
-    return JointMap(*maps, holdable=_holdable(plant, np.asarray(angles), np.isnan(np.asarray(lowest))))
+    maps = (np.asarray(x) for x in (angles, lowest, highest, torques, lowest_at, highest_at, balancing))
+    return JointMap(*maps, static_range=_static_range(plant, np.asarray(angles), np.isnan(np.asarray(lowest))))
 
 
-def _holdable(plant: JointPlant, angles: NDArray[np.float64], lost: NDArray[np.bool_]) -> tuple[float, float]:
-    """From 0 outwards to the first angle that is lost on either side, and closer between it and the one before."""
+def _static_range(plant: JointPlant, angles: NDArray[np.float64], infeasible: NDArray[np.bool_]) -> tuple[float, float]:
+    """First infeasible angle on either side of 0, refined once between grid points."""
     zero = int(np.argmin(np.abs(angles)))
-    if lost[zero]:
+    if infeasible[zero]:
         return float("nan"), float("nan")
 
-    def edge(outwards: NDArray[np.float64], gone: NDArray[np.bool_]) -> float:
-        if not gone.any():
+    def edge(outwards: NDArray[np.float64], outside: NDArray[np.bool_]) -> float:
+        if not outside.any():
             return float(outwards[-1])
-        first = int(np.argmax(gone))
+        first = int(np.argmax(outside))
         between = jnp.linspace(outwards[first - 1], outwards[first], len(angles))  # as many: compiled once
         lowest, _ = _attainable(plant.joint, between, -plant.load.gravity_torque(between))
         return float(between[int(jnp.argmax(jnp.isnan(lowest))) - 1])
 
-    return edge(angles[zero::-1], lost[zero::-1]), edge(angles[zero:], lost[zero:])
+    return edge(angles[zero::-1], infeasible[zero::-1]), edge(angles[zero:], infeasible[zero:])
 
 
 @compiled
@@ -233,5 +224,5 @@ def _attainable(joint: AntagonisticJoint, angle: Array, torque: Array) -> tuple[
 
 
 def plant_of(setting: Setting) -> JointPlant:
-    """The plant of a setting."""
-    return pid_scenario(setting, Wish.CONSTANT).plant()
+    """Plant of a setting."""
+    return pid_scenario(setting, StiffnessReference.CONSTANT).plant()

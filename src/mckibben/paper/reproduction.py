@@ -1,4 +1,4 @@
-"""The paper, end to end."""
+"""Reproduction of the paper, end to end."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from mckibben.identification import Validation
-from mckibben.paper.claims import Claim, judge
+from mckibben.identification.reporting import fit_numbers
+from mckibben.paper.claims import Claim, evaluate_claims
 from mckibben.paper.identification import Identification, JointMap, run_identification, run_joint
-from mckibben.paper.settings import SETTINGS, Wish
-from mckibben.paper.tracking import Run, Tracking, run_tracking
-from mckibben.study.reporting import METRICS, fit_numbers, plain, write_json
+from mckibben.paper.settings import SETTINGS, StiffnessReference
+from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
+from mckibben.simulation.metrics import METRICS
+from mckibben.storage.files import json_ready, write_json
 from mckibben.units import bar, deg, factor
 
 Progress = Callable[[str, float], None]
@@ -24,18 +26,18 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Everything that the report shows, as numbers.
+    """All results of the reproduction.
 
     Attributes
     ----------
     identification, joint, tracking
-        The three parts.
+        Results of the three parts.
     claims
-        The paper's claims with verdicts.
+        Claims with verdicts.
     quick
-        Whether it was the quick form: fewer repeats, seeds and generations.
+        Whether with fewer repeats, seeds and generations.
     seconds
-        How long it took.
+        Duration [s].
     """
 
     identification: Identification
@@ -46,8 +48,8 @@ class Reproduction:
     seconds: float
 
     def results(self) -> dict[str, Any]:
-        """Every number of the report, ready for JSON; a number that does not exist is None."""
-        return plain(
+        """All numbers as plain data for JSON; NaN as None."""
+        return json_ready(
             {
                 "mckibben": version("mckibben"),
                 "versions": {name: version(name) for name in ("jax", "numpy", "equinox")},
@@ -75,38 +77,38 @@ class Reproduction:
         )
 
     def save(self, folder: Path) -> None:
-        """Keep the numbers: results.json, fits, datasets, scenarios and trajectories."""
+        """Write results.json, fits, datasets, scenarios and trajectories."""
         for name in ("fits", "data", "scenarios", "trajectories"):
             (folder / name).mkdir(parents=True, exist_ok=True)
         for name, fit in self.identification.fits.items():
             fit.to_yaml(folder / "fits" / f"{name}.yaml")
         self.identification.rig.test.to_netcdf(folder / "data" / "virtual-rig-test.nc")
         self.identification.rig.retest.to_netcdf(folder / "data" / "virtual-rig-retest.nc")
-        for (key, wish, controller), run in self.tracking.runs.items():
-            name = file_stem(key, wish, controller)
+        for (key, reference, controller), run in self.tracking.runs.items():
+            name = file_stem(key, reference, controller)
             run.scenario.to_yaml(folder / "scenarios" / f"{name}.yaml")
             run.result.to_netcdf(folder / "trajectories" / f"{name}.nc")
         write_json(folder / "results.json", self.results())
 
 
-def file_stem(key: str, wish: Wish, controller: str) -> str:
-    """What the files of a run are called.
+def file_stem(key: str, reference: StiffnessReference, controller: str) -> str:
+    """File name of a run.
 
-    >>> file_stem("as_printed", Wish.STEP, "BP on tuned gains, free")
+    >>> file_stem("as_printed", StiffnessReference.STEP, "BP on tuned gains, free")
     'as-printed-step-bp-on-tuned-gains-free'
     """
-    return "-".join((key, wish.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
+    return "-".join((key, reference.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
 
 
 def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Reproduction:
-    """Run the paper: test, identify, validate, the joint, and the control of position and stiffness.
+    """Reproduce the paper: test, identification, validation, joint, and control of position and stiffness.
 
     Parameters
     ----------
     quick
         Two repeats of the test instead of five, 5 seeds of BP instead of 20, and a shorter tuning.
     progress
-        Called with what is being done and the part that is done, 0 to 1.
+        Called with the present task and the fraction done, 0 to 1.
     """
     start = time.perf_counter()
 
@@ -114,8 +116,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
         if progress:
             progress(what, part)
 
-    # The muscle's half does not wait for the knee's: much of both is compilation, which leaves the other cores idle.
-    with ThreadPoolExecutor(max_workers=1) as beside:
+    with ThreadPoolExecutor(max_workers=1) as beside:  # most of both is compilation, which uses one core each
         muscle = beside.submit(run_identification, repeats=2 if quick else 5)
         knee = beside.submit(run_joint)
         what = "isobaric test and identification; control of position and stiffness"
@@ -125,7 +126,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
             report(what, 0.95 * part)
             for other in (muscle, knee):
                 if other.done():
-                    other.result()  # an error there ends the run here and now
+                    other.result()  # raises its error
 
         tracking = run_tracking(
             seeds=5 if quick else 20,
@@ -135,7 +136,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
         )
         identification, joint = muscle.result(), knee.result()
     report("claims", 0.95)
-    claims = judge(identification, joint, tracking)
+    claims = evaluate_claims(identification, joint, tracking)
     return Reproduction(identification, joint, tracking, claims, quick, time.perf_counter() - start)
 
 
@@ -165,7 +166,7 @@ def _validation(found: Identification) -> dict[str, Any]:
 
 
 def _errors(validation: Validation) -> dict[str, dict[str, float]]:
-    """RMSE of each law: over all points, by direction, by pressure, and by both."""
+    """RMSE of each law over all points, by direction, by pressure, and by both."""
     table: dict[str, dict[str, float]] = {}
     for errors in validation.errors:
         place = [] if errors.pressure is None else [f"{errors.pressure / bar:g} bar"]
@@ -176,25 +177,25 @@ def _errors(validation: Validation) -> dict[str, dict[str, float]]:
 
 def _joint(found: JointMap) -> dict[str, Any]:
     low, high = found.at(0.0)
-    first, last = found.holdable
+    first, last = found.static_range
     return {
         "attainable_stiffness_at_0_deg": [low, high],
-        "holdable_angles_deg": [first / deg, last / deg],
+        "static_range_deg": [first / deg, last / deg],
     }
 
 
 def _tracking(found: Tracking) -> dict[str, Any]:
     table: dict[str, Any] = {}
-    for (key, wish, controller), run in found.runs.items():
-        table.setdefault(key, {}).setdefault(wish.value, {})[controller] = _run(run)
+    for (key, reference, controller), run in found.runs.items():
+        table.setdefault(key, {}).setdefault(reference.value, {})[controller] = _run(run)
     return table
 
 
-def _run(run: Run) -> dict[str, Any]:
+def _run(run: ControllerRun) -> dict[str, Any]:
     found: dict[str, Any] = {name: run.median(metric) / unit for name, (metric, _, unit) in METRICS.items()}
     if run.seeds is not None:
         found["worst"] = {name: run.worst(metric) / unit for name, (metric, _, unit) in METRICS.items()}
-        found["lost"] = run.lost
+        found["unstable"] = run.unstable
     return found | {"outcome": run.result.describe()}
 
 

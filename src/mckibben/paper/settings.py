@@ -1,8 +1,7 @@
-"""What the paper's simulations leave open, declared: amplitudes, frequencies, set-points, gains, start.
+"""Settings that the paper does not print: amplitudes, frequencies, setpoints, gains, initial states.
 
-The paper prints neither the amplitude and frequency of its sine, nor its stiffness set-points, nor its gains. All of
-these are ours. Table 2 as printed leaves little to choose from: a joint of 0 % contraction at 0 deg can be held within
-about 10 deg, and its stiffness moves by 4 % at 0 deg; so each setting comes in two geometries.
+All of these are ours. Table 2 as printed has a static range of about +-10 deg and a stiffness range of 4 % at 0 deg, so
+each setting comes in two geometries.
 """
 
 from __future__ import annotations
@@ -14,8 +13,8 @@ from typing import Any
 from mckibben.study.scenario import Scenario
 
 
-class Wish(enum.Enum):
-    """The two kinds of desired stiffness in Figs. 7 and 8."""
+class StiffnessReference(enum.Enum):
+    """Kind of desired stiffness in Figs. 7 and 8."""
 
     CONSTANT = "constant"
     STEP = "step"
@@ -23,7 +22,7 @@ class Wish(enum.Enum):
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of the two PID loops, as text with units; the base of both methods."""
+    """Gains of the two PID loops, as text with units; base of both methods."""
 
     position: str
     stiffness: str
@@ -31,28 +30,28 @@ class Gains:
 
 @dataclass(frozen=True)
 class Setting:
-    """One geometry with the wishes that go with it.
+    """A geometry with its references and gains.
 
     Attributes
     ----------
     name
-        What it is called in figures and tables.
+        In figures and tables.
     key
-        The same for files.
+        In files.
     connectors
         L_u + L_d.
     amplitude
         Of the desired angle, a sine of 0.5 Hz.
     constant, before, after
-        The desired stiffness: constant, and stepping at 5 s.
+        Desired stiffness: constant, and stepping at 5 s.
     start
-        The stiffness with which the joint rests at 0 deg before the run.
+        Initial stiffness, at rest at 0 deg.
     moderate
-        Gains as one sets them by hand.
+        Gains set by hand.
     angle_scale, stiffness_scale
-        The errors that count as large in the learning of BP, and a tenth of which costs 1 in the tuning.
+        Error scales of the learning of BP; a tenth of them costs 1 in the tuning.
     rates
-        The usual rates of differential pressure and co-contraction, for the learning of BP.
+        Typical rates of differential pressure and co-contraction, output scales of BP.
     """
 
     name: str
@@ -110,26 +109,27 @@ SETTINGS = (AS_PRINTED, PRE_CONTRACTED)
 STEP_TIME = "5 s"
 LEARNING = "learning_rate: 3 1/s, momentum: 0.5, hidden: 6, jacobian: sign"
 FREE, BOUND = 2.0, 1.1
-"""By what factor BP may move the gains: freely about moderate gains, and hardly about tuned ones, which stand close to
-where the loop loses its stability."""
+"""Factor by which BP may change the gains: about moderate gains, and about tuned ones, close to the stability limit."""
 
 
-def pid_scenario(setting: Setting, wish: Wish, gains: Gains | None = None, *, name: str = "PID") -> Scenario:
-    """The scenario of a run under PID, with the moderate gains unless others are given."""
+def pid_scenario(
+    setting: Setting, reference: StiffnessReference, gains: Gains | None = None, *, name: str = "PID"
+) -> Scenario:
+    """Scenario of a run under PID, by default with the moderate gains."""
     gains = gains or setting.moderate
-    return _scenario(setting, wish, name, f"{{pid: {{{gains.position}}}}}", f"{{pid: {{{gains.stiffness}}}}}")
+    return _scenario(setting, reference, name, f"{{pid: {{{gains.position}}}}}", f"{{pid: {{{gains.stiffness}}}}}")
 
 
 def bp_scenario(
     setting: Setting,
-    wish: Wish,
+    reference: StiffnessReference,
     gains: Gains | None = None,
     *,
     gain_ratio: float = FREE,
     seed: int = 0,
     name: str = "BP",
 ) -> Scenario:
-    """The scenario of a run under BP on the same base gains."""
+    """Scenario of a run under BP on the same base gains."""
     gains = gains or setting.moderate
     learning = f"{LEARNING}, gain_ratio: {gain_ratio}, seed: {seed}"
     position = (
@@ -140,18 +140,18 @@ def bp_scenario(
         f"{{backprop: {{{gains.stiffness}, {learning}, signal_scale: {setting.constant}, "
         f"error_scale: {setting.stiffness_scale}, output_scale: {setting.rates[1]}}}}}"
     )
-    return _scenario(setting, wish, name, position, stiffness)
+    return _scenario(setting, reference, name, position, stiffness)
 
 
-def _scenario(setting: Setting, wish: Wish, name: str, position: str, stiffness: str) -> Scenario:
-    wanted = (
+def _scenario(setting: Setting, reference: StiffnessReference, name: str, position: str, stiffness: str) -> Scenario:
+    desired = (
         f"{{constant: {setting.constant}}}"
-        if wish is Wish.CONSTANT
+        if reference is StiffnessReference.CONSTANT
         else f"{{step: {{before: {setting.before}, after: {setting.after}, at: {STEP_TIME}}}}}"
     )
     return Scenario.parse(
         f"""
-name: {setting.name} knee, {wish.value} stiffness, {name}
+name: {setting.name} knee, {reference.value} stiffness, {name}
 joint:
   geometry: knee-table-2
   connector_length: {setting.connectors}
@@ -163,7 +163,7 @@ controller:
   stiffness: {stiffness}
 reference:
   angle: {{sine: {{amplitude: {setting.amplitude}, frequency: 0.5 Hz}}}}
-  stiffness: {wanted}
+  stiffness: {desired}
 start: {{angle: 0 deg, stiffness: {setting.start}}}
 duration: 10 s
 control_period: 1 ms
@@ -174,12 +174,15 @@ substeps: 4
 
 
 def gains_of(scenario: Scenario) -> Gains:
-    """The gains of a scenario under PID, as text that reads back to the last bit."""
+    """Gains of a scenario under PID, as text that parses back to the last bit."""
     control: Any = scenario.control()
     position, stiffness = control.position, control.stiffness
-    kp, ki, kd = (repr(float(gain)) for gain in (position.kp, position.ki, position.kd))
-    firm_kp, firm_ki, firm_kd = (repr(float(gain)) for gain in (stiffness.kp, stiffness.ki, stiffness.kd))
+
+    def text(loop: Any, *units: str) -> str:
+        gains = zip(("kp", "ki", "kd"), units, strict=True)
+        return ", ".join(f"{name}: {float(getattr(loop, name))!r} {unit}" for name, unit in gains)
+
     return Gains(
-        position=f"kp: {kp} Pa/rad, ki: {ki} Pa/(rad*s), kd: {kd} Pa*s/rad",
-        stiffness=f"kp: {firm_kp} Pa/(N*m/rad), ki: {firm_ki} Pa*rad/(N*m*s), kd: {firm_kd} Pa*s/(N*m/rad)",
+        position=text(position, "Pa/rad", "Pa/(rad*s)", "Pa*s/rad"),
+        stiffness=text(stiffness, "Pa/(N*m/rad)", "Pa*rad/(N*m*s)", "Pa*s/(N*m/rad)"),
     )

@@ -1,4 +1,4 @@
-"""The runs behind Figs. 7 and 8: PID and BP, on moderate and on tuned gains, in both geometries, over many seeds."""
+"""Runs of Figs. 7 and 8: PID and BP, on moderate and on tuned gains, in both geometries, over many seeds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from mckibben.control import Setpoint
-from mckibben.paper.settings import BOUND, FREE, SETTINGS, Setting, Wish, bp_scenario, gains_of, pid_scenario
+from mckibben.paper.settings import (
+    BOUND,
+    FREE,
+    SETTINGS,
+    Setting,
+    StiffnessReference,
+    bp_scenario,
+    gains_of,
+    pid_scenario,
+)
 from mckibben.simulation import (
     SETTLING_PART,
     Metrics,
@@ -29,20 +38,20 @@ from mckibben.units import quantity
 
 PID, BP, TUNED_PID = "PID", "BP", "PID tuned"
 TUNED_BP, FREE_TUNED_BP = "BP on tuned gains", "BP on tuned gains, free"
-_MARGIN = 1.5  # all tuned gains may rise by this factor together without harm
 CONTROLLERS = (PID, BP, TUNED_PID, TUNED_BP, FREE_TUNED_BP)
+_GAIN_MARGIN = 1.5
 
 
 @dataclass(frozen=True)
-class Run:
-    """One controller on one wish in one geometry.
+class ControllerRun:
+    """Run of one controller with one stiffness reference in one geometry.
 
     Attributes
     ----------
     scenario, result
-        The run that the figures show (for BP that of the first seed).
+        The run in the figures; for BP that of the first seed.
     seeds
-        Metrics over the seeds, each of shape (seeds,), where the controller has a seed.
+        Metrics of each seed, shape (seeds,); None for a controller without seeds.
     """
 
     scenario: Scenario
@@ -50,21 +59,20 @@ class Run:
     seeds: Metrics | None
 
     def median(self, metric: str) -> float:
-        """The median over the seeds, a run that never settles being the longest; without seeds the value itself."""
+        """Median over the seeds, NaN ranking above all values; without seeds the value itself."""
         return _finite(np.median(self._ranked(metric)))
 
     def worst(self, metric: str) -> float:
-        """The largest over the seeds."""
+        """Maximum over the seeds."""
         return _finite(np.max(self._ranked(metric)))
 
     @property
-    def lost(self) -> int:
-        """How many runs were lost: not finite, or worse than not moving at all (an RMSE above the RMS of the wish)."""
-        wish = float(rms(self.result.trajectory.desired_angle))
-        return int(np.sum(~(self._values("angle_rmse") < wish)))
+    def unstable(self) -> int:
+        """Number of unstable runs: not finite, or an angle RMSE above the RMS of the reference."""
+        reference = float(rms(self.result.trajectory.desired_angle))
+        return int(np.sum(~(self._values("angle_rmse") < reference)))
 
     def _ranked(self, metric: str) -> np.ndarray:
-        """The values, with NaN (never settled, lost) as the largest of all."""
         values = self._values(metric)
         return np.where(np.isnan(values), np.inf, values)
 
@@ -76,18 +84,16 @@ class Run:
 
 @dataclass(frozen=True)
 class Coupling:
-    """How position and stiffness disturb each other under PID with moderate gains.
+    """Mutual disturbance of position and stiffness under PID with moderate gains.
 
     Attributes
     ----------
     angle_by_step
-        The largest difference of the angle [rad] between a run with the stiffness step and one without it, after the
-        step.
+        Largest change of the angle by the stiffness step [rad].
     stiffness_by_motion
-        RMS error of the stiffness [N*m/rad] over the second half of a run with constant desired stiffness, the angle
-        moving.
+        RMS error of a constant stiffness over the second half of a run in motion [N*m/rad].
     stiffness_at_rest
-        The same with the desired angle held at 0.
+        The same at a desired angle of 0.
     """
 
     angle_by_step: float
@@ -97,19 +103,19 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Tracking:
-    """All runs, by setting, wish and controller.
+    """All tracking runs.
 
     Attributes
     ----------
     runs
-        Keys (setting key, wish, controller name).
+        By setting key, stiffness reference and controller name.
     tuned, coupling
         By setting key.
     seeds
-        How many seeds BP was run with.
+        Number of seeds of BP.
     """
 
-    runs: dict[tuple[str, Wish, str], Run]
+    runs: dict[tuple[str, StiffnessReference, str], ControllerRun]
     tuned: dict[str, TuningResult]
     coupling: dict[str, Coupling]
     seeds: int
@@ -118,19 +124,18 @@ class Tracking:
 def run_tracking(
     *, seeds: int, generations: int, population: int = 32, progress: Callable[[float], None] | None = None
 ) -> Tracking:
-    """Run everything.
+    """Tune, run and compare all controllers.
 
     Parameters
     ----------
     seeds
-        How many initial networks BP is run with.
+        Number of initial networks of BP.
     generations, population
         Of the tuning.
     progress
-        Called with the part that is done, 0 to 1.
+        Called with the fraction done, 0 to 1.
     """
-    # The runs on moderate gains do not wait for the tuning: what takes time in both is their compilation.
-    with ThreadPoolExecutor(max_workers=1) as beside:
+    with ThreadPoolExecutor(max_workers=1) as beside:  # most of both is compilation, which uses one core each
         moderate = beside.submit(_moderate_runs, seeds)
         tuned: dict[str, TuningResult] = {}
         for i, setting in enumerate(SETTINGS):
@@ -145,32 +150,37 @@ def run_tracking(
         runs |= _tuned_runs(setting, tuned[setting.key], seeds)
         if progress:
             progress(0.7 + 0.3 * (i + 1) / len(SETTINGS))
-    coupling = {setting.key: _coupling(setting, runs[setting.key, Wish.STEP, PID]) for setting in SETTINGS}
+    step = StiffnessReference.STEP
+    coupling = {setting.key: _coupling(setting, runs[setting.key, step, PID]) for setting in SETTINGS}
     return Tracking(runs, tuned, coupling, seeds)
 
 
-def _moderate_runs(seeds: int) -> dict[tuple[str, Wish, str], Run]:
-    runs: dict[tuple[str, Wish, str], Run] = {}
+def _moderate_runs(seeds: int) -> dict[tuple[str, StiffnessReference, str], ControllerRun]:
+    runs: dict[tuple[str, StiffnessReference, str], ControllerRun] = {}
     for setting in SETTINGS:
-        for wish in Wish:
-            runs[setting.key, wish, PID] = _run_pid(pid_scenario(setting, wish, name=PID))
-            runs[setting.key, wish, BP] = _run_bp(bp_scenario(setting, wish, gain_ratio=FREE, name=BP), seeds)
+        for reference in StiffnessReference:
+            learned = bp_scenario(setting, reference, gain_ratio=FREE, name=BP)
+            runs[setting.key, reference, PID] = _run_pid(pid_scenario(setting, reference, name=PID))
+            runs[setting.key, reference, BP] = _run_bp(learned, seeds)
     return runs
 
 
-def _tuned_runs(setting: Setting, tuned: TuningResult, seeds: int) -> dict[tuple[str, Wish, str], Run]:
+def _tuned_runs(
+    setting: Setting, tuned: TuningResult, seeds: int
+) -> dict[tuple[str, StiffnessReference, str], ControllerRun]:
     gains = gains_of(tuned.scenarios[0])
-    runs: dict[tuple[str, Wish, str], Run] = {}
-    for wish in Wish:
-        runs[setting.key, wish, TUNED_PID] = _run_pid(pid_scenario(setting, wish, gains, name=TUNED_PID))
+    runs: dict[tuple[str, StiffnessReference, str], ControllerRun] = {}
+    for reference in StiffnessReference:
+        base = pid_scenario(setting, reference, gains, name=TUNED_PID)
+        runs[setting.key, reference, TUNED_PID] = _run_pid(base)
         for name, ratio in ((TUNED_BP, BOUND), (FREE_TUNED_BP, FREE)):
-            scenario = bp_scenario(setting, wish, gains, gain_ratio=ratio, name=name)
-            runs[setting.key, wish, name] = _run_bp(scenario, seeds)
+            scenario = bp_scenario(setting, reference, gains, gain_ratio=ratio, name=name)
+            runs[setting.key, reference, name] = _run_bp(scenario, seeds)
     return runs
 
 
 def _tune(setting: Setting, generations: int, population: int, progress: Callable[[float], None]) -> Tuned:
-    scenarios = [pid_scenario(setting, wish) for wish in Wish]
+    scenarios = [pid_scenario(setting, reference) for reference in StiffnessReference]
     scales = {
         "angle_rmse": quantity(setting.angle_scale, "rad") / 10,
         "stiffness_rmse": quantity(setting.stiffness_scale, "N*m/rad") / 10,
@@ -178,7 +188,7 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
     return tune(
         scenarios,
         gain_ranges(scenarios[0]),
-        Cost.of(scales, gain_margin=_MARGIN),
+        Cost.of(scales, gain_margin=_GAIN_MARGIN),
         method=Method.EVOLUTION,
         iterations=generations,
         population=population,
@@ -186,42 +196,42 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
     )
 
 
-def _run_pid(scenario: Scenario) -> Run:
-    return Run(scenario, run_scenario(scenario).result, None)
+def _run_pid(scenario: Scenario) -> ControllerRun:
+    return ControllerRun(scenario, run_scenario(scenario).result, None)
 
 
-def _run_bp(scenario: Scenario, seeds: int) -> Run:
+def _run_bp(scenario: Scenario, seeds: int) -> ControllerRun:
     plant = scenario.plant()
-    _, wishes = sampled(scenario.reference(), scenario.duration, scenario.control_period)
+    _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     control, initial = scenario.control(), scenario.initial(plant)
 
-    def measured(seed: int) -> Metrics:
+    def metrics(seed: int) -> Metrics:
         seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, (seed, seed))
-        moved, _ = run_episode(plant, seeded, wishes, initial, scenario.control_period, scenario.substeps)
-        return compiled_measure(moved, scenario.control_period, settling_part=SETTLING_PART)
+        trajectory, _ = run_episode(plant, seeded, setpoints, initial, scenario.control_period, scenario.substeps)
+        return compiled_measure(trajectory, scenario.control_period, settling_part=SETTLING_PART)
 
-    # One by one: the programs are those of the single run, and a batch would first have to be compiled.
-    over_seeds = [measured(seed) for seed in range(seeds)]
-    return Run(scenario, run_scenario(scenario).result, jax.tree.map(lambda *each: jnp.stack(each), *over_seeds))
+    # One by one, with the programs of the single run: a batch would need another compilation.
+    each = [metrics(seed) for seed in range(seeds)]
+    return ControllerRun(scenario, run_scenario(scenario).result, jax.tree.map(lambda *m: jnp.stack(m), *each))
 
 
-def _coupling(setting: Setting, stepping: Run) -> Coupling:
-    """From the run with the step, and two more with the constant wish: the angle moving, and held."""
-    scenario = pid_scenario(setting, Wish.CONSTANT)
+def _coupling(setting: Setting, stepping: ControllerRun) -> Coupling:
+    """Coupling from the run with the step and two runs at constant stiffness, in motion and at rest."""
+    scenario = pid_scenario(setting, StiffnessReference.CONSTANT)
     plant = scenario.plant()
     _, moving = sampled(scenario.reference(), scenario.duration, scenario.control_period)
-    held = moving._replace(angle=jnp.zeros_like(moving.angle))
+    at_rest = moving._replace(angle=jnp.zeros_like(moving.angle))
     control, start = scenario.control(), scenario.initial(plant)
 
-    def late_error(wishes: Setpoint) -> float:
-        moved, _ = run_episode(plant, control, wishes, start, scenario.control_period, scenario.substeps)
-        late = moved.angle.size // 2
-        return float(rms((moved.stiffness - moved.desired_stiffness)[late:]))
+    def late_error(setpoints: Setpoint) -> float:
+        trajectory, _ = run_episode(plant, control, setpoints, start, scenario.control_period, scenario.substeps)
+        late = trajectory.angle.size // 2
+        return float(rms((trajectory.stiffness - trajectory.desired_stiffness)[late:]))
 
     return Coupling(
         angle_by_step=stepping.result.metrics()["coupling"],
         stiffness_by_motion=late_error(moving),
-        stiffness_at_rest=late_error(held),
+        stiffness_at_rest=late_error(at_rest),
     )
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.joint import Measurement
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
+from mckibben.units import AngleStep, Delay, Duration, PositiveTime, PressureNoise, Seed, ShortTime, Torque
 
 
 class Sensors(eqx.Module):
@@ -70,10 +71,10 @@ class SampledSensors(Sensors):
     (0.12, 200000.0)
     """
 
-    encoder: float = 0.0
-    pressure_noise: float = 0.0
-    delay: float = 0.0
-    seed: int = 0
+    encoder: AngleStep = 0.0
+    pressure_noise: PressureNoise = 0.0
+    delay: Delay = 0.0
+    seed: Seed = 0
 
     def __check_init__(self) -> None:
         check_positive("SampledSensors", "rad", zero=True, encoder=self.encoder)
@@ -135,10 +136,10 @@ class TorquePulses(Disturbance):
     [0.0, 0.5, 0.0, -0.5, 0.5]
     """
 
-    height: float
-    width: float = 0.1
-    interval: float = 1.0
-    start: float = 0.5
+    height: Torque
+    width: PositiveTime = 0.1
+    interval: Duration = 1.0
+    start: ShortTime = 0.5
 
     def __check_init__(self) -> None:
         check_positive("TorquePulses", "s", width=self.width, interval=self.interval)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.numerics.checks import check_positive, check_within
+from mckibben.units import PositiveTime
 
 
 class Valve(eqx.Module):
@@ -55,7 +56,7 @@ class FirstOrderValve(Valve):
         T [s], at which 63 % of a step are done; 20 to 100 ms for fast proportional valves on a small muscle.
     """
 
-    time_constant: float
+    time_constant: PositiveTime
 
     def __check_init__(self) -> None:
         check_positive("FirstOrderValve", "s", time_constant=self.time_constant)

@@ -1,35 +1,42 @@
-"""Reachability first: what a joint can hold, whether a reference can be followed, what is nearest, how to build it."""
+"""Reachability: static envelope, trackability, nearest feasible references and sizing of a joint."""
 
-from mckibben.reachability.bands import Bands, Holdable, Range, holdable
-from mckibben.reachability.design import Design, design
-from mckibben.reachability.envelope import HEADERS, Envelope, envelope
-from mckibben.reachability.motion import Motion, motion_of
-from mckibben.reachability.nearest import Kept, Offer, keep_design, keep_offer, nearest_references
-from mckibben.reachability.targets import VARIED, Choice, Wanted, read_choice, read_wanted
-from mckibben.reachability.trackability import Following, follow
+from mckibben.reachability.envelope import HEADERS, Envelope, envelope, save_design, save_reference
+from mckibben.reachability.feasible import FeasibleReference, Preserved, nearest_references
+from mckibben.reachability.sizing import (
+    DESIGN_LENGTHS,
+    Design,
+    DesignTarget,
+    DesignVariable,
+    design,
+    parse_target,
+    parse_variable,
+)
+from mckibben.reachability.static import AttainableRange, StaticEnvelope, static_envelope
+from mckibben.reachability.trackability import StiffnessBands, Trackability, check_trackability
+from mckibben.reachability.trajectory import ReferenceTrajectory, reference_trajectory
 
 __all__ = [
+    "DESIGN_LENGTHS",
     "HEADERS",
-    "VARIED",
-    "Bands",
-    "Choice",
+    "AttainableRange",
     "Design",
+    "DesignTarget",
+    "DesignVariable",
     "Envelope",
-    "Following",
-    "Holdable",
-    "Kept",
-    "Motion",
-    "Offer",
-    "Range",
-    "Wanted",
+    "FeasibleReference",
+    "Preserved",
+    "ReferenceTrajectory",
+    "StaticEnvelope",
+    "StiffnessBands",
+    "Trackability",
+    "check_trackability",
     "design",
     "envelope",
-    "follow",
-    "holdable",
-    "keep_design",
-    "keep_offer",
-    "motion_of",
     "nearest_references",
-    "read_choice",
-    "read_wanted",
+    "parse_target",
+    "parse_variable",
+    "reference_trajectory",
+    "save_design",
+    "save_reference",
+    "static_envelope",
 ]

@@ -1,146 +1,244 @@
-"""The envelope of a scenario: what its joint can hold, whether its reference can be followed, and what is nearest."""
+"""Reachability of a scenario: static envelope, trackability, nearest feasible references, and files of the results."""
 
 from __future__ import annotations
 
+import csv
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mckibben.reachability.bands import Holdable, holdable
-from mckibben.reachability.nearest import Offer, check_margin, offers
-from mckibben.reachability.trackability import Following, Looking
-from mckibben.study.scenario import Scenario
+from mckibben.control import Constant, Multisine, Signal, Sine, Step
+from mckibben.errors import UnreachableError
+from mckibben.reachability.feasible import FeasibleReference, check_margin, find_nearest
+from mckibben.reachability.sizing import Design
+from mckibben.reachability.static import StaticEnvelope, static_envelope
+from mckibben.reachability.trackability import Trackability, TrackabilityChecker
+from mckibben.storage.files import atomic_write
+from mckibben.study.parameters import with_values
+from mckibben.study.scenario import ReferenceSpec, Scenario, StartSpec
 from mckibben.units import bar, deg
 
-HEADERS = ("angle", "torque held", "torque", "stiffness", "p1, p2 at lowest", "p1, p2 at highest")
+HEADERS = ("angle", "gravity torque", "torque range", "stiffness range", "p1, p2 at lowest", "p1, p2 at highest")
+"""Columns of `Envelope.rows`."""
+
+_ADDRESSES = {
+    "connector_length": "joint.connector_length",
+    "joint_radius": "joint.geometry.joint_radius",
+    "joint_length": "joint.geometry.joint_length",
+}
+"""Design variables that a scenario holds; the length of a muscle belongs to its specimen in the catalog."""
 
 
 @dataclass(frozen=True)
 class Envelope:
-    """What is known of a scenario before it is run.
+    """Reachability of a scenario.
 
     Attributes
     ----------
     scenario
-        Which.
-    holds
-        What its joint can hold standing, over the angle.
-    following
-        Its reference against that, standing and moving.
-    offers
-        The nearest references that can be followed; none if the wish can be, or nothing can be held at all.
+        The scenario.
+    static
+        Static envelope of its joint.
+    trackability
+        Check of its reference.
+    nearest
+        Nearest feasible references; none if the reference is trackable or nothing is static.
     """
 
     scenario: Scenario
-    holds: Holdable
-    following: Following
-    offers: tuple[Offer, ...]
+    static: StaticEnvelope
+    trackability: Trackability
+    nearest: tuple[FeasibleReference, ...]
 
     def verdict(self) -> str:
-        """Whether the reference can be followed, in plain words."""
-        if not self.holds.first <= self.holds.last:
+        """Verdict on the reference, in words."""
+        if not self.static.exists:
             return "the joint cannot hold its load at any angle; choose another connector length or a lighter load"
-        return self.following.describe()
+        return self.trackability.describe()
 
     def rows(self) -> list[tuple[str, ...]]:
-        """What can be held at about a dozen angles, as text for `HEADERS`."""
-        holds = self.holds
+        """Static envelope at no more than 11 angles, as text."""
+        static = self.static
         return [
             (
-                f"{holds.angles[i] / deg:g} deg",
-                f"{_small(float(holds.torque[i])):.3g} N*m",
-                f"{holds.torques.lowest[i]:.3g}..{holds.torques.highest[i]:.3g} N*m",
-                f"{holds.stiffness.lowest[i]:.4g}..{holds.stiffness.highest[i]:.4g} N*m/rad",
-                _pressures(holds.pressures_lowest[:, i]),
-                _pressures(holds.pressures_highest[:, i]),
+                f"{static.angles[i] / deg:g} deg",
+                f"{_rounded(float(static.torque[i])):.3g} N*m",
+                f"{static.torque_range.lowest[i]:.3g}..{static.torque_range.highest[i]:.3g} N*m",
+                f"{static.stiffness.lowest[i]:.4g}..{static.stiffness.highest[i]:.4g} N*m/rad",
+                _pressures(static.pressures_at_lowest[:, i]),
+                _pressures(static.pressures_at_highest[:, i]),
             )
-            for i in holds.rows()
+            for i in static.table_rows()
         ]
 
     def records(self) -> dict[str, Any]:
-        """All of it as plain data; angles in deg, pressures in bar, all else in SI."""
-        holds, following = self.holds, self.following
-        motion, bands = following.motion, following.bands
-        driven = bands.driven.missing(motion.stiffness)
+        """The results as plain data; angles in deg, pressures in bar, all else in SI."""
+        static, found = self.static, self.trackability
+        trajectory, bands = found.trajectory, found.bands
+        violation = bands.rate_limited.violation(trajectory.stiffness)
         return {
             "scenario": self.scenario.name,
-            "reachable": following.reachable,
+            "trackable": found.trackable,
             "verdict": self.verdict(),
-            "holdable_deg": [holds.first / deg, holds.last / deg],
-            "rounding_s": motion.rounding if following.sharp.size else 0.0,
-            "torque_of_motion_Nm": [float(bands.torque.min()), float(bands.torque.max())],
-            "unreachable_part": float(following.failing.mean()),
-            "shortfall_max": float(np.nanmax(driven)) if not np.isnan(driven).all() else math.nan,
+            "static_range_deg": [static.angle_min / deg, static.angle_max / deg],
+            "smoothing_s": trajectory.smoothing if found.breakpoints.size else 0.0,
+            "muscle_torque_Nm": [float(bands.torque.min()), float(bands.torque.max())],
+            "violated_fraction": float(found.violated.mean()),
+            "violation_max": float(np.nanmax(violation)) if not np.isnan(violation).all() else math.nan,
             "table": [
                 {
-                    "angle_deg": float(holds.angles[i] / deg),
-                    "torque_held_Nm": float(holds.torque[i]),
-                    "torque_Nm": [float(edge[i]) for edge in holds.torques],
-                    "stiffness": [float(edge[i]) for edge in holds.stiffness],
-                    "pressures_at_lowest_bar": (holds.pressures_lowest[:, i] / bar).tolist(),
-                    "pressures_at_highest_bar": (holds.pressures_highest[:, i] / bar).tolist(),
+                    "angle_deg": float(static.angles[i] / deg),
+                    "gravity_torque_Nm": float(static.torque[i]),
+                    "torque_range_Nm": [float(edge[i]) for edge in static.torque_range],
+                    "stiffness": [float(edge[i]) for edge in static.stiffness],
+                    "pressures_at_lowest_bar": (static.pressures_at_lowest[:, i] / bar).tolist(),
+                    "pressures_at_highest_bar": (static.pressures_at_highest[:, i] / bar).tolist(),
                 }
-                for i in holds.rows()
+                for i in static.table_rows()
             ],
-            "offers": [
+            "nearest": [
                 {
-                    "kept": offer.kept.name.lower(),
-                    "described": offer.describe(),
-                    "amplitude": offer.amplitude,
-                    "speed": offer.speed,
-                    "shift_deg": offer.shift / deg,
-                    "step_spread_s": offer.spread,
-                    "stiffness_change": offer.stiffness_change,
-                    "angle_deg": [offer.following.motion.angle.min() / deg, offer.following.motion.angle.max() / deg],
-                    "stiffness": [offer.following.motion.stiffness.min(), offer.following.motion.stiffness.max()],
+                    "preserved": near.preserved.name.lower(),
+                    "described": near.describe(),
+                    "amplitude": near.amplitude,
+                    "speed": near.speed,
+                    "shift_deg": near.shift / deg,
+                    "step_smoothing_s": near.step_smoothing,
+                    "stiffness_change": near.stiffness_change,
+                    "angle_deg": [motion.angle.min() / deg, motion.angle.max() / deg],
+                    "stiffness": [motion.stiffness.min(), motion.stiffness.max()],
                 }
-                for offer in self.offers
+                for near in self.nearest
+                for motion in [near.trackability.trajectory]
             ],
         }
 
 
-def envelope(scenario: Scenario, *, margin: float = 0.05, rounding: float | None = None) -> Envelope:
-    """What a scenario's joint can hold, whether its reference can be followed, and the nearest that can.
+def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | None = None) -> Envelope:
+    """Compute static envelope, trackability and nearest feasible references of a scenario.
 
     Parameters
     ----------
     scenario
-        Its joint, load, valve, reference and times; the controller does not matter.
+        Joint, load, valve, reference and times; the controller does not matter.
     margin
-        Of the nearest references, see `nearest_references`.
-    rounding
-        Of jumps and corners [s], see `follow`.
+        See `nearest_references`.
+    smoothing
+        Of jumps and corners [s], see `check_trackability`.
 
     Raises
     ------
     RangeError
-        If the margin or the rounding make no sense.
+        If the margin or the smoothing is out of range.
 
     Examples
     --------
     >>> found = envelope(Scenario.read("examples/pre-contracted-step-pid.yaml"))
-    >>> found.following.reachable, found.offers
+    >>> found.trackability.trackable, found.nearest
     (True, ())
     >>> print(found.verdict())
-    the reference is within reach throughout: standing, with its inertia, and at the speed of the valve; a jump or
-    corner at 5 s rounded off over 16.6 ms
+    trackable throughout: statically, dynamically and within the rate limit of the valves; jump or corner at 5 s
+    smoothed over 16.6 ms
     """
     check_margin(margin)
     plant, reference = scenario.plant(), scenario.reference()
-    looking = Looking.at(plant, scenario.duration, scenario.control_period)
-    following = looking.follow(reference, rounding)
-    holds = holdable(plant, about=float(np.mean(following.motion.angle)))
-    held = holds.first <= holds.last
-    found = offers(looking, reference, following, margin) if held and not following.reachable else ()
-    return Envelope(scenario, holds, following, found)
+    checker = TrackabilityChecker.of(plant, scenario.duration, scenario.control_period)
+    checked = checker.check(reference, smoothing)
+    static = static_envelope(plant, about=float(np.mean(checked.trajectory.angle)))
+    searched = static.exists and not checked.trackable
+    return Envelope(scenario, static, checked, find_nearest(checker, reference, checked, margin) if searched else ())
+
+
+def save_reference(scenario: Scenario, found: FeasibleReference, folder: Path, name: str) -> list[str]:
+    """Write a scenario with a feasible reference, its samples as CSV beside it, and return the names of the files.
+
+    It starts at rest at the first angle and stiffness; a slower reference runs longer.
+    """
+    table = folder / f"{name}.csv"
+    signals = found.reference.angle, found.reference.stiffness
+    sampled = any(map(_is_sampled, signals))
+    if sampled:
+        _write_samples(table, found)
+    angle, stiffness = (_signal_record(signal, table) for signal in signals)
+    trajectory = found.trackability.trajectory
+    periods = math.ceil(scenario.duration / found.speed / scenario.control_period - 1e-9)
+    update = {
+        "name": f"{scenario.name[:150]}, nearest, {found.preserved.name.lower()} preserved",
+        "signals": ReferenceSpec.model_validate({"angle": angle, "stiffness": stiffness}),
+        "start": StartSpec(angle=float(trajectory.angle[0]), stiffness=float(trajectory.stiffness[0])),
+        "duration": scenario.duration if found.speed == 1 else periods * scenario.control_period,
+    }
+    changed = scenario.model_copy(update=update)
+    if not _has_initial_state(changed):  # a reference that begins in motion may need a torque that rest does not have
+        changed = changed.model_copy(update={"start": StartSpec(angle=float(trajectory.angle[0]))})
+    changed.to_yaml(folder / f"{name}.yaml")
+    return [f"{name}.yaml", *([table.name] if sampled else [])]
+
+
+def save_design(scenario: Scenario, found: Design, path: Path) -> bool:
+    """Write a scenario with the lengths of a design; False if a scenario cannot hold one of them.
+
+    The initial stiffness is dropped where it is no longer attainable.
+    """
+    if not set(found.lengths) <= set(_ADDRESSES):
+        return False
+    changed = with_values(scenario, {_ADDRESSES[name]: value for name, value in found.lengths.items()})
+    if not _has_initial_state(changed):
+        changed = changed.model_copy(update={"start": StartSpec(angle=scenario.start.angle)})
+    changed.to_yaml(path)
+    return True
+
+
+def _has_initial_state(scenario: Scenario) -> bool:
+    try:
+        scenario.initial(scenario.plant())
+    except (UnreachableError, ValueError):
+        return False
+    return True
+
+
+def _is_sampled(signal: Signal) -> bool:
+    return not isinstance(signal, Constant | Sine | Multisine | Step)
+
+
+def _write_samples(path: Path, found: FeasibleReference) -> None:
+    columns = {"time_s": found.times}
+    for title, signal, unit in (
+        ("angle_deg", found.reference.angle, deg),
+        ("stiffness_N*m/rad", found.reference.stiffness, 1.0),
+    ):
+        if _is_sampled(signal):
+            columns[title] = np.asarray(signal(found.times), float) / unit
+    with atomic_write(path, overwrite=True) as part, part.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([f"{value:.9g}" for value in row] for row in zip(*columns.values(), strict=True))
+
+
+def _signal_record(signal: Signal, table: Path) -> dict[str, Any]:
+    """A signal as in a scenario, in SI."""
+    match signal:
+        case Constant():
+            return {"constant": float(signal.value)}
+        case Step():
+            return {"step": {name: float(getattr(signal, name)) for name in ("before", "after", "at")}}
+        case Sine():
+            names = ("amplitude", "frequency", "offset", "phase")
+            return {"sine": {name: float(getattr(signal, name)) for name in names}}
+        case Multisine():
+            lists = {name: tuple(map(float, getattr(signal, name))) for name in ("amplitudes", "frequencies", "phases")}
+            given = {name: values for name, values in lists.items() if values}
+            return {"multisine": {**given, "offset": float(signal.offset)}}
+    return {"samples": {"file": table}}
 
 
 def _pressures(pair: np.ndarray) -> str:
-    return ", ".join(f"{_small(float(p) / bar):.3g}" for p in pair) + " bar"
+    return ", ".join(f"{_rounded(float(p) / bar):.3g}" for p in pair) + " bar"
 
 
-def _small(value: float) -> float:
-    """Without what is left of rounding, nor a negative zero."""
+def _rounded(value: float) -> float:
+    """Six decimals, without a negative zero."""
     return round(value, 6) + 0.0

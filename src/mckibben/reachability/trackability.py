@@ -1,276 +1,375 @@
-"""Can a reference be followed: standing, with the inertia of its motion, and at the speed of the valve."""
+"""Trackability of a reference: statically, dynamically and within the rate limit of the valves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.control import Reference
+from mckibben.control import Reference, Step
 from mckibben.errors import RangeError
-from mckibben.joint.attainable import is_affine
+from mckibben.joint.attainable import cocontraction_segment, is_affine
+from mckibben.numerics.compiled import compiled
+from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
-from mckibben.reachability.bands import Bands, Range, bands_along
-from mckibben.reachability.motion import Motion, Values, kinks, motion_of, near, rounded
+from mckibben.reachability.static import SEGMENT_MARGIN, AttainableRange, scan_points
+from mckibben.reachability.trajectory import (
+    ReferenceTrajectory,
+    Values,
+    breakpoints,
+    is_near,
+    reference_trajectory,
+    smoothed,
+)
+from mckibben.simulation.feasibility import attainable_band
 from mckibben.simulation.loop import sampling_times
 from mckibben.units import deg
 
-MOST_ROUNDING = 0.25
-"""s: the longest time over which a jump or corner is rounded off before it counts as out of reach."""
+MAX_SMOOTHING = 0.25
+"""s: widest smoothing of a jump or corner before it counts as not trackable."""
 
-_FINEST = 4e-3  # s
-_RUNGS = 13  # of the search for it: a longer one may do worse, where samples move fast
-_MANY = 20  # corners: then they are samples of something smooth
-_MOST_SCANNED = 400  # moments, for joints whose bands have to be scanned
+_MIN_SMOOTHING = 4e-3  # s
+_SMOOTHING_TRIALS = 13  # geometric ladder: a wider one may do worse, where samples move fast
+_DENSE = 20  # corners: beyond, they are samples of something smooth
+_MAX_SCANNED = 400  # samples, for joints whose stiffness ranges have to be scanned
+_PRESSURE_TOLERANCE = 1e-3  # Pa
 
 
-@dataclass(frozen=True)
-class Following:
-    """A reference held against what a plant can follow.
+class StiffnessBands(NamedTuple):
+    """Attainable stiffness along a reference trajectory.
 
     Attributes
     ----------
-    motion
-        The reference, its jumps and corners rounded off.
-    bands
-        The stiffness that can be held along it.
-    sharp
-        Where its jumps and corners are [s].
-    rounded_enough
-        Whether their rounding is enough for what lies within its reach.
-    deviation
-        How far the rounding moves the angle [rad] away from the jumps at most.
+    torque
+        Muscle torque of the motion [N*m].
+    static
+        Attainable stiffness at rest at each angle [N*m/rad].
+    dynamic
+        With the torque of the motion.
+    rate_limited
+        With that torque, and commands that the valves pass.
     """
 
-    motion: Motion
-    bands: Bands
-    sharp: Values
-    rounded_enough: bool
+    torque: Values
+    static: AttainableRange
+    dynamic: AttainableRange
+    rate_limited: AttainableRange
+
+
+def bands_along(plant: JointPlant, trajectory: ReferenceTrajectory) -> StiffnessBands:
+    """Compute the attainable stiffness at each sample of a trajectory.
+
+    Exact for rigid tendons and laws affine in pressure. Otherwise 41 states of each sample are scanned with linear
+    interpolation between, and a band spans the lowest to the highest attainable value. Muscle friction is neglected.
+    Valves are those whose rate is affine in the command, or ideal ones.
+    """
+    motion = trajectory.angle, trajectory.velocity, trajectory.acceleration, trajectory.jerk
+    states = _states(plant, *motion, trajectory.stiffness_rate, scan_points(plant))
+    torque, low, high, feasible, stiffness, *commands = (np.asarray(x) for x in states)
+    stiffness = np.where(np.broadcast_to(feasible, stiffness.shape), stiffness, np.nan)
+    domains = [muscle.specimen.domain for muscle in (plant.joint.muscle1, plant.joint.muscle2)]
+    limits = [(float(domain.pressure_min), float(domain.pressure_max)) for domain in domains]
+    return StiffnessBands(
+        torque, AttainableRange(low, high), _range_of(stiffness), _within_limits(stiffness, commands, limits)
+    )
+
+
+@compiled
+def _states(
+    plant: JointPlant,
+    angle: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    jerk: ArrayLike,
+    stiffness_rate: ArrayLike,
+    points: ArrayLike,
+) -> tuple[Array, ...]:
+    """Torque, static band, feasibility, and stiffness and commands of shape (points, samples)."""
+    joint, load = plant.joint, plant.load
+    angle, velocity, acceleration, jerk, points = map(floating, (angle, velocity, acceleration, jerk, points))
+    inertia, damping = load.total_inertia, load.damping
+    torque = inertia * acceleration + damping * velocity - load.gravity_torque(angle)
+    torque_rate = inertia * jerk + damping * acceleration + load.gravity_stiffness(angle) * velocity
+    segment = cocontraction_segment(joint, angle, torque, None, 0.0)
+    tension = segment.first + (segment.last - segment.first) * points[:, None]
+
+    def state(angle: Array, torque: Array, tension1: Array) -> tuple[Array, Array, Array]:
+        paths, arms = joint.geometry.paths_and_arms(angle)
+        tension2 = (torque + tension1 * arms[0]) / arms[1]
+        pressures = (
+            joint.tendon.pressure_for(joint.muscle1, paths[0], tension1),
+            joint.tendon.pressure_for(joint.muscle2, paths[1], tension2),
+        )
+        return *pressures, joint.stiffness(angle, pressures)
+
+    at = jnp.broadcast_arrays(angle, torque, tension)
+    zero, one = jnp.zeros_like(tension), jnp.ones_like(tension)
+    moving = (*jnp.broadcast_arrays(velocity, torque_rate, tension)[:2], zero)
+    tangents = tuple(jnp.stack(pair) for pair in zip(moving, (zero, zero, one), strict=True))
+    values, rates = jax.vmap(lambda *tangent: jax.jvp(state, tuple(at), tangent), out_axes=(None, 0))(*tangents)
+    by_motion, by_tension = ([rate[k] for rate in rates] for k in (0, 1))
+    tension_rate = (stiffness_rate - by_motion[2]) / by_tension[2]
+    commands = (plant.valve.command_for(values[i], by_motion[i] + by_tension[i] * tension_rate) for i in range(2))
+    return torque, *attainable_band(plant, angle), segment.feasible, values[2], *commands
+
+
+def _within_limits(stiffness: Values, commands: list[Values], limits: list[tuple[float, float]]) -> AttainableRange:
+    """Range of stiffness over the states with commands within limits, linear between neighbouring scan points."""
+    start, end = np.zeros(stiffness[1:].shape), np.ones(stiffness[1:].shape)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for command, (low, high) in zip(commands, limits, strict=True):
+            first, rise = command[:-1], np.diff(command, axis=0)
+            for bound, sign in ((low, 1.0), (high, -1.0)):  # sign (first + rise x - bound) >= 0
+                here, slope = sign * (first - bound), sign * rise
+                level = slope == 0
+                crossing = -here / np.where(level, 1.0, slope)
+                start = np.where(~level & (slope > 0), np.fmax(start, crossing), start)
+                end = np.where(~level & (slope < 0), np.fmin(end, crossing), end)
+                out = (level & (here < -_PRESSURE_TOLERANCE)) | ~np.isfinite(here) | ~np.isfinite(slope)
+                start = np.where(out, np.inf, start)
+        feasible = start <= end + SEGMENT_MARGIN * 10
+        ends = [np.where(feasible, stiffness[:-1] + np.diff(stiffness, axis=0) * x, np.nan) for x in (start, end)]
+    return _range_of(np.concatenate(ends))
+
+
+def _range_of(values: Values) -> AttainableRange:
+    """Minimum and maximum over the first axis, NaN ignored."""
+    return AttainableRange(np.asarray(np.fmin.reduce(values), float), -np.asarray(np.fmin.reduce(-values), float))
+
+
+@dataclass(frozen=True)
+class Trackability:
+    """Result of the trackability check of a reference.
+
+    Attributes
+    ----------
+    trajectory
+        The reference with jumps and corners smoothed.
+    bands
+        Attainable stiffness along it.
+    breakpoints
+        Times of its jumps and corners [s].
+    smoothing_sufficient
+        Whether the smoothed jumps and corners are trackable.
+    deviation
+        Largest deviation of the angle [rad] by smoothing, away from jumps.
+    """
+
+    trajectory: ReferenceTrajectory
+    bands: StiffnessBands
+    breakpoints: Values
+    smoothing_sufficient: bool
     deviation: float
 
     @property
-    def failing(self) -> NDArray[np.bool_]:
-        """The moments at which the reference cannot be followed, shape (moments,)."""
-        return ~(self.bands.driven.missing(self.motion.stiffness) == 0)
+    def violated(self) -> NDArray[np.bool_]:
+        """Mask of the samples that are not trackable, shape (samples,)."""
+        return ~(self.bands.rate_limited.violation(self.trajectory.stiffness) == 0)
 
     @property
-    def reachable(self) -> bool:
-        """Whether all of it can be followed."""
-        return not self.failing.any()
+    def trackable(self) -> bool:
+        """Whether all samples are trackable."""
+        return not self.violated.any()
 
     def describe(self) -> str:
-        """Whether, and if not when, why and by how much, in plain words."""
-        static, inertial, driven = (
-            band.missing(self.motion.stiffness) for band in (self.bands.static, self.bands.inertial, self.bands.driven)
-        )
+        """Verdict in words: which condition is violated, when and by how much."""
+        bands, desired = self.bands, self.trajectory.stiffness
+        static, dynamic, limited = (b.violation(desired) for b in (bands.static, bands.dynamic, bands.rate_limited))
         sentences = []
-        still = ~(static == 0) & ~(inertial == 0)
-        if still.any():
-            sentences.append(f"even standing still, {_lost(self.motion, self.bands.static, static, still)}")
-        moved = (static == 0) & ~(inertial == 0)
-        if moved.any():
-            most = float(np.abs(self.bands.torque[moved]).max())
-            lost = _lost(self.motion, self.bands.inertial, inertial, moved)
-            sentences.append(f"with the torque of the motion, up to {most:.3g} N*m of the muscles, {lost}")
-        slow = (inertial == 0) & ~(driven == 0)
+        at_rest = ~(static == 0) & ~(dynamic == 0)
+        if at_rest.any():
+            sentences.append(f"not even statically trackable: {self._violations(bands.static, static, at_rest)}")
+        moving = (static == 0) & ~(dynamic == 0)
+        if moving.any():
+            most = float(np.abs(bands.torque[moving]).max())
+            violations = self._violations(bands.dynamic, dynamic, moving)
+            sentences.append(f"with the torque of the motion, up to {most:.3g} N*m: {violations}")
+        slow = (dynamic == 0) & ~(limited == 0)
         if slow.any():
-            sentences.append(f"at the speed of the valve {_lost(self.motion, self.bands.driven, driven, slow)}")
+            sentences.append(f"at the rate limit of the valves: {self._violations(bands.rate_limited, limited, slow)}")
         if not sentences:
-            carried = ~(static == 0)
-            standing = "standing, " if not carried.any() else ""
-            sentences.append(
-                f"the reference is within reach throughout: {standing}with its inertia, and at the speed of the valve"
-            )
-            if carried.any():
-                sentences.append(
-                    f"for {carried.mean():.0%} of the run only the torque of the motion brings it there: standing "
-                    "still, the same could not be held"
-                )
-        return "; ".join(sentences) + self._rounding()
+            only_moving = ~(static == 0)
+            statically = "" if only_moving.any() else "statically, "
+            sentences.append(f"trackable throughout: {statically}dynamically and within the rate limit of the valves")
+            if only_moving.any():
+                sentences.append(f"for {only_moving.mean():.0%} of the run dynamically only, not statically")
+        return "; ".join(sentences) + self._smoothing()
 
-    def _rounding(self) -> str:
-        if not self.sharp.size:
+    def _smoothing(self) -> str:
+        if not self.breakpoints.size:
             return ""
-        over = f"{self.motion.rounding * 1e3:.3g} ms"
-        moved = f" (by {self.deviation / deg:.2g} deg at most)" if self.deviation > 0.005 * deg else ""
-        many = f"a jump or corner at {self.sharp[0]:.3g} s" if self.sharp.size == 1 else f"{self.sharp.size} corners"
-        many = "its samples" if self.sharp.size > _MANY else many
-        if self.rounded_enough:
-            return f"; {many} rounded off over {over}{moved}"
-        return f"; {many} out of reach even if rounded off over {over}"
+        width = f"{self.trajectory.smoothing * 1e3:.3g} ms"
+        count = self.breakpoints.size
+        what = f"jump or corner at {self.breakpoints[0]:.3g} s" if count == 1 else f"{count} corners"
+        what = "samples" if count > _DENSE else what
+        if not self.smoothing_sufficient:
+            return f"; {what} not trackable even when smoothed over {width}"
+        moved = f", angle changed by up to {self.deviation / deg:.2g} deg" if self.deviation > 0.005 * deg else ""
+        return f"; {what} smoothed over {width}{moved}"
+
+    def _violations(self, band: AttainableRange, violation: Values, where: NDArray[np.bool_]) -> str:
+        """Violations of a band at the given samples, with their times and sizes."""
+        reference, sentences = self.trajectory, []
+        times = reference.times
+        infeasible, outside = where & np.isnan(violation), where & (violation > 0)
+        if infeasible.any():
+            first = int(np.flatnonzero(infeasible)[0])
+            sentences.append(
+                f"no pressures within limits give the torque {_period_of(times, infeasible)}, first at "
+                f"{times[first]:.3g} s ({reference.angle[first] / deg:.3g} deg)"
+            )
+        if outside.any():
+            worst = int(np.argmax(np.where(outside, violation, 0.0)))
+            sentences.append(
+                f"the stiffness is not attainable {_period_of(times, outside)}, by up to {violation[worst]:.3g} "
+                f"N*m/rad at {times[worst]:.3g} s (desired {reference.stiffness[worst]:.4g}, attainable "
+                f"{band.lowest[worst]:.4g}..{band.highest[worst]:.4g} N*m/rad at "
+                f"{reference.angle[worst] / deg:.3g} deg)"
+            )
+        return " and ".join(sentences)
 
 
-def _lost(motion: Motion, band: Range, missing: Values, where: NDArray[np.bool_]) -> str:
-    """What is missing at some moments, and when."""
-    times, sentences = motion.times, []
-    gone, short = where & np.isnan(missing), where & (missing > 0)
-    if gone.any():
-        first = int(np.flatnonzero(gone)[0])
-        sentences.append(
-            f"no pressures within limits will do {_when(times, gone)}, first at {times[first]:.3g} s "
-            f"({motion.angle[first] / deg:.3g} deg)"
-        )
-    if short.any():
-        worst = int(np.argmax(np.where(short, missing, 0.0)))
-        sentences.append(
-            f"the stiffness is out of reach {_when(times, short)}, by up to {missing[worst]:.3g} N*m/rad at "
-            f"{times[worst]:.3g} s (wanted {motion.stiffness[worst]:.4g}, attainable {band.lowest[worst]:.4g}.."
-            f"{band.highest[worst]:.4g} N*m/rad at {motion.angle[worst] / deg:.3g} deg)"
-        )
-    return " and ".join(sentences)
-
-
-def _when(times: Values, where: NDArray[np.bool_]) -> str:
+def _period_of(times: Values, where: NDArray[np.bool_]) -> str:
     at = np.flatnonzero(where)
-    part = f"{where.mean():.0%}" if where.mean() >= 0.005 else "under 1%"
-    return f"for {part} of the run, between {times[at[0]]:.3g} s and {times[at[-1]]:.3g} s"
+    fraction = f"{where.mean():.0%}" if where.mean() >= 0.005 else "under 1%"
+    return f"for {fraction} of the run, between {times[at[0]]:.3g} s and {times[at[-1]]:.3g} s"
 
 
-def follow(
+def check_trackability(
     plant: JointPlant,
     reference: Reference,
     *,
     duration: float = 10.0,
     control_period: float = 1e-3,
-    rounding: float | None = None,
-) -> Following:
-    """Hold a reference against what a plant can follow, from the joint, the load and the valve alone.
+    smoothing: float | None = None,
+) -> Trackability:
+    """Check whether a plant can track a reference, whatever the controller.
 
-    Three bands of stiffness along the reference: of the joint standing at the angle, as `check_reference` has it; with
-    the torque that the motion takes (inertia and damping of the load; no friction); and with commands that make the
-    valves follow, within the pressures that they let through. The last decides: the torque of a motion may bring
-    within reach what cannot be held standing. Not looked at are the way from rest to the reference at the start, and
-    what a controller needs to correct errors.
+    The desired stiffness is compared with three bands: static, as in `check_reference`; dynamic, with the torque of the
+    motion (inertia and damping of the load, no friction); and rate-limited, with commands that the valves pass. The
+    last one decides: in motion a stiffness may be attainable that is not so statically. The transient from rest to the
+    reference and the margin that a controller needs are not considered.
 
     Parameters
     ----------
     plant
         Joint, load and valve.
     reference
-        The wish.
+        Desired angle and stiffness.
     duration, control_period
-        The moments to look at [s]; some 400 of them where springs or bent laws make each one dear.
-    rounding
-        The time [s] over which jumps (of steps) and corners (of samples) are rounded off. Unless given, the least with
-        which they can be followed, up to a quarter of a second.
+        Of the run [s]; where springs or laws not affine in pressure require a scan, at most 400 samples are checked.
+    smoothing
+        Width [s] over which jumps and corners are smoothed; by default the narrowest that is trackable, up to 0.25 s.
 
     Raises
     ------
     SimulationError
-        If the times make no sense together.
+        If the control period does not divide the duration.
     RangeError
-        If the rounding is no positive time.
+        If the smoothing is not positive.
 
     Examples
     --------
     >>> from mckibben import FirstOrderValve, Sine, catalog
     >>> from mckibben.units import deg
     >>> printed = JointPlant(catalog.joint("knee-table-2"), catalog.load("knee-table-2"), FirstOrderValve(0.02))
-    >>> found = follow(printed, Reference(Sine(20 * deg, 0.5), 72.5), duration=2.0, control_period=0.01)
-    >>> found.reachable
+    >>> found = check_trackability(printed, Reference(Sine(20 * deg, 0.5), 72.5), duration=2.0, control_period=0.01)
+    >>> found.trackable
     False
     >>> print(found.describe())
-    even standing still, no pressures within limits will do for 65% of the run, ...
+    not even statically trackable: no pressures within limits give the torque for 65% of the run, ...
     """
-    return Looking.at(plant, duration, control_period).follow(reference, rounding)
+    return TrackabilityChecker.of(plant, duration, control_period).check(reference, smoothing)
 
 
 @dataclass(frozen=True)
-class Looking:
-    """A plant and the moments at which references are held against it: what many trials share.
+class TrackabilityChecker:
+    """Trackability checks of one plant at fixed sample times.
 
     Attributes
     ----------
     plant
         Joint, load and valve.
     times
-        All moments [s].
-    kept
-        The indices of those at which the bands are worked out.
+        All sample times [s].
+    checked
+        Indices of those that are checked.
     """
 
     plant: JointPlant
     times: Values
-    kept: NDArray[np.int_]
+    checked: NDArray[np.int_]
 
     @classmethod
-    def at(cls, plant: JointPlant, duration: float, control_period: float) -> Looking:
-        """The moments of a run."""
+    def of(cls, plant: JointPlant, duration: float, control_period: float) -> TrackabilityChecker:
+        """Checker for a run."""
         times = sampling_times(duration, control_period)
-        most = times.size if is_affine(plant.joint) else min(times.size, _MOST_SCANNED)
+        most = times.size if is_affine(plant.joint) else min(times.size, _MAX_SCANNED)
         return cls(plant, times, np.unique(np.linspace(0, times.size - 1, most).round().astype(int)))
 
     @property
     def period(self) -> float:
-        """The time between two moments [s]."""
+        """Sample period [s]."""
         return float(self.times[1]) if self.times.size > 1 else 1.0
 
-    def slower(self, speed: float) -> Looking:
-        """As many moments of a run that takes longer."""
-        return self if speed == 1 else Looking(self.plant, self.times / speed, self.kept)
+    def slowed(self, speed: float) -> TrackabilityChecker:
+        """Checker with as many samples of a slower, longer run."""
+        return self if speed == 1 else TrackabilityChecker(self.plant, self.times / speed, self.checked)
 
-    def motion(self, reference: Reference, rounding: float) -> Motion:
-        """A reference at the moments that are kept."""
-        whole = motion_of(reference, self.times, rounding=rounding)
-        series = {name: value[self.kept] for name, value in vars(whole).items() if name != "rounding"}
-        return Motion(**series, rounding=rounding)
+    def trajectory(self, reference: Reference, smoothing: float) -> ReferenceTrajectory:
+        """The reference trajectory at the checked samples."""
+        whole = reference_trajectory(reference, self.times, smoothing=smoothing)
+        series = {name: value[self.checked] for name, value in vars(whole).items() if name != "smoothing"}
+        return ReferenceTrajectory(**series, smoothing=smoothing)
 
-    def bands(self, motion: Motion) -> Bands:
-        """What can be held along it."""
-        return bands_along(self.plant, motion)
+    def static_trajectory(self, angle: Values) -> ReferenceTrajectory:
+        """Rest at each of the given angles."""
+        rest = np.zeros_like(angle)
+        return ReferenceTrajectory(self.times[self.checked], angle, rest, rest, rest, rest, rest, _MIN_SMOOTHING)
 
-    def sharp(self, reference: Reference) -> Values:
-        """Where a reference has jumps and corners [s]."""
-        return np.union1d(*(kinks(signal, self.times) for signal in (reference.angle, reference.stiffness)))
+    def breakpoints(self, reference: Reference) -> Values:
+        """Jumps and corners of a reference [s]."""
+        return np.union1d(*(breakpoints(signal, self.times) for signal in (reference.angle, reference.stiffness)))
 
-    def rounding_for(self, reference: Reference) -> tuple[float, bool]:
-        """The least rounding [s] with which jumps and corners can be followed, to a part in 20; and whether it does."""
-        sharp = self.sharp(reference)
-        if not sharp.size:
-            return _FINEST, True
+    def smoothing_for(self, reference: Reference) -> tuple[float, bool]:
+        """The narrowest trackable smoothing [s] of jumps and corners, within 5 %; and whether there is one."""
+        at = self.breakpoints(reference)
+        if not at.size:
+            return _MIN_SMOOTHING, True
 
-        def followed(rounding: float) -> bool:
-            motion = self.motion(reference, rounding)
-            short = self.bands(motion).driven.missing(motion.stiffness)
-            return not np.any(near(motion.times, sharp, rounding / 2 + self.period) & ~(short == 0))
+        def is_trackable(smoothing: float) -> bool:
+            trajectory = self.trajectory(reference, smoothing)
+            violation = bands_along(self.plant, trajectory).rate_limited.violation(trajectory.stiffness)
+            return not np.any(is_near(trajectory.times, at, smoothing / 2 + self.period) & ~(violation == 0))
 
-        apart = float(self.times[-1]) / max(self.kept.size - 1, 1)
-        finest = min(max(_FINEST, 4 * apart), MOST_ROUNDING)  # what is rounded off has to be looked at a few times
-        ladder = np.geomspace(finest, MOST_ROUNDING, _RUNGS)
-        rung = next((k for k, rounding in enumerate(ladder) if followed(float(rounding))), None)
-        if rung is None:
-            return MOST_ROUNDING, False
-        low, high = float(ladder[max(rung - 1, 0)]), float(ladder[rung])
+        spacing = float(self.times[-1]) / max(self.checked.size - 1, 1)
+        narrowest = min(max(_MIN_SMOOTHING, 4 * spacing), MAX_SMOOTHING)  # several checked samples within it
+        trials = np.geomspace(narrowest, MAX_SMOOTHING, _SMOOTHING_TRIALS)
+        index = next((k for k, smoothing in enumerate(trials) if is_trackable(float(smoothing))), None)
+        if index is None:
+            return MAX_SMOOTHING, False
+        low, high = float(trials[max(index - 1, 0)]), float(trials[index])
         while high > 1.05 * low:
             middle = float(np.sqrt(low * high))
-            low, high = (low, middle) if followed(middle) else (middle, high)
+            low, high = (low, middle) if is_trackable(middle) else (middle, high)
         return high, True
 
-    def follow(self, reference: Reference, rounding: float | None = None) -> Following:
-        """See `follow`."""
-        if rounding is not None and not 0 < rounding < np.inf:
+    def check(self, reference: Reference, smoothing: float | None = None) -> Trackability:
+        """See `check_trackability`."""
+        if smoothing is not None and not 0 < smoothing < np.inf:
             raise RangeError(
-                f"the rounding is {rounding:g} s", value=rounding, lower=0.0, unit="s", remedy="give a positive time"
+                f"the smoothing is {smoothing:g} s", value=smoothing, lower=0.0, unit="s", remedy="give a positive time"
             )
-        chosen, enough = self.rounding_for(reference) if rounding is None else (rounding, True)
-        motion = self.motion(reference, chosen)
-        bands = self.bands(motion)
-        sharp = self.sharp(reference)
-        angle = np.asarray(reference.angle(motion.times), float)
-        plain = ~near(motion.times, kinks_of_jumps(reference, self.times), chosen)
-        moved = np.abs(rounded(reference.angle, self.times, chosen)[self.kept] - angle) if sharp.size else 0 * angle
-        deviation = float(np.max(moved, where=plain, initial=0.0))
-        return Following(motion, bands, sharp, enough, deviation)
-
-    def standing(self, angle: Values) -> Motion:
-        """No motion at angles."""
-        still = np.zeros_like(angle)
-        return Motion(self.times[self.kept], angle, still, still, still, still, still, _FINEST)
-
-
-def kinks_of_jumps(reference: Reference, times: Values) -> Values:
-    """Where the angle jumps [s]: there a rounding moves it far, and that is its purpose."""
-    from mckibben.control import Step
-
-    return kinks(reference.angle, times) if isinstance(reference.angle, Step) else np.empty(0)
+        width, sufficient = self.smoothing_for(reference) if smoothing is None else (smoothing, True)
+        trajectory = self.trajectory(reference, width)
+        at = self.breakpoints(reference)
+        angle = np.asarray(reference.angle(trajectory.times), float)
+        jumps = breakpoints(reference.angle, self.times) if isinstance(reference.angle, Step) else np.empty(0)
+        change = np.abs(smoothed(reference.angle, self.times, width)[self.checked] - angle) if at.size else 0 * angle
+        deviation = float(np.max(change, where=~is_near(trajectory.times, jumps, width), initial=0.0))
+        return Trackability(trajectory, bands_along(self.plant, trajectory), at, sufficient, deviation)

@@ -1,27 +1,28 @@
-"""The joint rig: the controllers of the simulation on a joint that is there, or on one that runs as if it were."""
+"""The joint rig: controllers in real time on a physical or a simulated joint."""
 
 from mckibben.realtime.compiled_step import ControlProgram, compute_in_this_thread
 from mckibben.realtime.config import JointRig, Wiring
-from mckibben.realtime.limits import Course, Ending, JointLimits, Shown
-from mckibben.realtime.loop import Timing
-from mckibben.realtime.session import Ran, Session, control, prepared
-from mckibben.realtime.simulated import PERFECT, Sensing, VirtualJoint
+from mckibben.realtime.loop import RunOutcome, RunPlan, RunProgress, control
+from mckibben.realtime.record import Timing
+from mckibben.realtime.session import JointRunResult, JointSession, prepare
+from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
+from mckibben.rig.bench import JointLimits
 
 __all__ = [
     "PERFECT",
     "ControlProgram",
-    "Course",
-    "Ending",
     "JointLimits",
     "JointRig",
-    "Ran",
+    "JointRunResult",
+    "JointSession",
+    "RunOutcome",
+    "RunPlan",
+    "RunProgress",
     "Sensing",
-    "Session",
-    "Shown",
+    "SimulatedJoint",
     "Timing",
-    "VirtualJoint",
     "Wiring",
     "compute_in_this_thread",
     "control",
-    "prepared",
+    "prepare",
 ]

@@ -1,4 +1,4 @@
-"""Controller and joint as compiled functions of flat arrays."""
+"""Controller and plant as compiled functions of flat arrays."""
 
 from __future__ import annotations
 
@@ -24,14 +24,12 @@ _POINTS = 721
 
 
 def vented_angle(plant: JointPlant) -> float:
-    """The angle [rad] where gravity and empty muscles balance, the one nearest to 0 if there are more.
-
-    Friction and creep have no say in it: a joint may rest anywhere near.
+    """Equilibrium angle of the vented joint without friction and creep [rad]; the one nearest to 0 of several.
 
     Raises
     ------
     SimulationError
-        If there is none within 90 deg either way.
+        If there is none within +-90 deg.
 
     Examples
     --------
@@ -40,20 +38,20 @@ def vented_angle(plant: JointPlant) -> float:
     >>> round(vented_angle(plant) / np.pi * 180, 1)
     0.6
     """
-    nearly = _zero(plant, -_FURTHEST, _FURTHEST)
+    coarse = _zero(plant, -_FURTHEST, _FURTHEST)
     width = 2 * _FURTHEST / (_POINTS - 1)
-    return _zero(plant, nearly - width, nearly + width)
+    return _zero(plant, coarse - width, coarse + width)
 
 
 def _zero(plant: JointPlant, low: float, high: float) -> float:
-    """Where the torque falls through zero, or stays there."""
+    """Angle at which the torque falls through zero."""
     angles = np.linspace(low, high, _POINTS)
     torque = np.asarray(_torque(plant, angles))
     stable = np.flatnonzero((torque[:-1] >= 0) & (torque[1:] <= 0))
     if not stable.size:
         raise SimulationError(
-            "the joint has no place to rest within 90 deg when both muscles are vented",
-            remedy="give it a load that hangs",
+            "the vented joint has no stable equilibrium within +-90 deg",
+            remedy="give it a load with a stable equilibrium",
         )
     at = stable[np.argmin(np.abs(angles[stable]))]
     drop = float(torque[at] - torque[at + 1])
@@ -69,20 +67,20 @@ def _torque(plant: JointPlant, angles: ArrayLike) -> Array:
 _ARRAYS = (jax.Array, np.ndarray, np.generic, jax.ShapeDtypeStruct)
 
 
-class Packing:
-    """Where the numbers of a tree lie in one array of 64-bit floats; flags and whole numbers come back as such.
+class FlatTree:
+    """Layout of the numeric leaves of a pytree in one array of 64-bit floats.
 
     Parameters
     ----------
     like
-        A tree of the structure; leaves that are no arrays are kept with it.
+        A tree of the structure; booleans and integers keep their types, other leaves are part of the layout.
 
     Examples
     --------
-    >>> packing = Packing((np.asarray(2.5), np.asarray([1, 2]), np.asarray(True)))
-    >>> packing.packed((np.asarray(2.5), np.asarray([1, 2]), np.asarray(True)))
+    >>> flat = FlatTree((np.asarray(2.5), np.asarray([1, 2]), np.asarray(True)))
+    >>> flat.pack((np.asarray(2.5), np.asarray([1, 2]), np.asarray(True)))
     array([2.5, 1. , 2. , 1. ])
-    >>> packing.unpacked(np.array([2.5, 1.0, 2.0, 1.0]))
+    >>> flat.unpack(np.array([2.5, 1.0, 2.0, 1.0]))
     (array(2.5), array([1, 2]), np.True_)
     """
 
@@ -92,13 +90,13 @@ class Packing:
         self._kinds = [(leaf.shape, leaf.dtype) if isinstance(leaf, _ARRAYS) else None for leaf in leaves]
         self.size = sum(math.prod(kind[0]) for kind in self._kinds if kind)
 
-    def packed(self, tree: Any, xp: Any = np) -> Any:
-        """The numbers of a tree, shape (size,)."""
+    def pack(self, tree: Any, xp: Any = np) -> Any:
+        """Numbers of a tree, shape (size,)."""
         leaves = [leaf for leaf, kind in zip(jax.tree.leaves(tree), self._kinds, strict=True) if kind]
         return xp.concatenate([xp.ravel(xp.asarray(leaf, float)) for leaf in leaves] or [xp.zeros(0)])
 
-    def unpacked(self, vector: Any) -> Any:
-        """The tree, of an array of shape (size,)."""
+    def unpack(self, vector: Any) -> Any:
+        """Tree of an array of shape (size,)."""
         leaves, at = [], 0
         for kind, fixed in zip(self._kinds, self._fixed, strict=True):
             if kind is None:
@@ -112,118 +110,117 @@ class Packing:
         return jax.tree.unflatten(self._structure, leaves)
 
 
-class Answer(NamedTuple):
-    """What a step of a controller gives: its next state, and ``[command1, command2, *telemetry]``."""
+class StepResult(NamedTuple):
+    """Next state of a controller, and ``[command1, command2, *telemetry]``."""
 
     state: Array
     values: NDArray[np.float64]
 
 
 class ControlProgram:
-    """The very controller of a simulation, one step a call.
+    """Compiled controller, the same as in a simulation, one step per call.
 
     Parameters
     ----------
     controller
-        Its numbers go along as arguments: another controller of the same structure would compile to the same.
+        Its parameters are arguments of the program.
 
     Attributes
     ----------
     telemetry
-        The names of what it reports of itself, in the order of the answers' values after the two commands.
+        Names of its telemetry, in the order of `StepResult.values` after the two commands.
     """
 
     def __init__(self, controller: Controller) -> None:
         controller = numeric(controller)
         zero: Any = jax.ShapeDtypeStruct((), float)
         state = jax.eval_shape(controller.init, Measurement(zero, (zero, zero)))
-        numbers, states = Packing(controller), Packing(state)
+        numbers, states = FlatTree(controller), FlatTree(state)
         self.telemetry = tuple(jax.eval_shape(controller.telemetry, state))
 
         def init(packed: Array, measured: Array) -> Array:
             angle, pressure1, pressure2 = measured
-            return states.packed(numbers.unpacked(packed).init(Measurement(angle, (pressure1, pressure2))), jnp)
+            return states.pack(numbers.unpack(packed).init(Measurement(angle, (pressure1, pressure2))), jnp)
 
-        def step(packed: Array, memory: Array, told: Array) -> tuple[Array, Array]:
-            control: Controller = numbers.unpacked(packed)
-            angle, stiffness, measured, pressure1, pressure2, period = told
-            wish, measurement = Setpoint(angle, stiffness), Measurement(measured, (pressure1, pressure2))
-            after, commands = control.step(states.unpacked(memory), wish, measurement, period)
+        def step(packed: Array, memory: Array, inputs: Array) -> tuple[Array, Array]:
+            control: Controller = numbers.unpack(packed)
+            angle, stiffness, measured, pressure1, pressure2, period = inputs
+            setpoint, measurement = Setpoint(angle, stiffness), Measurement(measured, (pressure1, pressure2))
+            after, commands = control.step(states.unpack(memory), setpoint, measurement, period)
             reported = control.telemetry(after)
             values = jnp.stack([jnp.asarray(x, float) for x in (*commands, *(reported[n] for n in self.telemetry))])
-            return states.packed(after, jnp), values
+            return states.pack(after, jnp), values
 
-        self._numbers = jnp.asarray(numbers.packed(controller))
-        self._init = _made(init, numbers.size, 3)
-        self._step = _made(step, numbers.size, states.size, 6)
+        self._numbers = jnp.asarray(numbers.pack(controller))
+        self._init = _compile(init, numbers.size, 3)
+        self._step = _compile(step, numbers.size, states.size, 6)
 
     def init(self, angle: float, pressure1: float, pressure2: float) -> Array:
-        """The state before the first step, as it takes over from an angle [rad] and pressures [Pa]."""
+        """Initial state at an angle [rad] and pressures [Pa]."""
         return self._init(self._numbers, np.array([angle, pressure1, pressure2]))
 
-    def step(self, state: Array, told: NDArray[np.float64]) -> Answer:
-        """One step.
+    def step(self, state: Array, inputs: NDArray[np.float64]) -> StepResult:
+        """Return the next state and the commands.
 
         Parameters
         ----------
         state
             From `init` or the last step.
-        told
-            Wished angle [rad] and stiffness [N*m/rad], measured angle [rad] and pressures [Pa], and the time [s] since
-            the last step; shape (6,).
+        inputs
+            Reference angle [rad] and stiffness [N*m/rad], measured angle [rad] and pressures [Pa], time since the last
+            step [s]; shape (6,).
         """
-        after, values = self._step(self._numbers, state, told)
-        return Answer(after, np.asarray(values))
+        after, values = self._step(self._numbers, state, inputs)
+        return StepResult(after, np.asarray(values))
 
 
 class PlantProgram:
-    """The plant of a simulation, over one stretch of time a call, under commands that are held.
+    """Compiled plant, one integration under constant commands per call.
 
     Parameters
     ----------
     plant
-        What is simulated.
+        The plant.
     substeps
-        Runge-Kutta steps a call.
+        Runge-Kutta steps per call.
     """
 
     def __init__(self, plant: JointPlant, substeps: int) -> None:
         plant = numeric(plant)
         still = jax.eval_shape(lambda: plant.init_state(0.0, (0.0, 0.0)))
-        numbers, self._states = Packing(plant), Packing(still)
+        numbers, self._states = FlatTree(plant), FlatTree(still)
         states = self._states
 
-        def over(packed: Array, state: Array, told: Array) -> Array:
-            joint: JointPlant = numbers.unpacked(packed)
-            return states.packed(joint.advance(states.unpacked(state), (told[0], told[1]), told[2], substeps), jnp)
+        def advance(packed: Array, state: Array, inputs: Array) -> Array:
+            joint: JointPlant = numbers.unpack(packed)
+            return states.pack(joint.advance(states.unpack(state), (inputs[0], inputs[1]), inputs[2], substeps), jnp)
 
-        self._numbers = jnp.asarray(numbers.packed(plant))
-        self._over = _made(over, numbers.size, states.size, 3)
+        self._numbers = jnp.asarray(numbers.pack(plant))
+        self._advance = _compile(advance, numbers.size, states.size, 3)
 
     def state(self, state: PlantState) -> NDArray[np.float64]:
-        """A state, packed: angle [rad], velocity [rad/s], both pressures [Pa], and what the muscles remember."""
-        return self._states.packed(state)
+        """Packed state: angle [rad], velocity [rad/s], both pressures [Pa], internal states of the muscles."""
+        return self._states.pack(state)
 
-    def over(self, state: Any, command1: float, command2: float, time: float) -> NDArray[np.float64]:
-        """The packed state after a time [s] under commands [Pa]."""
-        return np.asarray(self._over(self._numbers, state, np.array([command1, command2, time])))
+    def advance(self, state: Any, command1: float, command2: float, time: float) -> NDArray[np.float64]:
+        """Packed state after a time [s] under commands [Pa]."""
+        return np.asarray(self._advance(self._numbers, state, np.array([command1, command2, time])))
 
 
 def compute_in_this_thread() -> None:
-    """Have JAX compute on the CPU in the thread that asks, from now on; it has to come before anything is computed.
+    """Let JAX compute on the CPU in the calling thread; to be called before any computation.
 
-    Else each call of a program is handed to another thread, which costs more than a small program itself, and comes
-    back when the system lets that thread run.
+    By default another thread computes, which takes longer than a small program itself, and waits for the scheduler.
     """
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
-def _made(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
-    """Compiled beforehand, for arrays of these sizes, and for the CPU: no transfer is worth so little work.
+def _compile(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
+    """Compile a function for arrays of these sizes on the CPU.
 
-    The function becomes the body of a loop that is gone through once: XLA compiles a small loop as one piece, and all
-    else as dozens that it calls one after the other, which takes ten times longer than the work. How often it is gone
-    through is told at the call, and the arguments change with it, so that nothing is taken out of the loop.
+    The function becomes the body of a loop with one iteration: XLA compiles a small loop to one kernel, and other code
+    to dozens of calls, which take ten times longer than the work. The number of iterations is an argument, and the
+    other arguments depend on the iteration, so that nothing is hoisted out of the loop.
     """
     shapes = [jax.ShapeDtypeStruct((size,), float) for size in sizes]
 

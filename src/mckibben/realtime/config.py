@@ -7,21 +7,21 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben.config.fields import Angle, BoundedInt, Duration, PositiveTime, Pressure, PressureRate, Quantity, Title
+from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
-from mckibben.errors import Problem, RigError, StoppedError
-from mckibben.rig.backend import Backend, Channel
+from mckibben.errors import Problem, RigError
+from mckibben.rig.backend import AnalogChannel, Backend
 from mckibben.rig.calibration import Calibration
 from mckibben.study.rig.steps import JsonPath, Wait
-from mckibben.units import bar, deg
+from mckibben.units import Angle, BoundedInt, Duration, PositiveTime, Pressure, PressureRate, Quantity, bar, deg
 
 
-class Reading(NamedTuple):
-    """What the sensors of a joint say at one time: angle [rad], gauge pressures [Pa]."""
+class JointReading(NamedTuple):
+    """Measured angle [rad] and gauge pressures [Pa]."""
 
     angle: float
     pressure1: float
@@ -29,7 +29,7 @@ class Reading(NamedTuple):
 
 
 class _Line(NamedTuple):
-    """One sensor: its column, its straight line, and the volts between which it works."""
+    """Column and calibration of a sensor, and its working range [V]."""
 
     name: str
     column: int
@@ -42,9 +42,9 @@ class _Line(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Wiring:
-    """The calibrations of a joint's three sensors and two valves, each under the name of its channel.
+    """Calibrations of the three sensors and two valves of a joint, by channel.
 
-    The ones given here are those of common devices: a potentiometer of 340 deg on 10 V, pressure sensors with 1 to 5 V
+    Defaults are those of common devices: a potentiometer of 340 deg on 10 V, pressure sensors with 1 to 5 V
     for 0 to 10 bar, and regulators (ITV0050 class) that give 9 bar at 10 V.
     """
 
@@ -62,12 +62,12 @@ class Wiring:
 
     @property
     def sensors(self) -> tuple[Calibration, Calibration, Calibration]:
-        """Of angle and pressures, in this order."""
+        """Calibrations of angle and pressures."""
         return self.angle, self.pressure1, self.pressure2
 
     @property
     def valves(self) -> tuple[Calibration, Calibration]:
-        """Of both valves."""
+        """Calibrations of both valves."""
         return self.valve1, self.valve2
 
     def to_json(self) -> dict[str, Any]:
@@ -75,12 +75,12 @@ class Wiring:
         return {field.name: getattr(self, field.name).to_json() for field in fields(self)}
 
     def connected(self, backend: Backend) -> Connected:
-        """The sensors and valves of a backend.
+        """Calibrations on the channels of a backend.
 
         Raises
         ------
         RigError
-            If one of them is not there; it names all.
+            If channels are missing.
         """
         inputs, outputs = [one.name for one in backend.inputs], [one.name for one in backend.outputs]
         missing = [c.name for c in self.sensors if c.name not in inputs]
@@ -95,9 +95,9 @@ class Wiring:
 
 
 class Connected:
-    """A wiring on the channels of a backend: plain numbers, for a loop that has a millisecond."""
+    """Calibrations on the channels of a backend, as plain floats for the real-time loop."""
 
-    def __init__(self, wiring: Wiring, inputs: Sequence[Channel], outputs: Sequence[Channel]) -> None:
+    def __init__(self, wiring: Wiring, inputs: Sequence[AnalogChannel], outputs: Sequence[AnalogChannel]) -> None:
         self.wiring = wiring
         names = [one.name for one in inputs]
         self._lines = [_line(c, names.index(c.name), inputs) for c in wiring.sensors]
@@ -112,35 +112,12 @@ class Connected:
         self._outputs = outputs
 
     def picked(self, volts: Sequence[float]) -> list[float]:
-        """Of the volts of all inputs those of angle and pressures, in this order."""
+        """Volts of angle and pressures, of those of all inputs."""
         return [volts[line.column] for line in self._lines]
 
-    def read(self, volts: Sequence[float]) -> Reading:
-        """The reading of one sample, the volts of all inputs.
-
-        Raises
-        ------
-        StoppedError
-            If a sensor is lost.
-        """
-        values = []
-        for name, column, gain, offset, tare, low, high in self._lines:
-            signal = volts[column]
-            if not low < signal < high:  # NaN too
-                raise StoppedError(
-                    f"the sensor of {name} is lost: it gives {signal:.4g} V, a working one {low:.4g} to {high:.4g} V",
-                    value=signal,
-                    lower=low,
-                    upper=high,
-                    unit="V",
-                    remedy="check its plug and its supply",
-                )
-            values.append((signal - offset) * gain - tare)
-        return Reading(*values)
-
-    def seen(self, volts: Sequence[float]) -> Reading:
-        """The reading of one sample; NaN where a sensor is lost."""
-        return Reading(
+    def seen(self, volts: Sequence[float]) -> JointReading:
+        """Reading of one sample; NaN for a lost sensor."""
+        return JointReading(
             *(
                 (volts[line.column] - line.offset) * line.gain - line.tare
                 if line.low < volts[line.column] < line.high
@@ -150,7 +127,7 @@ class Connected:
         )
 
     def volts(self, commands: Sequence[float]) -> list[float]:
-        """The signals for commands [Pa] of muscles 1 and 2, in the order of the outputs."""
+        """Signals of the outputs [V] for commands of muscles 1 and 2 [Pa]."""
         signals = [
             (command + valve.tare) / valve.gain + valve.offset
             for command, valve in zip(commands, self.wiring.valves, strict=True)
@@ -159,13 +136,13 @@ class Connected:
         return [signals[i] for i in self._order]
 
     def check(self, low: float, high: float) -> list[Problem]:
-        """What stands against commands [Pa] from low to high."""
+        """Violations of commands from low to high [Pa]."""
         assert self._order is not None
         channels = {channel.name: channel for channel in self._outputs}
         return [problem for c in self.wiring.valves for problem in c.check(low, high, channels[c.name])]
 
 
-def _line(calibration: Calibration, column: int, inputs: Sequence[Channel]) -> _Line:
+def _line(calibration: Calibration, column: int, inputs: Sequence[AnalogChannel]) -> _Line:
     low, high = calibration.limits
     low, high = max(low, inputs[column].low), min(high, inputs[column].high)
     return _Line(calibration.name, column, calibration.gain, calibration.offset, calibration.tare, low, high)
@@ -176,8 +153,8 @@ _Noise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3)]
 _Turning = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e5, open_lower=True)]
 
 
-class BenchSpec(ConfigModel):
-    """The virtual joint: how well it is measured, see `Sensing`. It is the scenario's own plant."""
+class SimulatedJointSpec(ConfigModel):
+    """Sensors of the simulated joint, see `Sensing`; the joint is the scenario's own plant."""
 
     angle_step: _Step | None = None
     pressure_noise: _Noise | None = None
@@ -185,7 +162,7 @@ class BenchSpec(ConfigModel):
 
 
 class JointCardSpec(ConfigModel):
-    """A card of National Instruments: its terminals, and the file of the five calibrations."""
+    """Terminals of an NI card, and the file of the five calibrations."""
 
     device: str
     angle: str = "ai0"
@@ -200,10 +177,9 @@ class JointCardSpec(ConfigModel):
 
 
 class JointLimitsSpec(ConfigModel):
-    """What may not be exceeded, see `JointLimits`.
+    """Safety limits, see `JointLimits`.
 
-    Unless given, the angle may go 10 deg beyond the wishes, the start, and where the joint hangs without air; the
-    pressure 5 % beyond what the specimens are rated for.
+    Defaults: angle 10 deg beyond the references, the start and the vented joint; pressure 5 % above the rated one.
     """
 
     lowest_angle: Angle | None = None
@@ -219,31 +195,27 @@ class JointLimitsSpec(ConfigModel):
 
 
 class ApproachSpec(ConfigModel):
-    """How the joint is brought to its start.
-
-    In `raising` the pressures go to those of the start along a straight line; in `settling` the controller holds the
-    first wish.
-    """
+    """Approach: in `raising` the pressures are ramped to the start, in `settling` the first reference is held."""
 
     raising: Wait = 2.0
     settling: Wait = 2.0
 
 
 class JointRig(ConfigModel):
-    """What a scenario is run on; in SI, `read` knows the units.
+    """Configuration of a joint rig, in SI; `read` reads a file with units.
 
     Attributes
     ----------
     name
-        What it is, in a few words.
-    virtual, nidaqmx
+        Short description.
+    simulated, nidaqmx
         One of them.
     limits
-        What may not be exceeded.
+        Safety limits.
     approach
-        How the joint is brought to its start.
+        From the vented joint to the start of the run.
     patience
-        How long the rig waits for the host before it vents by itself [s].
+        Timeout of the watchdog [s].
 
     Examples
     --------
@@ -252,14 +224,16 @@ class JointRig(ConfigModel):
     (2.0, 0.1)
     """
 
-    name: Title = Field("virtual joint", examples=["knee on the bench"])
-    virtual: BenchSpec | None = None
+    renamed: ClassVar = {"virtual": "simulated"}
+
+    name: Title = Field("simulated joint", examples=["knee on the bench"])
+    simulated: SimulatedJointSpec | None = None
     nidaqmx: JointCardSpec | None = Field(None, validate_default=True)
     limits: JointLimitsSpec = JointLimitsSpec()
     approach: ApproachSpec = ApproachSpec()
     patience: Duration = 0.1
 
-    @field_validator("virtual", mode="before")
+    @field_validator("simulated", mode="before")
     @classmethod
     def _word_alone(cls, value: Any) -> Any:
         return {} if value == "" else value
@@ -267,10 +241,10 @@ class JointRig(ConfigModel):
     @field_validator("nidaqmx", mode="after")
     @classmethod
     def _one(cls, value: Any, info: ValidationInfo) -> Any:
-        virtual = info.data.get("virtual", "wrong")
-        if (virtual is None) == (value is None):
-            what = "is virtual and nidaqmx at once" if value is not None else "has no rig"
-            fail_validation(what, "give one of virtual, nidaqmx", parent=True)
+        simulated = info.data.get("simulated", "wrong")
+        if (simulated is None) == (value is None):
+            what = "is simulated and nidaqmx at once" if value is not None else "has no rig"
+            fail_validation(what, "give one of simulated, nidaqmx", parent=True)
         return value
 
     @classmethod
@@ -286,5 +260,5 @@ class JointRig(ConfigModel):
         return parse_model(cls, text, source=os.fspath(path), folder=Path(path).parent)[0]
 
     def to_json(self) -> dict[str, Any]:
-        """What was given, with units, for the record."""
+        """Explicit fields with units, for the record."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True, context={"folder": Path()})

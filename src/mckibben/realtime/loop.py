@@ -1,4 +1,4 @@
-"""The real-time control loop and its timing."""
+"""The real-time control loop of a joint rig."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,42 +18,137 @@ from numpy.typing import NDArray
 
 from mckibben.errors import McKibbenError, RigError, SignalledError, StoppedError
 from mckibben.realtime.compiled_step import ControlProgram
-from mckibben.realtime.config import Connected, Reading
-from mckibben.realtime.limits import Course, Shown, Watch
-from mckibben.realtime.record import Phase, Rows
-from mckibben.rig.backend import Backend
+from mckibben.realtime.config import Connected, JointReading, Wiring
+from mckibben.realtime.record import Phase, RowBuffer
+from mckibben.rig.backend import Backend, Block
+from mckibben.rig.bench import JointLimits
+from mckibben.rig.recorder import Recorder
+from mckibben.rig.safety import JointMonitor
 from mckibben.storage.interruption import handle_signals
 from mckibben.units import bar
 
-_PRIORITY = 20  # of 1 to 99: above what is ordinary, below what keeps the machine going
+_PRIORITY = 20  # of 1 to 99: above ordinary processes, below those of the system
 _TIMER_SLACK = 29  # PR_SET_TIMERSLACK of Linux
-_SWITCH = 1e-4  # s: how long another thread may keep the interpreter to itself
+_SWITCH = 1e-4  # s: longest time for which another thread keeps the interpreter
+
+VENTED = 0.2 * bar
+"""Below this pressure [Pa] a muscle counts as vented."""
+
+_VENTING = 0.5  # s for which the venting is observed
+_MOST = 1000  # samples read at once
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """Plan of a run: approach and reference.
+
+    Attributes
+    ----------
+    references
+        Angle [rad] and stiffness [N*m/rad] at the start of each control period, shape (periods, 2).
+    period
+        The control period [s].
+    raising
+        Number of periods in which the pressures are ramped to `pressures`, without the controller.
+    settling
+        Number of periods in which the controller holds the first reference before the run.
+    pressures
+        Pressures at the end of the ramp [Pa].
+    command_limits
+        Range of the commands of each muscle [Pa]: (lowest, highest), (lowest, highest).
+    """
+
+    references: NDArray[np.float64]
+    period: float
+    raising: int
+    settling: int
+    pressures: tuple[float, float]
+    command_limits: tuple[tuple[float, float], tuple[float, float]]
+
+    @property
+    def periods(self) -> int:
+        """Number of periods of ramp, settling and run."""
+        return self.raising + self.settling + len(self.references)
+
+    def phase(self, number: int) -> Phase:
+        """Phase of a period."""
+        if number < self.raising:
+            return Phase.RAISING
+        if number < self.raising + self.settling:
+            return Phase.SETTLING
+        return Phase.RUN if number < self.periods else Phase.VENTING
+
+
+class RunProgress(NamedTuple):
+    """Progress of a run: time and duration [s], phase, reading, reference angle [rad], missed deadlines."""
+
+    time: float
+    duration: float
+    phase: Phase
+    reading: JointReading
+    reference: float
+    missed: int
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """Outcome of a run.
+
+    Attributes
+    ----------
+    kind
+        "completed"; or "stopped", "signal", "silent", "rig", "failed".
+    text
+        Reason, as a sentence.
+    error
+        The error that stopped it, if any.
+    vented_after
+        Time from the vent until both pressures were below 0.2 bar [s]; None if that was not measured.
+    """
+
+    kind: str
+    text: str
+    error: McKibbenError | None = None
+    vented_after: float | None = None
+
+    @property
+    def completed(self) -> bool:
+        """Whether the run was completed."""
+        return self.error is None
+
+    @property
+    def venting(self) -> str:
+        """Result of the venting, as a sentence."""
+        if self.vented_after is None:
+            return "the valves were told to vent, but the pressures were not measured to fall: check before you touch"
+        return f"both muscles were below {VENTED / bar:g} bar {self.vented_after * 1e3:.0f} ms after the vent"
 
 
 class StopFlag:
-    """The signal that has come, if one has: 0 for none. A loop looks at it once a period."""
+    """Number of the signal that was received; 0 for none. CheckedTest once a period."""
 
     def __init__(self) -> None:
         self.signal = 0
 
 
 @contextlib.contextmanager
-def signals_told() -> Iterator[StopFlag]:
-    """Note the signals that `handle_signals` tells of."""
-    told = StopFlag()
+def stop_on_signals() -> Iterator[StopFlag]:
+    """Set a flag on the signals that `handle_signals` handles."""
+    flag = StopFlag()
 
     def note(number: int) -> None:
-        told.signal = number
+        flag.signal = number
 
     with handle_signals(note):
-        yield told
+        yield flag
 
 
 @contextlib.contextmanager
-def undisturbed() -> Iterator[str]:
-    """Let this thread run as evenly as the system allows, and say what it does: "real-time" or "ordinary" priority.
+def realtime_process_settings() -> Iterator[str]:
+    """Reduce the jitter of this process; yields its priority, "real-time" or "ordinary".
 
-    Real-time priority needs the right to it (on Linux ``CAP_SYS_NICE``); without, everything else is done.
+    Real-time priority needs a permission (on Linux ``CAP_SYS_NICE``); garbage collection, thread switching and timer
+    slack are set without it.
     """
     collecting, switching = gc.isenabled(), sys.getswitchinterval()
     gc.collect()
@@ -60,7 +156,7 @@ def undisturbed() -> Iterator[str]:
     gc.disable()
     sys.setswitchinterval(_SWITCH)
     slack = _timer_slack(1)
-    scheduled = _first()
+    scheduled = _set_real_time_priority()
     try:
         yield "ordinary" if scheduled is None else "real-time"
     finally:
@@ -74,8 +170,8 @@ def undisturbed() -> Iterator[str]:
             gc.enable()
 
 
-def _first() -> tuple[int, os.sched_param] | None:
-    """Take real-time priority; what was before, or None if there is no right to it."""
+def _set_real_time_priority() -> tuple[int, os.sched_param] | None:
+    """Set real-time priority; return the policy before, or None without the permission."""
     if not hasattr(os, "sched_setscheduler"):
         return None
     try:
@@ -87,7 +183,7 @@ def _first() -> tuple[int, os.sched_param] | None:
 
 
 def _timer_slack(nanoseconds: int) -> int | None:
-    """How late the system may end a sleep of this thread; 0 for as it is otherwise. None where it cannot be told."""
+    """Set the slack of sleeps of this thread, 0 for the default; None where the system has none."""
     if sys.platform != "linux":
         return None
     try:
@@ -96,177 +192,193 @@ def _timer_slack(nanoseconds: int) -> int | None:
         return None
 
 
-class Spread(NamedTuple):
-    """Of times [s]: median, 95 and 99.9 percent, and the worst."""
+def control(
+    backend: Backend,
+    program: ControlProgram,
+    plan: RunPlan,
+    limits: JointLimits,
+    recorder: Recorder,
+    *,
+    wiring: Wiring | None = None,
+    stop_flag: StopFlag | None = None,
+    progress: Callable[[RunProgress], None] | None = None,
+) -> RunOutcome:
+    """Open a backend, run a controller on it, vent it and close it; all of it is recorded.
 
-    median: float
-    most: float
-    nearly_all: float
-    worst: float
-
-    @classmethod
-    def of(cls, times: NDArray[np.float64]) -> Spread:
-        """NaN where there are none."""
-        if not times.size:
-            return cls(*[float("nan")] * 4)
-        return cls(*(float(value) for value in np.percentile(times, (50, 95, 99.9, 100))))
-
-    def to_json(self) -> dict[str, float]:
-        """In microseconds."""
-        return dict(zip(("median_us", "p95_us", "p999_us", "worst_us"), (time * 1e6 for time in self), strict=True))
-
-
-class Timing(NamedTuple):
-    """The timing of a run's closed loop.
-
-    Attributes
+    Parameters
     ----------
-    periods
-        That it had.
-    missed
-        Of those, in how many no command from the sample at their start reached the valves before their end.
-    skipped
-        Of those, in how many there was none at all: the loop had been late, and took the next sample.
-    dropped
-        Of those, how many samples the device lost.
-    lateness
-        From when a sample was taken until the loop had it.
-    work
-        From then until the commands were out: limits, controller, valves.
-    jitter
-        By how much the time between commands differs from the period.
+    backend
+        The joint.
+    program
+        The controller.
+    plan
+        Approach and reference.
+    limits
+        Safety limits.
+    recorder
+        With the columns of `record.columns`; it is left open.
+    wiring
+        Calibrations.
+    stop_flag
+        Stops the run when it is set.
+    progress
+        Called each period; it must return at once.
+
+    Returns
+    -------
+    RunOutcome
+        Of the run. Errors that are not of mckibben are raised again, after the vent.
+
+    Raises
+    ------
+    RigError
+        If the backend does not fit, before anything moves.
     """
+    connected = (wiring or Wiring()).connected(backend)
+    _check(backend, plan, connected)
+    rows = RowBuffer(recorder, program.telemetry)
+    monitor = JointMonitor(backend, limits, connected.wiring.sensors, plan.period)
+    loop = ControlLoop(backend, program, plan, monitor, rows, connected, stop_flag or StopFlag(), progress)
+    try:
+        backend.open()
+    except BaseException:
+        backend.close()
+        raise
+    error: McKibbenError | None = None
+    try:
+        try:
+            with monitor.guard():
+                rows.event("opened", "", backend=dict(backend.description))
+                loop.run()
+        except McKibbenError as stopped:
+            error = stopped
+        except BaseException as failed:
+            _note(rows, "failed", f"{type(failed).__name__}: {failed}")
+            raise
+        monitor.stop()
+        kind = "completed" if error is None else _KINDS.get(type(error).__name__, "failed")
+        text = f"completed {len(plan.references) * plan.period:g} s" if error is None else str(error)
+        _note(rows, kind, text)
 
-    periods: int
-    missed: int
-    skipped: int
-    dropped: int
-    lateness: Spread
-    work: Spread
-    jitter: Spread
+        def record(block: Block) -> None:
+            with contextlib.suppress(McKibbenError):
+                loop.record_venting(block)
 
-    @classmethod
-    def of(cls, columns: Mapping[str, NDArray[Any]], period: float) -> Timing:
-        """Of the columns of a record, its closed loop alone."""
-        closed = np.isin(columns["phase"], (Phase.SETTLING, Phase.RUN))
-        sample, taken, had, out = (
-            columns[name][closed].astype(float) for name in ("sample", "time", "read_at", "answered_at")
+        found = monitor.observe_venting(record, threshold=VENTED, duration=_VENTING, samples=1, timeout=limits.silence)
+        outcome = RunOutcome(kind, text, error, found.duration)
+        _note(rows, "vented" if found.duration is not None else "not vented", outcome.venting)
+        return outcome
+    finally:
+        backend.close()
+
+
+_KINDS = {"SignalledError": "signal", "SilentError": "silent", "StoppedError": "stopped", "RigError": "rig"}
+
+
+def _check(backend: Backend, plan: RunPlan, connected: Connected) -> None:
+    """Raise if the backend does not fit the plan."""
+    if not math.isclose(backend.rate * plan.period, 1.0, rel_tol=1e-9):
+        raise RigError(
+            f"the rig takes {backend.rate:g} samples a second, and the control period is {plan.period * 1e3:g} ms",
+            remedy="set both alike",
         )
-        answered = np.isfinite(out)
-        periods = int(sample[-1] - sample[0] + 1) if sample.size else 0
-        in_time = answered & (out <= taken + period * (1 + 1e-9))
-        with np.errstate(invalid="ignore"):
-            between = np.diff(out[answered])
-        return cls(
-            periods=periods,
-            missed=periods - int(in_time.sum()),
-            skipped=int((~answered).sum()),
-            dropped=periods - sample.size,
-            lateness=Spread.of((had - taken)[answered]),
-            work=Spread.of((out - had)[answered]),
-            jitter=Spread.of(np.abs(between - period)),
+    if backend.patience < 3 * plan.period:
+        raise RigError(
+            f"the watchdog of the rig expires after {backend.patience:g} s, the control period is {plan.period:g} s",
+            value=backend.patience,
+            lower=3 * plan.period,
+            unit="s",
+            remedy="set its patience to several periods",
         )
-
-    def to_json(self) -> dict[str, Any]:
-        """As a JSON object, times in microseconds."""
-        counts = {name: getattr(self, name) for name in ("periods", "missed", "skipped", "dropped")}
-        return counts | {name: getattr(self, name).to_json() for name in ("lateness", "work", "jitter")}
-
-
-VENTED = 0.2 * bar
-"""Below it a muscle counts as vented."""
-
-_VENTING = 0.5  # s: how long the fall of the pressures is watched
-_MOST = 1000  # samples that are taken at once
+    lowest, highest = zip(*plan.command_limits, strict=True)
+    problems = connected.check(min(*lowest, 0.0), max(highest))
+    if problems:
+        raise RigError("the valves cannot give the commanded pressures: " + "; ".join(map(str, problems)))
 
 
-class Loop:
-    """One run on a backend that is open; arguments as for `control`. All that a period needs is at hand."""
+def _note(rows: RowBuffer, kind: str, text: str) -> None:
+    """Record an event; a recorder that fails now does not matter, everything is vented."""
+    with contextlib.suppress(McKibbenError):
+        rows.flush()
+    with contextlib.suppress(McKibbenError):
+        rows.event(kind, text)
+
+
+class ControlLoop:
+    """One run on an open backend; arguments as for `control`."""
 
     def __init__(
         self,
         backend: Backend,
         program: ControlProgram,
-        course: Course,
-        watch: Watch,
-        rows: Rows,
+        plan: RunPlan,
+        monitor: JointMonitor,
+        rows: RowBuffer,
         connected: Connected,
-        told: StopFlag,
-        show: Callable[[Shown], None] | None,
+        stop_flag: StopFlag,
+        progress: Callable[[RunProgress], None] | None,
     ) -> None:
-        self._backend, self._program, self._course, self._watch = backend, program, course, watch
-        self._rows, self._connected, self._told, self._show = rows, connected, told, show
-        self._next = 0  # sample
-        self._delay = math.inf  # the least that a sample took to get here
+        self._backend, self._program, self._plan, self._monitor = backend, program, plan, monitor
+        self._rows, self._connected, self._stop_flag, self._progress = rows, connected, stop_flag, progress
+        self._next = 0  # number of the next sample
+        self._delay = math.inf  # shortest delay of a sample [s]
         self._missed = 0
-        self._raised_from: tuple[float, float] | None = None
+        self._ramp_start: tuple[float, float] | None = None
         self._state: Any = None  # of the controller
-        self._stepped: int | None = None  # the sample of its last step
+        self._stepped: int | None = None  # sample of its last step
         self._inputs = np.zeros(6)
-        self._commands = (0.0, 0.0)
-        self._pressed = False
+        self._commands: tuple[float, float] | None = None
 
     def run(self) -> None:
-        """All periods of the course, to the end of the last."""
-        total, backend, course = self._course.periods, self._backend, self._course
-        silence = self._watch.limits.silence
+        """Run all periods of the plan, to the end of the last one."""
+        total, backend, plan = self._plan.periods, self._backend, self._plan
+        silence = self._monitor.limits.silence
         while self._next < total:
-            if self._told.signal:
-                raise SignalledError(_signalled(self._told.signal), signal=self._told.signal)
+            if self._stop_flag.signal:
+                number = self._stop_flag.signal
+                text = f"stopped by {signal.Signals(number).name}" + (" (Ctrl-C)" if number == signal.SIGINT else "")
+                raise SignalledError(text, signal=number)
             block = backend.read(min(self._waiting(), total - self._next), timeout=silence)
-            clock = backend.clock()
-            self._take(block.first, block.time.tolist(), block.volts.tolist(), clock)
-        end = self._next * course.period
-        while backend.clock() < end and not self._told.signal:  # the last commands have their period too
-            self._look_on()
+            self._step(block.first, block.time.tolist(), block.volts.tolist(), backend.clock())
+        end = self._next * plan.period
+        while backend.clock() < end and not self._stop_flag.signal:  # the last command lasts for its period
+            self.record_venting(backend.read(self._waiting(), timeout=silence))
+
+    def record_venting(self, block: Block) -> None:
+        """Record samples after the last period."""
+        self._record(block.first, block.time.tolist(), block.volts.tolist(), self._backend.clock(), venting=True)
 
     def _waiting(self) -> int:
-        """How many samples are there to be taken; at least the next one, which may be yet to come."""
+        """Number of samples that can be read now; at least the next one, for which to wait."""
         if not math.isfinite(self._delay):
             return 1
-        due = math.floor((self._backend.clock() - self._delay) / self._course.period + 1e-6) + 1
+        due = math.floor((self._backend.clock() - self._delay) / self._plan.period + 1e-6) + 1
         return min(max(due - self._next, 1), _MOST)
 
-    def _take(self, first: int, times: Sequence[float], volts: Sequence[Sequence[float]], clock: float) -> None:
-        course, watch, rows = self._course, self._watch, self._rows
+    def _step(self, first: int, times: Sequence[float], volts: Sequence[Sequence[float]], clock: float) -> None:
+        """Record and check samples, act on the newest, send the heartbeat."""
+        plan, monitor, rows = self._plan, self._monitor, self._rows
         lost = first - self._next
         if lost < 0:
             raise RigError(f"sample {first} came where {self._next} was due", remedy="check the device")
         last = len(times) - 1
-        row, readings = self._recorded(first, times, volts, clock)
-        if lost * course.period > watch.limits.late:
-            raise StoppedError(
-                f"{lost} samples were dropped", value=lost, remedy="find out what kept the device or the host busy"
-            )
+        row, readings = self._record(first, times, volts, clock)
         self._delay = min(self._delay, clock - times[last])
-        for time, signals, reading in zip(times, volts, readings, strict=True):
-            if not all(value == value for value in reading):
-                self._connected.read(signals)  # says which sensor is lost
-            watch.look(time, reading)
-            if self._pressed:
-                watch.follow(reading, self._commands)
-        if clock - times[last] > watch.limits.late:
-            raise StoppedError(
-                f"the newest sample is {clock - times[last]:.3g} s old",
-                value=clock - times[last],
-                upper=watch.limits.late,
-                unit="s",
-                remedy="find out what kept the device or the host busy",
-            )
+        for i, (time, signals) in enumerate(zip(times, volts, strict=True)):
+            monitor.check_sample(time, signals, self._commands, clock if i == last else None)
         number, reading = self._next - 1, readings[-1]
-        if number >= course.periods:  # what was due last was dropped
+        if number >= plan.periods:  # the last samples were dropped
             return
-        wish = self._act(number, row, reading)
-        self._backend.beat()
-        answered = self._backend.clock()
-        rows.answered(row, answered)
-        self._missed += lost + last + (answered > times[last] + course.period * (1 + 1e-9))
-        if self._show is not None:
-            self._show(
-                Shown(times[last], course.periods * course.period, self._phase(number), reading, wish, self._missed)
-            )
+        reference = self._act(number, row, reading)
+        monitor.heartbeat()
+        commanded = self._backend.clock()
+        rows.commanded_at(row, commanded)
+        self._missed += lost + last + (commanded > times[last] + plan.period * (1 + 1e-9))
+        if self._progress is not None:
+            duration = plan.periods * plan.period
+            self._progress(RunProgress(times[last], duration, plan.phase(number), reading, reference, self._missed))
 
-    def _recorded(
+    def _record(
         self,
         first: int,
         times: Sequence[float],
@@ -274,11 +386,11 @@ class Loop:
         clock: float,
         *,
         venting: bool = False,
-    ) -> tuple[int, list[Reading]]:
-        """Record samples before anything else is done with them; the row of the last, and what each says."""
+    ) -> tuple[int, list[JointReading]]:
+        """Record samples; return the row of the last one, and all readings."""
         rows, connected, row, readings = self._rows, self._connected, -1, []
         for number, (time, signals) in enumerate(zip(times, volts, strict=True), start=first):
-            phase = Phase.VENTING if venting else self._phase(number)
+            phase = Phase.VENTING if venting else self._plan.phase(number)
             row = rows.begin(number, phase, time, connected.picked(signals), clock)
             reading = connected.seen(signals)
             rows.measured(row, reading)
@@ -286,77 +398,41 @@ class Loop:
         self._next = first + len(times)
         return row, readings
 
-    def _phase(self, number: int) -> Phase:
-        course = self._course
-        if number < course.raising:
-            return Phase.RAISING
-        if number < course.raising + course.settling:
-            return Phase.SETTLING
-        return Phase.RUN if number < course.periods else Phase.VENTING
-
-    def _act(self, number: int, row: int, reading: Reading) -> float:
-        """Give the valves their commands, and say which angle is wished for [rad]."""
-        course = self._course
+    def _act(self, number: int, row: int, reading: JointReading) -> float:
+        """Set the valves; return the reference angle [rad]."""
+        plan = self._plan
         angle, pressure1, pressure2 = reading
-        if number < course.raising:
-            if self._raised_from is None:
-                self._raised_from = max(pressure1, 0.0), max(pressure2, 0.0)
-            part = (number + 1) / course.raising
-            wanted = [was + part * (to - was) for was, to in zip(self._raised_from, course.pressures, strict=True)]
-            self._press(wanted)
-            self._rows.commanded(row, (math.nan, math.nan), self._commands, False)
+        if number < plan.raising:
+            if self._ramp_start is None:
+                self._ramp_start = max(pressure1, 0.0), max(pressure2, 0.0)
+            part = (number + 1) / plan.raising
+            ramp = [start + part * (end - start) for start, end in zip(self._ramp_start, plan.pressures, strict=True)]
+            commands, _ = self._command(ramp)
+            self._rows.commanded(row, (math.nan, math.nan), commands, False)
             return math.nan
-        at = max(number - course.raising - course.settling, 0)
-        wish = course.wishes[at]
+        reference = plan.references[max(number - plan.raising - plan.settling, 0)]
         if self._stepped is None:
             self._state = self._program.init(*reading)
             self._stepped = number - 1
         inputs = self._inputs
-        inputs[0:2] = wish
+        inputs[0:2] = reference
         inputs[2], inputs[3], inputs[4] = angle, pressure1, pressure2
-        inputs[5] = (number - self._stepped) * course.period
+        inputs[5] = (number - self._stepped) * plan.period
         self._stepped = number
         self._state, values = self._program.step(self._state, inputs)
-        limited = self._press(values[:2].tolist())
-        self._rows.commanded(row, wish, self._commands, limited, values[2:])
-        return float(wish[0])
+        commands, limited = self._command(values[:2].tolist())
+        self._rows.commanded(row, reference, commands, limited, values[2:])
+        return float(reference[0])
 
-    def _press(self, wanted: Sequence[float]) -> bool:
-        """Give the valves commands [Pa]; whether they had to be cut off."""
-        if not (math.isfinite(wanted[0]) and math.isfinite(wanted[1])):
+    def _command(self, pressures: Sequence[float]) -> tuple[tuple[float, float], bool]:
+        """Command pressures [Pa] within their limits; return the commands, and whether they were limited."""
+        first, second = pressures
+        if not (math.isfinite(first) and math.isfinite(second)):
             raise StoppedError(
-                f"the controller commands {wanted[0]:g} and {wanted[1]:g} Pa", remedy="simulate the scenario first"
+                f"the controller commands {first:g} and {second:g} Pa", remedy="simulate the scenario first"
             )
-        (low1, high1), (low2, high2) = self._course.limited_to
-        commands = min(max(wanted[0], low1), high1), min(max(wanted[1], low2), high2)
-        self._backend.press(self._connected.volts(commands))
-        self._commands, self._pressed = commands, True
-        return commands[0] != wanted[0] or commands[1] != wanted[1]
-
-    def watch_venting(self) -> float | None:
-        """Read on until both pressures are gone; after what time [s] they were, None if that was not seen.
-
-        There are no beats any more: a rig whose `vent` did nothing vents by itself.
-        """
-        begun, period = self._next, self._course.period
-        try:
-            while (self._next - begun) * period < _VENTING:
-                reading = self._look_on()
-                if reading.pressure1 < VENTED and reading.pressure2 < VENTED:
-                    return (self._next - begun) * period
-        except McKibbenError:  # of what is broken already, or because of it
-            return None
-        finally:
-            with contextlib.suppress(McKibbenError):
-                self._rows.flush()
-        return None
-
-    def _look_on(self) -> Reading:
-        """The samples that are there, or the next one, recorded; what the newest says."""
-        block = self._backend.read(self._waiting(), timeout=self._watch.limits.silence)
-        clock = self._backend.clock()
-        return self._recorded(block.first, block.time.tolist(), block.volts.tolist(), clock, venting=True)[1][-1]
-
-
-def _signalled(number: int) -> str:
-    return f"stopped by {signal.Signals(number).name}" + (" (Ctrl-C)" if number == signal.SIGINT else "")
+        (low1, high1), (low2, high2) = self._plan.command_limits
+        commands = min(max(first, low1), high1), min(max(second, low2), high2)
+        self._backend.set_valves(self._connected.volts(commands))
+        self._commands = commands
+        return commands, commands != (first, second)

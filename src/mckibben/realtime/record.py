@@ -1,11 +1,11 @@
-"""The record of a run, and the run as a simulation result."""
+"""Record of a run, the run as a simulation result, and its timing."""
 
 from __future__ import annotations
 
 import dataclasses
 import enum
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from mckibben.control.base import Setpoint
 from mckibben.muscle import NoCreep, NoFriction
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.realtime.config import Reading
+from mckibben.realtime.config import JointReading
 from mckibben.rig.record import Column
 from mckibben.rig.recorder import Recorder
 from mckibben.simulation import Reach, Result, compiled_trajectory
@@ -39,7 +39,7 @@ _OWN = (
     ("phase", "1", "int8"),
     ("time", "s", "float64"),
     ("read_at", "s", "float64"),
-    ("answered_at", "s", "float64"),
+    ("commanded_at", "s", "float64"),
     ("volts_angle", "V", "float64"),
     ("volts_pressure1", "V", "float64"),
     ("volts_pressure2", "V", "float64"),
@@ -52,18 +52,18 @@ _OWN = (
     ("command2", "Pa", "float64"),
     ("limited", "1", "float64"),
 )
-_TIME, _ANSWERED, _VOLTS, _READING, _WISH, _COMMAND = 2, 4, 5, 8, 11, 13
+_TIME, _COMMANDED, _VOLTS, _READING, _REFERENCE, _COMMAND = 2, 4, 5, 8, 11, 13
 _TELEMETRY = len(_OWN)
 
 
 def columns(telemetry: Sequence[str]) -> list[Column]:
-    """The columns of a record: ours, and what the controller reports under names of their own."""
+    """Columns of a record; the telemetry of the controller has the prefix ``controller_``."""
     reported = [Column(f"controller_{name}", attributes(name).get("units", "")) for name in telemetry]
     return [*(Column(*one) for one in _OWN), *reported]
 
 
-class Rows:
-    """Rows on their way to a recorder. What a sample has not got is NaN."""
+class RowBuffer:
+    """Buffer of rows before a recorder; missing values are NaN."""
 
     def __init__(self, recorder: Recorder, telemetry: Sequence[str]) -> None:
         self._recorder = recorder
@@ -72,41 +72,41 @@ class Rows:
         self._filled = 0
 
     def begin(self, sample: int, phase: int, time: float, volts: Sequence[float], read_at: float) -> int:
-        """A row for a sample, to which the rest is added; those before it may go."""
+        """Begin the row of a sample; return its index."""
         if self._filled == _TOGETHER or (self._filled and time - self._table[0, _TIME] > _LONGEST):
             self.flush()
         row = self._filled
-        self._table[row, :_ANSWERED] = (sample, phase, time, read_at)
+        self._table[row, :_COMMANDED] = (sample, phase, time, read_at)
         self._table[row, _VOLTS : _VOLTS + 3] = volts
         self._filled = row + 1
         return row
 
-    def measured(self, row: int, reading: Reading) -> None:
-        """What it means."""
+    def measured(self, row: int, reading: JointReading) -> None:
+        """Set the reading of a row."""
         self._table[row, _READING : _READING + 3] = reading
 
     def commanded(
         self,
         row: int,
-        wish: Sequence[float] | NDArray[np.float64],
+        reference: Sequence[float] | NDArray[np.float64],
         commands: tuple[float, float],
         limited: bool,
         telemetry: NDArray[np.float64] | None = None,
     ) -> None:
-        """What was wished for, and what the valves were told."""
+        """Set reference, commands and telemetry of a row."""
         table = self._table
-        table[row, _WISH], table[row, _WISH + 1] = wish
+        table[row, _REFERENCE], table[row, _REFERENCE + 1] = reference
         table[row, _COMMAND], table[row, _COMMAND + 1] = commands
         table[row, _COMMAND + 2] = limited
         if telemetry is not None:
             table[row, _TELEMETRY:] = telemetry
 
-    def answered(self, row: int, time: float) -> None:
-        """When they were told."""
-        self._table[row, _ANSWERED] = time
+    def commanded_at(self, row: int, time: float) -> None:
+        """Set the time at which the valves were set [s]."""
+        self._table[row, _COMMANDED] = time
 
     def flush(self) -> None:
-        """Hand over what there is."""
+        """Pass all rows to the recorder."""
         if not self._filled:
             return
         full, self._filled = self._table[: self._filled], 0
@@ -115,7 +115,7 @@ class Rows:
         self._table[:] = np.nan
 
     def event(self, kind: str, text: str, **data: Any) -> None:
-        """Note that something happened."""
+        """Record an event."""
         self._recorder.event(kind, text, **data)
 
 
@@ -125,21 +125,20 @@ _PREFIX = "controller_"
 def measured_result(
     columns: Mapping[str, NDArray[Any]], plant: JointPlant, reach: Reach, period: float, *, scenario: str = ""
 ) -> Result | None:
-    """What a record says of its run, one value a control period; None if there was none.
+    """Result of a recorded run, one value a control period; None if there was no run.
 
-    Angle and pressures are as measured. Stiffness, torque, forces and contractions are what the laws of the plant's
-    muscles make of them, without friction and creep, whose state cannot be measured. The velocity is that between
-    neighbouring samples. How far a change of the stiffness moved the angle would take a second run, and what goes
-    in and out as air cannot be told from the noise of the pressures: there is neither ``coupling`` nor ``air``.
+    Angle and pressures are measured. Stiffness, torque, forces and contractions follow from them by the laws of the
+    muscles, without friction and creep, whose state is not measured. The velocity is a finite difference. There is
+    neither ``coupling``, which takes a second run, nor ``air``, which is lost in the noise of the pressures.
 
     Parameters
     ----------
     columns
         Of a record.
     plant
-        What the joint is believed to be.
+        Model of the joint.
     reach
-        Of the reference.
+        Feasibility of the reference.
     period
         The control period [s].
     scenario
@@ -157,16 +156,16 @@ def measured_result(
     angle, pressure1, pressure2 = (cast(Any, table[name]) for name in ("angle", "pressure1", "pressure2"))
     state = PlantState(angle, velocity, (pressure1, pressure2))
     record = Record(state, table["command1"], table["command2"], table["limited"] != 0, telemetry)  # type: ignore[arg-type]
-    wishes = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
+    references = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
     nothing = np.full(count, np.nan)
-    moved = compiled_trajectory(numeric(_by_laws(plant)), wishes, record, nothing)  # type: ignore[arg-type]
+    moved = compiled_trajectory(numeric(_by_laws(plant)), references, record, nothing)  # type: ignore[arg-type]
     moved = moved._replace(air1=nothing, air2=nothing)  # type: ignore[arg-type]
     band = reach.lowest[:count], reach.highest[:count]
     return Result.of(moved, period, band=band, telemetry=telemetry, scenario=scenario)
 
 
 def _every_period(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The rows without gaps: where a sample or a command is missing, the one before was in force."""
+    """RowBuffer without gaps: a missing sample or command has the value before it."""
     sample = columns["sample"]
     if not sample.size:
         return dict(columns)
@@ -186,3 +185,80 @@ def _by_laws(plant: JointPlant) -> JointPlant:
         dataclasses.replace(muscle, friction=NoFriction(), creep=NoCreep()) for muscle in (joint.muscle1, joint.muscle2)
     )
     return dataclasses.replace(plant, joint=dataclasses.replace(joint, muscle1=muscle1, muscle2=muscle2))
+
+
+class Percentiles(NamedTuple):
+    """Percentiles of times [s]: 50, 95, 99.9 and 100 %."""
+
+    median: float
+    most: float
+    nearly_all: float
+    worst: float
+
+    @classmethod
+    def of(cls, times: NDArray[np.float64]) -> Percentiles:
+        """NaN where there are none."""
+        if not times.size:
+            return cls(*[float("nan")] * 4)
+        return cls(*(float(value) for value in np.percentile(times, (50, 95, 99.9, 100))))
+
+    def to_json(self) -> dict[str, float]:
+        """In microseconds."""
+        return dict(zip(("median_us", "p95_us", "p999_us", "worst_us"), (time * 1e6 for time in self), strict=True))
+
+
+class Timing(NamedTuple):
+    """Timing of the closed loop of a run.
+
+    Attributes
+    ----------
+    periods
+        Number of control periods.
+    missed
+        Missed deadlines: periods in which the command from their sample did not reach the valves before their end.
+    skipped
+        Of those, periods without a command, because the loop was late and took the next sample.
+    dropped
+        Of those, samples that the device lost.
+    lateness
+        Time from a sample to its reading by the loop.
+    work
+        Time from the reading to the commands: limits, controller, valves.
+    jitter
+        Absolute difference between the time between commands and the period.
+    """
+
+    periods: int
+    missed: int
+    skipped: int
+    dropped: int
+    lateness: Percentiles
+    work: Percentiles
+    jitter: Percentiles
+
+    @classmethod
+    def of(cls, columns: Mapping[str, NDArray[Any]], period: float) -> Timing:
+        """Timing of the closed loop in the columns of a record."""
+        closed = np.isin(columns["phase"], (Phase.SETTLING, Phase.RUN))
+        sample, taken, had, out = (
+            columns[name][closed].astype(float) for name in ("sample", "time", "read_at", "commanded_at")
+        )
+        answered = np.isfinite(out)
+        periods = int(sample[-1] - sample[0] + 1) if sample.size else 0
+        in_time = answered & (out <= taken + period * (1 + 1e-9))
+        with np.errstate(invalid="ignore"):
+            between = np.diff(out[answered])
+        return cls(
+            periods=periods,
+            missed=periods - int(in_time.sum()),
+            skipped=int((~answered).sum()),
+            dropped=periods - sample.size,
+            lateness=Percentiles.of((had - taken)[answered]),
+            work=Percentiles.of((out - had)[answered]),
+            jitter=Percentiles.of(np.abs(between - period)),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """As a JSON object, times in microseconds."""
+        counts = {name: getattr(self, name) for name in ("periods", "missed", "skipped", "dropped")}
+        return counts | {name: getattr(self, name).to_json() for name in ("lateness", "work", "jitter")}

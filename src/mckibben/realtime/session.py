@@ -1,10 +1,8 @@
-"""A scenario on a joint rig, from the file to the recorded run."""
+"""JointSession of a scenario on a joint rig, from the file to the recorded run."""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import math
 import os
 import platform
 from collections.abc import Callable, Iterator, Mapping
@@ -19,12 +17,19 @@ import mckibben
 from mckibben.errors import FileError, McKibbenError, Problem, RigError, ScenarioError
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import ControlProgram, vented_angle
-from mckibben.realtime.config import Connected, JointCardSpec, JointRig, Wiring
-from mckibben.realtime.limits import Course, Ending, JointLimits, Shown, Watch
-from mckibben.realtime.loop import Loop, StopFlag, Timing, signals_told, undisturbed
-from mckibben.realtime.record import Rows, columns, measured_result
-from mckibben.realtime.simulated import PERFECT, Sensing, VirtualJoint
+from mckibben.realtime.config import JointCardSpec, JointRig, Wiring
+from mckibben.realtime.loop import (
+    RunOutcome,
+    RunPlan,
+    RunProgress,
+    control,
+    realtime_process_settings,
+    stop_on_signals,
+)
+from mckibben.realtime.record import Timing, columns, measured_result
+from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
 from mckibben.rig.backend import Backend
+from mckibben.rig.bench import JointLimits
 from mckibben.rig.calibration import calibrations_in, content_of
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
@@ -33,140 +38,28 @@ from mckibben.storage.files import file_lock, make_folder
 from mckibben.study.scenario import Scenario
 from mckibben.units import deg
 
-
-def control(
-    backend: Backend,
-    program: ControlProgram,
-    course: Course,
-    limits: JointLimits,
-    recorder: Recorder,
-    *,
-    wiring: Wiring | None = None,
-    told: StopFlag | None = None,
-    show: Callable[[Shown], None] | None = None,
-) -> Ending:
-    """Open a backend, run a controller on it, vent it and close it; what happened is recorded.
-
-    Parameters
-    ----------
-    backend
-        The joint.
-    program
-        The controller.
-    course
-        What it is to do.
-    limits
-        What may not be exceeded.
-    recorder
-        With the columns of `rows.columns`; it is left open.
-    wiring
-        What the volts mean.
-    told
-        Of signals; one of them stops the run.
-    show
-        Called each period; it must return at once.
-
-    Returns
-    -------
-    Ending
-        Of the run, or of what stopped it if that was foreseen. Any other exception is raised again, after the vent.
-
-    Raises
-    ------
-    RigError
-        If the backend does not fit: before anything moves.
-    """
-    connected = (wiring or Wiring()).connected(backend)
-    _check(backend, course, connected)
-    rows = Rows(recorder, program.telemetry)
-    loop = Loop(backend, program, course, Watch(limits, course.period), rows, connected, told or StopFlag(), show)
-    try:
-        backend.open()
-    except BaseException:
-        backend.close()
-        raise
-    try:
-        rows.event("opened", "", backend=dict(backend.described))
-        loop.run()
-        ending = Ending("completed", f"completed {len(course.wishes) * course.period:g} s")
-    except McKibbenError as error:
-        backend.vent()
-        ending = Ending(_kind(error), str(error), error)
-    except BaseException as error:
-        try:
-            backend.vent()
-            _note(rows, "failed", f"{type(error).__name__}: {error}")
-        finally:
-            backend.close()
-        raise
-    else:
-        backend.vent()
-    try:
-        _note(rows, ending.kind, ending.text)
-        after = loop.watch_venting()
-        vented = "not seen to be vented" if after is None else f"both pressures below 0.2 bar after {after:.3g} s"
-        _note(rows, "vented" if after is not None else "not vented", vented)
-    finally:
-        backend.close()
-    return Ending(ending.kind, ending.text, ending.error, after)
+_BEYOND = 10 * deg  # of the angle limits beyond the reference
+_ABOVE = 1.05  # pressure limit over the rated pressure
 
 
-def _check(backend: Backend, course: Course, connected: Connected) -> None:
-    """Raise before anything moves."""
-    if not math.isclose(backend.rate * course.period, 1.0, rel_tol=1e-9):
-        raise RigError(
-            f"the rig takes {backend.rate:g} samples a second, and the control period is {course.period * 1e3:g} ms",
-            remedy="set both alike",
-        )
-    if backend.patience < 3 * course.period:
-        raise RigError(
-            f"the rig waits {backend.patience:g} s for the host before it vents, and a period has {course.period:g} s",
-            value=backend.patience,
-            lower=3 * course.period,
-            unit="s",
-            remedy="give it the patience of some periods",
-        )
-    lowest, highest = zip(*course.limited_to, strict=True)
-    problems = connected.check(min(*lowest, 0.0), max(highest))
-    if problems:
-        raise RigError("the valves cannot give what is asked for: " + "; ".join(map(str, problems)))
-
-
-def _kind(error: McKibbenError) -> str:
-    names = {"SignalledError": "signal", "SilentError": "silent", "StoppedError": "stopped", "RigError": "rig"}
-    return names.get(type(error).__name__, "failed")
-
-
-def _note(rows: Rows, kind: str, text: str) -> None:
-    """Record what happened; a recorder that cannot is what happened, and then everything is vented already."""
-    with contextlib.suppress(McKibbenError):
-        rows.flush()
-    with contextlib.suppress(McKibbenError):
-        rows.event(kind, text)
-
-
-_BEYOND = 10 * deg
-_ABOVE = 1.05
-
-
-class Ran(NamedTuple):
-    """What came of a run.
+class JointRunResult(NamedTuple):
+    """Result of a run.
 
     Attributes
     ----------
-    ending
-        How it ended.
+    outcome
+        Completed, or the reason of the stop.
     result
-        What was measured, as a simulation would have it; None if it did not come so far.
+        Measured trajectory, with the columns of a simulation; None if the run did not begin.
     reach
-        Of the reference.
+        Feasibility of the reference.
     timing
-        How well the loop kept its time; of an unpaced run it says nothing.
+        Timing of the loop; without meaning for an unpaced run.
     priority
-        Of the loop: "real-time" or "ordinary".
+        Of the process: "real-time" or "ordinary".
     """
 
-    ending: Ending
+    outcome: RunOutcome
     result: Result | None
     reach: Reach
     timing: Timing
@@ -174,19 +67,19 @@ class Ran(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Session:
-    """A scenario and the rig that it is about to be run on, checked and compiled.
+class JointSession:
+    """A scenario on a rig, checked and compiled.
 
     Attributes
     ----------
     scenario
-        What is to be done.
+        The scenario.
     plant
-        What the joint is believed to be.
+        Model of the joint.
     reach
-        Of the reference.
-    backend, wiring, limits, course, program
-        As `control` takes them.
+        Feasibility of the reference.
+    backend, wiring, limits, plan, program
+        Arguments of `control`.
     header
         Of the record.
     """
@@ -197,18 +90,20 @@ class Session:
     backend: Backend
     wiring: Wiring
     limits: JointLimits
-    course: Course
+    plan: RunPlan
     program: ControlProgram
     header: Mapping[str, Any]
 
-    def run(self, folder: str | os.PathLike[str], *, show: Callable[[Shown], None] | None = None) -> Ran:
-        """Run it into a folder.
+    def run(
+        self, folder: str | os.PathLike[str], *, progress: Callable[[RunProgress], None] | None = None
+    ) -> JointRunResult:
+        """Run the scenario and record it.
 
         Parameters
         ----------
         folder
-            Where the record goes; it must not hold one.
-        show
+            Of the record; it must not hold one.
+        progress
             Called each period; it must return at once.
 
         Raises
@@ -216,22 +111,26 @@ class Session:
         FileError
             If the folder cannot be written to, or holds a record.
         RigError
-            If the rig is not there, or does not fit: before anything moves.
+            If the rig is not connected, or does not fit, before anything moves.
         """
         folder = make_folder(folder)
-        with file_lock(folder / "lock", "running a joint rig"), signals_told() as told, undisturbed() as priority:
+        with (
+            file_lock(folder / "lock", "running a joint rig"),
+            stop_on_signals() as stop_flag,
+            realtime_process_settings() as priority,
+        ):
             header = {**self.header, "priority": priority}
             with Recorder.create(folder, header, columns(self.program.telemetry)) as recorder:
                 try:
-                    ending = control(
+                    outcome = control(
                         self.backend,
                         self.program,
-                        self.course,
+                        self.plan,
                         self.limits,
                         recorder,
                         wiring=self.wiring,
-                        told=told,
-                        show=show,
+                        stop_flag=stop_flag,
+                        progress=progress,
                     )
                 except RigError:
                     if recorder.rows == 0:  # nothing has moved: the folder may be used again
@@ -239,44 +138,44 @@ class Session:
                         recorder.path.unlink()
                     raise
         table = read_record(folder).columns
-        period = self.course.period
+        period = self.plan.period
         text = self.scenario.dumps()
         result = measured_result(table, self.plant, self.reach, period, scenario=text)
-        return Ran(ending, result, self.reach, Timing.of(table, period), priority)
+        return JointRunResult(outcome, result, self.reach, Timing.of(table, period), priority)
 
 
-def prepared(
+def prepare(
     scenario: Scenario,
     rig: JointRig | None = None,
     *,
     source: str = "",
     paced: bool = True,
     ideal: bool = False,
-) -> Session:
-    """Make ready what a scenario needs on a rig: all that can be wrong with it is said here.
+) -> JointSession:
+    """Check and compile a scenario for a rig.
 
     Parameters
     ----------
     scenario
-        What to run.
+        The scenario.
     rig
-        On what; the virtual joint unless given.
+        Configuration of the rig; the simulated joint unless given.
     source
         The scenario's file, for messages.
     paced
-        Whether the virtual joint runs in real time.
+        Whether the simulated joint runs in real time.
     ideal
-        Whether it is measured perfectly and starts where the scenario does, under pressure, instead of vented: then
-        its run is that of a simulation, to rounding.
+        Whether the simulated joint has ideal sensors and starts pressurised, at the scenario's start, instead of
+        vented: its run is then that of a simulation, to rounding.
 
     Raises
     ------
     ScenarioError
         If parts of the scenario make no sense together, or a calibration cannot be read.
     """
-    rig = rig or JointRig.model_validate({"virtual": {}})
-    if ideal and rig.virtual is None:
-        raise ScenarioError(rig.name, [Problem("is no virtual joint", remedy="leave --ideal out")])
+    rig = rig or JointRig.model_validate({"simulated": {}})
+    if ideal and rig.simulated is None:
+        raise ScenarioError(rig.name, [Problem("is no simulated joint", remedy="leave --ideal out")])
     with _building(source or scenario.name, "joint, load or valve"):
         plant = scenario.plant()
         hanging = vented_angle(plant)
@@ -286,27 +185,27 @@ def prepared(
     with _building(source or scenario.name, "start"):
         start = scenario.initial(plant)
         reach = check_reference(plant, scenario.reference(), duration=scenario.duration, control_period=period)
-    _, wishes = sampled(scenario.reference(), scenario.duration, period)
-    wished = np.stack([np.asarray(wishes.angle), np.asarray(wishes.stiffness)], axis=1)
+    _, setpoints = sampled(scenario.reference(), scenario.duration, period)
+    references = np.stack([np.asarray(setpoints.angle), np.asarray(setpoints.stiffness)], axis=1)
     approach = rig.approach
-    course = Course(
-        wishes=wished,
+    plan = RunPlan(
+        references=references,
         period=period,
         raising=0 if ideal else round(approach.raising / period),
         settling=0 if ideal else round(approach.settling / period),
         pressures=(float(start.pressures[0]), float(start.pressures[1])),
-        limited_to=_rated(plant),
+        command_limits=_rated(plant),
     )
-    limits = _limits(rig, plant, wished[:, 0], (float(start.angle), hanging))
+    limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
     wiring, backend = _connected(rig, plant, scenario, start if ideal else None, paced, ideal)
     header = {
         "what": "joint rig",
         "scenario": scenario.dumps(),
         "rig": rig.to_json(),
-        "backend": dict(backend.described),
+        "backend": dict(backend.description),
         "calibrations": wiring.to_json(),
         "limits": {name: value for name, value in vars(limits).items() if np.isfinite(value)},
-        "course": {"raising": course.raising, "settling": course.settling, "run": len(wished), "period": period},
+        "plan": {"raising": plan.raising, "settling": plan.settling, "run": len(references), "period": period},
         "versions": {
             "mckibben": mckibben.__version__,
             "python": platform.python_version(),
@@ -315,11 +214,11 @@ def prepared(
             "system": platform.platform(),
         },
     }
-    return Session(scenario, plant, reach, backend, wiring, limits, course, program, header)
+    return JointSession(scenario, plant, reach, backend, wiring, limits, plan, program, header)
 
 
 def _rated(plant: JointPlant) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The pressures [Pa] that `JointPlant.clip_commands` allows."""
+    """Ranges of the rated pressures [Pa] of both muscles."""
     one, two = plant.joint.muscle1.specimen.domain, plant.joint.muscle2.specimen.domain
     return (
         (float(one.pressure_min), float(one.pressure_max)),
@@ -327,12 +226,12 @@ def _rated(plant: JointPlant) -> tuple[tuple[float, float], tuple[float, float]]
     )
 
 
-def _limits(rig: JointRig, plant: JointPlant, wished: np.ndarray, others: tuple[float, ...]) -> JointLimits:
+def _limits(rig: JointRig, plant: JointPlant, angles: np.ndarray, others: tuple[float, ...]) -> JointLimits:
     given = {name: value for name, value in rig.limits if value is not None}
-    angles = [float(wished.min()), float(wished.max()), *others]
+    extremes = [float(angles.min()), float(angles.max()), *others]
     defaults = {
-        "lowest_angle": min(angles) - _BEYOND,
-        "highest_angle": max(angles) + _BEYOND,
+        "lowest_angle": min(extremes) - _BEYOND,
+        "highest_angle": max(extremes) + _BEYOND,
         "pressure": _ABOVE * max(high for _, high in _rated(plant)),
     }
     return JointLimits(**defaults | given)
@@ -344,11 +243,11 @@ def _connected(
     period = scenario.control_period
     if rig.nidaqmx is not None:
         return _card(rig.nidaqmx, period, rig.patience)
-    spec = rig.virtual
+    spec = rig.simulated
     assert spec is not None  # the model of the rig sees to it
     given = {name: value for name, value in spec if value is not None and name != "seed"}
     wiring = Wiring()
-    joint = VirtualJoint(
+    joint = SimulatedJoint(
         plant,
         period=period,
         substeps=scenario.substeps,
@@ -368,7 +267,7 @@ def _card(spec: JointCardSpec, period: float, patience: float) -> tuple[Wiring, 
     def terminal(name: str) -> str:
         return f"{spec.device}/{name}"
 
-    terminals = ni.Wiring(
+    terminals = ni.Terminals(
         inputs={name: terminal(getattr(spec, name)) for name in ("angle", "pressure1", "pressure2")},
         outputs={name: terminal(getattr(spec, name)) for name in ("valve1", "valve2")},
         heartbeat=terminal(spec.heartbeat),

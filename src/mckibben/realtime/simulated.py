@@ -14,52 +14,34 @@ from mckibben.numerics.checks import check_positive
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import PlantProgram, vented_angle
 from mckibben.realtime.config import Wiring
-from mckibben.rig.backend import Block, Channel
-from mckibben.rig.twin.faults import Delaying, Dropping, Fault, HostDelayed, Silent, SupplyLost
+from mckibben.rig.backend import AnalogChannel, Block, Watchdog
+from mckibben.rig.simulated.faults import (
+    Fault,
+    HostDelayed,
+    SamplesDelayed,
+    SamplesDropped,
+    SamplesStopped,
+    SensorDisconnected,
+    SupplyLost,
+)
 from mckibben.units import deg, kPa, ms
 
-SENSORS = ("angle", "pressure1", "pressure2")
-"""The inputs of a joint rig."""
-
-
-@dataclass(frozen=True)
-class Unplugged(Fault):
-    """A sensor's plug comes off.
-
-    Parameters
-    ----------
-    sensor
-        "angle", "pressure1" or "pressure2".
-    volts
-        What the open input then reads [V]: 0 V, to which a resistor pulls it.
-    """
-
-    sensor: str = "angle"
-    volts: float = 0.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.sensor not in SENSORS:
-            remedy = f"choose of {', '.join(SENSORS)}"
-            raise RangeError(f"Unplugged: no sensor {self.sensor!r}", value=self.sensor, remedy=remedy)
-
-
-_SPIN = 80e-6  # s: a sleep ends late by up to so much, and the rest is waited for awake
-_DRAWN = 1024  # samples whose noise is drawn at once
+_SPIN = 80e-6  # s of spinning, by which a sleep may end late
+_DRAWN = 1024  # samples of noise drawn at once
 
 
 @dataclass(frozen=True)
 class Sensing:
-    """How well a virtual joint is measured.
+    """Sensors of a simulated joint.
 
     Parameters
     ----------
     angle_step
-        Of the encoder [rad]; 0 for none. 0.022 deg are 14 bits a turn.
+        Resolution of the encoder [rad]; 0 for none. 0.022 deg are 14 bits per revolution.
     pressure_noise
         Standard deviation [Pa] of each sample.
     volts_step
-        Of the converter [V]; 0 for none. 16 bits over 20 V are 0.31 mV.
+        Resolution of the converter [V]; 0 for none. 16 bits over 20 V are 0.31 mV.
     """
 
     angle_step: float = 0.022 * deg
@@ -73,51 +55,50 @@ class Sensing:
 
 
 PERFECT = Sensing(0.0, 0.0, 0.0)
-"""Without noise and steps: what a simulation has."""
+"""Ideal sensors, as in a simulation."""
 
 
-class VirtualJoint:
-    """The plant of a scenario as a `Backend`: angle and two pressures in, two valves out, all in volts.
+class SimulatedJoint:
+    """The plant of a scenario as a `Backend`: angle and two pressures in, two valves out, in volts.
 
-    Samples are taken at whole multiples of the sample period, the first when it is opened. Signals reach the valves
-    when they are pressed, in between. Unpaced, its clock stands still but for `read`; paced it is that of the wall, and
-    `read` waits: first asleep, then awake.
+    Samples are taken at multiples of the sampling period, the first when it is opened. Signals reach the valves when
+    they are set, in between. Unpaced, its time advances only in `read`; paced, it is real time, and `read` sleeps, then
+    spins.
 
     Parameters
     ----------
     plant
         Joint, load and valves.
     period
-        Between samples [s].
+        Sampling period [s].
     substeps
-        Runge-Kutta steps a sample.
+        Runge-Kutta steps per sample.
     start
-        The state when it is opened. Unless given, it is as a `Backend` has to be: vented, and at rest where the load
-        and the empty muscles leave it. A state of a simulation may have pressure; it is as if held there until then.
+        Initial state, at constant pressures until then; unless given, vented and at rest.
     wiring
-        What its volts mean.
+        Calibrations.
     sensing
-        How well it is measured.
+        Sensors.
     patience
-        How long it goes on without a beat [s].
+        Timeout of the watchdog [s].
     paced
-        Whether its time is that of the wall.
+        Whether it runs in real time.
     seed
-        Of the noise.
+        Seed of the noise.
     faults
-        What happens to it, at times since it was opened: `Unplugged` of `joint_rig.faults`, and of `rig.twin.faults`
-        ``SupplyLost``, ``HostDelayed``, ``Silent``, ``Dropping`` (once) and ``Delaying``.
+        Faults at times since it was opened, of `rig.simulated.faults`: `SensorDisconnected`,
+        ``SupplyLost``, ``HostDelayed``, ``SamplesStopped``, ``SamplesDropped`` (once) and ``SamplesDelayed``.
     program
-        Of this plant and number of steps, where it has been compiled before.
+        Compiled program of this plant and number of steps, if there is one.
 
     Raises
     ------
     RigError
-        If it knows no such fault.
+        If a fault is not supported.
     """
 
-    outputs = (Channel("valve1", 0.0, 10.0, "virtual"), Channel("valve2", 0.0, 10.0, "virtual"))
-    inputs = tuple(Channel(name, -10.0, 10.0, "virtual") for name in ("angle", "pressure1", "pressure2"))
+    outputs = (AnalogChannel("valve1", 0.0, 10.0, "simulated"), AnalogChannel("valve2", 0.0, 10.0, "simulated"))
+    inputs = tuple(AnalogChannel(name, -10.0, 10.0, "simulated") for name in ("angle", "pressure1", "pressure2"))
 
     def __init__(
         self,
@@ -134,13 +115,16 @@ class VirtualJoint:
         faults: Sequence[Fault] = (),
         program: PlantProgram | None = None,
     ) -> None:
-        check_positive("VirtualJoint", "s", period=period, patience=patience)
-        known = (Unplugged, SupplyLost, HostDelayed, Silent, Dropping, Delaying)
-        strange = [type(fault).__name__ for fault in faults if not isinstance(fault, known)]
-        if strange:
+        check_positive("SimulatedJoint", "s", period=period, patience=patience)
+        supported = (SensorDisconnected, SupplyLost, HostDelayed, SamplesStopped, SamplesDropped, SamplesDelayed)
+        for fault in faults:
+            if isinstance(fault, SensorDisconnected):
+                fault.check([channel.name for channel in self.inputs])
+        unsupported = [type(fault).__name__ for fault in faults if not isinstance(fault, supported)]
+        if unsupported:
             raise RigError(
-                f"a virtual joint knows no {', '.join(strange)}",
-                remedy=f"choose of {', '.join(one.__name__ for one in known)}",
+                f"a simulated joint does not support {', '.join(unsupported)}",
+                remedy=f"choose one of {', '.join(one.__name__ for one in supported)}",
             )
         self.rate, self.patience, self.paced = 1 / period, patience, paced
         self._period, self._seed, self._faults = period, seed, tuple(faults)
@@ -148,7 +132,7 @@ class VirtualJoint:
         self._program = program or PlantProgram(plant, substeps)
         state = plant.init_state(vented_angle(plant), (0.0, 0.0)) if start is None else plant.complete_state(start)
         self._start = self._program.state(state)
-        self._held_at_start = (0.0, 0.0) if start is None else tuple(map(float, start.pressures))
+        self._initial_commands = (0.0, 0.0) if start is None else (float(start.pressures[0]), float(start.pressures[1]))
         rated = plant.joint.muscle1.specimen.domain, plant.joint.muscle2.specimen.domain
         self._rated = tuple((float(domain.pressure_min), float(domain.pressure_max)) for domain in rated)
         self._volts_of = tuple((c.gain, c.offset, c.tare) for c in self._wiring.sensors)
@@ -156,22 +140,22 @@ class VirtualJoint:
         self._reset()
 
     def _reset(self) -> None:
-        self._state, self._at = self._start, 0.0  # the plant, integrated up to here
-        self._held = self._held_at_start
-        self._coming: deque[tuple[float, tuple[float, float]]] = deque()  # commands, and when they reach the valves
-        self._now = self._beaten = 0.0
+        self._state, self._at = self._start, 0.0  # state of the plant, and its time
+        self._commands = self._initial_commands
+        self._pending: deque[tuple[float, tuple[float, float]]] = deque()  # times and commands
+        self._now = 0.0
         self._next = 0  # sample
-        self._vented_itself = False
+        self._watchdog = Watchdog(self.patience)
         self._random = np.random.default_rng(self._seed)
         self._noise: list[list[float]] = []
         self._happened: set[Fault] = set()
         self._origin = time.perf_counter()
 
     @property
-    def described(self) -> Mapping[str, str]:
-        """What it is."""
+    def description(self) -> Mapping[str, str]:
+        """Description for the record."""
         return {
-            "kind": "virtual joint",
+            "kind": "simulated joint",
             "paced": "yes" if self.paced else "no",
             "seed": str(self._seed),
             "sensing": str(self._sensing),
@@ -179,35 +163,35 @@ class VirtualJoint:
         }
 
     def open(self) -> None:
-        """Begin at the start, the clock at 0."""
+        """Open it at the initial state, the clock at 0."""
         self._reset()
         self.is_open = True
 
     def clock(self) -> float:
-        """Since it was opened [s]."""
+        """Time since it was opened [s]."""
         return time.perf_counter() - self._origin if self.paced else self._now
 
-    def beat(self) -> None:
-        """Say that the host lives."""
+    def heartbeat(self) -> None:
+        """Reset the watchdog."""
         now = self.clock()
-        self._look_whether_host_lives(now)
-        self._beaten = now
+        self._check_watchdog(now)
+        self._watchdog.reset(now)
 
-    def press(self, volts: Sequence[float]) -> None:
-        """Hold these signals at the valves [V].
+    def set_valves(self, volts: Sequence[float]) -> None:
+        """Set the signals of the valves [V].
 
         Raises
         ------
         RigError
-            If it has vented itself, or is not open.
+            If its watchdog has expired, or it is not open.
         """
         self._check_open()
         now = self.clock()
-        self._look_whether_host_lives(now)
-        if self._vented_itself:
+        self._check_watchdog(now)
+        if self._watchdog.has_expired:
             raise RigError(
-                f"the joint vented itself: there was no beat for {self.patience:g} s",
-                remedy="find out what kept the host busy, and open it anew",
+                f"the joint vented by itself: there was no heartbeat for {self.patience:g} s",
+                remedy="find out what kept the host busy, and reopen it",
             )
         commands = []
         for signal, valve, channel, (low, high) in zip(
@@ -218,22 +202,22 @@ class VirtualJoint:
         self._command(now, (commands[0], commands[1]))
 
     def vent(self) -> None:
-        """Let all air out, at once."""
+        """Vent at once."""
         self._command(self.clock(), (0.0, 0.0))
 
     def close(self) -> None:
-        """Vent, and let go."""
+        """Vent and close."""
         if self.is_open:
             self.vent()
         self.is_open = False
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for so many samples, and take them.
+        """Wait for a number of samples, and return them.
 
         Raises
         ------
         SilentError
-            If they do not come.
+            If they time out.
         RigError
             If it is not open.
         """
@@ -249,7 +233,7 @@ class VirtualJoint:
                 raise SilentError(
                     f"no sample for {timeout:g} s after it was due", remedy="check the device and its cable"
                 )
-            self._look_whether_host_lives(due)
+            self._check_watchdog(due)
             self._advance(due)
             rows.append(self._sensed(due))
             times.append(due)
@@ -259,51 +243,50 @@ class VirtualJoint:
         return block
 
     def pass_time(self, duration: float) -> None:
-        """Let time go by without a host [s]; unpaced."""
+        """Advance the time [s] without a host; unpaced."""
         self._now += duration
         if self.is_open:
-            self._look_whether_host_lives(self._now)
+            self._check_watchdog(self._now)
         self._advance(self._now)
 
     @property
     def truth(self) -> tuple[float, float, float, float]:
-        """Angle [rad], velocity [rad/s] and pressures [Pa], where the plant was last looked at."""
+        """True angle [rad], velocity [rad/s] and pressures [Pa], as last computed."""
         angle, velocity, pressure1, pressure2 = map(float, self._state[:4])
         return angle, velocity, pressure1, pressure2
 
     def _check_open(self) -> None:
         if not self.is_open:
-            raise RigError("the virtual joint is not open", remedy="open it")
+            raise RigError("the simulated joint is not open", remedy="open it")
 
     def _command(self, at: float, commands: tuple[float, float]) -> None:
-        self._coming.append((max(at, self._at), commands))
+        self._pending.append((max(at, self._at), commands))
 
-    def _look_whether_host_lives(self, now: float) -> None:
-        """Vent when nobody has called for too long; at the time when patience ended, not when it is found."""
-        if now - self._beaten > self.patience and not self._vented_itself:
-            self._vented_itself = True
-            self._command(self._beaten + self.patience, (0.0, 0.0))
+    def _check_watchdog(self, now: float) -> None:
+        """Vent at the time at which the watchdog expired, which may be before now [s]."""
+        if self._watchdog.expires(now):
+            self._command(self._watchdog.deadline, (0.0, 0.0))
 
     def _advance(self, until: float) -> None:
-        """Integrate the plant, each command from when it reached the valves."""
-        while self._coming and self._coming[0][0] <= until:
-            at, commands = self._coming.popleft()
+        """Integrate the plant, each command from its time."""
+        while self._pending and self._pending[0][0] <= until:
+            at, commands = self._pending.popleft()
             self._integrate(at)
-            self._held = commands
+            self._commands = commands
         self._integrate(until)
 
     def _integrate(self, until: float) -> None:
-        """Under the commands in force, in whole sample periods and what is left of one."""
+        """Integrate under the present commands, in sampling periods and the rest of one."""
         little = 1e-9 * self._period
         while (stretch := until - self._at) > little:
             step = self._period if stretch > self._period - little else stretch
             supplied = not any(isinstance(fault, SupplyLost) and fault.at <= self._at for fault in self._faults)
-            command1, command2 = self._held if supplied else (0.0, 0.0)
-            self._state = self._program.over(self._state, command1, command2, step)
+            command1, command2 = self._commands if supplied else (0.0, 0.0)
+            self._state = self._program.advance(self._state, command1, command2, step)
             self._at = until if stretch - step <= little else self._at + step
 
     def _sensed(self, due: float) -> list[float]:
-        """The volts of the sensors."""
+        """Volts of the sensors."""
         angle, _, pressure1, pressure2 = self._state[:4].tolist()
         sensing = self._sensing
         if sensing.angle_step:
@@ -319,29 +302,29 @@ class VirtualJoint:
         ):
             signal = (value + tare) / gain + offset
             for fault in self._faults:
-                if isinstance(fault, Unplugged) and fault.sensor == channel.name and fault.at <= due:
-                    signal = fault.volts
+                if isinstance(fault, SensorDisconnected) and fault.sensor == channel.name and fault.at <= due:
+                    signal = float(fault.volts_at(np.array([due]))[0])
             if sensing.volts_step:
                 signal = round(signal / sensing.volts_step) * sensing.volts_step
             volts.append(min(max(signal, channel.low), channel.high))
         return volts
 
     def _silent(self, due: float) -> bool:
-        return any(isinstance(fault, Silent) and fault.at <= due for fault in self._faults)
+        return any(isinstance(fault, SamplesStopped) and fault.at <= due for fault in self._faults)
 
     def _drop(self) -> None:
-        """Lose the samples that a fault takes."""
+        """Drop the samples of a fault."""
         for fault in self._faults:
             due = self._next * self._period
-            if isinstance(fault, Dropping) and fault.at <= due and fault not in self._happened:
+            if isinstance(fault, SamplesDropped) and fault.at <= due and fault not in self._happened:
                 self._happened.add(fault)
                 self._next += fault.samples
 
     def _arriving(self, due: float) -> float:
-        """When a sample reaches the host [s], and the host comes to take it."""
+        """Time at which the host reads a sample [s]."""
         arriving = due
         for fault in self._faults:
-            if isinstance(fault, Delaying) and fault.at <= due:
+            if isinstance(fault, SamplesDelayed) and fault.at <= due:
                 arriving = max(arriving, due + fault.delay)
             if isinstance(fault, HostDelayed) and fault.at <= due and fault not in self._happened:
                 self._happened.add(fault)

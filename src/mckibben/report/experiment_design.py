@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
-from mckibben.experiment_design import Plan, PlannedPoint
+from mckibben.experiment_design import ExperimentPlan, PlannedPoint
 from mckibben.report.style import BLUE, DOUBLE, LOADING, UNLOADING, blank, letter, styled
 from mckibben.units import bar, percent
 
@@ -24,7 +24,7 @@ _WIDEST = 300.0  # ratio of the colour scale
 
 
 @styled
-def planned(found: Plan) -> Figure:
+def planned(found: ExperimentPlan) -> Figure:
     """Standard error of the force over contraction and pressure: before the plan (left) and after it (right).
 
     Grey: not determined; white: not measurable. Planned points are numbered by their gain.
@@ -54,7 +54,7 @@ def planned(found: Plan) -> Figure:
     return figure
 
 
-def _scale(found: Plan) -> LogNorm:
+def _scale(found: ExperimentPlan) -> LogNorm:
     both = np.concatenate([found.map.now.ravel(), found.map.after.ravel()])
     both = both[np.isfinite(both)]
     low = float(both.min()) if both.size else 1.0
@@ -71,7 +71,9 @@ def _colours() -> ListedColormap:
     return shades
 
 
-def _shade(axes: Axes, found: Plan, errors: NDArray[np.float64], scale: LogNorm, colours: ListedColormap) -> None:
+def _shade(
+    axes: Axes, found: ExperimentPlan, errors: NDArray[np.float64], scale: LogNorm, colours: ListedColormap
+) -> None:
     x, y = found.map.states.contractions / percent, found.map.states.pressures / bar
     axes.pcolormesh(
         _edges(x), _edges(y), np.ma.masked_where(~np.isinf(errors), np.ones_like(errors)),
@@ -89,7 +91,7 @@ def _edges(centres: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.append(centres - step / 2, centres[-1] + step / 2)
 
 
-def _measured_points(axes: Axes, found: Plan) -> list[Line2D]:
+def _measured_points(axes: Axes, found: ExperimentPlan) -> list[Line2D]:
     points = found.measured.taut
     known = points.table["direction"].to_numpy() if "direction" in points.table else np.full(len(points), "")
     handles = []
@@ -103,7 +105,7 @@ def _measured_points(axes: Axes, found: Plan) -> list[Line2D]:
     return handles
 
 
-def _planned_points(axes: Axes, found: Plan) -> list[Line2D]:
+def _planned_points(axes: Axes, found: ExperimentPlan) -> list[Line2D]:
     """Draw the planned points; close ones share a label."""
     used: dict[str, Line2D] = {}
     clusters: list[list[int]] = []
@@ -145,7 +147,7 @@ def _close(one: PlannedPoint, other: PlannedPoint) -> bool:
     return bool(np.hypot(*apart) <= 1)
 
 
-def _quantity_states(left: Axes, right: Axes, found: Plan) -> list[Line2D]:
+def _quantity_states(left: Axes, right: Axes, found: ExperimentPlan) -> list[Line2D]:
     """Draw the states of the quantity of interest."""
     states = found.target_states
     if not len(states):

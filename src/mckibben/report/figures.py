@@ -11,13 +11,12 @@ from mckibben.control import BackpropPID
 from mckibben.muscle import ChouLaw
 from mckibben.paper import Reproduction
 from mckibben.paper.identification import CHOU, EXPERIMENTAL, RIG
-from mckibben.paper.settings import FREE, SETTINGS, Setting, Wish
-from mckibben.paper.tracking import BP, PID, TUNED_BP, Run
+from mckibben.paper.settings import FREE, SETTINGS, Setting, StiffnessReference
+from mckibben.paper.tracking import BP, PID, TUNED_BP, ControllerRun
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.tables import SECTIONS, name_of
 from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories
-from mckibben.study.scenario.building import build_loop
 from mckibben.units import deg
 
 
@@ -88,8 +87,11 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
 
 def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
     maps = {setting.name: reproduction.joint[setting.key] for setting in SETTINGS}
-    wishes = {
-        setting.name: {wish.value: reproduction.tracking.runs[setting.key, wish, PID].result for wish in Wish}
+    references = {
+        setting.name: {
+            reference.value: reproduction.tracking.runs[setting.key, reference, PID].result
+            for reference in StiffnessReference
+        }
         for setting in SETTINGS
     }
     yield ReportFigure(
@@ -101,7 +103,7 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "leaves the shaded area, no controller can follow it for long.",
         "A band of attainable stiffness over the joint angle for each geometry; "
         + "; ".join(f"{n}: {m.at(0.0)[0]:.1f} to {m.at(0.0)[1]:.1f} N·m/rad at 0 degrees" for n, m in maps.items()),
-        attainable_stiffness(maps, wishes),
+        attainable_stiffness(maps, references),
     )
     yield ReportFigure(
         "torque-stiffness-map",
@@ -119,9 +121,9 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
 def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[ReportFigure]:
     runs, key = reproduction.tracking.runs, setting.key.replace("_", "-")
     panels = {
-        f"{name}, {wish.value} stiffness": (name, runs[setting.key, wish, name].result)
+        f"{name}, {reference.value} stiffness": (name, runs[setting.key, reference, name].result)
         for name in (PID, BP)
-        for wish in Wish
+        for reference in StiffnessReference
     }
     step = f"{setting.before} to {setting.after}".replace(" N*m/rad to", " to").replace("N*m/rad", "N·m/rad")
     constant = setting.constant.replace("N*m/rad", "N·m/rad")
@@ -137,14 +139,19 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
         control_results(panels),
     )
     columns = {
-        f"{wish.value} stiffness": {name: runs[setting.key, wish, name].result for name in (PID, BP)} for wish in Wish
+        f"{reference.value} stiffness": {name: runs[setting.key, reference, name].result for name in (PID, BP)}
+        for reference in StiffnessReference
     }
-    rmse = {name: runs[setting.key, Wish.CONSTANT, name].result.metrics()["angle_rmse"] / deg for name in (PID, BP)}
+    rmse = {
+        name: runs[setting.key, StiffnessReference.CONSTANT, name].result.metrics()["angle_rmse"] / deg
+        for name in (PID, BP)
+    }
     yield ReportFigure(
         f"fig8-errors-{key}",
         "tracking",
         f"Fig. 8: errors, geometry {setting.name}",
-        f"Actual minus desired. In (a) the angle error is {rmse[PID]:.2f}° RMS under PID and {rmse[BP]:.2f}° under BP. "
+        f"Actual minus desired. In (a) the angle error is {rmse[PID]:.2f}° RMS under PID and {rmse[BP]:.2f}° under BP "
+        "(first seed; tables have the median over seeds). "
         "The last row shows the stiffness after the start or step of its reference, with the settling band (grey) and "
         "settling times (dotted). Peaks at the step itself are cut off and annotated.",
         "Error curves of PID and BP over time: angle above, stiffness in the middle, the settling of the stiffness "
@@ -155,11 +162,11 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
 
 def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
     runs, seeds = reproduction.tracking.runs, reproduction.tracking.seeds
-    found: dict[str, dict[str, dict[str, Run]]] = {}
+    found: dict[str, dict[str, dict[str, ControllerRun]]] = {}
     for setting in SETTINGS:
-        for wish in Wish:
-            found.setdefault(setting.name, {})[wish.value] = {
-                name: run for (key, w, name), run in runs.items() if key == setting.key and w is wish
+        for reference in StiffnessReference:
+            found.setdefault(setting.name, {})[reference.value] = {
+                name: run for (key, w, name), run in runs.items() if key == setting.key and w is reference
             }
     yield ReportFigure(
         "controller-comparison",
@@ -174,7 +181,7 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
     histories = {}
     for setting in SETTINGS:
         for name in (BP, TUNED_BP):
-            run = runs[setting.key, Wish.STEP, name]
+            run = runs[setting.key, StiffnessReference.STEP, name]
             histories[f"{setting.name},\n{name}"] = (run.result, gain_ratio(run))
     yield ReportFigure(
         "bp-gains",
@@ -188,9 +195,9 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
     )
 
 
-def gain_ratio(run: Run) -> float:
+def gain_ratio(run: ControllerRun) -> float:
     """Largest gain ratio of the position loop of a BP run."""
     spec = run.scenario.controller.position
     assert spec is not None  # the paper has two loops
-    loop = build_loop(spec)
+    loop = spec.build()
     return float(loop.gain_ratio) if isinstance(loop, BackpropPID) else 1.0

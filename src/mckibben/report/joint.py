@@ -13,7 +13,7 @@ from matplotlib.patches import Polygon, Rectangle
 from numpy.typing import NDArray
 
 from mckibben.paper.identification import JointMap
-from mckibben.reachability import Design, Envelope, Holdable, Kept, Offer
+from mckibben.reachability import Design, Envelope, FeasibleReference, Preserved, StaticEnvelope
 from mckibben.report.style import (
     BLACK,
     BLUE,
@@ -66,7 +66,7 @@ def attainable_stiffness(
         for (reference, result), look in zip(((references or {}).get(name) or {}).items(), _REFERENCES, strict=False):
             for label, x, y in _path(result, reference):
                 axes.plot(x, y, label=label, zorder=4, **look)
-        first, last = (limit / deg for limit in found.holdable)
+        first, last = (limit / deg for limit in found.static_range)
         for limit in (first, last):
             axes.axvline(limit, color="#888888", linewidth=0.7, linestyle="-.")
         axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS if i == 0 else "")
@@ -181,14 +181,14 @@ def _head_room(axes: Axes, part: float) -> None:
 
 _STATIC, _DYNAMIC, _NEAREST = "#DCE9F2", "#9CC3E0", "#BFE3D5"
 _NAMES = {
-    Kept.ANGLE: "nearest, angle kept",
-    Kept.AMPLITUDE: "nearest, amplitude kept",
-    Kept.STIFFNESS: "nearest, stiffness kept",
+    Preserved.ANGLE: "nearest, angle preserved",
+    Preserved.AMPLITUDE: "nearest, amplitude preserved",
+    Preserved.STIFFNESS: "nearest, stiffness preserved",
 }
 _LOOKS = {
-    Kept.ANGLE: {"color": GREEN, "linestyle": "-", "linewidth": 1.3},
-    Kept.AMPLITUDE: {"color": ORANGE, "linestyle": (0, (5, 1.2)), "linewidth": 1.3},
-    Kept.STIFFNESS: {"color": PURPLE, "linestyle": (0, (3, 1, 1, 1)), "linewidth": 1.3},
+    Preserved.ANGLE: {"color": GREEN, "linestyle": "-", "linewidth": 1.3},
+    Preserved.AMPLITUDE: {"color": ORANGE, "linestyle": (0, (5, 1.2)), "linewidth": 1.3},
+    Preserved.STIFFNESS: {"color": PURPLE, "linestyle": (0, (3, 1, 1, 1)), "linewidth": 1.3},
 }
 
 
@@ -219,9 +219,9 @@ def envelope(found: Envelope) -> Figure:
 
 
 def _torque(figure: Figure, axes: Axes, found: Envelope) -> None:
-    holds, motion = found.holds, found.following.motion
+    holds, motion = found.static, found.trackability.trajectory
     if holds.map_angles.size:
-        stiffness_range = np.nan_to_num(holds.highest_at - holds.lowest_at)
+        stiffness_range = np.nan_to_num(holds.map_stiffness.width)
         drawn = axes.contourf(holds.map_angles / deg, holds.map_torques, stiffness_range, 10, cmap="cividis")
         drawn.set_rasterized(True)
         figure.colorbar(drawn, ax=axes, label="K_max − K_min [N·m/rad]", pad=0.02)
@@ -234,7 +234,7 @@ def _torque(figure: Figure, axes: Axes, found: Envelope) -> None:
             linestyle=(0, (1, 1.2)),
             label=None,
         )
-    torque = found.following.bands.torque
+    torque = found.trackability.bands.torque
     axes.plot(motion.angle / deg, torque, color="white", linewidth=2.4, zorder=4)
     axes.plot(
         motion.angle / deg, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque of the reference motion"
@@ -248,22 +248,22 @@ def _torque(figure: Figure, axes: Axes, found: Envelope) -> None:
 
 
 def _over_angle(axes: Axes, found: Envelope) -> None:
-    holds, motion = found.holds, found.following.motion
-    inside = (holds.angles >= holds.first) & (holds.angles <= holds.last)
+    holds, motion = found.static, found.trackability.trajectory
+    inside = (holds.angles >= holds.angle_min) & (holds.angles <= holds.angle_max)
     if inside.any():
         _band(axes, holds, color=_STATIC, label="attainable, static")
     else:
         axes.text(0.5, 0.5, "no static equilibrium", transform=axes.transAxes, ha="center")
     axes.plot(motion.angle / deg, motion.stiffness, color=BLACK, linewidth=0.9, zorder=3)  # back and forth: no dashes
-    for offer in found.offers:
-        moved = offer.following.motion
-        axes.plot(moved.angle / deg, moved.stiffness, label=_NAMES[offer.kept], zorder=4, **_LOOKS[offer.kept])
+    for near in found.nearest:
+        moved, kind = near.trackability.trajectory, near.preserved
+        axes.plot(moved.angle / deg, moved.stiffness, label=_NAMES[kind], zorder=4, **_LOOKS[kind])
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
     _limits(axes, holds.stiffness.lowest[inside], holds.stiffness.highest[inside], motion.stiffness)
 
 
-def _band(axes: Axes, holds: Holdable, *, color: str, label: str) -> None:
-    inside = (holds.angles >= holds.first) & (holds.angles <= holds.last)
+def _band(axes: Axes, holds: StaticEnvelope, *, color: str, label: str) -> None:
+    inside = (holds.angles >= holds.angle_min) & (holds.angles <= holds.angle_max)
     angles, low, high = holds.angles[inside] / deg, holds.stiffness.lowest[inside], holds.stiffness.highest[inside]
     draw_band(axes, angles, low, high, color=color, label=label)
     for edge in (low, high):
@@ -271,53 +271,53 @@ def _band(axes: Axes, holds: Holdable, *, color: str, label: str) -> None:
 
 
 def _over_time(axes: Axes, found: Envelope) -> None:
-    motion, bands = found.following.motion, found.following.bands
+    motion, bands = found.trackability.trajectory, found.trackability.bands
     shown = _shown(found)
     times = motion.times[shown]
     draw_band(axes, times, *(edge[shown] for edge in bands.static), color=_STATIC, label="attainable, static")
     look = {"color": _DYNAMIC, "label": "attainable, reference motion", "zorder": 1}
-    draw_band(axes, times, *(edge[shown] for edge in bands.driven), **look)
-    edges = [edge[shown] for edge in (*bands.static, *bands.driven)]
-    if found.offers:
-        following = found.offers[0].following
-        near = following.motion.times <= times[-1]
-        low, high = (edge[near] for edge in following.bands.driven)
-        draw_band(axes, following.motion.times[near], low, high, color=_NEAREST, label="attainable, nearest motion")
+    draw_band(axes, times, *(edge[shown] for edge in bands.rate_limited), **look)
+    edges = [edge[shown] for edge in (*bands.static, *bands.rate_limited)]
+    if found.nearest:
+        following = found.nearest[0].trackability
+        kept = following.trajectory.times <= times[-1]
+        low, high = (edge[kept] for edge in following.bands.rate_limited)
+        draw_band(axes, following.trajectory.times[kept], low, high, color=_NEAREST, label="attainable, nearest motion")
         edges += [low, high]
     _dashed(axes, times, motion.stiffness[shown], label="reference")
-    for offer in found.offers:
-        _along(axes, offer, offer.following.motion.stiffness, times[-1])
+    for near in found.nearest:
+        _along(axes, near, near.trackability.trajectory.stiffness, times[-1])
     axes.set(xlabel="time [s]", ylabel=_STIFFNESS)
     axes.set_xlim(times[0], times[-1])
     _limits(axes, *edges, motion.stiffness[shown])
 
 
 def _angle(axes: Axes, found: Envelope) -> None:
-    motion, holds = found.following.motion, found.holds
+    motion, holds = found.trackability.trajectory, found.static
     shown = _shown(found)
     times = motion.times[shown]
-    if holds.first <= holds.last:
-        axes.axhspan(holds.first / deg, holds.last / deg, color=_STATIC, linewidth=0, zorder=0)
+    if holds.angle_min <= holds.angle_max:
+        axes.axhspan(holds.angle_min / deg, holds.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
     _dashed(axes, times, motion.angle[shown] / deg, label="reference")
-    for offer in found.offers:
-        _along(axes, offer, offer.following.motion.angle / deg, times[-1])
+    for near in found.nearest:
+        _along(axes, near, near.trackability.trajectory.angle / deg, times[-1])
     axes.set(xlabel="time [s]", ylabel=_ANGLE)
     axes.set_xlim(times[0], times[-1])
 
 
 def _shown(found: Envelope) -> slice:
     """Samples that are drawn: two periods of a sine, else all."""
-    times, sine = found.following.motion.times, found.scenario.signals.angle.sine
+    times, sine = found.trackability.trajectory.times, found.scenario.signals.angle.sine
     constant = found.scenario.signals.stiffness.constant is not None
     if sine is None or not constant or not sine.frequency:
         return slice(None)
     return slice(0, max(int(np.searchsorted(times, times[0] + 2 / sine.frequency)), 2))
 
 
-def _along(axes: Axes, offer: Offer, values: np.ndarray, until: float) -> None:
-    times = offer.following.motion.times
+def _along(axes: Axes, found: FeasibleReference, values: np.ndarray, until: float) -> None:
+    times = found.trackability.trajectory.times
     kept = times <= until
-    axes.plot(times[kept], values[kept], label=_NAMES[offer.kept], zorder=4, **_LOOKS[offer.kept])
+    axes.plot(times[kept], values[kept], label=_NAMES[found.preserved], zorder=4, **_LOOKS[found.preserved])
 
 
 def _dashed(axes: Axes, x: np.ndarray, y: np.ndarray, *, label: str) -> None:
@@ -330,7 +330,7 @@ def _limits(axes: Axes, *curves: np.ndarray) -> None:
 
 
 @styled
-def design(found: Design, before: Holdable) -> Figure:
+def design(found: Design, before: StaticEnvelope) -> Figure:
     """Attainable stiffness of a joint before and after sizing, and the design target.
 
     Parameters
@@ -342,17 +342,17 @@ def design(found: Design, before: Holdable) -> Figure:
     """
     figure = blank(DOUBLE, 3.2)
     axes = figure.subplots()
-    _band(axes, found.holds, color=_DYNAMIC, label="attainable after sizing")
-    inside = (before.angles >= before.first) & (before.angles <= before.last)
+    _band(axes, found.envelope, color=_DYNAMIC, label="attainable after sizing")
+    inside = (before.angles >= before.angle_min) & (before.angles <= before.angle_max)
     for edge in before.stiffness:
         label = "attainable before" if edge is before.stiffness.lowest else None
         axes.plot(before.angles[inside] / deg, edge[inside], color="#777777", linestyle=(0, (3, 1.5)), label=label)
-    (low, high), (first, last) = found.wanted.stiffness, (angle / deg for angle in found.wanted.angles)
+    (low, high), (first, last) = found.target.stiffness, (angle / deg for angle in found.target.angles)
     box = Rectangle((first, low), last - first, high - low, fill=False, edgecolor=BLACK, linewidth=1.4, label="target")
     axes.add_patch(box)
-    held = found.holds
-    reached = (held.angles >= held.first) & (held.angles <= held.last)
-    if found.wanted.torque:
+    held = found.envelope
+    reached = (held.angles >= held.angle_min) & (held.angles <= held.angle_max)
+    if found.target.torque_reserve:
         draw_band(axes, found.angles / deg, *found.stiffness, color=BLUE, alpha=0.5, label="with the torque margin")
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
     _limits(axes, held.stiffness.lowest[reached], held.stiffness.highest[reached], np.array([low, high]))

@@ -14,7 +14,7 @@ import markupsafe
 
 from mckibben import catalog
 from mckibben.paper import Reproduction, file_stem
-from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, Wish
+from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, StiffnessReference
 from mckibben.paper.tracking import PID
 from mckibben.report import tables
 from mckibben.report.figures import ReportFigure, figures
@@ -118,7 +118,7 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
     """HTML text of the report; figures by section."""
     results = reproduction.results()
     template = template_of("report.html.jinja")
-    example = reproduction.tracking.runs[PRE_CONTRACTED.key, Wish.STEP, PID].scenario
+    example = reproduction.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, PID].scenario
     return template.render(
         style=style_sheet(),
         results=results,
@@ -149,8 +149,8 @@ def _outcomes(reproduction: Reproduction) -> list[tuple[str, str]]:
     """Outcome of each run in the figures."""
     names = {setting.key: setting.name for setting in SETTINGS}
     return [
-        (f"{names[key]}, {wish.value} stiffness, {controller}", run.result.describe())
-        for (key, wish, controller), run in reproduction.tracking.runs.items()
+        (f"{names[key]}, {reference.value} stiffness, {controller}", run.result.describe())
+        for (key, reference, controller), run in reproduction.tracking.runs.items()
     ]
 
 

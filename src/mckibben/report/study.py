@@ -28,11 +28,9 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
-from mckibben.study.reporting import METRICS
-from mckibben.study.sweep import SweepResult
+from mckibben.simulation.metrics import METRICS
 from mckibben.study.sweep.result import main_metrics, spearman
 from mckibben.study.tune import TuningResult
-from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import factor
 
 _FEW = 12  # parameters whose names are drawn

@@ -20,7 +20,7 @@ from mckibben.paper.settings import (
     SETTINGS,
     STEP_TIME,
     Setting,
-    Wish,
+    StiffnessReference,
 )
 from mckibben.paper.tracking import CONTROLLERS, PID
 from mckibben.plant import FirstOrderValve
@@ -66,8 +66,8 @@ def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
     printed, contracted = (plant_of(setting) for setting in SETTINGS)
     valve = printed.valve
     lag = f"{valve.time_constant / ms:g} ms" if isinstance(valve, FirstOrderValve) else "none"
-    first, last = (limit / deg for limit in reproduction.joint[AS_PRINTED.key].holdable)
-    pressed = float(printed.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent
+    first, last = (limit / deg for limit in reproduction.joint[AS_PRINTED.key].static_range)
+    pressed = round(float(printed.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent, 6) + 0.0
     short = float(contracted.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent
     gravity = float(printed.load.gravity_torque(0.0))
     hanging = float(printed.load.hanging_angle) / deg
@@ -281,7 +281,7 @@ def joint_table(results: Mapping[str, Any]) -> Table:
     for setting in SETTINGS:
         found = results["joint"][setting.key]
         low, high = found["attainable_stiffness_at_0_deg"]
-        first, last = found["holdable_angles_deg"]
+        first, last = found["static_range_deg"]
         rows.append((setting.name, setting.connectors, number(low), number(high), number(first), number(last)))
     head = ("geometry", "connectors", "K_min at 0° [N·m/rad]", "K_max at 0° [N·m/rad]",
             "equilibrium from [deg]", "to [deg]")  # fmt: skip
@@ -300,9 +300,9 @@ def tracking_tables(results: Mapping[str, Any]) -> list[Table]:
     tables = []
     for setting in SETTINGS:
         rows: list[tuple[str, ...]] = []
-        for wish in Wish:
-            rows.append((f"{wish.value} stiffness",))
-            runs = results["tracking"][setting.key][wish.value]
+        for reference in StiffnessReference:
+            rows.append((f"{reference.value} stiffness",))
+            runs = results["tracking"][setting.key][reference.value]
             rows += [_tracking_row(name, runs[name], columns, results["seeds"]) for name in CONTROLLERS if name in runs]
         tables.append(
             Table(
@@ -327,7 +327,7 @@ def _tracking_row(name: str, run: Mapping[str, Any], columns: Mapping[str, str],
     return (
         name,
         *(cell(key) for key in columns.values()),
-        f"{run['lost']} of {seeds}" if "lost" in run else "no seeds",
+        f"{run['unstable']} of {seeds}" if "unstable" in run else "no seeds",
     )
 
 
@@ -347,7 +347,7 @@ def gains_table(reproduction: Reproduction, results: Mapping[str, Any]) -> Table
                 f"tuned, {tuned['evaluated']:,} evaluations{bounds}",
             )
         )
-        moderate = reproduction.tracking.runs[setting.key, Wish.CONSTANT, PID].scenario.control()
+        moderate = reproduction.tracking.runs[setting.key, StiffnessReference.CONSTANT, PID].scenario.control()
         for loop, names in units.items():
             for gain, unit in zip(("kp", "ki", "kd"), names, strict=True):
                 scale = factor(unit)
@@ -363,7 +363,7 @@ def gains_table(reproduction: Reproduction, results: Mapping[str, Any]) -> Table
 
 def settings_table(reproduction: Reproduction) -> Table:
     """Settings of the simulations that the paper does not give."""
-    scenario = reproduction.tracking.runs[SETTINGS[0].key, Wish.STEP, PID].scenario
+    scenario = reproduction.tracking.runs[SETTINGS[0].key, StiffnessReference.STEP, PID].scenario
     rows = [
         ("connectors (Table 2 and ours)", *(s.connectors for s in SETTINGS)),
         ("desired angle", *(_sine(reproduction, s) for s in SETTINGS)),
@@ -402,6 +402,6 @@ def coupling_table(results: Mapping[str, Any]) -> Table:
 
 
 def _sine(reproduction: Reproduction, setting: Setting) -> str:
-    angle = reproduction.tracking.runs[setting.key, Wish.STEP, PID].scenario.reference().angle
+    angle = reproduction.tracking.runs[setting.key, StiffnessReference.STEP, PID].scenario.reference().angle
     assert isinstance(angle, Sine)
     return f"sine of {float(angle.amplitude) / deg:g} deg, {float(angle.frequency):g} Hz"

@@ -13,7 +13,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
-from mckibben.paper.tracking import Run
+from mckibben.paper.tracking import ControllerRun
 from mckibben.report.style import (
     BLACK,
     BLUE,
@@ -295,7 +295,7 @@ _WIDEST = 1e3  # ratio of axis limits; larger values are drawn as arrows
 
 
 @styled
-def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, Run]]]) -> Figure:
+def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, ControllerRun]]]) -> Figure:
     """Median over seeds (dot) and worst seed (end of the line) of each controller, on logarithmic axes.
 
     Parameters
@@ -370,21 +370,27 @@ def gain_histories(results: Mapping[str, tuple[Result, float]]) -> Figure:
     return figure
 
 
-def _dots(axes: Axes, references: Mapping[str, Mapping[str, Run]], names: list[str], metric: str, unit: float) -> None:
+def _dots(
+    axes: Axes, references: Mapping[str, Mapping[str, ControllerRun]], names: list[str], metric: str, unit: float
+) -> None:
     runs = [(k, names.index(name), name, run) for k, w in enumerate(references.values()) for name, run in w.items()]
     medians = [run.median(metric) / unit for *_, run in runs]
     smallest = min((m for m in medians if np.isfinite(m) and m > 0), default=1.0)
-    good = [run.worst(metric) / unit for *_, run in runs if run.lost == 0]
+    good = [run.worst(metric) / unit for *_, run in runs if run.unstable == 0]
     largest = max((g for g in good if np.isfinite(g) and g < _WIDEST * smallest), default=10 * smallest)
     end = 2.0 * largest
     for (k, place, name, run), median in zip(runs, medians, strict=True):
         y = place + (-0.17 if k == 0 else 0.17)
         look = CONTROLLERS.get(name, {"color": "#444444", "marker": "o"})
         worst = run.worst(metric) / unit
-        if not (median <= end) or run.lost > run_count(run) / 2:
+        if not (median <= end) or run.unstable > run_count(run) / 2:
             axes.plot(end, y, linestyle="", marker=">", color=look["color"], clip_on=False, markersize=5)
             text = (
-                f"{run.lost} of {run_count(run)} lost" if run.lost else "never" if np.isnan(median) else f"{median:.2g}"
+                f"{run.unstable} of {run_count(run)} unstable"
+                if run.unstable
+                else "never"
+                if np.isnan(median)
+                else f"{median:.2g}"
             )
             axes.annotate(text, (end, y), (-6, 0), textcoords="offset points", ha="right", va="center", fontsize=6.5)
             continue
@@ -410,6 +416,6 @@ def _dots(axes: Axes, references: Mapping[str, Mapping[str, Run]], names: list[s
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def run_count(run: Run) -> int:
+def run_count(run: ControllerRun) -> int:
     """With how many seeds a controller was run; one where it has none."""
     return 1 if run.seeds is None else int(np.size(run.seeds.angle_rmse))

@@ -1,6 +1,6 @@
-"""The test rig: protocols, and a virtual rig that runs them on a force law."""
+"""The test rig: protocols, runner, recorder and safety monitor; simulated rig and NI cards."""
 
 from mckibben.rig.protocol import Boundaries, IsobaricProtocol, Plateaus, away_from_turns, boundaries
-from mckibben.rig.virtual import VirtualRig
+from mckibben.rig.simulated.isobaric import SimulatedIsobaricTest
 
-__all__ = ["Boundaries", "IsobaricProtocol", "Plateaus", "VirtualRig", "away_from_turns", "boundaries"]
+__all__ = ["Boundaries", "IsobaricProtocol", "Plateaus", "SimulatedIsobaricTest", "away_from_turns", "boundaries"]

@@ -1,32 +1,25 @@
-"""The interface of a rig's hardware, and the motor of its stretching device."""
+"""Interface of the hardware of a rig."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from fractions import Fraction
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
 from numpy import float64, int64
-from numpy.typing import ArrayLike, NDArray
-
-from mckibben.errors import RangeError
-from mckibben.numerics.checks import check_positive
-from mckibben.units import mm
+from numpy.typing import NDArray
 
 
-class Channel(NamedTuple):
-    """One input or output of a rig, in volts; what the volts mean is the calibration's to say.
+class AnalogChannel(NamedTuple):
+    """Analog input or output of a rig, in volts.
 
     Attributes
     ----------
     name
         "force", "pressure", "angle", "pressure1" ... of an input; "valve", "valve1", "valve2" of an output.
     low, high
-        What the converter can tell or give [V].
+        Range of the converter [V].
     where
-        What it is connected to, in words or as an address: "Dev1/ai0".
+        Terminal, such as "Dev1/ai0".
     """
 
     name: str
@@ -36,20 +29,19 @@ class Channel(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Samples in a row, all channels at once.
+    """Consecutive samples of all channels.
 
     Attributes
     ----------
     first
-        Number of the first sample since the backend was opened. One that is more than the number expected tells of
-        samples that were dropped.
+        Number of the first sample since the backend was opened; above the expected number if samples were dropped.
     time
-        By the clock of the backend, since it was opened [s], shape (samples,).
+        Time since the backend was opened [s], by its clock, shape (samples,).
     volts
         Shape (samples, channels), in the order of `Backend.inputs`.
     pulses
-        Where the motor stood, in pulses since it was opened, positive = stretching, shape (samples,). Zeros where there
-        is no motor.
+        Position of the motor in pulses since it was opened, positive = stretching, shape (samples,); zeros without a
+        motor.
     """
 
     first: int
@@ -60,73 +52,73 @@ class Block(NamedTuple):
 
 @runtime_checkable
 class Backend(Protocol):
-    """Sensors and valves. What every rig has, virtual or real; all of it in volts.
+    """Sensors and valves of a rig, simulated or physical, in volts.
 
-    A backend is vented and at rest when it is opened, and whenever the host has not called `beat` for `patience`
-    seconds (by its own clock): then it vents and stops without being told, and stays so until it is opened anew.
+    A backend is vented and at rest when it is opened. Its watchdog expires when `heartbeat` was not called for
+    `patience` seconds (by its own clock): then it vents and stops by itself, until it is reopened.
     """
 
     rate: float
-    """Samples a second [Hz] of each input."""
+    """Sampling rate of each input [Hz]."""
 
     patience: float
-    """How long [s] it goes on without a beat."""
+    """Timeout of the watchdog [s]."""
 
     @property
-    def inputs(self) -> Sequence[Channel]:
-        """What is measured, in the order of the columns of a block."""
+    def inputs(self) -> Sequence[AnalogChannel]:
+        """Inputs, in the order of the columns of a block."""
         ...
 
     @property
-    def outputs(self) -> Sequence[Channel]:
-        """The valves, in the order of the values that `press` takes."""
+    def outputs(self) -> Sequence[AnalogChannel]:
+        """Valves, in the order of the values of `set_valves`."""
         ...
 
     @property
-    def described(self) -> Mapping[str, str]:
-        """What it is, for the record: kind, devices, serial numbers, driver and versions, seed."""
+    def description(self) -> Mapping[str, str]:
+        """Description for the record: kind, devices, serial numbers, driver and versions, seed."""
         ...
 
     def open(self) -> None:
-        """Take hold of the devices; vented, at rest, the clock at 0.
+        """Open the devices; vented, at rest, the clock at 0.
 
         Raises
         ------
         RigError
-            If a driver or a device is missing; it says which, and what to do.
+            If a driver or a device is missing.
         """
         ...
 
     def clock(self) -> float:
-        """Since it was opened [s]."""
+        """Time since it was opened [s]."""
         ...
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for so many samples, and take them.
+        """Wait for a number of samples, and return them.
 
         Raises
         ------
         SilentError
-            If they have not come after the timeout [s] beyond the time that they take.
+            If they have not come within the timeout [s] after their duration.
         RigError
             If the device is lost.
         """
         ...
 
-    def press(self, volts: Sequence[float]) -> None:
-        """Hold these signals at the valves [V], one an output."""
+    def set_valves(self, volts: Sequence[float]) -> None:
+        """Set the signals of the valves [V], one per output."""
         ...
 
-    def beat(self) -> None:
-        """Say that the host lives."""
+    def heartbeat(self) -> None:
+        """Reset the watchdog."""
         ...
 
     def vent(self) -> None:
-        """Let all air out, at once. May be called at any time and as often as one likes; never raises."""
+        """Vent at once. May be called at any time, repeatedly; never raises."""
         ...
 
     def close(self) -> None:
-        """Vent, stop, and let go of the devices. Never raises."""
+        """Vent, stop, and close the devices. Never raises."""
         ...
 
 
@@ -135,114 +127,56 @@ class MovingBackend(Backend, Protocol):
     """A backend with a motor that stretches the muscle."""
 
     def move(self, pulses: int, rate: float) -> None:
-        """Begin to move by so many pulses, positive = stretching, at so many a second; returns at once.
+        """Begin a move by a number of pulses, positive = stretching, at a rate [Hz]; returns at once.
 
         Raises
         ------
         RigError
-            If it is still moving, or the motor cannot go at that rate.
+            If it is moving, or the rate is too high.
         """
         ...
 
     @property
     def moving(self) -> bool:
-        """Whether it still is."""
+        """Whether the motor is moving."""
         ...
 
     def stop(self) -> None:
-        """Stand still, at once. Never raises."""
+        """Stop the motor at once. Never raises."""
         ...
 
 
-_WHOLE = 1e-6  # pulses
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drive:
-    """A step motor, a reducer and a lead screw.
+class Watchdog:
+    """Watchdog of a rig: expires where it is not reset within a timeout, and stays so until it is started again.
 
     Parameters
     ----------
-    steps
-        Pulses a revolution of the motor: 200 (ours; the usual motor, full steps).
-    reduction
-        Revolutions of the motor for one of the screw: 10 (the paper, "Experimental system").
-    lead
-        Way [m] of one revolution of the screw: 5 mm (the paper).
-    fastest
-        Pulses a second [Hz] that it follows: 2000 (ours), which is 5 mm/s.
-
-    Raises
-    ------
-    RangeError
-        If a number has no meaning.
-
-    Examples
-    --------
-    >>> drive = Drive()
-    >>> drive.pulses_per_metre, drive.pulses(1 * mm), drive.rate(0.2 * mm)
-    (400000.0, 400, 80.0)
-    >>> drive.pulses(1.001 * mm)
-    Traceback (most recent call last):
-        ...
-    mckibben.errors.RangeError: 1.001 mm are 400.4 pulses; take a multiple of 0.0025 mm
+    timeout
+        [s].
     """
 
-    steps: int = 200
-    reduction: float = 10.0
-    lead: float = 5 * mm
-    fastest: float = 2000.0
-
-    def __post_init__(self) -> None:
-        check_positive("drive", steps=float(self.steps), reduction=self.reduction)
-        check_positive("drive", "m", lead=self.lead)
-        check_positive("drive", "Hz", fastest=self.fastest)
+    def __init__(self, timeout: float) -> None:
+        self.timeout = timeout
+        self.has_expired = False
+        self._reset_at = 0.0
 
     @property
-    def pulses_per_metre(self) -> float:
-        """Pulses for a way of a metre [1/m]; exact in the decimals that were given."""
-        return float(self.steps * Fraction(str(self.reduction)) / Fraction(str(self.lead)))
+    def deadline(self) -> float:
+        """Time at which it expires [s]."""
+        return self._reset_at + self.timeout
 
-    def pulses(self, way: float) -> int:
-        """Pulses for a way [m].
+    def start(self, now: float) -> None:
+        """Start at a time [s]."""
+        self.has_expired, self._reset_at = False, now
 
-        Raises
-        ------
-        RangeError
-            If it is no whole number of them.
-        """
-        exact = way * self.pulses_per_metre
-        if not np.isfinite(exact) or abs(exact - round(exact)) > _WHOLE:
-            one = 1 / self.pulses_per_metre / mm
-            raise RangeError(
-                f"{way / mm:g} mm are {exact:g} pulses", value=way, unit="m", remedy=f"take a multiple of {one:g} mm"
-            )
-        return round(exact)
+    def reset(self, now: float) -> None:
+        """Take a heartbeat at a time [s]; no effect once it has expired."""
+        if not self.has_expired:
+            self._reset_at = now
 
-    def nearest(self, way: float) -> int:
-        """Pulses that come nearest to a way [m]."""
-        return round(way * self.pulses_per_metre)
-
-    def way(self, pulses: ArrayLike) -> NDArray[np.float64]:
-        """The way [m] of so many pulses, of any shape."""
-        return np.asarray(pulses, np.float64) / self.pulses_per_metre
-
-    def rate(self, speed: float) -> float:
-        """Pulses a second [Hz] for a speed [m/s].
-
-        Raises
-        ------
-        RangeError
-            If the motor is not that fast.
-        """
-        rate = abs(speed) * self.pulses_per_metre
-        if not 0 < rate <= self.fastest:
-            raise RangeError(
-                f"{speed / mm:g} mm/s are {rate:g} pulses a second; the motor does {self.fastest:g} at most",
-                value=rate,
-                lower=0.0,
-                upper=self.fastest,
-                unit="Hz",
-                remedy=f"move at up to {self.fastest / self.pulses_per_metre / mm:g} mm/s",
-            )
-        return rate
+    def expires(self, now: float) -> bool:
+        """Whether it expires just now [s]: True once."""
+        if self.has_expired or not now > self.deadline:
+            return False
+        self.has_expired = True
+        return True

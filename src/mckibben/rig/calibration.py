@@ -1,4 +1,4 @@
-"""What the volts of a channel mean: a straight line, found from known loads and kept with the data."""
+"""Linear calibrations of channels, fitted to known loads."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.config.document import read_json
 from mckibben.errors import McKibbenError, Problem, RangeError, RigError, ScenarioError, quoted
-from mckibben.rig.backend import Channel
+from mckibben.rig.backend import AnalogChannel
 from mckibben.units import percent
 
 _NUMBERS = ("gain", "offset", "tare", "low", "high")
@@ -21,39 +21,39 @@ _NUMBERS = ("gain", "offset", "tare", "low", "high")
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    r"""A channel's straight line between volts and a quantity in SI.
+    r"""Linear calibration of a channel, from volts to a quantity in SI.
 
     .. math:: x = g\,(U - U_0) - x_0
 
-    Of an input it turns what is read into what is meant, of an output (a valve) the other way round.
+    Inputs are read by it; outputs (valves) are set by its inverse.
 
     Parameters
     ----------
     name
-        Of the channel: "force", "pressure", "valve", "angle" ...
+        Name of the channel: "force", "pressure", "valve", "angle" ...
     unit
-        Of the quantity, SI: "N", "Pa", "rad".
+        Unit of the quantity, SI: "N", "Pa", "rad".
     gain
-        g, in the unit per volt; negative where the sensor is wired the other way round.
+        g, in the unit per volt; negative for a sensor wired in reverse.
     offset
         U0 [V].
     tare
-        x0, in the unit: what is read off an unloaded sensor, see `tared`.
+        x0, in the unit: the reading of the unloaded sensor, see `tared`.
     low, high
-        The sensor's span, in the unit.
+        Span of the sensor, in the unit.
     margin
-        How far a reading may leave the span, as a share of it [-], before the sensor counts as `lost`: 2 %.
+        Share of the span [-] by which a reading may leave it before the sensor counts as `lost`: 2 %.
     made, by, method
-        When, by whom and how it was made, in words.
+        Date, author and method, as text.
     known, volts_read
-        What it was fitted to, in the unit and in volts; empty where it is a data sheet's.
+        Data that it was fitted to, in the unit and in volts; empty for values of a data sheet.
     residual
-        The largest distance of these from the line, in the unit.
+        Largest residual of the fit, in the unit.
 
     Raises
     ------
     RangeError
-        If a number has no meaning.
+        If a number is not finite, or the span is empty.
 
     Examples
     --------
@@ -96,35 +96,41 @@ class Calibration:
             )
 
     def si(self, volts: ArrayLike) -> NDArray[np.float64]:
-        """What volts mean, in the unit; any shape."""
+        """Quantity in the unit at volts [V]; any shape."""
         return (np.asarray(volts, np.float64) - self.offset) * self.gain - self.tare
 
     def volts(self, si: ArrayLike) -> NDArray[np.float64]:
-        """The volts [V] of a value in the unit; any shape."""
+        """Volts [V] at a quantity in the unit; any shape."""
         return (np.asarray(si, np.float64) + self.tare) / self.gain + self.offset
 
-    def lost(self, volts: ArrayLike, channel: Channel | None = None) -> NDArray[np.bool_]:
+    def lost(self, volts: ArrayLike, channel: AnalogChannel | None = None) -> NDArray[np.bool_]:
         """Whether no working sensor gives these volts [V]; any shape.
 
-        They are further outside the span than the margin, exactly at an end of what the converter can tell, or no
-        number. The span is the sensor's own: a tare does not move it.
+        They are outside the span by more than the margin, at an end of the converter's range, or not a number. A tare
+        does not move the span.
         """
         volts = np.asarray(volts, np.float64)
-        lowest, highest = self.limits
-        lost = ~((volts >= lowest) & (volts <= highest))
-        return lost if channel is None else lost | (volts <= channel.low) | (volts >= channel.high)
+        lowest, highest = self.working_volts(channel)
+        return ~((volts >= lowest) & (volts <= highest))
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The lowest and highest volts [V] of a working sensor: its span and the margin."""
+        """Lowest and highest volts [V] of a working sensor: its span and the margin."""
         beyond = self.margin * (self.high - self.low)
         ends = sorted(end / self.gain + self.offset for end in (self.low - beyond, self.high + beyond))
         return ends[0], ends[1]
 
-    def check(self, low: float, high: float, channel: Channel | None = None) -> list[Problem]:
-        """What stands against measuring (or giving) values from low to high, in the unit.
+    def working_volts(self, channel: AnalogChannel | None) -> tuple[float, float]:
+        """Lowest and highest volts [V] of a working sensor; the ends of the converter's range are excluded."""
+        low, high = self.limits
+        if channel is None:
+            return low, high
+        return max(low, math.nextafter(channel.low, math.inf)), min(high, math.nextafter(channel.high, -math.inf))
 
-        The span must hold them, and so must the converter, where it is given.
+    def check(self, low: float, high: float, channel: AnalogChannel | None = None) -> list[Problem]:
+        """Violations of measuring (or setting) values from low to high, in the unit.
+
+        They have to be within the span, and within the range of the converter, if it is given.
         """
         problems: list[Problem] = []
         if low < self.low or high > self.high:
@@ -149,12 +155,12 @@ class Calibration:
         return problems
 
     def tared(self, volts: ArrayLike) -> Calibration:
-        """The same, reading 0 where the unloaded sensor gives these volts [V]; their mean is taken.
+        """Return the calibration that reads 0 at the mean of these volts [V] of the unloaded sensor.
 
         Raises
         ------
         RigError
-            If the sensor is lost, or its zero is off by more than a tenth of its span: then something hangs on it.
+            If the sensor is lost, or the tare exceeds a tenth of its span: then it is not unloaded.
         """
         readings = np.asarray(volts, np.float64)
         if not readings.size or self.lost(readings).any():
@@ -170,7 +176,7 @@ class Calibration:
         return replace(self, tare=tare)
 
     def to_json(self) -> dict[str, Any]:
-        """As a JSON object (or YAML): what `from_json` takes."""
+        """JSON object for `from_json`."""
         form: dict[str, Any] = {field: getattr(self, field) for field in (*self._texts[:2], *_NUMBERS, "margin")}
         form |= {field: getattr(self, field) for field in self._texts[2:] if getattr(self, field)}
         if self.known:
@@ -179,12 +185,12 @@ class Calibration:
 
     @classmethod
     def from_json(cls, form: Mapping[str, Any]) -> Calibration:
-        """From a JSON object.
+        """Calibration from a JSON object.
 
         Raises
         ------
         RangeError
-            If a field is missing, unknown, or not of its kind; all of them at once.
+            If fields are missing, unknown, or of a wrong type; all of them at once.
         """
         lists, numbers = ("known", "volts_read"), (*_NUMBERS, "margin", "residual")
         needed = ("name", "unit", "gain", "low", "high")
@@ -223,31 +229,30 @@ def calibrate(
     coverage: float = 60 * percent,
     tolerance: float = 1 * percent,
 ) -> Calibration:
-    """The straight line through readings [V] at known values, by least squares.
+    """Least-squares calibration line through readings [V] at known values.
 
-    With two points it goes through both; with more the largest residual is told and checked.
+    With more than two points the largest residual is stored and checked.
 
     Parameters
     ----------
     name, unit
-        Of the channel, and of the known values.
+        Name of the channel, unit of the known values.
     volts, known
-        What was read [V], and what lay on the sensor, in the unit; shape (points,).
+        Readings [V] and known values, in the unit; shape (points,).
     low, high
-        The sensor's span, in the unit.
+        Span of the sensor, in the unit.
     made, by
-        When and by whom, in words.
+        Date and author, as text.
     coverage
-        Share of the span [-] that the known values have to cover, counted from the smaller side of zero where
-        the span has two signs: 60 %.
+        Share of the span [-] that the known values have to cover, of the smaller side where the span has two signs:
+        60 %.
     tolerance
-        The largest residual that is let pass, as a share [-] of the known values' range: 1 %.
+        Highest residual, as a share [-] of the range of the known values: 1 %.
 
     Raises
     ------
     RigError
-        If there are fewer than two different points, the span is not covered, or the residual is too large; it tells
-        the point that is furthest off.
+        If there are fewer than two different points, the span is not covered, or the residual is too large.
 
     Examples
     --------
@@ -303,19 +308,12 @@ def calibrate(
 
 
 def content_of(path: Path, remedy: str) -> Mapping[str, Any]:
-    """What a file of calibrations holds, by the names of the channels.
-
-    Parameters
-    ----------
-    path
-        Of the file.
-    remedy
-        What to do where it holds something else.
+    """Content of a file of calibrations, by the names of the channels; `remedy` is that of the error.
 
     Raises
     ------
     ScenarioError
-        If it cannot be read, or is no JSON object.
+        If it cannot be read, or is not a JSON object.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -328,7 +326,7 @@ def content_of(path: Path, remedy: str) -> Mapping[str, Any]:
 
 
 def calibrations_in(content: Mapping[str, Any]) -> tuple[dict[str, Calibration], list[Problem]]:
-    """The calibrations that can be read, and what is wrong with the others."""
+    """Calibrations that can be read, and the problems of the others."""
     found: dict[str, Calibration] = {}
     problems: list[Problem] = []
     for name, form in content.items():

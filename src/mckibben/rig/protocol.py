@@ -1,4 +1,4 @@
-"""How far a muscle is stretched and let go at each pressure of a test."""
+"""Isobaric protocol: pressures, stroke and plateaus of the paper's test."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from mckibben.units import bar, mm, percent, s
 
 
 class Boundaries(NamedTuple):
-    """The stroke at each pressure of a protocol.
+    """Stroke at each pressure of a protocol.
 
     Attributes
     ----------
     pressure
-        Shape (pressures,): the set pressures [Pa], in the protocol's order.
+        Set pressures [Pa] in the order of the protocol, shape (pressures,).
     contraction_min, contraction_max
-        Shape (pressures,): contraction [-] of the most stretched and of the shortest plateau.
+        Contraction of the most stretched and of the shortest plateau [-], shape (pressures,).
     """
 
     pressure: NDArray[np.float64]
@@ -33,14 +33,14 @@ class Boundaries(NamedTuple):
 
 
 def boundaries(of: Muscle | Specimen, protocol: IsobaricProtocol) -> Boundaries:
-    """The stroke at each pressure: the step "determining the boundary values" of the paper's procedure.
+    """Stroke at each pressure: "determining the boundary values" of the paper's procedure.
 
-    The whole stroke, cut at both ends of the plateaus:
+    The whole stroke, limited at both ends:
 
     - Stretched end: no plateau at which the law's force at the set pressure exceeds the rated force less the
       protocol's reserve (Eq. 3 gives 895 N at -3 % and 6 bar; the rating is 630 N).
-    - Slack end: `slack_steps` plateaus beyond the last taut one. They show where the muscle goes slack, and
-      that the force sensor reads zero there; more of them take time, bend the slack muscle, and tell nothing.
+    - Slack end: `slack_steps` plateaus beyond the last taut one. They show the onset of slack and the zero
+      of the force sensor.
 
     A specimen without a law has the whole stroke at every pressure.
 
@@ -87,12 +87,12 @@ def positions(of: Muscle | Specimen, protocol: IsobaricProtocol) -> NDArray[np.f
 
 
 def specimen_of(of: Muscle | Specimen) -> Specimen:
-    """What is tested, without its law."""
+    """Specimen of a muscle, or the specimen itself."""
     return of.specimen if isinstance(of, Muscle) else of
 
 
 def _after_last(where: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Per row, the column after the last one that is true; 0 where none is."""
+    """Column after the last true one of each row; 0 if there is none."""
     count = where.shape[1]
     return np.where(where.any(axis=1), count - np.argmax(where[:, ::-1], axis=1), 0).astype(np.int64)
 
@@ -101,21 +101,20 @@ PAPER_PRESSURES = tuple(0.5 * level * bar for level in range(13))
 
 
 class Plateaus(NamedTuple):
-    """The plateaus of a test in their order, one row each.
+    """Plateaus of a test in order, one row each.
 
     Attributes
     ----------
     level
-        Which of the protocol's pressures, from 0.
+        Index of the pressure in the protocol.
     repeat
-        From 0.
+        Number of the repeat, from 0.
     stretching
         Whether the plateau belongs to the loading pass.
     contraction
         Contraction [-].
     travel
-        Signed way [m] driven to get there from the plateau before, positive = stretching; 0 on the first of a
-        pass.
+        Travel from the plateau before [m], positive = stretching; 0 on the first of a pass.
     time
         Start of the acquisition [s] after the start of the test.
     """
@@ -130,14 +129,13 @@ class Plateaus(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class IsobaricProtocol:
-    """Strokes at constant pressures.
+    """Isobaric test: strokes at constant pressures.
 
-    The defaults are the paper's ("Parameters identification"), or said to be ours.
+    Defaults are the paper's ("Parameters identification") unless marked as ours.
 
-    At each pressure, `repeats` times: the unloading pass (the muscle shortens from plateau to plateau, its
-    tension falls), then the loading pass (it is stretched back, its tension rises). At a plateau the rig
-    waits, then samples. The last position of one pass is the first of the next, so it is sampled twice, with
-    no move in between.
+    At each pressure, `repeats` times: an unloading pass (the muscle shortens from plateau to plateau), then a loading
+    pass (it is stretched back). At a plateau the rig waits, then samples. The last plateau of a pass is the first of
+    the next one, sampled twice without a move.
 
     Parameters
     ----------
@@ -146,26 +144,25 @@ class IsobaricProtocol:
     contraction_min, contraction_max
         Ends of the stroke [-]; by default those of the muscle's range (-3 and 25 % for the paper's).
     step
-        Way [m] between two plateaus: 1 mm.
+        Travel between two plateaus [m]: 1 mm.
     speed
         Speed of a move [m/s]: 0.2 mm/s, so that a step takes 5 s.
     dwell
         Wait [s] between a move and the acquisition: 5 s. The paper's "after each 5 s delay" can also be read
         as the 5 s of the move itself: then 0.
     acquisition, samples
-        At a plateau so many samples are taken, evenly, within so many seconds: 1000 within 1 s.
+        Duration [s] and number of the samples of a plateau: 1000 in 1 s.
     repeats
-        5.
+        Number of repeats: 5.
     force_reserve
-        Share [-] of the rated force that stays unused, see `boundaries`: 5 % (ours). It makes room for what
-        the law does not tell: hysteresis, offsets, noise.
+        Reserve as a share of the rated force [-], see `boundaries`: 5 % (ours), for hysteresis, offsets and noise.
     slack_steps
         Plateaus beyond the last taut one, see `boundaries`: 3 (ours).
 
     Raises
     ------
     RangeError
-        If a number has no meaning; it lists all of them.
+        If numbers are out of range; it lists all of them.
 
     Examples
     --------
@@ -226,10 +223,10 @@ class IsobaricProtocol:
                     remedy="it is a ratio: 0.05 leaves 5 % of the rated force unused",
                 )
             )
-        _refuse("isobaric protocol", problems)
+        refuse_problems("isobaric protocol", problems)
 
     def stroke(self, of: Muscle | Specimen) -> tuple[float, float]:
-        """First and last contraction [-] before any cut: as given, or the range of the muscle or specimen."""
+        """First and last contraction [-] before the boundaries: as given, or the range of the muscle or specimen."""
         low, high = self.contraction_min, self.contraction_max
         return (
             float(of.domain.contraction_min) if low is None else low,
@@ -237,7 +234,7 @@ class IsobaricProtocol:
         )
 
     def check(self, of: Muscle | Specimen) -> None:
-        """Raise unless the muscle or specimen may be put through this test.
+        """Check that the test suits the muscle or specimen.
 
         Raises
         ------
@@ -281,10 +278,10 @@ class IsobaricProtocol:
                     remedy="shorten the step or widen the stroke",
                 )
             )
-        _refuse(f"the isobaric protocol does not suit {name}", problems)
+        refuse_problems(f"the isobaric protocol does not suit {name}", problems)
 
     def plateaus(self, of: Muscle | Specimen) -> Plateaus:
-        """All plateaus in their order, within the `boundaries`.
+        """Plateaus in order, within the `boundaries`.
 
         Raises
         ------
@@ -312,10 +309,10 @@ class IsobaricProtocol:
         )
 
     def describe(self, of: Muscle | Specimen) -> str:
-        """The test in words: plateaus, samples, duration.
+        """Text of plateaus, samples and duration.
 
-        Of a muscle, whose law tells the boundaries; of a specimen alone, with the whole stroke at every
-        pressure. The time to adjust the device and to set the pressures comes on top.
+        A specimen without a law has the whole stroke at every pressure. The duration is without the time to adjust the
+        device and to set the pressures.
 
         Raises
         ------
@@ -342,35 +339,36 @@ class IsobaricProtocol:
         return "\n".join(lines)
 
 
-def _refuse(what: str, problems: list[Problem]) -> None:
+def refuse_problems(what: str, problems: Sequence[Problem]) -> None:
+    """Raise a `RangeError` with all problems, if there are any."""
     if problems:
         heading = f"{what}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
         raise RangeError("\n  ".join([heading, *map(str, problems)]))
 
 
 def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> IsobaricDataset:
-    """The points of a dataset that lie at least a travel from both ends of their stroke, in both directions.
+    """Points of a dataset at least a travel away from both ends of their stroke, in both directions.
 
-    Friction adds to the force in one direction and takes from it in the other, so that a law fitted to both runs
-    between them. Near a turn that balance is missing: just after it friction still has the sign of before, and where
-    those points alone were left out the other direction would stand there alone. So both are left out.
+    Friction adds to the force in one direction and reduces it in the other, so that a law fitted to both lies between
+    them. Just after a reversal the friction still has its sign from before, which biases the fit; the points of the
+    other direction are left out too, for balance.
 
     Parameters
     ----------
     dataset
         Its points need a direction, and its specimen an initial length.
     travel
-        How far from the turns the points have to be [m].
+        Least distance from the reversals [m].
 
     Raises
     ------
     RangeError
-        If directions or the initial length are not known, or no point would be left.
+        If directions or the initial length are not known, or no point is left.
     """
     table = dataset.table
     if "direction" not in table or "initial_length" not in table.attrs:
         raise RangeError(
-            "turning points are known only where a dataset has directions and an initial length",
+            "reversals are known only for a dataset with directions and an initial length",
             remedy="give both, or keep all points",
         )
     levels, contraction = dataset.levels, dataset.contraction

@@ -1,83 +1,320 @@
-"""The watch over a test: every block of samples goes past it before anything else is done with it."""
+"""Safety monitor of a rig: limits, lost sensors, stale samples, heartbeat, and the stop that vents."""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from mckibben.errors import RangeError, StoppedError
-from mckibben.rig.backend import Block, Channel, Drive
+from mckibben.errors import StoppedError
+from mckibben.rig.backend import AnalogChannel, Backend, Block, MovingBackend
+from mckibben.rig.bench import JointLimits, RigLimits
 from mckibben.rig.calibration import Calibration
-from mckibben.units import bar, mm, ms, s
+from mckibben.units import bar, deg, mm, ms
+
+_BUSY = "find out what kept the device or the host busy"
+_PLUG = "check its plug and its supply"
+_SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """What may not be exceeded; a single sample beyond stops a test.
+class SignalLimits(NamedTuple):
+    """Limits of one input: value = `gain` * volts + `zero`; `low`, `high` are the volts of a working sensor."""
 
-    Parameters
-    ----------
-    pressure
-        Highest [Pa, gauge].
-    force
-        Highest [N].
-    stretch, shorten
-        How far the rig may go from where the muscle was mounted [m], either way.
-    pressure_rate
-        How fast the pressure may change [Pa/s], from the mean over one cycle to the next: 50 bar/s. Venting may be
-        faster.
-    pressure_error
-        How far the pressure may be from the one that was set [Pa] once it had the time to get there: 0.3 bar.
-    settling
-        That time [s]: 10 s. A regulator without supply, or a muscle that has burst, is found by it.
-    gap
-        How long there may be no readings [s], or how old they may be when they come: 0.5 s.
-    frozen
-        For how long a sensor may give the very same volts [s] until it counts as lost; no limit unless given. Give one
-        where readings have noise.
-    deviation
-        How far the mean force of a point may be from the law [N], where the muscle has one; no limit unless given. A
-        motor that stands, a muscle that slipped, and a force sensor that hangs are found by it.
+    name: str
+    column: int
+    gain: float
+    zero: float
+    low: float
+    high: float
+    unit: str
+    lower: float = -math.inf
+    upper: float = math.inf
+    rate: float = math.inf
 
-    Raises
-    ------
-    RangeError
-        If one is not above 0, or one that has to be there is not finite.
-    """
-
-    pressure: float
-    force: float
-    stretch: float
-    shorten: float
-    pressure_rate: float = 50 * bar / s
-    pressure_error: float = 0.3 * bar
-    settling: float = 10 * s
-    gap: float = 500 * ms
-    frozen: float = math.inf
-    deviation: float = math.inf
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value > 0 or (value == math.inf and name not in ("frozen", "deviation")):
-                raise RangeError(f"limits: {name} is {value:g}", value=value, remedy="it has to be finite and above 0")
+    @classmethod
+    def of(
+        cls,
+        calibration: Calibration,
+        inputs: Sequence[AnalogChannel],
+        *,
+        lower: float = -math.inf,
+        upper: float = math.inf,
+        rate: float = math.inf,
+    ) -> SignalLimits:
+        """Limits in the unit of a calibration, for the input of its name."""
+        column = [channel.name for channel in inputs].index(calibration.name)
+        low, high = calibration.working_volts(inputs[column])
+        zero = float(calibration.si(0.0))
+        name = calibration.name.replace("pressure1", "pressure 1").replace("pressure2", "pressure 2")
+        return cls(name, column, calibration.gain, zero, low, high, calibration.unit, lower, upper, rate)
 
 
-class Seen(NamedTuple):
-    """What a block says.
+class VentResult(NamedTuple):
+    """Observation of the pressures after an emergency stop.
 
     Attributes
     ----------
-    time
-        Of its last sample [s].
-    force, pressure
-        Means over it [N], [Pa].
-    position
-        Where the motor stood at its end [m], positive = stretched.
+    pressure
+        Highest of the pressures, as last measured [Pa]; None if nothing can be measured.
+    duration
+        From the stop until all pressures were below the threshold [s]; None if that was not observed.
+    pulses
+        Position of the motor at rest [pulses since it was opened]; None if it moved, or is not known.
     """
+
+    pressure: float | None = None
+    duration: float | None = None
+    pulses: int | None = None
+
+
+class SafetyMonitor:
+    """Checks every sample, sends the heartbeat while all is well, and vents when it is not.
+
+    Parameters
+    ----------
+    backend
+        The rig.
+    signals
+        Limits of its inputs.
+    maximum_age
+        Highest age of the newest sample, and longest time without one [s].
+    frozen
+        Longest time for which a sensor may read the same volts [s].
+    window
+        Number of samples (or blocks) in each of the two windows between which rates of change are taken.
+
+    Raises
+    ------
+    StoppedError
+        From `check`: with the limit that was exceeded.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        signals: Sequence[SignalLimits],
+        *,
+        maximum_age: float,
+        frozen: float = math.inf,
+        window: int = 1,
+    ) -> None:
+        self.backend = backend
+        self.signals = tuple(signals)
+        self.stopped_at: float | None = None  # by the clock of the backend [s]
+        self._stopped = False
+        self._maximum_age, self._frozen = maximum_age, frozen
+        self._time: float | None = None  # of the newest sample
+        self._constant: dict[str, tuple[float, float]] = {}  # volts, and since when
+        self._rates_from = -math.inf
+        self._width = window
+        self._recent: deque[list[float]] = deque(maxlen=2 * window)
+        self._older, self._newer = ([0.0] * (1 + len(self.signals)) for _ in range(2))
+        self._rated = [(k, one) for k, one in enumerate(self.signals, start=1) if one.rate < math.inf]
+
+    def check(
+        self,
+        first: float,
+        last: float,
+        lowest: Sequence[float],
+        highest: Sequence[float],
+        means: Sequence[float],
+        clock: float | None,
+    ) -> list[float]:
+        """Return the means of the signals in SI units, if no limit is exceeded.
+
+        Parameters
+        ----------
+        first, last
+            Times of the first and the last sample [s].
+        lowest, highest, means
+            Volts of all inputs over these samples; all three the same for a single sample.
+        clock
+            Of the backend after reading [s]; None for a sample that is known not to be the newest.
+        """
+        values = []
+        for name, column, gain, zero, low, high, unit, lower, upper, _ in self.signals:
+            least, most = lowest[column], highest[column]
+            if not (least >= low and most <= high):  # NaN too
+                raise StoppedError(
+                    f"the {name} sensor is lost: it gives {least:.4g} to {most:.4g} V, and a working one {low:.4g} to "
+                    f"{high:.4g} V",
+                    value=least if not least >= low else most,
+                    lower=low,
+                    upper=high,
+                    unit="V",
+                    remedy=_PLUG,
+                )
+            if gain < 0:
+                least, most = most, least
+            least, most = least * gain + zero, most * gain + zero
+            if not (lower <= least and most <= upper):
+                raise _exceeded(name, least if not lower <= least else most, lower, upper, unit)
+            values.append(means[column] * gain + zero)
+        if self._frozen < math.inf:
+            self._check_constant(lowest, highest, last)
+        self._check_time(first, last, clock)
+        if self._rated:
+            self._check_rates((first + last) / 2, values)
+        return values
+
+    def heartbeat(self) -> None:
+        """Reset the watchdog of the rig; not after a stop, so that a rig whose `vent` failed vents by itself."""
+        if not self._stopped:
+            self.backend.heartbeat()
+
+    def stop(self) -> None:
+        """Vent, and end the heartbeat."""
+        self._stopped = True
+        self.backend.vent()
+        if self.stopped_at is None:
+            with contextlib.suppress(Exception):
+                self.stopped_at = self.backend.clock()
+
+    @contextlib.contextmanager
+    def guard(self) -> Iterator[None]:
+        """Stop before an exception leaves the block, whatever it is."""
+        try:
+            yield
+        except BaseException:
+            self.stop()
+            raise
+
+    def observe_venting(
+        self, record: Callable[[Block], object], *, threshold: float, duration: float, samples: int, timeout: float
+    ) -> VentResult:
+        """Read on after `stop` until all pressures are below a threshold.
+
+        Samples that were taken before the stop are recorded and not counted: they waited while the host was away.
+
+        Parameters
+        ----------
+        record
+            Called with each block.
+        threshold
+            [Pa].
+        duration
+            Longest observation [s].
+        samples
+            Samples read at once.
+        timeout
+            Of each read [s].
+        """
+        backend, rate, found = self.backend, self.backend.rate, VentResult()
+        pressures = [one for one in self.signals if one.name.startswith("pressure")]
+        try:
+            begun = backend.clock() if self.stopped_at is None else self.stopped_at
+            newest = self._time if self._time is not None else begun
+            left = round((max(begun - newest, 0.0) + 3 * duration) * rate)  # even where its clock stands still
+            while left > 0:
+                waiting = int((backend.clock() - newest) * rate)
+                block = backend.read(min(max(waiting, samples), _MOST), timeout=timeout)
+                backend.vent()
+                record(block)
+                newest, left = float(block.time[-1]), left - len(block.time)
+                fresh = block.time > begun - 1 / rate
+                if not fresh.any():
+                    continue
+                first, last = int(block.pulses[0]), int(block.pulses[-1])
+                volts = block.volts[fresh]
+                for one in pressures:
+                    column = volts[:, one.column]
+                    if not ((column >= one.low) & (column <= one.high)).all():
+                        return VentResult()
+                highest = max(float(volts[:, one.column].mean()) * one.gain + one.zero for one in pressures)
+                empty = highest <= threshold
+                found = VentResult(highest, newest - begun if empty else None, last if first == last else None)
+                if empty or newest >= begun + duration:
+                    return found
+        except (Exception, KeyboardInterrupt):  # it has been told to vent all the same
+            return VentResult()
+        return found
+
+    def _check_constant(self, lowest: Sequence[float], highest: Sequence[float], time: float) -> None:
+        for one in self.signals:
+            least, most = lowest[one.column], highest[one.column]
+            volts, since = self._constant.get(one.name, (math.nan, time))
+            since = since if least == most == volts else time
+            self._constant[one.name] = least, since
+            if time - since > self._frozen and one.low > -math.inf:
+                raise StoppedError(
+                    f"the {one.name} sensor is lost: it has given {volts:.6g} V for {time - since:.3g} s", remedy=_PLUG
+                )
+
+    def _check_time(self, first: float, last: float, clock: float | None) -> None:
+        before, self._time = self._time, last
+        if before is not None and not first > before:
+            raise StoppedError(
+                f"the time of the samples goes back, from {before:.6g} s to {first:.6g} s",
+                remedy="check the device and its driver",
+            )
+        if before is not None and not first - before <= self._maximum_age:
+            dropped = round((first - before) * self.backend.rate) - 1
+            raise StoppedError(
+                f"{dropped} samples were dropped: the gap is {first - before:.3g} s",
+                value=first - before,
+                upper=self._maximum_age,
+                unit="s",
+                remedy=_BUSY,
+            )
+        if clock is not None and not abs(clock - last) <= self._maximum_age:
+            raise StoppedError(
+                f"the newest sample is {clock - last:.3g} s old",
+                value=clock - last,
+                upper=self._maximum_age,
+                unit="s",
+                remedy=_BUSY,
+            )
+
+    def _check_rates(self, time: float, values: Sequence[float]) -> None:
+        """Check the rates of change between the means over the last two windows."""
+        recent, older, newer, width = self._recent, self._older, self._newer, self._width
+        if len(recent) == 2 * width:
+            _add(older, recent[0], -1.0)
+        if len(recent) >= width:
+            middle = recent[-width]
+            _add(newer, middle, -1.0)
+            _add(older, middle, 1.0)
+        recent.append([time, *values])
+        _add(newer, recent[-1], 1.0)
+        if len(recent) < 2 * width or time <= self._rates_from:
+            return
+        elapsed = max(newer[0] - older[0], 1e-9)
+        for k, one in self._rated:
+            rate = abs(newer[k] - older[k]) / elapsed
+            if not rate <= one.rate:
+                raise _exceeded(f"rate of {one.name}", rate, -math.inf, one.rate, one.unit, per="/s")
+
+
+_MOST = 1000  # samples read at once
+
+
+def _add(sums: list[float], row: Sequence[float], sign: float) -> None:
+    for k, value in enumerate(row):
+        sums[k] += sign * value
+
+
+def _exceeded(name: str, value: float, lower: float, upper: float, unit: str, *, per: str = "") -> StoppedError:
+    shown, scale = _SHOWN.get(unit, (unit, 1.0))
+    limits = (
+        f"beyond the limit of {upper / scale:.4g} {shown}{per}"
+        if lower == -math.inf
+        else f"outside the limits of {lower / scale:.4g} to {upper / scale:.4g} {shown}{per}"
+    )
+    return StoppedError(
+        f"the {name} of {value / scale:.4g} {shown}{per} is {limits}",
+        value=value,
+        lower=lower,
+        upper=upper,
+        unit=unit + per,
+    )
+
+
+class BlockMeans(NamedTuple):
+    """Time of the last sample [s], mean force [N] and pressure [Pa], and position of the motor at the end [m]."""
 
     time: float
     force: float
@@ -85,175 +322,172 @@ class Seen(NamedTuple):
     position: float
 
 
-class Watch:
-    """Looks at each block, and raises if the test has to stop.
+class RigMonitor(SafetyMonitor):
+    """Safety monitor of a test rig: also the travel of the motor, and the settling of the set pressure.
 
     Parameters
     ----------
-    limits
-        What may not be exceeded.
-    inputs
-        Of the backend; "force" and "pressure" among them.
+    backend, limits
+        The rig and its limits.
     calibrations
-        Of those two.
-    drive
-        Of the motor.
+        Of the inputs "force" and "pressure" at least.
+    pulses_per_metre
+        Of the motor [1/m].
     origin
-        Where the motor stood when the backend was opened [pulses], from where the muscle was mounted.
+        Position of the motor when the backend was opened [pulses], from where the muscle was mounted.
 
     Attributes
     ----------
     sums
-        Of the volts of each input over the block that was looked at last.
-
-    Raises
-    ------
-    StoppedError
-        From `look`: it says what was exceeded.
+        Sums of the volts of each input over the block that was checked last.
     """
 
     def __init__(
         self,
-        limits: Limits,
-        inputs: Sequence[Channel],
+        backend: MovingBackend,
+        limits: RigLimits,
         calibrations: Mapping[str, Calibration],
-        drive: Drive,
+        pulses_per_metre: float,
         origin: int = 0,
     ) -> None:
-        self.limits = limits
-        self._ends: list[tuple[int, str, float, float]] = []
-        for at, channel in enumerate(inputs):
+        inputs, self._motor = backend.inputs, backend
+        bounds = {"force": (limits.force, math.inf), "pressure": (limits.pressure, limits.pressure_rate)}
+        signals = []
+        for channel in inputs:
             if channel.name in calibrations:
-                low, high = calibrations[channel.name].limits
-                # at a rail the converter can tell nothing, so that those volts themselves are out
-                self._ends.append((at, channel.name, max(low, _above(channel.low)), min(high, _below(channel.high))))
-        names = [channel.name for channel in inputs]
+                upper, rate = bounds.get(channel.name, (math.inf, math.inf))
+                signals.append(SignalLimits.of(calibrations[channel.name], inputs, upper=upper, rate=rate))
+        names = [signal.name for signal in signals]
         self._force, self._pressure = names.index("force"), names.index("pressure")
-        self._lines = tuple(
-            (calibrations[name].gain, float(calibrations[name].si(0.0))) for name in ("force", "pressure")
+        per_pulse, play = 1 / pulses_per_metre, 1e-9
+        signals.append(
+            SignalLimits(
+                "travel",
+                len(inputs),
+                per_pulse,
+                origin * per_pulse,
+                -math.inf,
+                math.inf,
+                "m",
+                -limits.shorten - play,
+                limits.stretch + play,
+            )
         )
-        self._per_metre = drive.pulses_per_metre
-        self._origin = origin
-        self._time: float | None = None
-        self._mean: tuple[float, float] | None = None
-        self._venting_until = -math.inf
-        self.set_pressure: float | None = None
+        super().__init__(backend, signals, maximum_age=limits.gap, frozen=limits.frozen)
+        self.limits = limits
         self.sums = np.zeros(len(inputs))
-        self._same: dict[int, tuple[float, float]] = {}
-        self.since = 0.0
+        self._setpoint: float | None = None
+        self._set_at = 0.0
+
+    def stop(self) -> None:
+        """Vent, stop the motor, and end the heartbeat."""
+        try:
+            super().stop()
+        finally:
+            self._motor.stop()
 
     def expect(self, pressure: float | None, time: float, *, venting: bool = False) -> None:
-        """A pressure [Pa] was set at this time [s]; None is any, as while it ramps."""
-        self.set_pressure, self.since = pressure, time
+        """Take a pressure [Pa] set at a time [s] as the setpoint; None for none."""
+        self._setpoint, self._set_at = pressure, time
         if venting:
-            self._venting_until = time + self.limits.settling
+            self._rates_from = time + self.limits.settling
 
-    def look(self, block: Block, clock: float) -> Seen:
-        """Means of a block, if nothing is wrong with it.
+    def check_block(self, block: Block, clock: float) -> BlockMeans:
+        """Means of a block, if no limit is exceeded; `clock` is that of the backend after reading [s].
+
+        Raises
+        ------
+        StoppedError
+            With the limit that was exceeded.
+        """
+        columns = np.ascontiguousarray(block.volts.T)  # NumPy is several times as quick along the last axis
+        self.sums = columns.sum(axis=1)
+        pulses = block.pulses[[0, -1]]
+        first, last = float(block.time[0]), float(block.time[-1])
+        values = self.check(
+            first,
+            last,
+            [*columns.min(axis=1).tolist(), int(pulses.min())],
+            [*columns.max(axis=1).tolist(), int(pulses.max())],
+            [*(self.sums / columns.shape[1]).tolist(), int(pulses[-1])],
+            clock,
+        )
+        pressure, setpoint = values[self._pressure], self._setpoint
+        since = last - self._set_at
+        error = 0.0 if setpoint is None or since <= self.limits.settling else abs(pressure - setpoint)
+        if setpoint is not None and error > self.limits.pressure_error:
+            raise StoppedError(
+                f"the pressure does not follow: {pressure / bar:.3g} bar {since:.3g} s after {setpoint / bar:.3g} "
+                "bar were set",
+                value=pressure,
+                unit="Pa",
+                remedy="check the supply, the valve and the muscle",
+            )
+        return BlockMeans(last, values[self._force], pressure, values[-1])
+
+
+class JointMonitor(SafetyMonitor):
+    """Safety monitor of a joint rig: also the deviation of the pressures from their commands.
+
+    Parameters
+    ----------
+    backend, limits
+        The rig and its limits.
+    sensors
+        Calibrations of "angle", "pressure1" and "pressure2".
+    period
+        The control period [s].
+    """
+
+    def __init__(self, backend: Backend, limits: JointLimits, sensors: Sequence[Calibration], period: float) -> None:
+        angle, *pressures = sensors
+        signals = [
+            SignalLimits.of(
+                angle, backend.inputs, lower=limits.lowest_angle, upper=limits.highest_angle, rate=limits.angle_rate
+            )
+        ]
+        signals += [
+            SignalLimits.of(one, backend.inputs, upper=limits.pressure, rate=limits.pressure_rate) for one in pressures
+        ]
+        super().__init__(backend, signals, maximum_age=limits.late, window=max(1, round(limits.window / period)))
+        self.limits = limits
+        self._share = min(1.0, period / limits.following)
+        self._errors = [0.0, 0.0]
+
+    def check_sample(
+        self, time: float, volts: Sequence[float], commands: Sequence[float] | None, clock: float | None
+    ) -> None:
+        """Check one sample.
 
         Parameters
         ----------
-        block
-            As read.
+        time
+            [s].
+        volts
+            Of all inputs.
+        commands
+            Pressures commanded until then [Pa]; None if there were none.
         clock
-            The backend's, after it was read [s].
+            Of the backend after reading [s]; None for a sample that is not the newest.
+
+        Raises
+        ------
+        StoppedError
+            With the limit that was exceeded.
         """
-        limits = self.limits
-        columns = np.ascontiguousarray(block.volts.T)  # along which NumPy is several times as quick
-        lowest, highest = columns.min(axis=1).tolist(), columns.max(axis=1).tolist()
-        for at, name, low, high in self._ends:
-            if not (lowest[at] >= low and highest[at] <= high):
+        values = self.check(time, time, volts, volts, volts, clock)
+        if commands is None:
+            return
+        errors, share, limit = self._errors, self._share, self.limits.pressure_error
+        for i in (0, 1):
+            pressure = values[1 + i]
+            errors[i] += share * (pressure - commands[i] - errors[i])
+            if abs(errors[i]) > limit:
                 raise StoppedError(
-                    f"the {name} sensor is lost: it gives {lowest[at]:.4g} to {highest[at]:.4g} V, and a working one "
-                    f"{low:.4g} to {high:.4g} V",
-                    remedy="check its plug and its supply",
-                )
-        if limits.frozen < math.inf:
-            self._alive(lowest, highest, float(block.time[-1]))
-        (gain, at_zero), (pressure_gain, pressure_at_zero) = self._lines
-        self.sums = columns.sum(axis=1)
-        means = (self.sums / columns.shape[1]).tolist()
-        force = means[self._force] * gain + at_zero
-        pressure = means[self._pressure] * pressure_gain + pressure_at_zero
-        top = (highest if pressure_gain > 0 else lowest)[self._pressure] * pressure_gain + pressure_at_zero
-        if top > limits.pressure:
-            raise beyond("pressure", top / bar, limits.pressure / bar, "bar")
-        top = (highest if gain > 0 else lowest)[self._force] * gain + at_zero
-        if top > limits.force:
-            raise beyond("force", top, limits.force, "N")
-        pulses = block.pulses
-        for end in (int(pulses[0]), int(pulses[-1])):
-            position = (end + self._origin) / self._per_metre
-            if position > limits.stretch + 1e-9:
-                raise beyond("stretch", position / mm, limits.stretch / mm, "mm")
-            if position < -limits.shorten - 1e-9:
-                raise beyond("way on the short side", -position / mm, limits.shorten / mm, "mm")
-        time, first = float(block.time[-1]), float(block.time[0])
-        self._timely(first, time, clock)
-        middle = (first + time) / 2
-        if self._mean is not None and time > self._venting_until:
-            before, at_time = self._mean
-            rate = (pressure - before) / max(middle - at_time, 1e-9)
-            if abs(rate) > limits.pressure_rate:
-                raise beyond("rate of the pressure", rate / bar, limits.pressure_rate / bar, "bar/s")
-        self._mean = pressure, middle
-        wanted = self.set_pressure
-        if wanted is not None and time > self.since + limits.settling:
-            error = pressure - wanted
-            if abs(error) > limits.pressure_error:
-                raise StoppedError(
-                    f"the pressure does not follow: {pressure / bar:.3g} bar where {wanted / bar:.3g} bar were set "
-                    f"{time - self.since:.3g} s before",
+                    f"pressure {i + 1} does not follow its command: it is {pressure / bar:.3g} bar, and was "
+                    f"{abs(errors[i]) / bar:.3g} bar {'above' if errors[i] > 0 else 'below'} the command on average "
+                    f"over {self.limits.following / ms:.3g} ms",
                     value=pressure,
                     unit="Pa",
-                    remedy="check the supply, the valve and the muscle",
+                    remedy="check the supply, the valve, the muscle and the sensor",
                 )
-        return Seen(time, force, pressure, position)
-
-    def _alive(self, lowest: list[float], highest: list[float], time: float) -> None:
-        for at, name, _, _ in self._ends:
-            same, since = self._same.get(at, (math.nan, time))
-            if not lowest[at] == highest[at] == same:
-                since = time
-            self._same[at] = lowest[at], since
-            if time - since > self.limits.frozen:
-                raise StoppedError(
-                    f"the {name} sensor is lost: it has given {same:.6g} V for {time - since:.3g} s",
-                    remedy="check its plug and its supply",
-                )
-
-    def _timely(self, first: float, last: float, clock: float) -> None:
-        if self._time is not None and not first > self._time:
-            raise StoppedError(
-                f"the readings go back in time, from {self._time:.6g} s to {first:.6g} s",
-                remedy="check the device and its driver",
-            )
-        if self._time is not None and not first - self._time <= self.limits.gap:
-            raise StoppedError(
-                f"no readings for {first - self._time:.3g} s: samples were dropped",
-                remedy="find out what kept the device or the host busy",
-            )
-        self._time = last
-        if not abs(clock - last) <= self.limits.gap:
-            raise StoppedError(
-                f"the readings are {clock - last:.3g} s old",
-                remedy="find out what kept the device or the host busy",
-            )
-
-
-def beyond(what: str, value: float, limit: float, unit: str) -> StoppedError:
-    """What stops a test whose reading is beyond a limit, both in the same unit."""
-    return StoppedError(
-        f"the {what} of {value:.4g} {unit} is beyond the limit of {limit:.4g} {unit}",
-        value=value,
-        upper=limit,
-        unit=unit,
-    )
-
-
-def _above(volts: float) -> float:
-    return math.nextafter(volts, math.inf)
-
-
-def _below(volts: float) -> float:
-    return math.nextafter(volts, -math.inf)

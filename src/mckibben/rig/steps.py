@@ -1,29 +1,33 @@
-"""The steps that a test is made of. They say what is wanted; `Runner` does it, `outline` adds it up beforehand."""
+"""Typed steps of a test, and whole tests made of them: isobaric, isometric and isotonic."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from mckibben.errors import Problem, RangeError
+from mckibben.muscle import Muscle, Specimen, forces
+from mckibben.rig.protocol import PAPER_PRESSURES, IsobaricProtocol, boundaries, refuse_problems, specimen_of
 from mckibben.units import N, bar, mm, percent, s
 
-DIRECTIONS = ("", "loading", "unloading")
-PHASES = ("", "filling", "venting")
+DIRECTIONS, PHASES = ("", "loading", "unloading"), ("", "filling", "venting")
 
 SPEED = 0.2 * mm / s
-"""The paper's: a step of 1 mm takes 5 s."""
+"""Speed of the paper [m/s]: a step of 1 mm takes 5 s."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Move:
-    """Stretch the muscle or let it shorten.
+    """Move of the motor.
 
     Parameters
     ----------
     to
-        Contraction [-] at the end.
+        Target contraction [-].
     speed
         [m/s].
     """
@@ -35,7 +39,7 @@ class Move:
         _refuse("move", _contraction("to", self.to), _positive("speed", self.speed, "m/s"))
 
     def describe(self) -> str:
-        """In words."""
+        """Description as text."""
         return f"move to {self.to / percent:.4g} % contraction at {self.speed / mm:g} mm/s"
 
 
@@ -49,22 +53,22 @@ class Dwell:
         _refuse("dwell", _positive("duration", self.duration, "s", zero=True))
 
     def describe(self) -> str:
-        """In words."""
+        """Description as text."""
         return f"wait {self.duration:g} s"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pressurise:
-    """Set a pressure, and wait until the muscle has it.
+    """Change of the set pressure, until the muscle has it.
 
     Parameters
     ----------
     pressure
         [Pa, gauge].
     rate
-        How fast the set pressure gets there [Pa/s]; at once unless given.
+        Rate of the set pressure [Pa/s]; a step unless given.
     holding
-        A force [N] that is held meanwhile by moving, see `HoldForce`; the position is held unless given.
+        Force [N] held meanwhile by moving, see `HoldForce`; constant length unless given.
     """
 
     pressure: float
@@ -80,7 +84,7 @@ class Pressurise:
         )
 
     def describe(self) -> str:
-        """In words."""
+        """Description as text."""
         rate = f" at {self.rate / bar:g} bar/s" if self.rate is not None else ""
         return f"pressurise to {self.pressure / bar:g} bar{rate}" + (
             f", holding {self.holding:g} N" if self.holding is not None else ""
@@ -89,18 +93,18 @@ class Pressurise:
 
 @dataclass(frozen=True, kw_only=True)
 class HoldForce:
-    """Move until the muscle pulls with a force, and stays so.
+    """Move until the muscle has a force, by feedback of the force.
 
     Parameters
     ----------
     force
         [N].
     tolerance
-        How far the mean over a cycle may be off [N].
+        Tolerance of the mean over a cycle [N].
     speed
-        The highest [m/s].
+        Highest speed [m/s].
     longest
-        After so long [s] without success the test is stopped.
+        Timeout [s], after which the test is stopped.
     """
 
     force: float
@@ -118,24 +122,24 @@ class HoldForce:
         )
 
     def describe(self) -> str:
-        """In words."""
-        return f"move until it pulls {self.force:g} N +- {self.tolerance:g} N"
+        """Description as text."""
+        return f"move until the force is {self.force:g} N +- {self.tolerance:g} N"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Acquire:
-    """Take a point: the samples of a plateau.
+    """Acquire a point: the samples of a plateau.
 
     Parameters
     ----------
     samples, duration
-        So many, evenly, within so long [s]: 1000 within 1 s.
+        Number of samples, and their duration [s]: 1000 in 1 s.
     direction
-        "loading" or "unloading", where the point belongs to a pass.
+        "loading" or "unloading", if the point belongs to a pass.
     phase
-        "filling" or "venting", where it belongs to a change of pressure.
+        "filling" or "venting", if it belongs to a change of pressure.
     keep
-        Whether it is a point of the data; one that only finds a boundary is not.
+        Whether it is a point of the dataset; a point that only finds a boundary is not.
     """
 
     samples: int = 1000
@@ -154,28 +158,28 @@ class Acquire:
         )
 
     def describe(self) -> str:
-        """In words."""
-        return f"take {self.samples} samples in {self.duration:g} s"
+        """Description as text."""
+        return f"acquire {self.samples} samples in {self.duration:g} s"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Walk:
-    """Plateau after plateau: take a point where it stands, then again and again move a step, wait, take one.
+    """Pass from plateau to plateau: acquire a point, then repeatedly move a step, wait, and acquire.
 
     Parameters
     ----------
     to
-        Contraction [-] up to which it goes; None is back to where the walk before began.
+        Contraction [-] at the end; None for the start of the walk before.
     step
-        Way between two plateaus [m].
+        Travel between two plateaus [m].
     speed, dwell
-        Of each move [m/s], and the wait after it [s].
+        Speed of each move [m/s], and the wait after it [s].
     acquire
-        What is taken at each.
+        Samples of each plateau.
     force
-        It ends before a step that, by the last two points, would take the force above this [N].
+        It ends before a step that is predicted to take the force above this [N].
     slack, slack_force
-        It ends so many plateaus after the last one at which the force was above `slack_force` [N].
+        It ends this number of plateaus after the last one with a force above `slack_force` [N].
     """
 
     to: float | None
@@ -200,29 +204,30 @@ class Walk:
         )
 
     def describe(self) -> str:
-        """In words."""
+        """Description as text."""
         to = "back" if self.to is None else f"to {self.to / percent:.4g} % contraction"
         ends = [f"until {self.force:g} N"] if self.force is not None else []
         ends += [f"until {self.slack} slack plateaus"] if self.slack is not None else []
         what = f" ({self.acquire.direction})" if self.acquire.direction else ""
+        each = self.acquire.describe().removeprefix("acquire ")
         return (
             f"walk {to} in steps of {self.step / mm:g} mm{what}{''.join(f', {end}' for end in ends)}; at each: "
-            f"{self.step / self.speed:g} s move, {self.dwell:g} s wait, {self.acquire.describe().removeprefix('take ')}"
+            f"{self.step / self.speed:g} s move, {self.dwell:g} s wait, {each}"
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Vent:
-    """Let the air out, and wait until it is."""
+    """Vent, and wait until the muscle is empty."""
 
     def describe(self) -> str:
-        """In words."""
+        """Description as text."""
         return "vent"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Repeat:
-    """Steps several times. The points inside carry the number of the innermost repeat, from 0."""
+    """Repeated steps. The points inside have the number of the innermost repeat, from 0."""
 
     times: int
     steps: tuple[Step, ...]
@@ -236,30 +241,30 @@ class Repeat:
         )
 
     def describe(self) -> str:
-        """In words, without its steps."""
+        """Description as text, without its steps."""
         return f"{self.times} times"
 
 
 Step = Move | Dwell | Pressurise | HoldForce | Acquire | Walk | Vent | Repeat
 
 
-def described(steps: Sequence[Step], indent: int = 0) -> list[str]:
-    """Steps as lines of text, those of a repeat indented.
+def describe_steps(steps: Sequence[Step], indent: int = 0) -> list[str]:
+    """Lines of text of steps, those of a repeat indented.
 
-    >>> described([Repeat(times=2, steps=(Dwell(duration=1.0), Vent()))])
+    >>> describe_steps([Repeat(times=2, steps=(Dwell(duration=1.0), Vent()))])
     ['2 times', '  wait 1 s', '  vent']
     """
     lines: list[str] = []
     for step in steps:
         lines.append("  " * indent + step.describe())
         if isinstance(step, Repeat):
-            lines += described(step.steps, indent + 1)
+            lines += describe_steps(step.steps, indent + 1)
     return lines
 
 
 def _refuse(what: str, *problems: Problem | None) -> None:
-    if there := [problem for problem in problems if problem is not None]:
-        raise RangeError("; ".join(f"{what}: {problem}" for problem in there))
+    if any(problems):
+        raise RangeError("; ".join(f"{what}: {problem}" for problem in problems if problem))
 
 
 def _positive(name: str, value: float, unit: str, *, zero: bool = False) -> Problem | None:
@@ -282,3 +287,202 @@ def _whole(name: str, value: object) -> Problem | None:
 
 def _among(name: str, value: str, words: Sequence[str]) -> Problem | None:
     return None if value in words else Problem(f"{value!r} is none of {words}", field=name)
+
+
+_ADJUSTED = 5 * mm  # stretch before the first plateau: after 2 mm 2 % of a loop would be left, some 0.5 N
+
+
+def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[Step, ...]:
+    """Steps of the paper's procedure: adjust, find the boundary values, unloading test, loading test, vent.
+
+    For a muscle the boundaries follow from its law. For a specimen alone they are found during the test: at each
+    pressure the rig starts where the muscle is shortest, and stretches it step by step until the next step would take
+    the force above the rated one less the protocol's reserve; an unloading pass then ends `slack_steps` plateaus after
+    the last taut one, and the loading pass returns to its start.
+
+    Raises
+    ------
+    RangeError
+        As the protocol's `check` and `boundaries` do.
+    """
+    protocol.check(of)
+    unloading, loading = (
+        Acquire(samples=protocol.samples, duration=protocol.acquisition, direction=direction)
+        for direction in ("unloading", "loading")
+    )
+
+    def walk(to: float | None, acquire: Acquire, *, force: float | None = None, slack: int | None = None) -> Walk:
+        return Walk(
+            to=to,
+            step=protocol.step,
+            speed=protocol.speed,
+            dwell=protocol.dwell,
+            acquire=acquire,
+            force=force,
+            slack=slack,
+        )
+
+    steps: list[Step] = []
+    if isinstance(of, Muscle):
+        for pressure, low, high in zip(*boundaries(of, protocol), strict=True):
+            passes = (walk(float(high), unloading), walk(float(low), loading))
+            steps += [
+                Vent(),
+                Move(to=_short_of(float(low), protocol, of), speed=protocol.speed),
+                Pressurise(pressure=float(pressure)),
+                Move(to=float(low), speed=protocol.speed),
+                Dwell(duration=protocol.dwell),
+                Repeat(times=protocol.repeats, steps=passes),
+            ]
+        return (*steps, Vent())
+    first, last = protocol.stroke(of)
+    limit = float(of.rated_force) * (1 - protocol.force_reserve)
+    found = Acquire(samples=protocol.samples, duration=protocol.acquisition, keep=False)
+    for pressure in protocol.pressures:
+        passes = (walk(last, unloading, slack=protocol.slack_steps), walk(None, loading))
+        steps += [
+            Vent(),
+            Move(to=last, speed=protocol.speed),
+            Pressurise(pressure=pressure),
+            walk(first, found, force=limit),
+            Repeat(times=protocol.repeats, steps=passes),
+        ]
+    return (*steps, Vent())
+
+
+def _short_of(low: float, protocol: IsobaricProtocol, of: Muscle) -> float:
+    """Contraction before the stretched end, far enough for the friction to change its direction until there."""
+    return min(low + _ADJUSTED / float(of.specimen.initial_length), protocol.stroke(of)[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsometricProtocol:
+    """Isometric test: constant length, the pressure stepped up and down.
+
+    Parameters
+    ----------
+    contractions
+        Contractions [-], in order: -3, 0, 5, 10, 15, 20 % (ours).
+    pressures
+        Set pressures [Pa, gauge], ascending; vented in descending order.
+    rate
+        Rate of the set pressure [Pa/s]; steps unless given.
+    speed
+        Speed of the moves between lengths [m/s].
+    dwell, acquisition, samples, repeats
+        As in the isobaric test.
+    """
+
+    contractions: Sequence[float] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))
+    pressures: Sequence[float] = PAPER_PRESSURES
+    rate: float | None = None
+    speed: float = SPEED
+    dwell: float = 5 * s
+    acquisition: float = 1 * s
+    samples: int = 1000
+    repeats: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("contractions", "pressures"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        _check_lists("isometric protocol", self, "contractions")
+
+    def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
+        """Steps of the test, without pressures whose force by the law exceeds the rated one; `dry_run` checks them."""
+        steps: list[Step] = []
+        for contraction in self.contractions:
+            pressures = _within_rating(of, contraction, self.pressures)
+            steps += [
+                Vent(),
+                Move(to=contraction, speed=self.speed),
+                Repeat(
+                    times=self.repeats,
+                    steps=(*self._pass(pressures, "filling"), *self._pass(pressures[::-1], "venting")),
+                ),
+            ]
+        return (*steps, Vent())
+
+    def _pass(self, pressures: Sequence[float], phase: str) -> list[Step]:
+        acquire = Acquire(samples=self.samples, duration=self.acquisition, phase=phase)
+        return [
+            step
+            for pressure in pressures
+            for step in (Pressurise(pressure=pressure, rate=self.rate), Dwell(duration=self.dwell), acquire)
+        ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsotonicProtocol:
+    """Isotonic test: constant force, the pressure stepped up and down.
+
+    Parameters
+    ----------
+    forces
+        Constant forces [N], in order: 50, 100, 200 N (ours).
+    pressures
+        Set pressures [Pa, gauge], ascending: 2, 2.5, ... 6 bar (ours; 200 N takes about 2 bar).
+    rate
+        Rate of the set pressure [Pa/s]: 0.1 bar/s (ours), slow enough for the motor.
+    tolerance
+        Tolerance of the force at a point [N].
+    speed, dwell, acquisition, samples, repeats
+        As in the isobaric test.
+    """
+
+    forces: Sequence[float] = (50.0, 100.0, 200.0)
+    pressures: Sequence[float] = tuple(0.5 * level * bar for level in range(4, 13))
+    rate: float = 0.1 * bar / s
+    tolerance: float = 2.0
+    speed: float = SPEED
+    dwell: float = 5 * s
+    acquisition: float = 1 * s
+    samples: int = 1000
+    repeats: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("forces", "pressures"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        _check_lists("isotonic protocol", self, "forces")
+
+    def steps(self, of: Muscle | Specimen) -> tuple[Step, ...]:
+        """Steps of the test, from the vented muscle at its initial length; `dry_run` checks them."""
+        steps: list[Step] = []
+        for force in self.forces:
+            steps += [Vent(), Move(to=0.0, speed=self.speed)]
+            inside: list[Step] = []
+            up, down = ([(p, phase) for p in self.pressures] for phase in ("filling", "venting"))
+            for pressure, phase in up + down[::-1]:
+                inside += [
+                    Pressurise(pressure=pressure, rate=self.rate, holding=force),
+                    HoldForce(force=force, tolerance=self.tolerance, speed=self.speed),
+                    Dwell(duration=self.dwell),
+                    HoldForce(force=force, tolerance=self.tolerance, speed=self.speed),
+                    Acquire(samples=self.samples, duration=self.acquisition, phase=phase),
+                ]
+            steps.append(Repeat(times=self.repeats, steps=tuple(inside)))
+        return (*steps, Vent())
+
+
+Procedure = IsobaricProtocol | IsometricProtocol | IsotonicProtocol
+
+
+def steps_of(procedure: Procedure, of: Muscle | Specimen) -> tuple[Step, ...]:
+    """Steps of a whole test, for a muscle or for a specimen without a law."""
+    return isobaric_steps(procedure, of) if isinstance(procedure, IsobaricProtocol) else procedure.steps(of)
+
+
+def _within_rating(of: Muscle | Specimen, contraction: float, pressures: Sequence[float]) -> list[float]:
+    if not isinstance(of, Muscle):
+        return list(pressures)
+    there = forces(of, contraction, np.array(pressures))
+    return [p for p, force in zip(pressures, there, strict=True) if force <= float(specimen_of(of).rated_force) * 0.95]
+
+
+def _check_lists(what: str, protocol: IsometricProtocol | IsotonicProtocol, name: str) -> None:
+    pressures, values = protocol.pressures, getattr(protocol, name)
+    problems: list[Problem] = []
+    if not (pressures and all(map(math.isfinite, pressures)) and all(a < b for a, b in itertools.pairwise(pressures))):
+        problems.append(Problem("do not rise", field="pressures", remedy="give at least one, ascending"))
+    if not (values and all(map(math.isfinite, values))):
+        problems.append(Problem("give at least one, all finite", field=name))
+    refuse_problems(what, problems)

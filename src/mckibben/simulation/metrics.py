@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from mckibben.numerics.batching import apart
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import JointPlant
 from mckibben.simulation.loop import Record
-from mckibben.units import atm
+from mckibben.units import atm, deg, litre, percent
 
 
 class Trajectory(NamedTuple):
@@ -172,6 +172,31 @@ class Metrics(NamedTuple):
     excursion_max: Array
     force_max: Array
     air: Array
+
+
+METRICS: dict[str, tuple[str, str, float]] = {
+    "angle_rmse_deg": ("angle_rmse", "deg", deg),
+    "angle_max_deg": ("angle_max", "deg", deg),
+    "stiffness_rmse": ("stiffness_rmse", "N*m/rad", 1.0),
+    "stiffness_max": ("stiffness_max", "N*m/rad", 1.0),
+    "stiffness_ripple": ("stiffness_ripple", "N*m/rad", 1.0),
+    "stiffness_settling_s": ("stiffness_settling", "s", 1.0),
+    "coupling_deg": ("coupling", "deg", deg),
+    "estimate_rmse": ("estimate_rmse", "N*m/rad", 1.0),
+    "time_saturated_s": ("time_saturated", "s", 1.0),
+    "time_slack_s": ("time_slack", "s", 1.0),
+    "time_outside_domain_s": ("time_outside_domain", "s", 1.0),
+    "time_overloaded_s": ("time_overloaded", "s", 1.0),
+    "excursion_max_percent": ("excursion_max", "%", percent),
+    "force_max_N": ("force_max", "N", 1.0),
+    "air_L": ("air", "L", litre),
+}
+"""Field of `Metrics`, unit and its factor to SI, by the name in results."""
+
+
+def in_shown_units(metrics: Mapping[str, float]) -> dict[str, float]:
+    """Metrics by their names and in their units in results."""
+    return {name: metrics[metric] / unit for name, (metric, _, unit) in METRICS.items()}
 
 
 def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETTLING_PART) -> Metrics:

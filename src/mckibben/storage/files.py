@@ -1,8 +1,10 @@
-"""Atomic writes, file locks and output folders."""
+"""Atomic writes, file locks, output folders and JSON."""
 
 from __future__ import annotations
 
 import errno
+import json
+import math
 import os
 import socket
 import uuid
@@ -10,6 +12,9 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from mckibben.errors import FileError, McKibbenWarning, Problem
 
@@ -197,3 +202,28 @@ def _is_same(path: Path, file: int) -> bool:
         return os.path.samestat(path.stat(), os.fstat(file))
     except FileNotFoundError:
         return False
+
+
+def json_ready(value: Any) -> Any:
+    """The value with NaN and infinities as None, and tuples as lists."""
+    if isinstance(value, dict):
+        return {key: json_ready(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(item) for item in value]
+    if isinstance(value, np.generic):
+        return json_ready(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value
+
+
+def to_json(value: Any) -> str:
+    """Indented JSON."""
+    return json.dumps(json_ready(value), indent=2, allow_nan=False)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON atomically."""
+    text = to_json(value)
+    with atomic_write(path, overwrite=True) as part:
+        part.write_text(text + "\n", encoding="utf-8")

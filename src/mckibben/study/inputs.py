@@ -1,4 +1,4 @@
-"""What users name in commands: a file or an entry of the catalog, as data or as a law."""
+"""Data, laws and joints named by a user: an entry of the catalog or a file."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from mckibben.errors import NotInCatalogError
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
+    from mckibben.joint import AntagonisticJoint
     from mckibben.muscle import ForceLaw
 
 
@@ -25,7 +26,7 @@ def data_named(
     slack_force: float | None = None,
     skip_corrupt: bool = False,
 ) -> IsobaricDataset:
-    """A dataset of the catalog by its name, or a file of measurements by its path.
+    """Read a dataset of the catalog, or a file of measurements.
 
     Parameters
     ----------
@@ -34,23 +35,34 @@ def data_named(
     columns, initial_length, specimen, slack_force
         As for `mckibben.read_dataset`; for files only.
     skip_corrupt
-        Leave out rows that hold no number, and report them, instead of refusing the file.
+        Skip and report rows without a number instead of refusing the file.
+
+    Raises
+    ------
+    NotInCatalogError
+        If there is no such dataset and the name is not a path; or options for files are given for a dataset.
+    FileError
+        If the file cannot be read.
     """
     from mckibben.dataset import read_dataset
 
-    if name in catalog.names("datasets") and not Path(name).is_file():
+    known = catalog.names("datasets")
+    if name in known and not Path(name).is_file():
         if columns or initial_length is not None or specimen or slack_force is not None:
             raise NotInCatalogError(
-                f"{name} is a dataset of the catalog, and read as it is",
+                f"{name} is a dataset of the catalog",
                 value=name,
                 remedy="columns, initial length, specimen and slack force are for files",
             )
         return catalog.dataset(name)
-    close = [] if Path(name).exists() else difflib.get_close_matches(name, catalog.names("datasets"), 1)
-    if close:
-        raise NotInCatalogError(
-            f"there is no file {name!r}, and no dataset of that name", value=name, remedy=f"did you mean {close[0]!r}?"
-        )
+    if not Path(name).exists():
+        close = difflib.get_close_matches(name, known, 1) or [one for one in known if name and one.startswith(name)]
+        if close or not re.search(r"[./\\]", name):
+            raise NotInCatalogError(
+                f"there is no file {name!r}, and no dataset of that name",
+                value=name,
+                remedy=f"did you mean {' or '.join(map(repr, close))}?" if close else f"datasets: {', '.join(known)}",
+            )
     return read_dataset(
         name,
         columns=columns,
@@ -62,7 +74,7 @@ def data_named(
 
 
 def law_named(name: str, *, specimen: str = "") -> ForceLaw:
-    """A law by the name of a published parameter set, as "chou" of a specimen, or from a fit file.
+    """A published parameter set, "chou" of a specimen, or the law of a fit file.
 
     Raises
     ------
@@ -91,16 +103,41 @@ def law_named(name: str, *, specimen: str = "") -> ForceLaw:
 
 
 def law_type_named(name: str) -> type[ForceLaw]:
-    """A kind of law by its name, with or without "Law", in any case, its words joined by hyphens or not.
+    """A kind of law by its name, in any case, with or without "Law" and hyphens.
 
     >>> law_type_named("exponential").__name__, law_type_named("tondu-lopez").__name__
     ('ExponentialLaw', 'TonduLopezLaw')
     """
-    from mckibben.muscle import LAWS
+    from mckibben.identification.storage import law_types
 
+    laws = law_types()
     plain = name.lower().replace("-", "").replace("_", "")
-    for known, law_type in LAWS.items():
+    for known, law_type in laws.items():
         if plain in (known.lower(), known.removesuffix("Law").lower()):
             return law_type
-    short = ", ".join(re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in LAWS)
+    short = ", ".join(re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws)
     raise NotInCatalogError(f"there is no law {name!r}", value=name, remedy=f"known are {short}")
+
+
+def joint_named(name: str) -> AntagonisticJoint:
+    """A joint of the catalog, or that of a scenario file.
+
+    Raises
+    ------
+    NotInCatalogError
+        If it is neither.
+    ScenarioError
+        If the file is not a scenario.
+    """
+    if Path(name).suffix in (".yaml", ".yml"):
+        from mckibben.study.scenario import Scenario
+        from mckibben.study.scenario.building import build_joint
+
+        return build_joint(Scenario.read(name).joint)
+    if name in catalog.names("joints"):
+        return catalog.joint(name)
+    raise NotInCatalogError(
+        f"there is no joint {name!r}",
+        value=name,
+        remedy=f"give a scenario file (.yaml), or one of {', '.join(catalog.names('joints'))}",
+    )

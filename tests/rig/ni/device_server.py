@@ -1,4 +1,4 @@
-"""A card in this process: the NI gRPC Device Server's calls for NI-DAQmx, in front of a virtual rig.
+"""A card in this process: the NI gRPC Device Server's calls for NI-DAQmx, in front of a simulated rig.
 
 The real `nidaqmx` package talks to it over gRPC, as it does to a card on another machine. It does what the driver's
 manual says of the calls that a rig needs, refuses in the driver's way what a card would refuse, and does nothing else:
@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RigError, SilentError
-from mckibben.rig.twin import TwinRig
+from mckibben.rig.simulated import SimulatedRig
 
 grpc = pytest.importorskip("grpc", reason="needs the extra daq")
 messages = pytest.importorskip("nidaqmx._stubs.nidaqmx_pb2", reason="needs the extra daq")
@@ -48,9 +48,9 @@ class RefusedError(Exception):
 
 
 class Card(service.NiDAQmxServicer):
-    """A PCI-6281 with a `TwinRig` at its terminals, and the relay that watches its heartbeat."""
+    """A PCI-6281 with a `SimulatedRig` at its terminals, and the relay that watches its heartbeat."""
 
-    def __init__(self, twin: TwinRig) -> None:
+    def __init__(self, twin: SimulatedRig) -> None:
         self.twin = twin
         self.tasks: dict[str, Task] = {}
         self.lines = dict.fromkeys(LINES, False)
@@ -194,7 +194,7 @@ class Card(service.NiDAQmxServicer):
         self.lines |= dict(zip(task.channels, values, strict=True))
         if self.lines[HEARTBEAT] != before:
             self.beats += 1
-            self.twin.beat()
+            self.twin.heartbeat()
         self._wired()
         return messages.WriteDigitalLinesResponse(samps_per_chan_written=1)
 
@@ -204,7 +204,7 @@ class Card(service.NiDAQmxServicer):
             self.twin.vent()
         elif self.twin.is_open:
             try:
-                self.twin.press([self.valve])
+                self.twin.set_valves([self.valve])
             except RigError:  # the relay has let go
                 self.twin.vent()
 

@@ -12,8 +12,8 @@ from mckibben import catalog
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
 from mckibben.rig.backend import Backend, MovingBackend
-from mckibben.rig.ni import NiBackend, NiRig, Wiring, backend, present
-from mckibben.rig.twin import Dropping, HostDelayed, Silent, TwinRig, Unplugged
+from mckibben.rig.ni import NiBackend, NiRig, Terminals, backend, channel_status
+from mckibben.rig.simulated import HostDelayed, SamplesDropped, SamplesStopped, SensorDisconnected, SimulatedRig
 from mckibben.units import bar, mm
 
 pytest.importorskip("nidaqmx", reason="needs the extra daq")
@@ -33,7 +33,7 @@ class Bench:
     """A card with a twin, and its address."""
 
     def __init__(self, **settings):
-        self.twin = TwinRig(MUSCLE, **settings)
+        self.twin = SimulatedRig(MUSCLE, **settings)
         self.card = device.Card(self.twin)
         self.server, self.address = device.serve(self.card)
         self.rigs = []
@@ -67,12 +67,12 @@ def read(rig, duration, count=100):
     kept = []
     for _ in range(round(duration * rig.rate / count)):
         kept.append(rig.read(count))
-        rig.beat()
+        rig.heartbeat()
     return kept
 
 
 def press(rig, twin, pressure):
-    rig.press([float(twin.calibrations["valve"].volts(pressure))])
+    rig.set_valves([float(twin.calibrations["valve"].volts(pressure))])
 
 
 def test_it_is_a_backend_before_anything_is_connected():
@@ -93,7 +93,7 @@ def test_it_reads_the_samples_of_the_card(bench):
     """The very samples that the twin gives when nothing stands between."""
     there = bench(seed=3)
     rig = there.rig()
-    alone = TwinRig(MUSCLE, seed=3)
+    alone = SimulatedRig(MUSCLE, seed=3)
     alone.open()
     for one, twin in ((rig, alone), (alone, alone)):
         press(one, twin, 3 * bar)
@@ -102,15 +102,15 @@ def test_it_reads_the_samples_of_the_card(bench):
         assert block.first == expected.first
         np.testing.assert_array_equal(block.time, expected.time)
         np.testing.assert_array_equal(block.volts, expected.volts)
-        rig.beat()
-        alone.beat()
+        rig.heartbeat()
+        alone.heartbeat()
     assert rig.clock() == pytest.approx(1.0)
     assert there.twin.truth.pressure > 2.5 * bar and there.card.beats == 10
 
 
 def test_order_of_the_inputs_is_that_of_the_wiring(bench):
     there = bench()
-    rig = there.rig(wiring=Wiring(inputs={"pressure": "Dev1/ai1", "force": "Dev1/ai0"}))
+    rig = there.rig(wiring=Terminals(inputs={"pressure": "Dev1/ai1", "force": "Dev1/ai0"}))
     press(rig, there.twin, 4 * bar)
     pressure, force = read(rig, 2.0)[-1].volts.mean(axis=0)
     assert pressure == pytest.approx(4, abs=0.1) and force * 200 == pytest.approx(there.twin.truth.force, abs=1)
@@ -118,11 +118,11 @@ def test_order_of_the_inputs_is_that_of_the_wiring(bench):
 
 def test_backend_without_a_motor_needs_no_counter(bench):
     there = bench()
-    rig = there.rig(NiBackend, wiring=Wiring(inputs={"pressure": "Dev1/ai1"}, counter=""))
+    rig = there.rig(NiBackend, wiring=Terminals(inputs={"pressure": "Dev1/ai1"}, counter=""))
     assert rig.read(50).volts.shape == (50, 1) and (rig.read(50).pulses == 0).all()
     assert not {task.kind for task in there.card.tasks.values()} & {"co"}
     with pytest.raises(RangeError, match="counter"):
-        NiRig(Wiring(counter=""))
+        NiRig(Terminals(counter=""))
 
 
 def test_motor_makes_its_pulses_and_counts_them(bench):
@@ -134,16 +134,16 @@ def test_motor_makes_its_pulses_and_counts_them(bench):
         rig.move(1, 80.0)
     block = rig.read(400)
     np.testing.assert_array_equal(block.pulses, -np.floor(np.arange(400) * 0.08 + 1e-6))
-    rig.beat()
+    rig.heartbeat()
     assert rig.read(200).pulses[-1] == -40 and not rig.moving
-    rig.beat()
+    rig.heartbeat()
     rig.move(100, 200.0)
     assert there.card.lines[device.DIRECTION] is True
     rig.read(250)
     rig.stop()
-    rig.beat()
+    rig.heartbeat()
     assert rig.read(100).pulses.tolist() == [10] * 100 and not rig.moving
-    assert there.twin.truth.stretch == pytest.approx(there.twin.drive.way(10), abs=0.02 * mm)
+    assert there.twin.truth.stretch == pytest.approx(there.twin.drive.travel(10), abs=0.02 * mm)
     for pulses, rate in ((1, 0.0), (1, float("nan"))):
         with pytest.raises(RigError, match="cannot go"):
             rig.move(pulses, rate)
@@ -163,7 +163,7 @@ def test_vented_muscle_has_its_valve_without_current_and_no_signal(bench):
     assert not there.card.lines[device.HOLD] and there.card.valve == 0
     read(rig, 1.0)
     assert there.twin.truth.pressure < SAFE
-    rig.press([0.0])
+    rig.set_valves([0.0])
     assert not there.card.lines[device.HOLD]
     press(rig, there.twin, 1 * bar)
     assert there.card.lines[device.HOLD]
@@ -207,30 +207,36 @@ def test_missed_beat_holds_until_it_is_opened_anew(bench, monkeypatch):
     now = backend.time.monotonic()
     monkeypatch.setattr(backend.time, "monotonic", lambda: now + 1.5)
     beats = there.card.beats
-    rig.beat()
+    rig.heartbeat()
     assert there.card.beats == beats and not there.card.lines[device.HOLD] and not rig.moving
-    for what in (lambda: rig.press([1.0]), lambda: rig.move(1, 80.0)):
-        with pytest.raises(RigError, match="no beat"):
+    for what in (lambda: rig.set_valves([1.0]), lambda: rig.move(1, 80.0)):
+        with pytest.raises(RigError, match="no heartbeat"):
             what()
 
 
 def test_silent_and_overrun_cards_are_told(bench):
-    rig = bench(faults=[Silent(0.25)]).rig()
+    rig = bench(faults=[SamplesStopped(0.25)]).rig()
     rig.read(100)
     with pytest.raises(SilentError):
         rig.read(200, timeout=0.1)
     rig = bench(faults=[HostDelayed(0.05, 12.0)], patience=100.0).rig(patience=100.0)
     with pytest.raises(RigError, match="overwritten"):
         rig.read(100)
-    assert Dropping  # a card drops nothing without telling: -200279 above is all there is
+    assert SamplesDropped  # a card drops nothing without telling: -200279 above is all there is
 
 
 def test_card_that_is_gone_is_told_and_closes_without_an_error(bench):
     there = bench()
     rig = there.rig()
     there.card.unplugged = True
-    for what in (lambda: rig.read(10), rig.clock, rig.beat, lambda: rig.press([1.0]), lambda: rig.move(1, 80.0)):
-        with pytest.raises(RigError, match="the device is gone"):
+    for what in (
+        lambda: rig.read(10),
+        rig.clock,
+        rig.heartbeat,
+        lambda: rig.set_valves([1.0]),
+        lambda: rig.move(1, 80.0),
+    ):
+        with pytest.raises(RigError, match="the device is disconnected"):
             what()
     rig.vent()
     rig.stop()
@@ -241,10 +247,10 @@ def test_card_that_is_gone_is_told_and_closes_without_an_error(bench):
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"wiring": Wiring(inputs={"force": "Dev2/ai0"})}, "force at Dev2/ai0: .*connected are Dev1"),
-        ({"wiring": Wiring(inputs={"force": "Dev1/ai40"})}, "force at Dev1/ai40: Physical channel"),
-        ({"wiring": Wiring(heartbeat="Dev1/port7/line0")}, "heartbeat at Dev1/port7/line0"),
-        ({"wiring": Wiring(outputs={"valve": "Dev1/ao3"})}, "valve at Dev1/ao3"),
+        ({"wiring": Terminals(inputs={"force": "Dev2/ai0"})}, "force at Dev2/ai0: .*connected are Dev1"),
+        ({"wiring": Terminals(inputs={"force": "Dev1/ai40"})}, "force at Dev1/ai40: Physical channel"),
+        ({"wiring": Terminals(heartbeat="Dev1/port7/line0")}, "heartbeat at Dev1/port7/line0"),
+        ({"wiring": Terminals(outputs={"valve": "Dev1/ao3"})}, "valve at Dev1/ao3"),
         ({"rate": 1003.0}, r"nearest is 1002\.99645 Hz"),
     ],
 )
@@ -278,19 +284,19 @@ def test_missing_server_driver_and_package_are_told(monkeypatch):
     monkeypatch.setitem(sys.modules, "nidaqmx", None)
     with pytest.raises(RigError, match=r"pip install 'mckibben\[daq\]'"):
         NiRig().open()
-    (only,) = present()
+    (only,) = channel_status()
     assert only.name == "package" and "mckibben[daq]" in only.problem
 
 
 def test_what_is_present_is_shown_with_readings(bench):
-    there = bench(faults=[Unplugged(0.0, "pressure")])
-    wiring = Wiring(
+    there = bench(faults=[SensorDisconnected(0.0, "pressure")])
+    wiring = Terminals(
         inputs={"force": "Dev1/ai0", "pressure": "Dev1/ai1", "angle": "Dev1/ai7"}, outputs={"valve": "X/ao0"}
     )
-    found = {row.name: row for row in present(wiring, there.twin.calibrations, server=there.address)}
+    found = {row.name: row for row in channel_status(wiring, there.twin.calibrations, server=there.address)}
     assert found["driver"].reading == "NI-DAQmx 24.5.0" and found["device"].reading == "PCI-6281, serial 1234ABC"
     assert " N (noise" in found["force"].reading and not found["force"].problem
-    assert "no working sensor" in found["pressure"].problem
+    assert "the sensor is lost" in found["pressure"].problem
     assert "Dev1/ai7" in found["angle"].problem and "no device X" in found["valve"].problem
     assert not found["counter"].problem
     assert there.card.beats == 0 and there.twin.truth.vented  # nothing was touched
@@ -298,23 +304,23 @@ def test_what_is_present_is_shown_with_readings(bench):
 
 
 def test_description_tells_card_driver_and_wiring(bench):
-    described = bench().rig().described
+    described = bench().rig().description
     assert described["devices"] == "Dev1 (PCI-6281, serial 1234ABC)"
     assert "NI-DAQmx 24.5.0, nidaqmx 1." in described["driver"] and "valve at Dev1/ao0" in described["wiring"]
 
 
 def test_wiring_that_cannot_be_safe_is_refused():
     with pytest.raises(RangeError) as caught:
-        Wiring(inputs={}, heartbeat="", direction="", rest=11.0)
+        Terminals(inputs={}, heartbeat="", direction="", rest=11.0)
     for text in ("inputs", "heartbeat", "direction", "rest"):
         assert f"\n  {text}: " in str(caught.value)
     with pytest.raises(RangeError, match="Dev1/ai0 is given twice"):
-        Wiring(inputs={"force": "Dev1/ai0", "pressure": "Dev1/ai0"})
+        Terminals(inputs={"force": "Dev1/ai0", "pressure": "Dev1/ai0"})
 
 
 @pytest.mark.parametrize("signals", [[10.1], [-0.1], [float("nan")], [], [1.0, 1.0]])
 def test_signal_that_cannot_be_given_is_refused(bench, signals):
     there = bench()
     with pytest.raises(RigError, match="cannot be given"):
-        there.rig().press(signals)
+        there.rig().set_valves(signals)
     assert there.card.valve == 0

@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-import os
 import signal
 import sys
 from pathlib import Path
@@ -14,7 +13,7 @@ from mckibben import catalog
 from mckibben.errors import FileError, SignalledError, StoppedError
 from mckibben.muscle import Muscle, forces
 from mckibben.rig.record import read_record, segments
-from mckibben.rig.twin import Silent, TwinRig
+from mckibben.rig.simulated import SamplesStopped, SimulatedRig
 from mckibben.study.rig.document import read_test
 from mckibben.study.rig.running import check, readings, run_test
 from mckibben.units import bar
@@ -30,7 +29,7 @@ _spec.loader.exec_module(device)
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
 TEXT = """name: a short test on a card
 muscle: {{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}}
-rig: {{nidaqmx: {{server: "{address}", calibration: bench.json}}}}
+rig: {{nidaqmx: {{server: "{address}", calibration: bench.json, patience: 60 s}}}}
 limits: {{pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm, deviation: 20 N}}
 protocol:
   isobaric: {{pressures: [3 bar, 4 bar], contraction_min: 2 %, contraction_max: 4 %, repeats: 1, speed: 4 mm/s,
@@ -44,7 +43,7 @@ def on_card(tmp_path):
     servers = []
 
     def make(mounted_at=0.0, **settings):
-        twin = TwinRig(MUSCLE, seed=len(servers), mounted_at=mounted_at, **settings)
+        twin = SimulatedRig(MUSCLE, seed=len(servers), mounted_at=mounted_at, **settings)
         server, address = device.serve(device.Card(twin))
         servers.append(server)
         calibrations = {name: one.to_json() for name, one in twin.calibrations.items()}
@@ -66,7 +65,7 @@ def stopping(after, twin):
 
     def report(progress):
         if progress.points >= after and twin.moving and not sent:
-            sent.append(os.kill(os.getpid(), signal.SIGINT))
+            sent.append(signal.raise_signal(signal.SIGINT))
 
     sent = []
     return report
@@ -93,11 +92,11 @@ def test_a_protocol_on_a_card_is_stopped_and_goes_on_from_where_the_motor_stands
 
 
 def test_where_the_motor_of_a_card_that_fell_silent_stands_is_asked(on_card, tmp_path):
-    twin, checked = on_card(faults=[Silent(5.0)])
-    with pytest.raises(StoppedError, match=r"samples did not come in time.*no reading tells"):
+    twin, checked = on_card(faults=[SamplesStopped(5.0)])
+    with pytest.raises(StoppedError, match=r"samples did not come in time.*no sensor shows"):
         run_test(checked, tmp_path / "out")
     twin.pass_time(1.0)
     assert twin.truth.pressure < 0.2 * bar
     _, checked = on_card()
-    with pytest.raises(FileError, match="nothing tells where the motor stands"):
+    with pytest.raises(FileError, match="the position of the motor is not known"):
         run_test(checked, tmp_path / "out", resume=True)

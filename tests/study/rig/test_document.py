@@ -18,7 +18,7 @@ from mckibben.units import bar, mm, percent
 EXAMPLES = Path(__file__).parents[3] / "examples"
 HEAD = """name: a test
 muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
-rig: {virtual: {seed: 1}}
+rig: {simulated: {seed: 1}}
 limits: {pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm}
 """
 STEPS = (
@@ -145,7 +145,7 @@ def test_any_typed_steps_are_written_and_read_back_to_the_last_bit(steps):
 def test_everything_that_is_wrong_is_told_at_once_with_its_line():
     text = """name: a test
 muscle: {specimen: MAS-10-180N, law: lei-mas-10-180n}
-rig: {virtual: {seed: -1}}
+rig: {simulated: {seed: -1}}
 limits: {pressure: 6.5, stretch: 8 mm}
 protocol:
   steps:
@@ -159,7 +159,7 @@ protocol:
     said = str(found.value)
     for part in (
         "line 2, muscle.specimen: the catalog has no specimen 'MAS-10-180N'; did you mean 'MAS-10-180N-AA-MC-O'?",
-        "line 3, rig.virtual.seed: -1 is outside 0 to",
+        "line 3, rig.simulated.seed: -1 is outside 0 to",
         "line 4, limits.pressure: '6.5' has no unit; write it like '6.5 bar'",
         "line 4, limits.shorten: is missing",
         "line 7, protocol.steps[0].move: '10' has no unit, and as a ratio is outside -50 to 80 %; write '10 %'",
@@ -176,8 +176,8 @@ protocol:
     [
         (("isobaric:", "isobaric:\n  isotonic:"), "protocol: is isobaric and isotonic at once; give one of"),
         (("  isobaric:", "  {}"), "protocol: is empty; give one of isobaric, isometric, isotonic, steps"),
-        (("rig: {virtual: {seed: 1}}", "rig: {}"), "rig: is empty; give `virtual: {seed: 1}`, or `nidaqmx`"),
-        ((", law: lei-mas-10-180n", ""), "rig: has no law for its virtual muscle; give"),
+        (("rig: {simulated: {seed: 1}}", "rig: {}"), "rig: is empty; give `simulated: {seed: 1}`, or `nidaqmx`"),
+        ((", law: lei-mas-10-180n", ""), "rig: has no law for its simulated muscle; give"),
     ],
 )
 def test_what_does_not_go_together_is_told(change, message):
@@ -205,7 +205,7 @@ def test_a_whole_test_that_does_not_suit_the_muscle_is_told_with_its_line():
 
 def test_the_example_is_the_papers_test():
     checked = check(RigTest.read(EXAMPLES / "rig" / "paper-protocol.yaml"))
-    assert checked.outline.samples == 5_850_000
+    assert checked.dry_run.samples == 5_850_000
     assert checked.test.protocol.isobaric is not None
     paper = IsobaricProtocol(contraction_min=0.0, contraction_max=0.245, slack_steps=44)
     given_ = {name: value for name, value in checked.test.protocol.isobaric if value is not None}
@@ -214,12 +214,12 @@ def test_the_example_is_the_papers_test():
 
 
 def test_a_card_and_its_calibrations(tmp_path):
-    from mckibben.rig.twin.sensing import FORCE, PRESSURE, VALVE
-    from mckibben.study.reporting import to_json
+    from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
+    from mckibben.storage.files import to_json
 
     path = tmp_path / "calibration.json"
     path.write_text(to_json({one.name: one.to_json() for one in (FORCE, PRESSURE, VALVE)}))
-    text = HEAD.replace("rig: {virtual: {seed: 1}}", "rig: {nidaqmx: {device: Dev2, calibration: calibration.json}}")
+    text = HEAD.replace("rig: {simulated: {seed: 1}}", "rig: {nidaqmx: {device: Dev2, calibration: calibration.json}}")
     test = RigTest.parse(f"{text}protocol:\n  isobaric:\n", folder=tmp_path)
     assert RigTest.parse(test.dumps(folder=tmp_path), folder=tmp_path) == test
     checked = check(test)

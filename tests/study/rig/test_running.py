@@ -3,7 +3,6 @@
 import dataclasses
 import errno
 import fcntl
-import os
 import signal
 
 import numpy as np
@@ -19,7 +18,7 @@ from mckibben.study.rig.running import check, gather, run_test
 
 TEXT = """name: a short test
 muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
-rig: {virtual: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}
+rig: {simulated: {seed: 1, friction: {half_width: 12 N, presliding_length: 0.5 mm}}}
 limits: {pressure: 6.5 bar, stretch: 8 mm, shorten: 50 mm}
 protocol:
   isobaric: {pressures: [3 bar, 4 bar], contraction_min: 2 %, contraction_max: 6 %, repeats: 1, speed: 4 mm/s,
@@ -32,12 +31,12 @@ def checked(text=TEXT, session=0):
 
 
 def stopping(after, number=signal.SIGINT):
-    """A report that sends this process a signal when so many points were taken."""
+    """A callback that raises a signal in this thread when so many points were taken."""
     sent = []
 
     def report(progress):
         if progress.points >= after and not sent:
-            sent.append(os.kill(os.getpid(), number))
+            sent.append(signal.raise_signal(number))
 
     return report
 
@@ -78,12 +77,12 @@ def test_a_signal_stops_it_vented_and_it_goes_on(tmp_path, number):
 
 
 def test_it_overwrites_nothing_and_goes_on_with_nothing_else(tmp_path):
-    with pytest.raises(FileError, match="holds no test to go on with"):
+    with pytest.raises(FileError, match="holds no test to resume"):
         run_test(checked(), tmp_path, resume=True)
     run_test(checked(), tmp_path)
-    with pytest.raises(FileError, match=r"holds a record already; go on with it \(--resume\)"):
+    with pytest.raises(FileError, match=r"holds a record already; resume it \(--resume\)"):
         run_test(checked(), tmp_path)
-    with pytest.raises(ScenarioError, match="holds another test; go on with its own"):
+    with pytest.raises(ScenarioError, match="holds another test; resume it with its own"):
         run_test(checked(TEXT.replace("repeats: 1", "repeats: 2")), tmp_path, resume=True)
 
 
@@ -99,7 +98,7 @@ def test_a_rig_that_is_not_there_leaves_nothing_behind(tmp_path, monkeypatch):
     def missing(_):
         raise RigError("no device Dev1", remedy="connect it")
 
-    monkeypatch.setattr("mckibben.rig.twin.TwinRig.open", missing)
+    monkeypatch.setattr("mckibben.rig.simulated.SimulatedRig.open", missing)
     with pytest.raises(RigError, match="no device Dev1; connect it") as refused:
         run_test(checked(), tmp_path)
     assert not isinstance(refused.value, StoppedError)
@@ -125,7 +124,7 @@ def test_too_small_a_disk_is_refused_before_anything_moves(tmp_path, monkeypatch
         free = 100_000
 
     monkeypatch.setattr(running.shutil, "disk_usage", lambda _: Usage)
-    with pytest.raises(ScenarioError, match="has 0 MB left, and the test takes up to 1 MB; make room"):
+    with pytest.raises(ScenarioError, match="has 0 MB free, and the test takes up to 1 MB; free some space"):
         run_test(checked(), tmp_path)
     assert not segments(tmp_path)
 
@@ -136,7 +135,7 @@ def test_a_dataset_for_which_there_is_no_room_is_told_with_what_to_do(tmp_path, 
 
     monkeypatch.setattr("mckibben.dataset.IsobaricDataset.to_netcdf", full)
     with pytest.raises(
-        FileError, match=r"No space left on device; the record is whole: make room, then mckibben rig data"
+        FileError, match=r"No space left on device; the record is complete: free some space, then mckibben rig data"
     ):
         run_test(checked(), tmp_path)
     monkeypatch.undo()
@@ -153,7 +152,7 @@ def test_a_dataset_of_another_calibration_than_was_recorded_is_told(tmp_path, mo
         bench = dataclasses.replace(setup.bench, calibrations={**setup.bench.calibrations, "force": tared})
         return dataclasses.replace(setup, bench=bench)
 
-    monkeypatch.setattr(checking, "build_setup", mended)
+    monkeypatch.setattr(running, "build_setup", mended)
     with pytest.warns(McKibbenWarning, match=r"record-0001\.chunks was recorded with another calibration"):
         again = gather(tmp_path)
     np.testing.assert_allclose(again.force, made.force - 3.0, atol=1e-4)
@@ -164,15 +163,15 @@ def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path):
         run_test(checked(), tmp_path, report=stopping(5))
     past = running._past(tmp_path)
     assert past.certain and len(past.done) == 5
-    assert past.left == read_record(tmp_path).columns["pulses"][-1] < 0
+    assert past.position == read_record(tmp_path).columns["pulses"][-1] < 0
     (path,) = segments(tmp_path)
     path.write_bytes(path.read_bytes()[:-500])
     killed = running._past(tmp_path)
     assert not killed.certain
-    virtual = checked()
-    assert running._origin(virtual, tmp_path, killed, None) == 0
-    card = dataclasses.replace(virtual, test=virtual.test.model_copy(update={"rig": RigSpec.model_construct()}))
-    assert running._origin(card, tmp_path, past, None) == past.left
+    simulated = checked()
+    assert running._origin(simulated, tmp_path, killed, None) == 0
+    card = dataclasses.replace(simulated, test=simulated.test.model_copy(update={"rig": RigSpec.model_construct()}))
+    assert running._origin(card, tmp_path, past, None) == past.position
     assert running._origin(card, tmp_path, killed, 0.05) == -0.05 * 180 * 400
-    with pytest.raises(FileError, match=r"nothing tells where the motor stands .*--standing-at '5 %'"):
+    with pytest.raises(FileError, match=r"the position of the motor is not known .*--standing-at '5 %'"):
         running._origin(card, tmp_path, killed, None)

@@ -1,7 +1,6 @@
-"""Rigs on cards of National Instruments; needs the extra `daq`, and the driver NI-DAQmx."""
+"""Rigs on cards of National Instruments; needs the extra `daq` and the driver NI-DAQmx."""
 
-from mckibben.rig.ni.backend import NiBackend, NiRig
-from mckibben.rig.ni.channel_status import Presence, present
-from mckibben.rig.ni.driver import Wiring
+from mckibben.rig.ni.backend import ChannelStatus, NiBackend, NiRig, channel_status
+from mckibben.rig.ni.driver import Terminals
 
-__all__ = ["NiBackend", "NiRig", "Presence", "Wiring", "present"]
+__all__ = ["ChannelStatus", "NiBackend", "NiRig", "Terminals", "channel_status"]

@@ -1,4 +1,4 @@
-"""A rig on a card of National Instruments, by way of their driver NI-DAQmx."""
+"""Rigs on a card of National Instruments, and the status of its channels."""
 
 from __future__ import annotations
 
@@ -6,47 +6,49 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from importlib.metadata import version
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError, RigError
 from mckibben.numerics.checks import check_positive
-from mckibben.rig.backend import Block, Channel
-from mckibben.rig.ni.driver import Driver, Wiring
+from mckibben.rig.backend import AnalogChannel, Block, Watchdog
+from mckibben.rig.calibration import Calibration
+from mckibben.rig.ni.driver import Driver, Terminals
 
-_BUFFER = 10.0  # s of samples that the driver keeps for us
-_OFF = 1e-3  # V: a signal nearer to rest is rest
+_BUFFER = 10.0  # s of samples in the buffer of the driver
+_OFF = 1e-3  # V from the signal at rest
 _SAME = 1e-9
 
 
 class NiBackend:
     """Sensors and valves on a card; a `Backend`.
 
-    All inputs are sampled by one clock of the card; the outputs are held by it. A card holds its last output when its
-    host dies: nothing in it vents. That is the work of an external relay that watches the line `heartbeat`, and cuts
-    the current of a valve that a spring opens; `patience` has to be the time for which that relay waits. What the host
-    can see of a missed beat it enforces here: the line then rests until the backend is opened anew.
+    All inputs are sampled by one clock of the card. A card holds its last output when its host dies: nothing in it
+    vents. That is the task of an external watchdog relay on the line `heartbeat`, which cuts the current of a
+    spring-return vent valve; `patience` has to be its timeout. The same watchdog is enforced here: after it has expired
+    the line rests until the backend is reopened.
 
     Parameters
     ----------
     wiring
-        Which terminal goes where.
+        Terminals.
     rate
-        Samples a second of each input [Hz]; the card has to have it exactly.
+        Sampling rate of each input [Hz]; the card has to have it exactly.
     patience
-        After how long without a beat the relay lets go [s].
+        Timeout of the watchdog relay [s].
     server
         Address of an NI gRPC Device Server, "host:port", on whose machine the card is; empty: this one.
     """
 
     def __init__(
-        self, wiring: Wiring | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
+        self, wiring: Terminals | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
     ) -> None:
         check_positive("rig", "Hz", rate=rate)
         check_positive("rig", "s", patience=patience)
-        self.wiring = wiring or Wiring()
+        self.wiring = wiring or Terminals()
         self.rate = float(rate)
         self.patience = float(patience)
         self.server = server
@@ -58,23 +60,24 @@ class NiBackend:
         self._switch: Any = None
         self._lines: dict[str, bool] = {}
         self._taken = 0
-        self._beaten = 0.0
-        self._tripped = False
+        self._watchdog = Watchdog(self.patience)
         self._facts: dict[str, str] = {}
 
     @property
-    def inputs(self) -> Sequence[Channel]:
-        """What is measured."""
-        return tuple(Channel(name, *self.wiring.input_range, where) for name, where in self.wiring.inputs.items())
+    def inputs(self) -> Sequence[AnalogChannel]:
+        """Sensors."""
+        return tuple(AnalogChannel(name, *self.wiring.input_range, where) for name, where in self.wiring.inputs.items())
 
     @property
-    def outputs(self) -> Sequence[Channel]:
+    def outputs(self) -> Sequence[AnalogChannel]:
         """The valves."""
-        return tuple(Channel(name, *self.wiring.output_range, where) for name, where in self.wiring.outputs.items())
+        return tuple(
+            AnalogChannel(name, *self.wiring.output_range, where) for name, where in self.wiring.outputs.items()
+        )
 
     @property
-    def described(self) -> Mapping[str, str]:
-        """What it is, for the record; driver and serial numbers once it has been opened."""
+    def description(self) -> Mapping[str, str]:
+        """Description for the record; driver and serial numbers once it has been opened."""
         wired = {**self.wiring.inputs, **self.wiring.outputs, **self.wiring.lines}
         if self.wiring.counter:
             wired["counter"] = self.wiring.counter
@@ -87,37 +90,37 @@ class NiBackend:
         }
 
     def open(self) -> None:
-        """Take hold of the card; vented, at rest, its clock at 0.
+        """Open the card; vented, at rest, its clock at 0.
 
         Raises
         ------
         RigError
-            If the package, the driver, the device or a terminal is missing, or the card has not that rate.
+            If the package, the driver, the device or a terminal is missing, or the card does not have the rate.
         """
         if self._driver is not None:
-            raise RigError("the rig is open already", remedy="close it first")
+            raise RigError("the rig is already open", remedy="close it first")
         self._driver = Driver(self.server)
         try:
-            self._take_hold(self._driver)
+            self._open_tasks(self._driver)
         except BaseException:
             self.close()
             raise
 
     def clock(self) -> float:
-        """Since it was opened [s], by the card's clock: samples that it has taken."""
+        """Time since it was opened [s], by the sample clock of the card."""
         driver = self._open()
         with driver.translated("the card's clock"):
             return self._inputs.in_stream.total_samp_per_chan_acquired / self.rate
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for so many samples, and take them.
+        """Wait for a number of samples, and return them.
 
         Raises
         ------
         SilentError
-            If they have not come after the timeout [s] beyond the time that they take.
+            If they have not come within the timeout [s] after their duration.
         RigError
-            If the device is lost, or the host was away for too long.
+            If the device is lost, or samples were overwritten.
         """
         driver = self._open()
         if count < 1:
@@ -130,15 +133,15 @@ class NiBackend:
         times = np.arange(first, self._taken) / self.rate
         return Block(first, times, np.ascontiguousarray(volts.T), self._counted(times))
 
-    def press(self, volts: Sequence[float]) -> None:
-        """Hold these signals at the valves [V]; one other than rest closes the spring valve again.
+    def set_valves(self, volts: Sequence[float]) -> None:
+        """Set the signals of the valves [V]; one other than that at rest closes the vent valve again.
 
         Raises
         ------
         RigError
-            If it is not open, a beat was missed, or a signal is outside the range.
+            If it is not open, the watchdog has expired, or a signal is outside the range.
         """
-        driver = self._must_go()
+        driver = self._check_armed()
         low, high = self.wiring.output_range
         signals = np.asarray(volts, np.float64)
         if signals.shape != (len(self.wiring.outputs),) or not ((signals >= low) & (signals <= high)).all():
@@ -150,8 +153,8 @@ class NiBackend:
             if (np.abs(signals - self.wiring.rest) > _OFF).any():
                 self._set(hold=True)
 
-    def beat(self) -> None:
-        """Say that the host lives. After a missed beat the line rests.
+    def heartbeat(self) -> None:
+        """Reset the watchdog; no effect once it has expired.
 
         Raises
         ------
@@ -163,15 +166,15 @@ class NiBackend:
             return
         with driver.translated("the heartbeat"):
             self._set(heartbeat=not self._lines["heartbeat"])
-        self._beaten = time.monotonic()
+        self._watchdog.reset(time.monotonic())
 
     def vent(self) -> None:
-        """Let all air out: cut the spring valve's current, then bring the signals to rest. Never raises."""
+        """Vent: cut the current of the vent valve, then set the signals to rest. Never raises."""
         self._quietly(lambda: self._set(hold=False))
         self._quietly(lambda: self._writer.write_one_sample(np.full(len(self.wiring.outputs), self.wiring.rest)))
 
     def close(self) -> None:
-        """Vent, let the heartbeat rest, and let go of the card. Never raises."""
+        """Vent, end the heartbeat, and close the card. Never raises."""
         self.vent()
         self._quietly(lambda: self._set(heartbeat=False))
         for task in reversed(self._tasks):
@@ -181,16 +184,14 @@ class NiBackend:
         self._tasks, self._driver, self._lines = [], None, {}
         self._inputs = self._reader = self._writer = self._switch = None
 
-    # What is below is for this class and the one with a motor
+    def _open_tasks(self, driver: Driver) -> None:
+        self._open_outputs(driver)
+        self._open_inputs(driver)
+        self._taken = 0
+        self._watchdog.start(time.monotonic())
 
-    def _take_hold(self, driver: Driver) -> None:
-        self._take_hold_of_outputs(driver)
-        self._take_hold_of_inputs(driver)
-        self._taken, self._tripped = 0, False
-        self._beaten = time.monotonic()
-
-    def _take_hold_of_outputs(self, driver: Driver) -> None:
-        """Lines first: they vent."""
+    def _open_outputs(self, driver: Driver) -> None:
+        """Open lines, which vent, then valves."""
         package, wiring = driver.package, self.wiring
         self._lines = dict.fromkeys(wiring.lines, False)
         lines = self._new_task(driver)
@@ -198,7 +199,7 @@ class NiBackend:
             with driver.translated(f"{name} at {where}"):
                 lines.do_channels.add_do_chan(where, line_grouping=package.constants.LineGrouping.CHAN_PER_LINE)
         self._switch = package.stream_writers.DigitalMultiChannelWriter(lines.out_stream, auto_start=True)
-        self._switch.verify_array_shape = False  # which would ask the driver at each write
+        self._switch.verify_array_shape = False
         with driver.translated("the digital lines"):
             self._set()
 
@@ -212,7 +213,7 @@ class NiBackend:
         with driver.translated("the valves"):
             self._writer.write_one_sample(np.full(len(wiring.outputs), wiring.rest))
 
-    def _take_hold_of_inputs(self, driver: Driver) -> None:
+    def _open_inputs(self, driver: Driver) -> None:
         package, wiring = driver.package, self.wiring
         constants = package.constants
         self._inputs = self._new_task(driver)
@@ -235,9 +236,9 @@ class NiBackend:
             actual = self._inputs.timing.samp_clk_rate
         if abs(actual - self.rate) > _SAME * self.rate:
             raise RigError(
-                f"the card cannot sample at {self.rate:g} Hz, the nearest is {actual:.9g} Hz", remedy="give that rate"
+                f"the card cannot sample at {self.rate:g} Hz, the nearest is {actual:.9g} Hz", remedy="set that rate"
             )
-        self._facts = {"driver": f"NI-DAQmx {driver.version()}, nidaqmx {_version(package)}"}
+        self._facts = {"driver": f"NI-DAQmx {driver.version()}, nidaqmx {version(package.__name__)}"}
         devices = {where.split("/")[0] for where in [*wiring.inputs.values(), *wiring.outputs.values()]}
         self._facts["devices"] = ", ".join(
             f"{name} ({model}, serial {serial})"
@@ -257,20 +258,23 @@ class NiBackend:
             raise RigError("the rig is not open", remedy="open it first")
         return self._driver
 
-    def _must_go(self) -> Driver:
+    def _check_armed(self) -> Driver:
         driver = self._open()
         if self._missed():
             raise RigError(
-                f"there was no beat for {self.patience:g} s: the relay has let go, the muscle is vented",
-                remedy="open the rig anew, and beat in time",
+                f"there was no heartbeat for {self.patience:g} s: the relay has opened, the muscle is vented",
+                remedy="reopen the rig, and send heartbeats in time",
             )
         return driver
 
     def _missed(self) -> bool:
-        if not self._tripped and time.monotonic() - self._beaten > self.patience:
-            self._tripped = True
-            self.vent()
-        return self._tripped
+        """Whether the watchdog has expired; the first time, vent."""
+        if self._watchdog.expires(time.monotonic()):
+            self._on_expiry()
+        return self._watchdog.has_expired
+
+    def _on_expiry(self) -> None:
+        self.vent()
 
     def _set(self, **lines: bool) -> None:
         """Write the digital lines, all at once."""
@@ -278,7 +282,7 @@ class NiBackend:
         self._switch.write_one_sample_one_line(np.array([*self._lines.values()], bool))
 
     def _quietly(self, what: Callable[[], object]) -> None:
-        """Do it, and let nothing that goes wrong keep the next from being done."""
+        """Call a function; errors must not prevent the next call."""
         with contextlib.suppress(Exception):
             what()
 
@@ -286,54 +290,47 @@ class NiBackend:
         return np.zeros(len(times), np.int64)
 
 
-def _version(package: Any) -> str:
-    from importlib.metadata import version
-
-    return version(package.__name__)
-
-
 _ROUNDING = 1e-6  # pulses
 
 
 class NiRig(NiBackend):
-    """A card with a motor as well; a `MovingBackend`.
+    """A card with a motor; a `MovingBackend`.
 
-    A counter sends the pulses of a move as one finite train: their number is the card's. How many of them were sent at
-    a time follows from the rate and from the samples that had been taken when the train began, to within what the host
-    takes to start it: less than a pulse at 80 a second and 10 ms. After a `stop` in the midst of a move the count is
-    known no better than that.
+    A counter sends the pulses of a move as one finite train, so that their number is exact. Their number at a time
+    follows from the rate and the start of the train, to within the latency of the host: less than a pulse at 80 Hz and
+    10 ms. After a `stop` during a move the count has that uncertainty.
 
-    A 62xx has no counter beside its two that could gate a train: it needs both for it, ctr1 along with ctr0.
+    A 62xx needs both of its counters for a finite train, ctr1 along with ctr0.
     """
 
     def __init__(
-        self, wiring: Wiring | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
+        self, wiring: Terminals | None = None, *, rate: float = 1000.0, patience: float = 1.0, server: str = ""
     ) -> None:
         super().__init__(wiring, rate=rate, patience=patience, server=server)
         if not self.wiring.counter:
-            raise RangeError("a stretching device needs the counter that sends its pulses", remedy="give the counter")
+            raise RangeError("a stretching device needs a counter for its pulses", remedy="give the counter")
         self._train: Any = None
         self._begin = 0.0
         self._rate = 1.0
         self._pulses = 0
-        self._stood = 0
+        self._position = 0
 
     def open(self) -> None:
-        """As `NiBackend.open`; the motor stands, and its pulses count from here."""
-        self._stood = self._pulses = 0
+        """Open the card as `NiBackend`; the pulses of the motor count from here."""
+        self._position = self._pulses = 0
         super().open()
 
     def move(self, pulses: int, rate: float) -> None:
-        """Begin to move by so many pulses, positive = stretching, at so many a second [Hz].
+        """Begin a move by a number of pulses, positive = stretching, at a rate [Hz].
 
         Raises
         ------
         RigError
-            If it is still moving, a beat was missed, or the card cannot send them.
+            If it is moving, the watchdog has expired, or the card cannot send the pulses.
         """
-        driver = self._must_go()
+        driver = self._check_armed()
         if self.moving:
-            raise RigError("the motor is still moving", remedy="wait until it stands, or stop it")
+            raise RigError("the motor is still moving", remedy="wait until it stops, or stop it")
         self._end(self._pulses)
         if not pulses:
             return
@@ -344,7 +341,7 @@ class NiRig(NiBackend):
         try:
             with driver.translated(f"the motor's pulses at {self.wiring.counter}"):
                 train.co_channels.add_co_pulse_chan_freq(self.wiring.counter, freq=float(rate), duty_cycle=0.5)
-                if abs(pulses) > 1:  # without a timing the counter sends one
+                if abs(pulses) > 1:  # a single pulse needs no timing
                     train.timing.cfg_implicit_timing(
                         sample_mode=constants.AcquisitionType.FINITE, samps_per_chan=abs(int(pulses))
                     )
@@ -358,14 +355,14 @@ class NiRig(NiBackend):
 
     @property
     def moving(self) -> bool:
-        """Whether pulses are being sent."""
+        """Whether the motor is moving."""
         if self._train is None:
             return False
         with self._open().translated("the motor"):
             return not self._train.is_task_done()
 
     def stop(self) -> None:
-        """Stand still, at once. Never raises."""
+        """Stop the motor at once. Never raises."""
         if self._train is None:
             return
         sent = self._pulses
@@ -376,29 +373,124 @@ class NiRig(NiBackend):
         self._end(sent)
 
     def close(self) -> None:
-        """Stop, vent, and let go of the card. Never raises."""
-        self.vent()  # first: whatever a motor does, air is the danger
+        """Vent, stop, and close the card. Never raises."""
+        self.vent()  # first: the air is the greater danger
         self.stop()
         super().close()
 
-    def _missed(self) -> bool:
-        before, missed = self._tripped, super()._missed()
-        if missed and not before:
-            self.stop()
-        return missed
+    def _on_expiry(self) -> None:
+        super()._on_expiry()
+        self.stop()
 
     def _end(self, sent: int) -> None:
-        """No move goes on; so many pulses of the last were sent."""
+        """End a move after a number of pulses."""
         if self._train is not None:
             self._quietly(self._train.close)
         self._train = None
-        self._stood += sent
+        self._position += sent
         self._pulses = 0
 
     def _sent(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Pulses of this move until times [s] of the card's clock, with their sign."""
+        """Signed pulses of this move until times [s] of the card's clock."""
         sent = np.clip(np.floor((times - self._begin) * self._rate + _ROUNDING), 0, abs(self._pulses))
         return (np.sign(self._pulses) * sent).astype(np.int64)
 
     def _counted(self, times: NDArray[np.float64]) -> NDArray[np.int64]:
-        return self._stood + self._sent(times)
+        return self._position + self._sent(times)
+
+
+_READING = 0.1  # s
+
+
+class ChannelStatus(NamedTuple):
+    """Status of one channel, device or driver.
+
+    Attributes
+    ----------
+    name, where
+        "pressure" at "Dev1/ai1"; "driver", "devices".
+    reading
+        Reading, such as "0.0131 V, 1.31e+03 Pa"; empty if there is none.
+    problem
+        Problem and remedy; empty if there is none.
+    """
+
+    name: str
+    where: str
+    reading: str
+    problem: str = ""
+
+
+def channel_status(
+    wiring: Terminals | None = None, calibrations: Mapping[str, Calibration] | None = None, *, server: str = ""
+) -> list[ChannelStatus]:
+    """Status of driver, devices and terminals; each sensor is read for 0.1 s.
+
+    The muscle stays vented, and nothing moves. Missing parts are reported, not raised.
+
+    Parameters
+    ----------
+    wiring
+        Terminals; those of the paper's rig unless given.
+    calibrations
+        Of the inputs, by name: for readings in their unit, and lost sensors.
+    server
+        As for `NiBackend`.
+    """
+    wiring, calibrations = wiring or Terminals(), calibrations or {}
+    found: list[ChannelStatus] = []
+    try:
+        driver = Driver(server)
+    except RigError as error:
+        return [ChannelStatus("package", "", "", str(error))]
+    try:
+        found.append(ChannelStatus("driver", server or "this machine", f"NI-DAQmx {driver.version()}"))
+        devices = driver.devices()
+    except RigError as error:
+        return [*found, ChannelStatus("driver", server or "this machine", "", str(error))]
+    finally:
+        driver.close()
+    found += [ChannelStatus("device", name, f"{model}, serial {serial}") for name, (model, serial) in devices.items()]
+    if not devices:
+        found.append(ChannelStatus("device", "", "", "no device is connected; check its cable and power"))
+    for name, where in wiring.inputs.items():
+        found.append(
+            _input_status(AnalogChannel(name, *wiring.input_range, where), wiring, calibrations.get(name), server)
+        )
+    others = {**wiring.outputs, **wiring.lines} | ({"counter": wiring.counter} if wiring.counter else {})
+    for name, where in others.items():
+        device = where.split("/")[0]
+        missing = "" if device in devices else f"no device {device}; correct the address in the wiring"
+        found.append(ChannelStatus(name, where, "" if missing else "not tested", missing))
+    return found
+
+
+def _input_status(
+    channel: AnalogChannel, wiring: Terminals, calibration: Calibration | None, server: str
+) -> ChannelStatus:
+    """Status of one input, in a task of its own, so that a missing one does not hide the others."""
+    alone = _InputsOnly(
+        Terminals(inputs={channel.name: channel.where}, input_range=wiring.input_range, counter=""), server=server
+    )
+    try:
+        alone.open()
+        volts = alone.read(round(_READING * alone.rate)).volts[:, 0]
+    except RigError as error:
+        return ChannelStatus(channel.name, channel.where, "", str(error))
+    finally:
+        alone.close()
+    reading = f"{np.mean(volts):.4f} V"
+    lost = np.abs(volts) >= max(map(abs, wiring.input_range))
+    if calibration is not None:
+        reading += f", {float(np.mean(calibration.si(volts))):.4g} {calibration.unit}"
+        lost = calibration.lost(volts, channel)
+    reading += f" (noise {np.std(volts) * 1e3:.2f} mV)"
+    problem = "the sensor is lost; check its plug and its supply" if lost.any() else ""
+    return ChannelStatus(channel.name, channel.where, reading, problem)
+
+
+class _InputsOnly(NiBackend):
+    """Inputs without outputs, lines and counter."""
+
+    def _open_outputs(self, driver: Driver) -> None:
+        return

@@ -20,7 +20,7 @@ _DRIVER = "install NI-DAQmx from ni.com (`nidaqmx installdriver` helps), or give
 
 
 class Driver:
-    """`nidaqmx`, imported when this is made.
+    """The driver NI-DAQmx, by the package `nidaqmx`, which is imported on construction.
 
     Parameters
     ----------
@@ -61,32 +61,32 @@ class Driver:
             return self.package.Task(grpc_options=self._options())
 
     def version(self) -> str:
-        """Of the driver."""
+        """Version of the driver."""
         with self.translated("the driver"):
             version = self._system().driver_version
         return f"{version.major_version}.{version.minor_version}.{version.update_version}"
 
     def devices(self) -> dict[str, tuple[str, str]]:
-        """Names of the devices, each with its model and serial number."""
+        """Model and serial number of each device, by name."""
         with self.translated("the devices"):
             return {device.name: (device.product_type, f"{device.serial_num:X}") for device in self._system().devices}
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
         if self._channel is not None:
             self._channel.close()
             self._channel = None
 
     @contextmanager
     def translated(self, what: str) -> Iterator[None]:
-        """Errors of the driver become `RigError`s.
+        """Translate errors of the driver to `RigError`.
 
         Raises
         ------
         RigError
-            With what was being done, what is missing or wrong, and what to do.
+            For any error of the driver, with a remedy.
         SilentError
-            If samples did not come in time.
+            If samples timed out.
         """
         errors = self.package.errors
         try:
@@ -106,17 +106,17 @@ class Driver:
     def _said(self, error: Any, what: str) -> RigError:
         code, text = error.error_code, _first(error)
         if code == _TIMEOUT:
-            return SilentError(f"{what}: samples did not come in time", remedy="is the card there still? open it anew")
+            return SilentError(f"{what}: samples did not come in time", remedy="check the card, and reopen it")
         if code == _OVERWRITTEN:
             return RigError(
-                f"{what}: samples were overwritten, the host was away for too long", remedy="open the rig anew"
+                f"{what}: samples were overwritten, the host did not read them in time", remedy="reopen the rig"
             )
         if code == _NO_DEVICE or code in _NO_CHANNEL:
             return RigError(f"{what}: {text}", remedy=f"{self._there()}; correct the address in the wiring")
         if code in _RESERVED:
-            return RigError(f"{what} is in use by another program", remedy="end that (NI MAX, another test)")
+            return RigError(f"{what} is in use by another program", remedy="close that program (NI MAX, another test)")
         if code in _GONE:
-            return RigError(f"{what}: the device is gone ({text})", remedy="check its cable and power, open it anew")
+            return RigError(f"{what}: the device is disconnected ({text})", remedy="check cable and power")
         return RigError(f"{what}: {text} (NI-DAQmx {code})", remedy="look the number up at ni.com")
 
     def _there(self) -> str:
@@ -135,19 +135,19 @@ class Driver:
         if not self.server:
             return None
         if self._channel is None:
-            raise RigError("the connection to the device server is closed", remedy="open the rig anew")
+            raise RigError("the connection to the device server is closed", remedy="reopen the rig")
         return self.package.GrpcSessionOptions(self._channel, "")
 
 
 def _first(error: Exception) -> str:
-    """What an error says first: the driver goes on for paragraphs."""
+    """First line of an error of the driver, which has paragraphs."""
     lines: Sequence[str] = str(error).strip().splitlines()
     return lines[0].strip().rstrip(".") if lines else type(error).__name__
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wiring:
-    """Terminals by name, as the driver calls them.
+class Terminals:
+    """Terminals of a rig, in the notation of the driver.
 
     Parameters
     ----------
@@ -156,26 +156,26 @@ class Wiring:
     outputs
         Analog outputs of the valves.
     heartbeat
-        Digital line that changes with each beat; an external relay lets go when it does not.
+        Digital line that toggles with each heartbeat; an external relay opens when it does not.
     hold
-        Digital line that, through that relay, holds the current of the spring valve: high = closed.
+        Digital line that, through that relay, energises the spring-return vent valve: high = closed.
     counter
-        Counter that sends the motor's pulses; empty where there is no motor.
+        Counter of the motor's pulses; empty without a motor.
     direction
         Digital line of the motor's direction: high = stretching.
     input_range, output_range
-        Lowest and highest volts [V] of all inputs and of all outputs.
+        Ranges of all inputs and of all outputs [V].
     rest
-        Signal [V] of the outputs at which a valve lets all air out.
+        Signal [V] of the outputs at which a valve vents.
 
     Raises
     ------
     RangeError
-        If something is missing, or one terminal is given twice; all of it at once.
+        If terminals are missing or given twice; all of it at once.
 
     Examples
     --------
-    >>> wiring = Wiring()  # the paper's rig
+    >>> wiring = Terminals()  # the paper's rig
     >>> wiring.inputs["pressure"], wiring.outputs["valve"], wiring.counter
     ('Dev1/ai1', 'Dev1/ao0', 'Dev1/ctr0')
     """
@@ -193,16 +193,16 @@ class Wiring:
     def __post_init__(self) -> None:
         problems: list[Problem] = []
         if not self.inputs:
-            problems.append(Problem("a rig without a sensor measures nothing", field="inputs"))
+            problems.append(Problem("has no sensor", field="inputs"))
         if not self.outputs:
-            problems.append(Problem("a rig without a valve has no pressure", field="outputs"))
+            problems.append(Problem("has no valve", field="outputs"))
         problems += [
-            Problem("without it nothing vents when the host dies", field=name)
+            Problem("is missing: without it nothing vents when the host dies", field=name)
             for name in ("heartbeat", "hold")
             if not getattr(self, name)
         ]
         if self.counter and not self.direction:
-            problems.append(Problem("a motor needs one", field="direction"))
+            problems.append(Problem("is missing: the motor needs it", field="direction"))
         for name in ("input_range", "output_range"):
             low, high = getattr(self, name)
             if not low < high:
@@ -220,6 +220,6 @@ class Wiring:
 
     @property
     def lines(self) -> dict[str, str]:
-        """The digital lines by name, in the order in which they are written."""
+        """Digital lines by name, in the order in which they are written."""
         lines = {"heartbeat": self.heartbeat, "hold": self.hold}
         return lines | {"direction": self.direction} if self.counter else lines

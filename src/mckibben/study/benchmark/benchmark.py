@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.control import Controller
+from mckibben.dataset.schema import html_table
 from mckibben.errors import ParameterError
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
+from mckibben.simulation.metrics import METRICS
 from mckibben.study.benchmark.runs import Runs, draw
 from mckibben.study.benchmark.suite import Suite, filename
 from mckibben.study.parameters import batched, valid_rows
-from mckibben.study.reporting import METRICS, html_table
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.result import spearman
 from mckibben.study.tune.objective import FAILED_COST

@@ -12,17 +12,17 @@ import jax
 from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
 from mckibben.config.document import Document, dotted, to_text
-from mckibben.config.fields import AngularAcceleration, BoundedInt, Duration, PositiveTime, Title
+from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.building import build_signal
-from mckibben.study.scenario.controller import ControllerSpec
-from mckibben.study.scenario.plant import DisturbanceSpec, JointSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
+from mckibben.study.scenario.controller import AnyController
+from mckibben.study.scenario.plant import AnyDisturbance, AnyLoad, AnySensors, AnyValve, JointSpec, StartSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
 from mckibben.study.scenario.scenario import check_divides_duration
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
+from mckibben.units import AngularAcceleration, BoundedInt, Duration, PositiveTime
 
 _OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance")
 _LONGEST_NAME = 80
@@ -155,7 +155,7 @@ def _check_of_controller(over: tuple[SweptParameter, ...]) -> None:
             )
 
 
-def _check_signal(signal: SignalSpec[Any]) -> None:
+def _check_signal(signal: SignalSpec) -> None:
     if signal.samples is not None:
         raise ParameterError("samples cannot be compared on", remedy="give a constant, step, sine or multisine")
 
@@ -171,7 +171,7 @@ NOMINAL_JOINT = "nominal"
 def start_of(reference: ReferenceSpec) -> StartSpec:
     """Start at rest at the first angle of a reference, with the middle of the attainable stiffness."""
     samples = reference.angle.samples is not None  # refused by `_check_signal`
-    return StartSpec() if samples else StartSpec(angle=float(build_signal(reference.angle, "angle")(0.0)))
+    return StartSpec() if samples else StartSpec(angle=float(reference.angle.build()(0.0)))
 
 
 class PlantSpec(ConfigModel):
@@ -259,14 +259,14 @@ class Suite(ConfigModel):
     joint: JointSpec
     joint_share: _Share = 1
     other_joints: dict[str, PlantSpec] = Field(default_factory=dict)
-    load: LoadSpec
-    valve: ValveSpec | None = None
-    sensors: SensorsSpec | None = None
-    disturbance: DisturbanceSpec | None = None
+    load: AnyLoad
+    valve: AnyValve | None = None
+    sensors: AnySensors | None = None
+    disturbance: AnyDisturbance | None = None
     conditions: tuple[str, ...] = ()
     references: dict[str, ReferenceCase] = Field(min_length=1)
     max_angular_acceleration: AngularAcceleration | None = None
-    controllers: dict[str, ControllerSpec] = Field(min_length=1)
+    controllers: dict[str, AnyController] = Field(min_length=1)
     tuning: TuningSpec = TuningSpec()
     evaluation: EvaluationSpec = EvaluationSpec()
     duration: Duration

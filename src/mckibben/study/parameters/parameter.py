@@ -3,71 +3,38 @@
 from __future__ import annotations
 
 import difflib
-import functools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
-from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from mckibben.config.fields import BoundedInt, OneOf, Quantity
-from mckibben.config.model import ConfigModel
+from mckibben.config.fields import OneOf
+from mckibben.config.model import ConfigModel, model_in
+from mckibben.config.schema import ComponentModel
 from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
-from mckibben.study.scenario import GeometrySpec, JointSpec, LoopSpec, PIDSpec, Scenario, SignalSpec
+from mckibben.study.scenario import GeometrySpec, JointSpec, LoopSpec, Scenario, SignalSpec
 from mckibben.study.scenario.plant import CatalogName
-from mckibben.units import show
-
-_ATTRIBUTES = {
-    "poles": "feedback",
-    "sliding": "feedback",
-    "velocity_observer": "observer",
-    "disturbance_observer": "observer",
-}
-"""Attributes of the built objects, by keys of the file."""
+from mckibben.units import BoundedInt, Quantity, show
 
 
-def defaults_of(scenario: Scenario) -> Callable[[tuple[str, ...]], float | int | None]:
-    """Effective values [SI] of parameters that the scenario leaves unset, as a function of their place.
+def effective_value(scenario: Scenario, part: ConfigModel, place: tuple[str, ...]) -> float | int | None:
+    """Effective value [SI] of a number of a section, also where the scenario leaves it unset.
 
-    None for a starting stiffness, which is then the middle of the attainable range.
+    None for a starting stiffness and a minimum tension that are unset.
     """
-    return functools.partial(_default, scenario, functools.cache(scenario.control))
-
-
-def _default(scenario: Scenario, control: Callable[[], Any], place: tuple[str, ...]) -> float | int | None:
-    from mckibben.study.scenario import building
-
     key = place[-1]
+    value = getattr(part, key)
+    if value is not None:
+        return value
     if key == "strength":  # of a muscle's law
         return 1.0
-    match place[:-1]:
-        case ("load",):
-            return getattr(building.build_load(scenario.load), key)
-        case ("joint", *_):
-            return getattr(building.build_geometry(scenario.joint), key)
-        case ("controller", "model", *_):
-            model = scenario.controller.model or scenario.joint
-            return getattr(building.build_geometry(model), key)
-        case ("controller", "decoupling" | "predictive", *inner):
-            owner = control()
-            for name in inner:
-                owner = getattr(owner, _ATTRIBUTES.get(name, name))
-            return getattr(owner, key)
-        case ("controller", "inverse_model", *inner):
-            owner = control()
-            for name in inner:
-                owner = getattr(owner, name)
-            return getattr(owner, key)
-        case ("controller", name, _):
-            loop = building.build_loop(getattr(scenario.controller, name))
-            owner = getattr(loop, "base", loop) if key in PIDSpec.model_fields else loop
-            return getattr(owner, key)
-        case ("reference", name, _):
-            return getattr(building.build_signal(getattr(scenario.signals, name), name), key)
-        case _:
-            return None
+    if key == "valve_time_constant":  # of the controller's model
+        return 0.0 if scenario.valve is None else getattr(scenario.valve, key.removeprefix("valve_"), None)
+    if isinstance(part, JointSpec):
+        return part.geometry.effective(key) if key in type(part.geometry).model_fields else None
+    return part.effective(key) if isinstance(part, ComponentModel) else None
 
 
 Place = tuple[str, ...]
@@ -134,18 +101,12 @@ class _Parameters:
 def _parameters(scenario: Scenario) -> _Parameters:
     """Walk the fields of a scenario."""
     found = _Parameters()
-    _walk(scenario, (), [()], found, defaults_of(scenario))
+    _walk(scenario, scenario, (), [()], found)
     found.refused = {name: why for name, why in found.refused.items() if name not in found.spellings}
     return found
 
 
-def _walk(
-    part: ConfigModel,
-    place: Place,
-    names: list[Place],
-    found: _Parameters,
-    default: Callable[[Place], float | int | None],
-) -> None:
+def _walk(scenario: Scenario, part: ConfigModel, place: Place, names: list[Place], found: _Parameters) -> None:
     for key, info, value in fields_of(part):
         here = (*place, key)
         called = [(*name, key) for name in names]
@@ -153,11 +114,11 @@ def _walk(
         if key in _FIXED:
             found.refuse(called, _FIXED[key])
         elif mark is not None:
-            _add_number(part, key, called, here, mark, default(here) if value is None else value, found)
+            _add_number(part, key, called, here, mark, effective_value(scenario, part, here), found)
         elif isinstance(value, ConfigModel):
             inner = [*names, *called] if isinstance(part, LoopSpec | SignalSpec) else called
-            _walk(value, here, inner, found, default)
-        elif model_in(info) is not None:
+            _walk(scenario, value, here, inner, found)
+        elif model_in(info.annotation) is not None:
             _refuse_absent(part, key, info, called, here, names, found)
         else:
             found.refuse(called, (_what_it_is(info), _NOT_NUMERIC))
@@ -183,7 +144,10 @@ def _add_number(
     # One parameter in two places: the joint's stands in for the geometry's. It is set where the file has it.
     joint_wide = isinstance(part, JointSpec)
     geometry = part.geometry if joint_wide else part
-    assert isinstance(geometry, GeometrySpec)  # the other part with connectors
+    if not isinstance(geometry, GeometrySpec):  # a class of one's own
+        if not joint_wide:
+            found.add(called, here, mark, nominal)
+        return
     if joint_wide == (geometry.connector_length is None):
         other = [(*name[:-1], "geometry", key) if joint_wide else (*name[:-2], key) for name in called]
         found.add([*called, *other], here, mark, nominal)
@@ -203,7 +167,7 @@ def _refuse_absent(
         return
     reason = (f"{'.'.join(here[:-1])} is given as {_form(part)}, not as {key}", _OTHER_FORM)
     found.refuse(called, reason)
-    model = model_in(info)
+    model = model_in(info.annotation)
     inner = [info.alias or name for name, info in model.model_fields.items()] if model else []
     found.refuse([(*name, each) for name in names for each in inner if not _is_number_of(part, each)], reason)
 
@@ -235,14 +199,6 @@ def fields_of(part: ConfigModel) -> Iterator[tuple[str, FieldInfo, Any]]:
 def mark_of(info: FieldInfo) -> Mark | None:
     """Numeric annotation of a field; None for others."""
     return next((mark for mark in _marks(info) if isinstance(mark, Quantity | BoundedInt)), None)
-
-
-def model_in(info: FieldInfo) -> type[BaseModel] | None:
-    """Model that a field may hold."""
-    for candidate in (info.annotation, *get_args(info.annotation)):
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate
-    return None
 
 
 def _marks(info: FieldInfo) -> Iterator[Any]:

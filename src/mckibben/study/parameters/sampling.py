@@ -10,10 +10,8 @@ from typing import Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic_core import PydanticCustomError
 
-from mckibben.config.fields import Quantity
-from mckibben.errors import ParameterError, quoted
+from mckibben.errors import ParameterError, RangeError, UnitError, quoted
 from mckibben.study.parameters.distributions import (
     MAX_ROWS,
     Distribution,
@@ -25,7 +23,7 @@ from mckibben.study.parameters.distributions import (
 )
 from mckibben.study.parameters.parameter import ScenarioParameter, find_parameter, find_parameters
 from mckibben.study.scenario import Scenario
-from mckibben.units import split_range
+from mckibben.units import Quantity, split_range
 
 
 @dataclass(frozen=True)
@@ -278,12 +276,11 @@ def _read(mark: Any, text: str) -> Any:
         _fail("a value is missing", f"give {_FORMS}")
     try:
         return mark.read(text)
-    except PydanticCustomError as error:
-        context = error.context or {}
-        message, remedy = str(context.get("message", error)), str(context.get("remedy", ""))
+    except (UnitError, RangeError) as error:
+        remedy = error.remedy
         if not _QUANTITY.fullmatch(text):  # perhaps another form of range
             remedy = f"give {_FORMS}"
-        _fail(message, remedy or "give a finite one")
+        _fail(error.message, remedy or "give a finite one")
 
 
 def _split_ending(ending: re.Pattern[str], text: str) -> tuple[str, str | None]:

@@ -63,12 +63,12 @@ def _by_first_key(values: Mapping[Place, Any]) -> dict[str, dict[Place, Any]]:
 
 def _explained(error: ValidationError, place: Place) -> ParameterError:
     first = error.errors(include_url=False)[0]
-    context = first.get("ctx", {})
+    found = first.get("ctx", {}).get("error")
     where = (*place, *first["loc"])
-    if context.get("parent"):
+    if getattr(found, "parent", False):
         where = where[:-1]
-    message, remedy = context.get("message", first["msg"]), context.get("remedy", "")
-    return ParameterError(f"{dotted(where)} {message}", value=first["input"], remedy=remedy)
+    message = getattr(found, "message", first["msg"])
+    return ParameterError(f"{dotted(where)} {message}", value=first["input"], remedy=getattr(found, "remedy", ""))
 
 
 _Attempt = Callable[[Sequence[Any]], str | None]
@@ -121,31 +121,23 @@ def _builder(place: Place) -> Callable[[Any], object]:
     from mckibben.study.scenario import building
 
     match place:
-        case ("load",):
-            return building.build_load
-        case ("valve",):
-            return building.build_valve
         case ("joint",) | ("controller", "model"):
-            return lambda spec: (building.build_geometry(spec), building.build_tendon(spec.spring))
+            return lambda spec: (building.build_geometry(spec), spec.spring and spec.spring.build())
         case ("controller", "decoupling"):
             return lambda spec: (building.decoupling_parts(spec), _load_and_adaptation(spec))
         case ("controller", "predictive"):
             return lambda spec: (building.observers(spec), _load_and_adaptation(spec))
         case ("controller", "inverse_model"):
-            return lambda spec: spec.load and building.build_load(spec.load)
-        case ("controller", _):
-            return building.build_loop
-        case ("reference", quantity):
-            return lambda spec: building.build_signal(spec, quantity)
+            return lambda spec: spec.load and spec.load.build()
+        case ("load",) | ("valve",) | ("controller", _) | ("reference", _):
+            return lambda spec: spec.build()
         case _:
             return _nothing
 
 
 def _load_and_adaptation(spec: ModelBasedSpec) -> tuple[object, ...]:
     """Load and adaptation of a model-based controller."""
-    from mckibben.study.scenario import building
-
-    return spec.load and building.build_load(spec.load), building.build_adaptation(spec.adaptation)
+    return spec.load and spec.load.build(), spec.adaptation and spec.adaptation.build()
 
 
 def _nothing(_: ConfigModel) -> None:

@@ -10,20 +10,17 @@ from typing import TYPE_CHECKING, Any, cast
 from mckibben import catalog
 from mckibben.config.model import explicit_fields
 from mckibben.errors import Problem, ScenarioError
-from mckibben.muscle import ChouLaw, ForceLaw, Muscle, Specimen
-from mckibben.rig.backend import Drive, MovingBackend
-from mckibben.rig.bench import Bench
+from mckibben.muscle import ChouLaw, ForceLaw, Muscle, NoCreep, NoFriction, Specimen
+from mckibben.rig.backend import MovingBackend
+from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.calibration import Calibration, calibrations_in, content_of
-from mckibben.rig.procedures import IsometricProtocol, IsotonicProtocol, Procedure, steps_of
 from mckibben.rig.protocol import IsobaricProtocol
-from mckibben.rig.safety import Limits
-from mckibben.rig.steps import Step
-from mckibben.study.rig.document import CardSpec, RigTest, VirtualSpec
+from mckibben.rig.steps import IsometricProtocol, IsotonicProtocol, Procedure, Step, steps_of
+from mckibben.study.rig.document import CardSpec, RigTest, SimulatedRigSpec
 from mckibben.study.rig.steps import ProtocolSpec, steps
-from mckibben.study.scenario.building import build_creep, build_friction
 
 if TYPE_CHECKING:
-    from mckibben.rig.ni import Wiring
+    from mckibben.rig.ni import Terminals
 
 _PROCEDURES: Mapping[str, type[Procedure]] = {
     "isobaric": IsobaricProtocol,
@@ -53,13 +50,13 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         If a driver or a package is missing.
     """
     of = build_muscle(test)
-    if test.rig.virtual is not None:
-        backend, calibrations, drive = _virtual(test.rig.virtual, test, of, session)
+    if test.rig.simulated is not None:
+        backend, calibrations, drive = _simulated(test.rig.simulated, test, of, session)
     else:
         assert test.rig.nidaqmx is not None  # the model of the rig sees to it
         backend, calibrations, drive = _card(test.rig.nidaqmx)
     specimen = of.specimen if isinstance(of, Muscle) else of
-    limits = Limits(**{"force": float(specimen.rated_force), **explicit_fields(test.limits)})
+    limits = RigLimits(**{"force": float(specimen.rated_force), **explicit_fields(test.limits)})
     bench = Bench(
         of=of,
         mounted_at=test.muscle.mounted_at,
@@ -91,17 +88,27 @@ def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ..
     return steps_of(_PROCEDURES[protocol.form](**explicit_fields(getattr(protocol, protocol.form))), of)
 
 
-def _virtual(
-    spec: VirtualSpec, test: RigTest, of: Muscle | Specimen, session: int
+def _simulated(
+    spec: SimulatedRigSpec, test: RigTest, of: Muscle | Specimen, session: int
 ) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
     from dataclasses import replace
 
-    from mckibben.rig.twin import FORCE_SENSOR, PRESSURE_SENSOR, Converter, Paced, Regulator, Stretcher, TwinRig
+    from mckibben.rig.simulated import (
+        FORCE_SENSOR,
+        PRESSURE_SENSOR,
+        Converter,
+        RealTimeRig,
+        Regulator,
+        SimulatedRig,
+        Stretcher,
+    )
 
     specimen = of.specimen if isinstance(of, Muscle) else of
     law = spec.law or test.muscle.law
     assert law is not None  # the model of the test sees to it
-    muscle = Muscle(specimen, _law(law, specimen), build_friction(spec.friction), build_creep(spec.creep))
+    friction = NoFriction() if spec.friction is None else spec.friction.build()
+    creep = NoCreep() if spec.creep is None else spec.creep.build()
+    muscle = Muscle(specimen, _law(law, specimen), friction, creep)
     parts: dict[str, Any] = {}
     if spec.parts == "ideal":
         parts = {
@@ -111,8 +118,8 @@ def _virtual(
             "force_sensor": replace(FORCE_SENSOR, noise=0.0),
             "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
         }
-    twin = TwinRig(muscle, seed=spec.seed + _APART * session, mounted_at=test.muscle.mounted_at, **parts)
-    return Paced(twin) if spec.paced else twin, twin.calibrations, twin.drive
+    twin = SimulatedRig(muscle, seed=spec.seed + _APART * session, mounted_at=test.muscle.mounted_at, **parts)
+    return RealTimeRig(twin) if spec.paced else twin, twin.calibrations, twin.drive
 
 
 def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
@@ -123,14 +130,14 @@ def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Dri
     return NiRig(build_wiring(spec), **given), calibrations, Drive(**explicit_fields(spec.drive) if spec.drive else {})
 
 
-def build_wiring(spec: CardSpec) -> Wiring:
+def build_wiring(spec: CardSpec) -> Terminals:
     """Which terminal goes where."""
-    from mckibben.rig.ni import Wiring
+    from mckibben.rig.ni import Terminals
 
     def at(name: str) -> str:
         return f"{spec.device}/{getattr(spec, name)}"
 
-    return Wiring(
+    return Terminals(
         inputs={name: at(name) for name in ("force", "pressure")},
         outputs={"valve": at("valve")},
         counter=at("counter"),

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from mckibben.config.document import Document, to_text
-from mckibben.config.fields import BoundedInt, Duration, Flag, Force, OneOf, PositiveTime, Pressure, PressureRate, Title
+from mckibben.config.fields import Flag, OneOf, Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.storage.files import atomic_write
 from mckibben.study.rig.steps import Address, Contraction, Factor, JsonPath, ProtocolSpec, SampleRate, Tension, Way
 from mckibben.study.scenario.plant import CatalogName, CreepSpec, FrictionSpec, Law
+from mckibben.units import BoundedInt, Duration, Force, PositiveTime, Pressure, PressureRate
 
 
 class MuscleSpec(ConfigModel):
@@ -27,8 +28,8 @@ class MuscleSpec(ConfigModel):
     mounted_at: Contraction = 0.0
 
 
-class VirtualSpec(ConfigModel):
-    """The virtual rig, see `TwinRig`.
+class SimulatedRigSpec(ConfigModel):
+    """The simulated rig, see `SimulatedRig`.
 
     What it has in its clamps follows `law` (by default the one of the `muscle`), with friction and creep where they are
     given. Its `parts` are real, with noise, offsets, play and steps, or ideal, without any of these.
@@ -70,12 +71,14 @@ class CardSpec(ConfigModel):
 
 
 class RigSpec(ConfigModel):
-    """One of `virtual` and `nidaqmx`."""
+    """One of `simulated` and `nidaqmx`."""
 
-    virtual: VirtualSpec | None = None
+    renamed: ClassVar = {"virtual": "simulated"}
+
+    simulated: SimulatedRigSpec | None = None
     nidaqmx: CardSpec | None = Field(None, validate_default=True)
 
-    @field_validator("virtual", mode="before")
+    @field_validator("simulated", mode="before")
     @classmethod
     def _word_alone(cls, value: Any) -> Any:
         return {} if value == "" else value
@@ -84,17 +87,19 @@ class RigSpec(ConfigModel):
     @classmethod
     def _one(cls, value: Any, info: ValidationInfo) -> Any:
         given = [
-            key for key, one in (("virtual", info.data.get("virtual", "wrong")), ("nidaqmx", value)) if one is not None
+            key
+            for key, one in (("simulated", info.data.get("simulated", "wrong")), ("nidaqmx", value))
+            if one is not None
         ]
         if len(given) != 1:
             fail_validation(
-                "is both at once" if given else "is empty", "give `virtual: {seed: 1}`, or `nidaqmx`", parent=True
+                "is both at once" if given else "is empty", "give `simulated: {seed: 1}`, or `nidaqmx`", parent=True
             )
         return value
 
 
 class LimitsSpec(ConfigModel):
-    """What may not be exceeded, see `Limits`; the force is the rated one unless given."""
+    """Safety limits, see `RigLimits`; the force is the rated one unless given."""
 
     pressure: Pressure
     force: Tension | None = None
@@ -109,7 +114,7 @@ class LimitsSpec(ConfigModel):
 
 
 class RecordingSpec(ConfigModel):
-    """How often readings are taken and watched, how many samples are recorded between plateaus, and up to which mean
+    """Cycle of reading and checking, rate of the record between plateaus, and highest mean
     force a point is one of a slack muscle.
     """
 
@@ -154,9 +159,9 @@ class RigTest(ConfigModel):
     @classmethod
     def _law_known(cls, value: RigSpec, info: ValidationInfo) -> RigSpec:
         muscle = info.data.get("muscle")
-        if value.virtual is not None and value.virtual.law is None and muscle is not None and muscle.law is None:
+        if value.simulated is not None and value.simulated.law is None and muscle is not None and muscle.law is None:
             fail_validation(
-                "has no law for its virtual muscle", "give `virtual: {law: lei-mas-10-180n}`, or the muscle a law"
+                "has no law for its simulated muscle", "give `simulated: {law: lei-mas-10-180n}`, or the muscle a law"
             )
         return value
 

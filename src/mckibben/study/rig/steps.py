@@ -16,22 +16,11 @@ from pydantic import (
     model_validator,
 )
 
-from mckibben.config.fields import (
-    BoundedInt,
-    Duration,
-    Flag,
-    Force,
-    OneOf,
-    Pressure,
-    PressureRate,
-    Quantity,
-    read_path,
-    write_path,
-)
+from mckibben.config.fields import Flag, OneOf, read_path, write_path
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
 from mckibben.errors import quoted, suggest
 from mckibben.rig import steps as typed
-from mckibben.units import quantity, show
+from mckibben.units import BoundedInt, Duration, Force, Pressure, PressureRate, Quantity, quantity, show
 
 _BARE = re.compile(r"[-+]?\d{1,9}(\.\d{0,9})?")
 _ADDRESS = re.compile(r"[A-Za-z0-9_.:/-]{1,80}")
@@ -55,7 +44,7 @@ class Percent(Quantity):
 
     @property
     def example(self) -> str:
-        """How a value may look."""
+        """A value as it is written."""
         return "'10 %'"
 
     @property
@@ -242,7 +231,7 @@ class StepSpec(ConfigModel):
         return {kind: next(iter(inside.values())) if list(inside) == [_ALONE.get(kind)] else inside}
 
     def step(self) -> typed.Step:
-        """The step that it stands for."""
+        """The step."""
         if self.repeat is not None:
             return typed.Repeat(times=self.repeat.times, steps=steps(self.repeat.steps))
         if self.walk is not None:
@@ -287,7 +276,7 @@ RepeatSpec.model_rebuild()
 
 
 def steps(written: tuple[StepSpec, ...]) -> tuple[typed.Step, ...]:
-    """The steps that they stand for."""
+    """The steps."""
     return tuple(one.step() for one in written)
 
 
@@ -382,5 +371,5 @@ class ProtocolSpec(ConfigModel):
 
     @property
     def form(self) -> str:
-        """Which of them it is."""
+        """Name of the form that is given."""
         return next(key for key in _FORMS if getattr(self, key) is not None)

@@ -23,16 +23,16 @@ from mckibben.study.scenario.plant import (
     ValveSpec,
 )
 from mckibben.study.scenario.reference import (
-    MultisineSpec,
+    AngleSignalSpec,
     ReferenceSpec,
     SamplesSpec,
     SignalSpec,
-    SineSpec,
-    StepSpec,
+    StiffnessSignalSpec,
 )
 from mckibben.study.scenario.scenario import Scenario
 
 __all__ = [
+    "AngleSignalSpec",
     "BackpropSpec",
     "ControllerSpec",
     "CreepSpec",
@@ -42,7 +42,6 @@ __all__ = [
     "JointSpec",
     "LoadSpec",
     "LoopSpec",
-    "MultisineSpec",
     "MuscleSpec",
     "ObserverSpec",
     "PIDSpec",
@@ -52,10 +51,9 @@ __all__ = [
     "SamplesSpec",
     "Scenario",
     "SignalSpec",
-    "SineSpec",
     "SlidingSpec",
     "SpringSpec",
     "StartSpec",
-    "StepSpec",
+    "StiffnessSignalSpec",
     "ValveSpec",
 ]

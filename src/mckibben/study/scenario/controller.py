@@ -1,61 +1,46 @@
-"""The controller of a scenario: two loops, the inverse of a model or a look ahead; what it believes of the joint."""
+"""Controllers of scenario files, and their model of the joint."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben.config.fields import (
+from mckibben.config.fields import Flag, OneOf
+from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
+from mckibben.config.schema import ComponentModel, PartOf, default_of, model_of, named_model
+from mckibben.control import (
+    PID,
+    BackpropPID,
+    DecouplingControl,
+    InverseModelControl,
+    Jacobian,
+    LawAdaptation,
+    PolePlacement,
+    PredictiveControl,
+    SlidingMode,
+)
+from mckibben.study.scenario.plant import JointSpec, LoadSpec, ValveSpec
+from mckibben.units import (
     AngleDerivativeGain,
     AngleGain,
     AngleIntegralGain,
     AngleScale,
-    AngularAcceleration,
     Bandwidth,
-    BoundedInt,
-    Flag,
     Force,
-    Mass,
-    Momentum,
-    OneOf,
-    PoleDamping,
-    PositiveRate,
-    PositiveTime,
-    PositiveTorque,
-    PressureRate,
-    PressureScale,
-    Rate,
-    Ratio,
-    Share,
     ShortTime,
     StiffnessDerivativeGain,
     StiffnessGain,
     StiffnessIntegralGain,
     StiffnessScale,
-    StrengthSpread,
     Tension,
 )
-from mckibben.config.model import ConfigModel, fail_validation
-from mckibben.study.scenario.plant import JointSpec, LoadSpec, ValveSpec
-
-P = TypeVar("P")
-I = TypeVar("I")  # noqa: E741
-D = TypeVar("D")
-S = TypeVar("S")
 
 
-class PIDSpec(ConfigModel, Generic[P, I, D]):
-    """The numbers of `PID` in SI, where one is left out the class's own; a reverse-acting loop has negative gains."""
+class PIDSpec(ComponentModel):
+    """Gains and filters of a `PID`; a reverse-acting loop has negative gains."""
 
-    kp: P
-    ki: I
-    kd: D
-    filter_time: ShortTime | None = None
-    tracking_time: ShortTime | None = None
-    derivative_on_error: Flag | None = None
-
-    @field_validator("kd", mode="after")
+    @field_validator("kd", mode="after", check_fields=False)
     @classmethod
     def _one_sign(cls, value: Any, info: ValidationInfo) -> Any:
         gains = [gain for gain in (info.data.get("kp"), info.data.get("ki"), value) if gain is not None]
@@ -69,34 +54,32 @@ class PIDSpec(ConfigModel, Generic[P, I, D]):
         return value
 
 
-class BackpropSpec(PIDSpec[P, I, D], Generic[P, I, D, S]):
-    """The numbers of `BackpropPID` in SI, its base gains among them; where one is left out the class's own."""
+class BackpropSpec(ComponentModel):
+    """Parameters of a `BackpropPID` with its base gains."""
 
-    signal_scale: S
-    error_scale: S
-    output_scale: PressureRate
-    learning_rate: Rate | None = None
-    momentum: Momentum | None = None
-    gain_ratio: Ratio | None = None
-    hidden: Annotated[int, BoundedInt(1, 1000)] | None = None
-    jacobian: Annotated[str, OneOf(("sign", "model"))] | None = Field(None, validate_default=True)
-    seed: Annotated[int, BoundedInt(0, 2**31 - 1)] | None = None
-
-    @field_validator("jacobian", mode="after")
+    @field_validator("jacobian", mode="after", check_fields=False)
     @classmethod
     def _sign_known(cls, value: str | None, info: ValidationInfo) -> str | None:
         if value != "model" and info.data.get("ki") == 0:
-            fail_validation(
-                "learns by the sign of ki, which is zero", "give ki a sign, or write jacobian: model", parent=True
-            )
+            remedy = "give ki a sign, or write jacobian: model"
+            fail_validation("learns by the sign of ki, which is zero", remedy, parent=True)
         return value
 
+    def build(self, *args: Any, **others: Any) -> Any:
+        declared = PID.__dataclass_fields__
+        base = {name: value for name, value in explicit_fields(self).items() if name in declared}
+        return super().build(PID(**base), *args, **others)
 
-class LoopSpec(ConfigModel, Generic[P, I, D, S]):
+    def effective(self, name: str) -> Any:
+        given = getattr(self, name)
+        return default_of(PID, name) if given is None and name in PID.__dataclass_fields__ else super().effective(name)
+
+
+class LoopSpec(ConfigModel):
     """One of `pid` and `backprop`."""
 
-    pid: PIDSpec[P, I, D] | None = None
-    backprop: BackpropSpec[P, I, D, S] | None = Field(None, validate_default=True)
+    pid: Any = None
+    backprop: Any = None
 
     @field_validator("backprop", mode="after")
     @classmethod
@@ -107,51 +90,65 @@ class LoopSpec(ConfigModel, Generic[P, I, D, S]):
             fail_validation(what, "give one of pid, backprop", parent=True)
         return value
 
-
-PositionLoopSpec = LoopSpec[AngleGain, AngleIntegralGain, AngleDerivativeGain, AngleScale]
-"""From angle [rad] to differential pressure [Pa]."""
-
-StiffnessLoopSpec = LoopSpec[StiffnessGain, StiffnessIntegralGain, StiffnessDerivativeGain, StiffnessScale]
-"""From stiffness [N*m/rad] to co-contraction [Pa]."""
+    def build(self) -> PID | BackpropPID:
+        """The loop."""
+        return (self.pid or self.backprop).build()
 
 
-class PolesSpec(ConfigModel):
-    """The numbers of `PolePlacement` in SI."""
+def _loop(quantity: str, kp: Any, ki: Any, kd: Any, scale: Any) -> Any:
+    """The model of a loop with these units."""
+    gains = {"kp": kp, "ki": ki, "kd": kd}
+    pid = model_of(PID, base=PIDSpec, name=f"{quantity}PIDSpec", **gains)
+    jacobian: Any = Annotated[str, OneOf(tuple(one.name.lower() for one in Jacobian))]
+    backprop = model_of(
+        BackpropPID,
+        base=named_model(f"{quantity}GainsSpec", (BackpropSpec, pid), {}),
+        name=f"{quantity}BackpropSpec",
+        signal_scale=scale,
+        error_scale=scale,
+        jacobian=(jacobian | None, Field(None, validate_default=True)),
+    )
+    forms = {"pid": (pid | None, None), "backprop": (backprop | None, Field(None, validate_default=True))}
+    return named_model(f"{quantity}LoopSpec", LoopSpec, forms)
+
+
+class PositionLoopSpec(_loop("Position", AngleGain, AngleIntegralGain, AngleDerivativeGain, AngleScale)):
+    """From angle [rad] to differential pressure [Pa]."""
+
+
+class StiffnessLoopSpec(
+    _loop("Stiffness", StiffnessGain, StiffnessIntegralGain, StiffnessDerivativeGain, StiffnessScale)
+):
+    """From stiffness [N*m/rad] to co-contraction [Pa]."""
+
+
+class PolesSpec(model_of(PolePlacement)):
+    """Parameters of `PolePlacement`."""
 
     bandwidth: Bandwidth
-    integral: Flag | None = None
 
 
-class SlidingSpec(ConfigModel):
-    """The numbers of `SlidingMode` in SI; where one is left out the class's own."""
-
-    slope: PositiveRate
-    reach: AngularAcceleration
-    layer: Bandwidth
-    lag: PositiveTime | None = None
+class SlidingSpec(model_of(SlidingMode)):
+    """Parameters of `SlidingMode`."""
 
 
 class ObserverSpec(ConfigModel):
-    """The bandwidth [rad/s] of an observer."""
+    """Bandwidth [rad/s] of an observer."""
 
     bandwidth: Bandwidth
 
 
-class AdaptationSpec(ConfigModel):
-    """The numbers of `LawAdaptation` in SI; where one is left out the class's own."""
-
-    strength_spread: StrengthSpread | None = None
-    mass_spread: Mass | None = None
-    friction_spread: Share | None = None
-    torque_error: PositiveTorque | None = None
-    bandwidth: Bandwidth | None = None
+class AdaptationSpec(model_of(LawAdaptation)):
+    """Parameters of `LawAdaptation`."""
 
 
-class ModelBasedSpec(ConfigModel):
-    """What a controller by a model observes, and what it believes of load and valves.
+_MODEL_FIELDS = ("valve_time_constant", "minimum_tension", "friction_compensation")
 
-    Load and valves are the plant's own unless given, and the observers have the classes' own bandwidths. With
-    `adaptation` the strength of the model's muscles is corrected on line.
+
+class ModelBasedSpec(ComponentModel):
+    """Observers of a model-based controller, and its model of load and valves.
+
+    Load and valves are those of the plant unless given. `adaptation` estimates the strength of the muscles online.
     """
 
     velocity_observer: ObserverSpec | None = None
@@ -171,7 +168,9 @@ class ModelBasedSpec(ConfigModel):
 
 
 class DecouplingSpec(ModelBasedSpec):
-    """The parts of `DecouplingControl`: `poles` or `sliding`, and what it observes and believes."""
+    """Parameters of `DecouplingControl`: feedback by `poles` or `sliding`, observers and model."""
+
+    runtime: ClassVar = DecouplingControl
 
     poles: PolesSpec | None = None
     sliding: SlidingSpec | None = Field(None, validate_default=True)
@@ -185,35 +184,18 @@ class DecouplingSpec(ModelBasedSpec):
         return value
 
 
-class PredictiveSpec(ModelBasedSpec):
-    """The numbers of `PredictiveControl` in SI; where one is left out the class's own."""
+class PredictiveSpec(model_of(PredictiveControl, base=ModelBasedSpec, without=_MODEL_FIELDS)):
+    """Parameters of `PredictiveControl`."""
 
     bandwidth: Bandwidth
-    stiffness_bandwidth: Bandwidth | None = None
-    damping: PoleDamping | None = None
-    angle_scale: AngleScale | None = None
-    stiffness_scale: StiffnessScale | None = None
-    horizon: PositiveTime | None = None
-    stages: Annotated[int, BoundedInt(1, 1000)] | None = None
-    iterations: Annotated[int, BoundedInt(1, 100)] | None = None
 
 
-class InverseModelSpec(ConfigModel):
-    """The numbers of `InverseModelControl` in SI, where one is left out the class's own; and what it believes.
+class InverseModelSpec(model_of(InverseModelControl)):
+    """Parameters of `InverseModelControl`, and its model of the load.
 
-    Load and valves are the plant's own unless given; a network `alone` learns on no model's inverse, for no load.
+    Load and valves are the plant's own unless given; a network `alone` has no inverse model, and no load.
     """
 
-    learning_rate: Rate | None = None
-    hidden: Annotated[int, BoundedInt(1, 1000)] | None = None
-    valve_time_constant: ShortTime | None = None
-    filter_bandwidth: Bandwidth | None = None
-    angle_scale: AngleScale | None = None
-    velocity_scale: Bandwidth | None = None
-    acceleration_scale: AngularAcceleration | None = None
-    stiffness_scale: StiffnessScale | None = None
-    pressure_scale: PressureScale | None = None
-    seed: Annotated[int, BoundedInt(0, 2**31 - 1)] | None = None
     alone: Flag | None = None
     load: LoadSpec | None = None
 
@@ -226,10 +208,10 @@ class InverseModelSpec(ConfigModel):
 
 
 class ControllerSpec(ConfigModel):
-    """Both loops of `PositionStiffnessControl`, `DecouplingControl` or `PredictiveControl`; and its model of the joint.
+    """Two loops (`PositionStiffnessControl`), `decoupling` or `predictive`, and the controller's model of the joint.
 
-    The model is the plant's own joint unless given. `friction_compensation` makes up for the friction of that model's
-    muscles, as `FrictionCompensation` does. Beside the loops there may be an `inverse_model` and a `minimum_tension`.
+    The model is the plant's joint unless given. `friction_compensation` compensates the friction of its muscles.
+    `inverse_model` and `minimum_tension` go with the two loops.
     """
 
     position: PositionLoopSpec | None = None
@@ -252,7 +234,7 @@ class ControllerSpec(ConfigModel):
     @classmethod
     def _friction_learned(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and info.data.get("friction_compensation"):
-            fail_validation("is given beside friction_compensation", "keep one: what it learns has the friction in it")
+            fail_validation("is given beside friction_compensation", "keep one: the learned inverse includes friction")
         return value
 
     @field_validator("decoupling", "predictive", mode="after")
@@ -272,7 +254,7 @@ class ControllerSpec(ConfigModel):
     def with_model(self, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> ControllerSpec:
         """The controller with its model of joint, load and valves written out, taken from a plant where not given."""
         update: dict[str, Any] = {} if self.model is not None else {"model": joint}
-        lag = 0.0 if valve is None else valve.time_constant
+        lag = 0.0 if valve is None else getattr(valve, "time_constant", None)  # a class of one's own may have none
         for name in ("decoupling", "predictive", "inverse_model"):
             part = getattr(self, name)
             if part is None:
@@ -283,3 +265,19 @@ class ControllerSpec(ConfigModel):
             missing = {key: value for key, value in plant.items() if getattr(part, key) is None}
             update[name] = part.model_copy(update=missing)
         return self.model_copy(update=update)
+
+
+class OwnControllerSpec(ComponentModel):
+    """A controller class of one's own; its `model` and `load` are the plant's unless given."""
+
+    model: JointSpec | None = None
+    load: LoadSpec | None = None
+    friction_compensation: ClassVar[None] = None
+
+    def with_model(self, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> OwnControllerSpec:
+        """The controller with its model of joint and load written out."""
+        missing = {"model": joint, "load": load}
+        return self.model_copy(update={key: one for key, one in missing.items() if getattr(self, key) is None})
+
+
+AnyController = Annotated[ControllerSpec, PartOf("mckibben.control.base:Controller", OwnControllerSpec)]

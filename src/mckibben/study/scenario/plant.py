@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,38 +21,19 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from mckibben.config.fields import (
+from mckibben.config.fields import Flag, read_path, write_path
+from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
+from mckibben.config.schema import ComponentModel, PartOf, model_of
+from mckibben.errors import quoted, suggest
+from mckibben.joint import KneeGeometry, Load, SeriesSpring
+from mckibben.muscle import MaxwellCreep, MaxwellSlip
+from mckibben.plant import FirstOrderValve, SampledSensors, TorquePulses
+from mckibben.units import (
     Angle,
-    AngleStep,
-    BoundedInt,
-    CreepTime,
-    Damping,
-    Delay,
     Distance,
-    Duration,
-    Flag,
-    Force,
-    FrictionForce,
-    FrictionGrowth,
-    Gravity,
-    Inertia,
-    Length,
-    Mass,
-    PositiveTime,
-    Presliding,
-    Pressure,
-    PressureNoise,
-    ShortTime,
-    SpringRate,
     Stiffness,
     Strength,
-    Torque,
-    Viscosity,
-    read_path,
-    write_path,
 )
-from mckibben.config.model import ConfigModel, fail_validation
-from mckibben.errors import quoted, suggest
 
 
 @dataclass(frozen=True)
@@ -82,35 +64,67 @@ def read_law(value: Any, info: ValidationInfo) -> str | Path:
 
 
 def write_law(value: str | Path, info: SerializationInfo) -> str:
-    """What `read_law` reads."""
+    """Text that `read_law` reads."""
     return write_path(value, info) if isinstance(value, Path) else value
 
 
 Law = Annotated[str | Path, BeforeValidator(read_law), PlainSerializer(write_law, when_used="json")]
 
 
-class GeometrySpec(ConfigModel):
-    """Where the muscles run: an entry of the catalog by name, or the three lengths [m] of `KneeGeometry`.
+def _entry_of(kind: str) -> Any:
+    """The field ``from``, which names an entry of the catalog."""
+    name: Any = Annotated[str, CatalogName(kind)]
+    return name | None, Field(None, alias="from")
 
-    In text the name alone will do: ``geometry: knee-table-2``.
-    """
 
-    base: Annotated[str, CatalogName("geometries")] | None = Field(None, alias="from")
-    joint_length: Length | None = None
-    joint_radius: Length | None = None
-    connector_length: Distance | None = Field(None, validate_default=True)
+class _CatalogPart(ComponentModel):
+    """An entry of the catalog by name, with changes, or all numbers."""
 
     @model_validator(mode="before")
     @classmethod
     def _name_alone(cls, value: Any) -> Any:
         return {"from": value} if isinstance(value, str) and value else value
 
+    @model_serializer(mode="wrap", when_used="json")
+    def _write(self, handler: Any) -> Any:
+        written = handler(self)
+        given = {key: value for key, value in written.items() if value is not None}
+        return given["from"] if list(given) == ["from"] else written
+
+    def build(self, *args: Any, **others: Any) -> Any:
+        entry = self._entry()
+        if entry is None:
+            return super().build(*args, **others)
+        return dataclasses.replace(entry, **explicit_fields(self, "entry"), **others)
+
+    def effective(self, name: str) -> Any:
+        entry = self._entry()
+        return super().effective(name) if entry is None or getattr(self, name) is not None else getattr(entry, name)
+
+    def _entry(self) -> Any:
+        """The entry of the catalog; None without."""
+        name = getattr(self, "entry", None)
+        if name is None:
+            return None
+        from mckibben import catalog
+
+        return catalog.geometry(name) if self.runtime is KneeGeometry else catalog.load(name)
+
+
+class GeometrySpec(model_of(KneeGeometry, optional=True, base=_CatalogPart, entry=_entry_of("geometries"))):
+    """Geometry of the joint: an entry of the catalog by name, or the lengths of `KneeGeometry`.
+
+    In text the name alone will do: ``geometry: knee-table-2``.
+    """
+
+    connector_length: Distance | None = Field(None, validate_default=True)
+
     @field_validator("connector_length", mode="after")
     @classmethod
     def _complete(cls, value: float | None, info: ValidationInfo) -> float | None:
         given = {**info.data, "connector_length": value}
         missing = [key for key in ("joint_length", "joint_radius", "connector_length") if given.get(key, 0) is None]
-        if given.get("base", "") is None and missing:
+        if given.get("entry", "") is None and missing:
             fail_validation(
                 f"lacks {', '.join(missing)}", "give all three lengths, or begin with `from: knee-table-2`", parent=True
             )
@@ -122,41 +136,22 @@ class GeometrySpec(ConfigModel):
                 parent=True,
             )
         if length is not None and value is not None and value >= length:
-            fail_validation(f"connector_length {value:g} m leaves no room for a muscle in {length:g} m", "shorten it")
+            fail_validation(f"connector_length {value:g} m leaves no length for a muscle in {length:g} m", "shorten it")
         return value
 
-    @model_serializer(mode="wrap", when_used="json")
-    def _write(self, handler: Any) -> Any:
-        return shortened(handler(self))
+
+class FrictionSpec(model_of(MaxwellSlip)):
+    """Hysteresis and viscous friction of a muscle."""
 
 
-class FrictionSpec(ConfigModel):
-    """Hysteresis and viscous friction of a muscle, see `MaxwellSlip`; SI: N, m, N/Pa, Pa, N*s/m."""
-
-    half_width: FrictionForce
-    presliding_length: Presliding
-    growth: FrictionGrowth = 0.0
-    reference_pressure: Pressure = 0.0
-    viscous: Viscosity = 0.0
-
-    @model_serializer(mode="wrap", when_used="json")
-    def _write(self, handler: Any) -> Any:
-        given = {"half_width", "presliding_length"} | {name for name, value in self if value}
-        return {name: text for name, text in handler(self).items() if name in given}
-
-
-class CreepSpec(ConfigModel):
-    """Creep of a muscle, see `MaxwellCreep`; SI: N/m, s."""
-
-    stiffness: SpringRate
-    time_constant: CreepTime
+class CreepSpec(model_of(MaxwellCreep)):
+    """Creep of a muscle."""
 
 
 class MuscleSpec(ConfigModel):
-    """A make of muscle from the catalog, and its law: of the catalog, ``chou``, or the path of a fit's file.
+    """A specimen of the catalog and its law: of the catalog, ``chou``, or the path of a fit file.
 
-    Without `friction` it has none, and without `creep` none of that. With a `strength` all its forces are so many times
-    those of the law.
+    `strength` multiplies all forces of the law.
     """
 
     specimen: Annotated[str, CatalogName("specimens")]
@@ -166,21 +161,17 @@ class MuscleSpec(ConfigModel):
     creep: CreepSpec | None = None
 
 
-class SpringSpec(ConfigModel):
-    """A preloaded spring in series with each muscle, see `SeriesSpring`; SI: N/m, N, m."""
-
-    stiffness: SpringRate
-    preload: Force
-    travel: Distance
+class SpringSpec(model_of(SeriesSpring)):
+    """Preloaded spring in series with each muscle."""
 
 
 class JointSpec(ConfigModel):
-    """A joint between two muscles, alike (`muscle`) or not (`muscle1`, the antagonist, and `muscle2`).
+    """A joint with two equal muscles (`muscle`) or two different ones (`muscle1`, the antagonist, and `muscle2`).
 
-    `connector_length` [m] takes the place of the geometry's own.
+    `connector_length` [m] replaces that of the geometry.
     """
 
-    geometry: GeometrySpec
+    geometry: Annotated[GeometrySpec, PartOf("mckibben.joint:Geometry")]
     connector_length: Distance | None = None
     muscle1: MuscleSpec | None = None
     muscle2: MuscleSpec | None = None
@@ -189,7 +180,7 @@ class JointSpec(ConfigModel):
 
     @property
     def has_friction(self) -> bool:
-        """Whether one of its muscles has."""
+        """Whether a muscle of the joint has friction."""
         return any(muscle and muscle.friction for muscle in (self.muscle, self.muscle1, self.muscle2))
 
     @field_validator("spring", mode="after")
@@ -198,12 +189,12 @@ class JointSpec(ConfigModel):
         muscles = [info.data.get(key) for key in ("muscle", "muscle1", "muscle2")]
         if value is not None and any(muscle and muscle.friction and muscle.friction.viscous for muscle in muscles):
             fail_validation(
-                "stands in series with a muscle of viscous friction, the rate of whose length is then not known",
+                "is in series with a muscle that has viscous friction, whose rate of contraction is then unknown",
                 "leave out `viscous` or the spring",
             )
         if value is not None and any(muscle and muscle.creep for muscle in muscles):
             fail_validation(
-                "stands in series with a muscle that creeps, the rate of whose length is then not known",
+                "is in series with a muscle that creeps, whose rate of contraction is then unknown",
                 "leave out `creep` or the spring",
             )
         return value
@@ -214,11 +205,13 @@ class JointSpec(ConfigModel):
         geometry = info.data.get("geometry")
         if value is None or geometry is None:
             return value
+        if not isinstance(geometry, GeometrySpec):
+            fail_validation("is no part of a geometry with its own class", "give it in the geometry")
         if geometry.connector_length is not None:
             fail_validation("is given in the geometry as well", "keep one of them")
         if geometry.joint_length is not None and value >= geometry.joint_length:
             fail_validation(
-                f"{value:g} m leaves no room for a muscle in the joint_length of {geometry.joint_length:g} m",
+                f"{value:g} m leaves no length for a muscle in the joint_length of {geometry.joint_length:g} m",
                 "shorten it",
             )
         return value
@@ -238,43 +231,23 @@ class JointSpec(ConfigModel):
         return value
 
 
-def shortened(written: dict[str, Any]) -> Any:
-    """A mapping that holds no more than the name of a catalog entry, as that name."""
-    given = {key: value for key, value in written.items() if value is not None}
-    return given["from"] if list(given) == ["from"] else written
-
-
 _NEEDED = ("mass1", "mass2", "distance1", "distance2", "inertia", "damping")
 
 
-class LoadSpec(ConfigModel):
-    """An entry of the catalog by name, changed where said, or the numbers of `Load` in SI.
+class LoadSpec(model_of(Load, optional=True, base=_CatalogPart, entry=_entry_of("loads"))):
+    """An entry of the catalog by name, with changes, or the parameters of `Load`.
 
     In text the name alone will do: ``load: knee-table-2``.
     """
 
-    base: Annotated[str, CatalogName("loads")] | None = Field(None, alias="from")
-    mass1: Mass | None = None
-    mass2: Mass | None = None
-    distance1: Distance | None = None
-    distance2: Distance | None = None
-    inertia: Inertia | None = None
-    damping: Damping | None = None
-    hanging_angle: Angle | None = None
-    gravity: Gravity | None = None
     hanging: Flag | None = Field(None, validate_default=True)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _name_alone(cls, value: Any) -> Any:
-        return {"from": value} if isinstance(value, str) and value else value
 
     @field_validator("hanging", mode="after")
     @classmethod
     def _complete(cls, value: bool | None, info: ValidationInfo) -> bool | None:
         given = info.data
         missing = [key for key in _NEEDED if given.get(key, 0.0) is None]
-        if given.get("base", "") is None and missing:
+        if given.get("entry", "") is None and missing:
             fail_validation(
                 f"lacks {', '.join(missing)}", "give all of it, or begin with `from: knee-table-2`", parent=True
             )
@@ -287,43 +260,37 @@ class LoadSpec(ConfigModel):
                 )
         return value
 
-    @model_serializer(mode="wrap", when_used="json")
-    def _write(self, handler: Any) -> Any:
-        return shortened(handler(self))
+
+class ValveSpec(model_of(FirstOrderValve)):
+    """Valve with a first-order lag; in a scenario ``ideal`` stands for none at all."""
 
 
-class ValveSpec(ConfigModel):
-    """A valve that follows its command with a lag [s]; in a scenario ``ideal`` stands for none at all."""
-
-    time_constant: PositiveTime
+class SensorsSpec(model_of(SampledSensors)):
+    """Sensor model; ideal sensors without a delay are the default."""
 
 
-class SensorsSpec(ConfigModel):
-    """What the controller is told, see `SampledSensors`; a scenario without it has the truth, at once."""
-
-    encoder: AngleStep = 0.0
-    pressure_noise: PressureNoise = 0.0
-    delay: Delay = 0.0
-    seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
-
-
-class PulsesSpec(ConfigModel):
-    """Pushes to and fro, see `TorquePulses`."""
-
-    height: Torque
-    width: PositiveTime
-    interval: Duration
-    start: ShortTime
+class PulsesSpec(model_of(TorquePulses)):
+    """Alternating disturbance torques."""
 
 
 class DisturbanceSpec(ConfigModel):
-    """What pushes from outside: `pulses`."""
+    """Disturbance torques on the joint."""
 
     pulses: PulsesSpec
 
+    def build(self) -> Any:
+        """The disturbance."""
+        return self.pulses.build()
+
+
+AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:Valve")]
+AnySensors = Annotated[SensorsSpec, PartOf("mckibben.plant:Sensors")]
+AnyDisturbance = Annotated[DisturbanceSpec, PartOf("mckibben.plant:Disturbance")]
+AnyLoad = Annotated[LoadSpec, PartOf("mckibben.joint:Load")]
+
 
 class StartSpec(ConfigModel):
-    """Where the joint rests at the start: angle [rad] and, unless it is to be in the middle, stiffness [N*m/rad]."""
+    """Initial equilibrium: angle [rad], and stiffness [N*m/rad] (by default the middle of the attainable range)."""
 
     angle: Angle = 0.0
     stiffness: Stiffness | None = None

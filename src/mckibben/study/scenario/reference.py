@@ -6,14 +6,16 @@ import csv
 import itertools
 import math
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
-from mckibben.config.fields import Angle, Frequency, Instant, Phase, Stiffness, TablePath
-from mckibben.config.model import ConfigModel, fail_validation
+from mckibben.config.fields import TablePath
+from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
+from mckibben.config.schema import ComponentModel, PartOf, model_of, named_model
+from mckibben.control import Constant, Multisine, Samples, Signal, Sine, Step
 from mckibben.errors import Problem, ScenarioError, UnitError
-from mckibben.units import factor
+from mckibben.units import Angle, Instant, Phase, Stiffness, factor
 
 _LARGEST = 64 * 2**20
 
@@ -54,7 +56,7 @@ def read_samples(path: Path, name: str, unit: str) -> tuple[list[float], list[fl
             continue
         time, value = (_number(row, place, scale) for place, scale in columns)
         if not (math.isfinite(time) and math.isfinite(value)):
-            problems.append(Problem(f"{','.join(row)[:60]!r} holds no two finite numbers", line))
+            problems.append(Problem(f"{','.join(row)[:60]!r} does not hold two finite numbers", line))
         elif times and time <= times[-1]:
             problems.append(Problem(f"the time {time:g} s does not rise", line, remedy="sort the rows"))
         else:
@@ -68,7 +70,7 @@ def read_samples(path: Path, name: str, unit: str) -> tuple[list[float], list[fl
 
 
 def _column(header: list[str], name: str, unit: str, problems: list[Problem]) -> tuple[int, float]:
-    """Where a quantity stands, and what to multiply it by."""
+    """Index and scale of the column of a quantity."""
     found = [i for i, title in enumerate(header) if title.startswith(f"{name}_")]
     if len(found) != 1:
         what = "has several columns" if found else "has no column"
@@ -88,48 +90,23 @@ def _number(row: list[str], place: int, scale: float) -> float:
         return math.nan
 
 
-Q = TypeVar("Q")
 MOST_SAMPLES = 2000
 """In the text itself; more belong in a table of their own."""
 
 
-class StepSpec(ConfigModel, Generic[Q]):
-    """One value before a time [s], another from then on."""
-
-    before: Q
-    after: Q
-    at: Instant
-
-
-class SineSpec(ConfigModel, Generic[Q]):
-    """offset + amplitude sin(2 pi frequency t + phase)."""
-
-    amplitude: Q
-    frequency: Frequency
-    offset: Q | None = None
-    phase: Phase | None = None
-
-
-class MultisineSpec(ConfigModel, Generic[Q]):
-    """offset + a sum of sines: one amplitude, frequency and, where given, phase each."""
-
-    amplitudes: tuple[Q, ...] = Field(min_length=1)
-    frequencies: tuple[Frequency, ...]
-    phases: tuple[Phase, ...] | None = Field(None, validate_default=True)
-    offset: Q | None = None
-
-    @field_validator("phases", mode="after")
+class _MultisineModel(ComponentModel):
+    @field_validator("phases", mode="after", check_fields=False)
     @classmethod
     def _one_each(cls, value: Any, info: ValidationInfo) -> Any:
         lists = {**info.data, "phases": value}
-        counts = {key: len(items) for key, items in lists.items() if items is not None}
+        counts = {key: len(items) for key, items in lists.items() if isinstance(items, tuple)}
         if len(set(counts.values())) > 1:
-            told = ", ".join(f"{count} {key}" for key, count in counts.items())
-            fail_validation(f"has {told}", "give one of each for every sine", parent=True)
+            listed = ", ".join(f"{count} {key}" for key, count in counts.items())
+            fail_validation(f"has {listed}", "give one of each for every sine", parent=True)
         return value
 
 
-class SamplesSpec(ConfigModel, Generic[Q]):
+class SamplesSpec(ConfigModel):
     """Straight lines between samples: in the text, or in a CSV file.
 
     The file has a header of names and units, such as ``time_s,angle_deg,stiffness_N*m/rad``; the angle's signal takes
@@ -137,7 +114,7 @@ class SamplesSpec(ConfigModel, Generic[Q]):
     """
 
     times: tuple[Instant, ...] | None = Field(None, max_length=MOST_SAMPLES)
-    values: tuple[Q, ...] | None = Field(None, max_length=MOST_SAMPLES)
+    values: tuple[Any, ...] | None = Field(None, max_length=MOST_SAMPLES)
     file: TablePath | None = Field(None, validate_default=True)
 
     @field_validator("times", mode="after")
@@ -166,14 +143,17 @@ class SamplesSpec(ConfigModel, Generic[Q]):
         return value
 
 
-class SignalSpec(ConfigModel, Generic[Q]):
+class SignalSpec(ConfigModel):
     """One of `constant`, `step`, `sine`, `multisine`, `samples`; in text a quantity alone is a constant."""
 
-    constant: Q | None = None
-    step: StepSpec[Q] | None = None
-    sine: SineSpec[Q] | None = None
-    multisine: MultisineSpec[Q] | None = None
-    samples: SamplesSpec[Q] | None = Field(None, validate_default=True)
+    name: ClassVar[str]
+    unit: ClassVar[str]
+
+    constant: Any = None
+    step: Any = None
+    sine: Any = None
+    multisine: Any = None
+    samples: Any = None
 
     @model_validator(mode="before")
     @classmethod
@@ -189,29 +169,66 @@ class SignalSpec(ConfigModel, Generic[Q]):
         if len(chosen) != 1:
             what = f"is {' and '.join(chosen)} at once" if chosen else "has no signal"
             fail_validation(what, f"give one of {', '.join(forms)}", parent=True)
+        if value is not None and value.file is not None:
+            try:
+                read_samples(value.file, cls.name, cls.unit)
+            except ScenarioError as error:
+                first, *others = (str(problem) for problem in error.problems)
+                more = f" (and {len(others)} more)" if others else ""
+                fail_validation(f"{value.file.name}: {first}{more}", parent=True)
         return value
 
     @model_serializer(mode="wrap", when_used="json")
     def _write(self, handler: Any) -> Any:
         written = handler(self)
-        return written["constant"] if self.constant is not None else written
+        return written.get("constant") or written
+
+    def build(self) -> Signal:
+        """The signal."""
+        if self.constant is not None:
+            return Constant(self.constant)
+        if self.samples is not None and self.samples.file is not None:
+            return Samples(*read_samples(self.samples.file, self.name, self.unit))
+        if self.samples is not None:
+            return Samples(**explicit_fields(self.samples))
+        return (self.step or self.sine or self.multisine).build()
+
+
+def _signal(name: str, quantity: Any, unit: str) -> Any:
+    """The model of a signal of a quantity."""
+    prefix = name.title()
+    forms = {
+        "constant": quantity,
+        "step": model_of(Step, signal=quantity, name=f"{prefix}StepSpec"),
+        "sine": model_of(Sine, signal=quantity, name=f"{prefix}SineSpec"),
+        "multisine": model_of(
+            Multisine,
+            signal=quantity,
+            base=_MultisineModel,
+            name=f"{prefix}MultisineSpec",
+            amplitudes=(Annotated[tuple[quantity, ...], Field(min_length=1)], ...),
+            phases=(tuple[Phase, ...] | None, Field(None, validate_default=True)),
+        ),
+    }
+    made: dict[str, Any] = {key: (form | None, None) for key, form in forms.items()}
+    values = {"values": (tuple[quantity, ...] | None, Field(None, max_length=MOST_SAMPLES))}
+    samples = named_model(f"{prefix}SamplesSpec", SamplesSpec, values)
+    made["samples"] = samples | None, Field(None, validate_default=True)
+    model = named_model(f"{prefix}SignalForms", SignalSpec, made)
+    model.name, model.unit = name, unit
+    return model
+
+
+class AngleSignalSpec(_signal("angle", Angle, "rad")):
+    """Signal of an angle [rad]."""
+
+
+class StiffnessSignalSpec(_signal("stiffness", Stiffness, "N*m/rad")):
+    """Signal of a stiffness [N*m/rad]."""
 
 
 class ReferenceSpec(ConfigModel):
-    """The wish for the angle [rad] and for the stiffness [N*m/rad]."""
+    """Reference of the angle [rad] and of the stiffness [N*m/rad]."""
 
-    angle: SignalSpec[Angle]
-    stiffness: SignalSpec[Stiffness]
-
-    @field_validator("angle", "stiffness", mode="after")
-    @classmethod
-    def _readable_file(cls, value: SignalSpec[Any], info: ValidationInfo) -> SignalSpec[Any]:
-        if value.samples is not None and value.samples.file is not None:
-            name, unit = ("angle", "rad") if info.field_name == "angle" else ("stiffness", "N*m/rad")
-            try:
-                read_samples(value.samples.file, name, unit)
-            except ScenarioError as error:
-                first, *others = (str(problem) for problem in error.problems)
-                more = f" (and {len(others)} more)" if others else ""
-                fail_validation(f"{value.samples.file.name}: {first}{more}")
-        return value
+    angle: Annotated[AngleSignalSpec, PartOf("mckibben.control:Signal", signal=Angle)]
+    stiffness: Annotated[StiffnessSignalSpec, PartOf("mckibben.control:Signal", signal=Stiffness)]

@@ -9,23 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field, ValidationInfo, field_validator, model_serializer
 
 from mckibben.config.document import to_text
-from mckibben.config.fields import BoundedInt, Duration, PositiveTime, Title
+from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.numerics.checks import whole_periods
 from mckibben.storage.files import atomic_write
-from mckibben.study.scenario.controller import ControllerSpec
-from mckibben.study.scenario.plant import DisturbanceSpec, JointSpec, LoadSpec, SensorsSpec, StartSpec, ValveSpec
+from mckibben.study.scenario.controller import AnyController, ControllerSpec
+from mckibben.study.scenario.plant import AnyDisturbance, AnyLoad, AnySensors, AnyValve, JointSpec, StartSpec
 from mckibben.study.scenario.reference import ReferenceSpec
+from mckibben.units import BoundedInt, Duration, PositiveTime
 
 if TYPE_CHECKING:
-    from mckibben.control import (
-        DecouplingControl,
-        FrictionCompensation,
-        InverseModelControl,
-        PositionStiffnessControl,
-        PredictiveControl,
-        Reference,
-    )
+    from mckibben.control import Controller, Reference
     from mckibben.plant import JointPlant, PlantState
 
 _MOST_PERIODS = 10_000_000
@@ -54,22 +48,22 @@ def check_divides_duration(value: float, duration: float | None) -> float:
 class Scenario(ConfigModel):
     """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
 
-    Two scenarios are equal if all that they say is. Paths are absolute here, and relative to the file in the text.
+    Scenarios compare by value. Paths are absolute here, and relative to the file in the text.
 
     Attributes
     ----------
     name
-        What it is about, in a few words.
+        One line of text.
     joint, load, valve
-        The plant; no valve is an ideal one.
+        The plant; the valve is ideal unless given.
     sensors, disturbance
-        What the controller is told (the truth unless given), and what pushes (nothing unless given).
+        Sensor model (default: ideal) and disturbance torques (default: none).
     controller
-        Its loops, and its model of the joint.
+        The controller with its model of the joint.
     signals
-        The wishes, ``reference`` in the text (and when a scenario is made in code).
+        The references; ``reference`` in the text and as an argument.
     start
-        The state at rest to start from.
+        The initial equilibrium.
     duration, control_period
         [s]; the first is a whole number of the second.
     substeps
@@ -86,11 +80,11 @@ class Scenario(ConfigModel):
 
     name: Title = Field(examples=["pre-contracted knee, PID"])
     joint: JointSpec
-    load: LoadSpec = Field(examples=["knee-table-2"])
-    valve: ValveSpec | None = None
-    sensors: SensorsSpec | None = None
-    disturbance: DisturbanceSpec | None = None
-    controller: ControllerSpec
+    load: AnyLoad = Field(examples=["knee-table-2"])
+    valve: AnyValve | None = None
+    sensors: AnySensors | None = None
+    disturbance: AnyDisturbance | None = None
+    controller: AnyController
     signals: ReferenceSpec = Field(alias="reference")
     start: StartSpec = StartSpec()
     duration: Duration = Field(examples=["10 s"])
@@ -168,36 +162,34 @@ class Scenario(ConfigModel):
             part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
 
     def plant(self) -> JointPlant:
-        """What is simulated."""
+        """The simulated plant."""
         from mckibben.study.scenario.building import build_plant
 
         return build_plant(self.joint, self.load, self.valve, self.sensors, self.disturbance)
 
-    def control(
-        self,
-    ) -> PositionStiffnessControl | FrictionCompensation | InverseModelControl | DecouplingControl | PredictiveControl:
+    def control(self) -> Controller:
         """The controller, with its own model of the joint."""
         from mckibben.study.scenario.building import build_control
 
         return build_control(self.controller, self.joint, self.load, self.valve)
 
     def with_fixed_model(self) -> Scenario:
-        """The scenario with the controller's model of the plant written out, which no longer follows the plant."""
+        """The scenario with the controller's model written out, so that it does not follow changes of the plant."""
         return self.model_copy(update={"controller": self.controller.with_model(self.joint, self.load, self.valve)})
 
     def reference(self) -> Reference:
-        """What is wanted over time."""
+        """Angle and stiffness references over time."""
         from mckibben.study.scenario.building import build_reference
 
         return build_reference(self.signals)
 
     def initial(self, plant: JointPlant) -> PlantState:
-        """The state at rest in which a plant starts.
+        """The initial equilibrium of a plant.
 
         Raises
         ------
         UnreachableError
-            If the plant cannot rest there.
+            If the plant has no such equilibrium.
         """
         from mckibben.study.scenario.building import build_start
 

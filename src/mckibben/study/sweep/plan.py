@@ -14,6 +14,7 @@ import numpy as np
 from mckibben.errors import ParameterError, Problem, suggest
 from mckibben.simulation import Metrics
 from mckibben.simulation.batch import CHUNK, ON_ACCELERATOR, VECTOR
+from mckibben.simulation.metrics import METRICS
 from mckibben.storage.journal import header_differences
 from mckibben.study.parameters import (
     Distribution,
@@ -26,7 +27,6 @@ from mckibben.study.parameters import (
     sample,
     sweep_parameters,
 )
-from mckibben.study.reporting import METRICS
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.compute import BatchTask, software
 

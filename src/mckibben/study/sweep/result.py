@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.dataset.schema import html_table
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.simulation import Metrics, Outcome
+from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES, attributes
 from mckibben.storage.files import atomic_write
 from mckibben.study.parameters import list_parameters, with_values
-from mckibben.study.reporting import METRICS, html_table
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.compute import FEASIBILITY, Columns
 from mckibben.study.sweep.plan import SweepPlan

@@ -16,11 +16,11 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.dataset.schema import html_table
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
 from mckibben.storage.files import file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_json, read_header
 from mckibben.study.parameters import Distribution, Known, SweptParameter, sweep_parameters, with_values
-from mckibben.study.reporting import html_table
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune.objective import FAILED_COST, Cost, TuningProblem
 from mckibben.study.tune.search import Method, by_cma, by_evolution, by_gradient, check_method

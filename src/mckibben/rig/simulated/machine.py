@@ -13,31 +13,30 @@ from scipy.interpolate import RectBivariateSpline
 
 from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
-from mckibben.rig.twin.air import Chamber, Regulator
-from mckibben.rig.twin.faults import Burst, Fault, Slipped, Stalled, SupplyLost, ValveStuck
-from mckibben.rig.twin.stretcher import Carriage, Motor, Stretcher
+from mckibben.rig.simulated.faults import Burst, Fault, Slipped, Stalled, SupplyLost, ValveStuck
+from mckibben.rig.simulated.parts import Carriage, Chamber, Motor, Regulator, Stretcher
 from mckibben.units import bar, ms, percent
 
-_BEYOND = 3 * percent  # of contraction, on both sides of what the specimen may be put through
+_BEYOND = 3 * percent  # of contraction, on both sides of the range of the specimen
 _HIGHEST = 11 * bar
 _CELLS = (320, 88)  # of contraction and of pressure
 _WIDEST = (-0.2, 0.6)
 _ROUGH = 0.5  # N
 
-# Powers of a cell's coordinate from value and slope at its two ends: the cubic through them.
+# Cubic Hermite interpolation: coefficients of a cell's coordinate from values and slopes at its ends.
 _HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]], float)
 
 
 @dataclass(frozen=True)
 class ForceTable:
-    """The force of a law over contraction and pressure, a bicubic spline; below 0 it is 0 (slack).
+    """Table of a law's force over contraction and pressure, a bicubic spline; not negative.
 
     Attributes
     ----------
     contraction, pressure
-        Where it begins and ends [-], [Pa]; outside it has the force of its edge.
+        Ranges [-], [Pa]; constant outside.
     error
-        The largest distance [N] from the law, in the middle of the cells where the muscle is taut.
+        Largest deviation from the law in the centres of cells with a taut muscle [N].
     """
 
     contraction: tuple[float, float]
@@ -46,7 +45,7 @@ class ForceTable:
     _cells: NDArray[np.float64]  # shape (contractions, pressures, 16)
 
     def force(self, contraction: float, pressure: float) -> float:
-        """The force [N] at a contraction [-] and a gauge pressure [Pa]."""
+        """Force [N] at a contraction [-] and a gauge pressure [Pa]."""
         (first, last), (low, high) = self.contraction, self.pressure
         rows, columns = _CELLS
         x = (contraction - first) / (last - first) * rows
@@ -65,21 +64,21 @@ class ForceTable:
 
 
 def force_table(muscle: Muscle) -> ForceTable:
-    """The table of a muscle's law; made once for each.
+    """Table of the law of a muscle, cached.
 
     Raises
     ------
     RangeError
-        If the law is too rough for a table, or not finite over the specimen's range.
+        If the law is not smooth enough for a table, or not finite over the range of the specimen.
     """
     bare = Muscle(muscle.specimen, muscle.law)
     try:
-        return _kept(bare)
-    except TypeError:  # numbers of it are arrays, which cannot be looked up
-        return _made(bare)
+        return _cached(bare)
+    except TypeError:  # arrays as parameters are not hashable
+        return _tabulate(bare)
 
 
-def _made(muscle: Muscle) -> ForceTable:
+def _tabulate(muscle: Muscle) -> ForceTable:
     domain = muscle.specimen.domain
     first = max(float(domain.contraction_min) - _BEYOND, _WIDEST[0])
     last = min(float(domain.contraction_max) + _BEYOND, _WIDEST[1])
@@ -97,16 +96,18 @@ def _made(muscle: Muscle) -> ForceTable:
     error = float(np.abs(spline(middle_x, middle_y) - between)[between > 0].max(initial=0.0))
     if error > _ROUGH:
         raise RangeError(
-            f"the law of {muscle.specimen.name} is too rough: a table of it is {error:.2g} N out", value=error, unit="N"
+            f"the law of {muscle.specimen.name} is not smooth enough: its table deviates by {error:.2g} N",
+            value=error,
+            unit="N",
         )
     return ForceTable((first, last), (0.0, _HIGHEST), error, _coefficients(spline, x, y))
 
 
-_kept = functools.lru_cache(maxsize=8)(_made)
+_cached = functools.lru_cache(maxsize=8)(_tabulate)
 
 
 def _coefficients(spline: RectBivariateSpline, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of each cell, by powers of its coordinates 0..1; shape (len(x) - 1, len(y) - 1, 16)."""
+    """Coefficients of each cell, in powers of its coordinates 0..1; shape (len(x) - 1, len(y) - 1, 16)."""
     wide, high = x[1] - x[0], y[1] - y[0]
     corners = np.empty((len(x) - 1, len(y) - 1, 4, 4))
     for dx in (0, 1):
@@ -120,25 +121,25 @@ def _coefficients(spline: RectBivariateSpline, x: NDArray[np.float64], y: NDArra
     return np.ascontiguousarray(cells.reshape(len(x) - 1, len(y) - 1, 16))
 
 
-_LEAST = 1e-9  # N: a band is never narrower, so that nothing is divided by 0
+_LEAST = 1e-9  # N, least width of a friction band
 
 
 class Grip:
-    """What a muscle pulls with, and what it remembers.
+    """Force of the muscle, with the states of friction and creep.
 
     The same model as `MaxwellSlip` and `MaxwellCreep`, sample by sample in plain floats.
 
     Parameters
     ----------
     muscle
-        Friction and creep are its own; it has none unless given.
+        With its friction and creep.
     contraction
-        Where it is clamped [-]; it is relaxed there.
+        Contraction at which it is clamped, relaxed [-].
 
     Raises
     ------
     RangeError
-        If it has a kind of friction or creep that is not known here, or a law that is too rough for a table.
+        If its kind of friction or creep is not supported, or its law is not smooth enough for a table.
     """
 
     def __init__(self, muscle: Muscle, contraction: float) -> None:
@@ -146,7 +147,8 @@ class Grip:
         for part, kinds in ((friction, (NoFriction, MaxwellSlip)), (creep, (NoCreep, MaxwellCreep))):
             if not isinstance(part, kinds):
                 raise RangeError(
-                    f"a virtual rig has no {type(part).__name__}", remedy=f"give the muscle a {kinds[1].__name__}"
+                    f"a simulated rig does not support {type(part).__name__}",
+                    remedy=f"give the muscle a {kinds[1].__name__}",
                 )
         self.table: ForceTable = force_table(muscle)
         self.held = True
@@ -173,20 +175,20 @@ class Grip:
 
     @property
     def shortest_time(self) -> float:
-        """The time constant [s] of its quickest creep; infinite without."""
+        """Shortest time constant of the creep [s]; infinite without creep."""
         return self._times[0] if self._times else math.inf
 
     def contraction(self, stretch: float) -> float:
-        """The contraction [-] where it is stretched so far [m] from where it was clamped."""
+        """Contraction [-] at a stretch from where it was clamped [m]."""
         return self.start - stretch / self.length if self.held else self._shortest
 
     def volume(self, stretch: float) -> float:
-        """Inside the braid [m^3]; as `Specimen.volume`, in a plain float."""
+        """Volume of the braid [m^3]; `Specimen.volume` as a plain float."""
         ratio = 1 - self.contraction(stretch)
         return self._cylinder * ratio * (1 - self._cos2 * ratio * ratio)
 
     def force(self, stretch: float, pressure: float, span: float) -> float:
-        """The pull [N] after a move within a time span [s] to a stretch [m], at a gauge pressure [Pa] now."""
+        """Force [N] after a move to a stretch [m] within a time span [s], at a gauge pressure [Pa]."""
         if not self.held:
             return 0.0
         travel, self._stretch = stretch - self._stretch, stretch
@@ -217,33 +219,33 @@ class Grip:
         return total
 
 
-_LONGEST = 100 * ms  # between two knots, from which the samples are interpolated
+_LONGEST = 100 * ms  # between two knots of the interpolation
 _FINE = 5  # knots in the time constant of the quickest creep
-_NOTHING = 1.0  # Pa: a signal that is none
+_NOTHING = 1.0  # Pa, a signal of zero
 
 INSTANT = 1e-9
-"""Times [s] that are nearer to each other are the same."""
+"""Tolerance of times [s]."""
 
 
 class Truth(NamedTuple):
-    """What no sensor tells.
+    """True state of the simulated rig.
 
     Attributes
     ----------
     time
-        Since the rig was first opened [s].
+        Time since the rig was first opened [s].
     pressure
-        In the muscle [Pa, gauge].
+        Pressure in the muscle [Pa, gauge].
     force
-        With which it pulls at its clamps [N].
+        Force at the clamps [N].
     stretch
-        Way of the carriage [m] since the rig was first opened, positive = stretching.
+        Travel of the carriage since the rig was first opened [m], positive = stretching.
     contraction
-        Of the muscle [-].
+        Contraction of the muscle [-].
     flow, mass
-        Of the air: into the muscle [kg/s], and in it and its tube [kg].
+        Flow of air into the muscle [kg/s], and its mass with that in the tube [kg].
     vented
-        Whether the spring has opened the way out.
+        Whether the vent valve is open.
     """
 
     time: float
@@ -257,12 +259,12 @@ class Truth(NamedTuple):
 
 
 class Knots(NamedTuple):
-    """What was, at times between which it goes straight.
+    """Knots of a piecewise linear history.
 
     Attributes
     ----------
     time
-        Since the rig was first opened [s].
+        Time since the rig was first opened [s].
     force, pressure
         As in `Truth`.
     """
@@ -273,15 +275,7 @@ class Knots(NamedTuple):
 
 
 class Machine:
-    """All of a rig but its sensors and its card.
-
-    Parameters
-    ----------
-    muscle, mounted_at
-        What is clamped into it, and at which contraction [-].
-    regulator, stretcher
-        The parts.
-    """
+    """State of the simulated rig without sensors and card; `mounted_at` is the initial contraction [-]."""
 
     def __init__(self, muscle: Muscle, mounted_at: float, regulator: Regulator, stretcher: Stretcher) -> None:
         self.now = 0.0  # since the rig was first opened [s]
@@ -296,7 +290,7 @@ class Machine:
 
     @property
     def truth(self) -> Truth:
-        """What is, now."""
+        """True state."""
         chamber, stretch = self._chamber, self._carriage.at
         contraction = self.grip.contraction(stretch)
         return Truth(
@@ -311,53 +305,53 @@ class Machine:
         )
 
     def differs(self, pressure: float) -> bool:
-        """Whether this [Pa] would be a new signal to the regulator."""
+        """Whether a pressure [Pa] is a new signal of the regulator."""
         return abs(pressure - self._chamber.signal) > _NOTHING
 
-    def tell(self, pressure: float, offset: float) -> None:
-        """A new signal of the regulator, as a pressure [Pa], and what it is off [Pa] at it."""
-        self._chamber.tell(pressure, offset)
+    def set_signal(self, pressure: float, offset: float) -> None:
+        """Set the signal of the regulator, as a pressure [Pa], with its offset [Pa]."""
+        self._chamber.set_signal(pressure, offset)
 
     def hold(self) -> None:
-        """Give the spring valve its current, where the signal is above 0: the muscle is at the regulator."""
+        """Close the vent valve, if the signal is above 0."""
         if self._chamber.signal > _NOTHING:
             self._chamber.exhausting, self._exhaust_at = False, math.inf
             self._chamber.resting = False
 
     def cut(self) -> None:
-        """Take the spring valve's current: a moment later the muscle is open to the room."""
+        """Cut the current of the vent valve, which opens after its delay."""
         if not self._chamber.exhausting:
             self._exhaust_at = min(self._exhaust_at, self.now + self._delay)
 
     def next_event(self) -> float:
-        """When the next thing happens by itself [s]."""
+        """Time of the next event [s]."""
         return min(self._exhaust_at, self.motor.next_end(self.now))
 
     def settle(self) -> None:
-        """Let happen what is due."""
+        """Apply the events that are due."""
         if self.now >= self._exhaust_at - INSTANT:
             self._chamber.exhausting, self._exhaust_at = True, math.inf
             self._chamber.resting = False
 
     def pass_until(self, to: float) -> Knots:
-        """Go on until then [s], with no event on the way."""
+        """Integrate until a time [s] without events on the way."""
         chamber, grip, motor, carriage = self._chamber, self.grip, self.motor, self._carriage
         now, pull, pressure = self.now, self._pull, chamber.pressure
         knots = Knots([now], [pull], [pressure])
-        moving, screw = motor.moving(now), motor.way(now)
+        moving, screw = motor.moving(now), motor.travel(now)
         room, growth = grip.volume(screw), 0.0
         while now < to:
             span, after = to - now, screw
             if moving or not chamber.resting:
                 span = min(span, self._knot)
                 if moving:
-                    after = motor.way(now + span)
+                    after = motor.travel(now + span)
                     growth = (grip.volume(after) - room) / span
                 whole = span
                 span = chamber.step(span, lambda time, room=room, growth=growth: room + growth * time)
                 pressure = chamber.pressure
                 if moving:
-                    after = after if span == whole else motor.way(now + span)
+                    after = after if span == whole else motor.travel(now + span)
                     room = grip.volume(after)
             elif self._knot < _LONGEST:
                 span = min(span, self._knot)
@@ -370,8 +364,8 @@ class Machine:
         self.now, self._pull = to, pull
         return knots
 
-    def damage(self, fault: Fault) -> None:
-        """What a fault does to it; one of sensors, card or host does nothing."""
+    def apply(self, fault: Fault) -> None:
+        """Apply a fault of the machine."""
         chamber = self._chamber
         match fault:
             case SupplyLost():

@@ -1,4 +1,4 @@
-"""Numbers for people and for JSON."""
+"""Results of fits as plain data and text."""
 
 import json
 import math
@@ -8,45 +8,9 @@ import pytest
 
 from mckibben import catalog
 from mckibben.identification import identify
+from mckibben.identification.reporting import fit_numbers
 from mckibben.muscle import ChouLaw, ExponentialLaw
-from mckibben.simulation import Metrics
-from mckibben.study.reporting import METRICS, fit_numbers, plain, shown, to_json, write_json
-
-
-def test_every_metric_is_shown_once_under_a_name_that_says_its_unit():
-    assert sorted(metric for metric, _, _ in METRICS.values()) == sorted(Metrics._fields)
-    for name, (metric, unit, factor) in METRICS.items():
-        assert name.startswith(metric)
-        if unit == "deg":
-            assert name.endswith("_deg")
-            assert factor == pytest.approx(math.pi / 180)
-        if unit == "s":
-            assert name.endswith("_s")
-            assert factor == 1.0
-
-
-def test_metrics_are_shown_in_degrees():
-    found = shown(dict.fromkeys(Metrics._fields, math.pi))
-    assert found["angle_rmse_deg"] == found["coupling_deg"] == pytest.approx(180)
-    assert found["stiffness_rmse"] == found["stiffness_settling_s"] == math.pi
-
-
-def test_json_has_no_nan():
-    odd = {"a": math.nan, "b": [math.inf, (1.0, -math.inf)], "c": {"d": np.float64("nan")}, "e": "NaN", "f": True}
-    assert plain(odd) == {"a": None, "b": [None, [1.0, None]], "c": {"d": None}, "e": "NaN", "f": True}
-    assert json.loads(to_json(odd)) == plain(odd)
-    assert json.loads(to_json({"x": 0.1 + 0.2}))["x"] == 0.1 + 0.2
-    assert math.isnan(odd["a"])  # a copy
-
-
-def test_a_file_is_replaced_whole_or_not_at_all(tmp_path):
-    path = tmp_path / "results.json"
-    write_json(path, {"text": "Sárosi, 1 °", "x": math.nan})
-    assert json.loads(path.read_text(encoding="utf-8")) == {"text": "Sárosi, 1 °", "x": None}
-    with pytest.raises(TypeError):
-        write_json(path, {"x": object()})
-    assert json.loads(path.read_text(encoding="utf-8"))["x"] is None
-    assert [p.name for p in tmp_path.iterdir()] == ["results.json"]
+from mckibben.storage.files import to_json
 
 
 def test_a_fit_is_shown_in_the_units_of_the_publication():

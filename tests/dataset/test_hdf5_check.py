@@ -48,7 +48,7 @@ def test_a_part_of_another_size_is_not_sound_and_is_an_error_in_no_time(content,
     path = tmp_path / "damaged.h5"
     path.write_bytes(damaged)
     assert not global_heaps_are_valid(bytes(damaged))
-    with pytest.raises(DatasetError, match="a heap of texts is damaged"):
+    with pytest.raises(DatasetError, match="a heap of strings is corrupt"):
         read_dataset(path)
 
 

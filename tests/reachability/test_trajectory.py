@@ -1,10 +1,17 @@
-"""Derivatives of references: against finite differences, and of what is rounded off against what it was."""
+"""Derivatives of references against finite differences; smoothing against the signal."""
 
 import numpy as np
 import pytest
 
 from mckibben.control import Constant, Multisine, Reference, Samples, Sine, Step
-from mckibben.reachability.motion import derivatives, kinks, motion_of, near, rounded, rounded_values
+from mckibben.reachability.trajectory import (
+    breakpoints,
+    derivatives,
+    is_near,
+    reference_trajectory,
+    smoothed,
+    smoothed_values,
+)
 
 TIMES = np.arange(1001) * 1e-3
 
@@ -19,7 +26,7 @@ TIMES = np.arange(1001) * 1e-3
     ],
 )
 def test_smooth_signals_are_differentiated_exactly(signal):
-    found = derivatives(signal, TIMES, 3, rounding=0.1)
+    found = derivatives(signal, TIMES, 3, smoothing=0.1)
     np.testing.assert_allclose(found[0], np.asarray(signal(TIMES)), atol=1e-12)
     for k in range(3):
         steps = (found[k][2:] - found[k][:-2]) / 2e-3
@@ -29,16 +36,16 @@ def test_smooth_signals_are_differentiated_exactly(signal):
 
 def test_a_sampled_sine_has_the_derivatives_of_the_sine():
     sine = Sine(0.1, 2.0, 0.3, 0.5)
-    exact = derivatives(sine, TIMES, 3, rounding=0.1)
-    found = derivatives(Samples(TIMES, np.asarray(sine(TIMES))), TIMES, 3, rounding=0.008)
+    exact = derivatives(sine, TIMES, 3, smoothing=0.1)
+    found = derivatives(Samples(TIMES, np.asarray(sine(TIMES))), TIMES, 3, smoothing=0.008)
     for k in range(4):
         inner = np.abs(found[k] - exact[k])[20:-20].max()
         assert inner < 2e-4 * np.abs(exact[k] - exact[k].mean()).max(), k
 
 
-def test_a_step_is_spread_over_the_rounding_and_no_further():
+def test_a_step_changes_within_the_smoothing_width_only():
     step = Step(1.0, 3.0, 0.5)
-    value, speed, acceleration, jerk = (rounded(step, TIMES, 0.2, order=k) for k in range(4))
+    value, speed, acceleration, jerk = (smoothed(step, TIMES, 0.2, order=k) for k in range(4))
     assert np.all(value[TIMES < 0.4 - 1e-9] == 1.0)
     np.testing.assert_allclose(value[TIMES > 0.6], 3.0, atol=1e-12)
     assert np.all(np.diff(value) > -1e-12)
@@ -51,30 +58,30 @@ def test_a_step_is_spread_over_the_rounding_and_no_further():
 
 def test_straight_lines_stay_and_ends_are_no_corners():
     ramp = Samples(np.array([0.0, 1.0]), np.array([0.0, 2.0]))
-    np.testing.assert_allclose(rounded(ramp, TIMES, 0.3), 2 * TIMES, atol=1e-12)
-    np.testing.assert_allclose(rounded(ramp, TIMES, 0.3, order=1), 2.0, atol=1e-9)
-    np.testing.assert_allclose(rounded(ramp, TIMES, 0.3, order=2), 0.0, atol=1e-6)
+    np.testing.assert_allclose(smoothed(ramp, TIMES, 0.3), 2 * TIMES, atol=1e-12)
+    np.testing.assert_allclose(smoothed(ramp, TIMES, 0.3, order=1), 2.0, atol=1e-9)
+    np.testing.assert_allclose(smoothed(ramp, TIMES, 0.3, order=2), 0.0, atol=1e-6)
 
 
 def test_one_moment_stands_still():
-    assert rounded_values(np.array([2.0]), 1.0, 0.1).tolist() == [2.0]
-    motion = motion_of(Reference(Step(0.0, 1.0, 0.0), 15.0), np.array([0.0]), rounding=0.1)
+    assert smoothed_values(np.array([2.0]), 1.0, 0.1).tolist() == [2.0]
+    motion = reference_trajectory(Reference(Step(0.0, 1.0, 0.0), 15.0), np.array([0.0]), smoothing=0.1)
     assert (motion.velocity.tolist(), motion.stiffness.tolist()) == ([0.0], [15.0])
 
 
 def test_jumps_and_corners_are_found():
-    assert kinks(Sine(1.0, 1.0), TIMES).size == 0
-    assert kinks(Step(0.0, 1.0, 0.25), TIMES).tolist() == [0.25]
-    assert kinks(Step(1.0, 1.0, 0.25), TIMES).size == 0
-    assert kinks(Step(0.0, 1.0, 2.0), TIMES).size == 0, "after the run"
+    assert breakpoints(Sine(1.0, 1.0), TIMES).size == 0
+    assert breakpoints(Step(0.0, 1.0, 0.25), TIMES).tolist() == [0.25]
+    assert breakpoints(Step(1.0, 1.0, 0.25), TIMES).size == 0
+    assert breakpoints(Step(0.0, 1.0, 2.0), TIMES).size == 0, "after the run"
     bent = Samples(np.array([0.0, 0.2, 0.4, 0.6]), np.array([0.0, 1.0, 2.0, 2.0]))
-    assert kinks(bent, TIMES).tolist() == [0.4]
+    assert breakpoints(bent, TIMES).tolist() == [0.4]
     held = Samples(np.array([0.1, 0.5]), np.array([0.0, 1.0]))
-    assert kinks(held, TIMES).tolist() == [0.1, 0.5], "before and after its samples a signal stands still"
+    assert breakpoints(held, TIMES).tolist() == [0.1, 0.5], "before and after its samples a signal stands still"
 
 
-def test_near_a_moment():
+def test_times_near_others():
     times = np.array([0.0, 0.1, 0.2, 0.3])
-    assert near(times, np.array([0.21]), 0.05).tolist() == [False, False, True, False]
-    assert not near(times, np.empty(0), 1.0).any()
-    assert near(times, np.array([0.3, 0.0]), 0.01).tolist() == [True, False, False, True]
+    assert is_near(times, np.array([0.21]), 0.05).tolist() == [False, False, True, False]
+    assert not is_near(times, np.empty(0), 1.0).any()
+    assert is_near(times, np.array([0.3, 0.0]), 0.01).tolist() == [True, False, False, True]

@@ -1,4 +1,4 @@
-"""Bands along a motion: against the paper's equations in plain NumPy, all pressures tried, and against a run."""
+"""Stiffness bands along a trajectory against the paper's equations in plain NumPy, and against a simulation."""
 
 import numpy as np
 import pytest
@@ -8,9 +8,8 @@ from mckibben.errors import RangeError, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint, SeriesSpring
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, PlantState
-from mckibben.reachability import follow, holdable, motion_of
-from mckibben.reachability.bands import bands_along
-from mckibben.reachability.trackability import MOST_ROUNDING
+from mckibben.reachability import check_trackability, reference_trajectory, static_envelope
+from mckibben.reachability.trackability import MAX_SMOOTHING, bands_along
 from mckibben.simulation import check_reference, simulate
 from mckibben.units import bar, deg
 
@@ -20,7 +19,7 @@ TIMES = np.arange(200) * PERIOD
 
 def on(plant: JointPlant, reference: Reference, **options):
     """All with as many moments: they share what is compiled."""
-    return follow(plant, reference, duration=2.0, control_period=PERIOD, **options)
+    return check_trackability(plant, reference, duration=2.0, control_period=PERIOD, **options)
 
 
 @compiled
@@ -69,13 +68,13 @@ class Tried:
 def test_the_bands_are_those_of_trying_all_stiffnesses(knee, load, paper_precontracted, amplitude, frequency, lag):
     plant = JointPlant(knee, load, FirstOrderValve(lag))
     reference = Reference(Sine(amplitude * deg, frequency), 15.0)
-    bands = bands_along(plant, motion_of(reference, TIMES, rounding=0.1))
+    bands = bands_along(plant, reference_trajectory(reference, TIMES, smoothing=0.1))
     tried = Tried(paper_precontracted, amplitude * deg, frequency, lag)
     cut = 0
     for k in range(0, 200, 23):
         grid = np.arange(5.0, 30.0, 0.05)
         moving, driven = np.array([tried.allowed(TIMES[k], value) for value in grid]).T
-        for band, allowed in ((bands.inertial, moving), (bands.driven, driven)):
+        for band, allowed in ((bands.dynamic, moving), (bands.rate_limited, driven)):
             if allowed.any():
                 assert band.lowest[k] == pytest.approx(grid[allowed].min(), abs=0.051)
                 assert band.highest[k] == pytest.approx(grid[allowed].max(), abs=0.051)
@@ -85,20 +84,20 @@ def test_the_bands_are_those_of_trying_all_stiffnesses(knee, load, paper_precont
     assert cut > 0 or lag < 0.1, "the valve has something to say here"
 
 
-def test_standing_it_is_the_static_check(plant):
+def test_at_rest_the_bands_are_those_of_the_static_check(plant):
     reference = Reference(Constant(12 * deg), 15.0)
     found, reach = on(plant, reference), check_reference(plant, reference, duration=2.0, control_period=PERIOD)
-    for band in (found.bands.static, found.bands.inertial, found.bands.driven):
+    for band in (found.bands.static, found.bands.dynamic, found.bands.rate_limited):
         np.testing.assert_allclose(band.lowest, reach.lowest, rtol=1e-6)
         np.testing.assert_allclose(band.highest, reach.highest, rtol=1e-6)
-    assert found.reachable and reach.reachable
+    assert found.trackable and reach.reachable
 
 
 def test_the_commands_of_the_criterion_make_the_plant_follow(knee, load, paper_precontracted, playback):
     lag, a, f = 0.05, 10 * deg, 2.0
     tried = Tried(paper_precontracted, a, f, lag)
     plant = JointPlant(knee, load, FirstOrderValve(lag))
-    assert on(plant, Reference(Sine(a, f), 15.0)).reachable
+    assert on(plant, Reference(Sine(a, f), 15.0)).trackable
     times = np.arange(501) * 1e-3
 
     def command(time):
@@ -107,10 +106,10 @@ def test_the_commands_of_the_criterion_make_the_plant_follow(knee, load, paper_p
         return at[1] + lag * (at[2] - at[0]) / (2 * h)
 
     commands = np.array([command(time + 5e-4) for time in times])  # held over a period: its middle counts
-    wish = Reference(Samples(times, commands[:, 0]), Samples(times, commands[:, 1]))
+    reference = Reference(Samples(times, commands[:, 0]), Samples(times, commands[:, 1]))
     start = PlantState(0.0, a * 2 * np.pi * f, tuple(tried.pressures(0.0, 15.0)[0]))
-    with pytest.warns(ReachabilityWarning):  # the wish is pressures, not an angle and a stiffness
-        run = simulate(plant, playback, wish, duration=0.5, initial=start).table
+    with pytest.warns(ReachabilityWarning):  # the reference is pressures, not an angle and a stiffness
+        run = simulate(plant, playback, reference, duration=0.5, initial=start).table
     moved = run["angle"].to_numpy()
     np.testing.assert_allclose(moved, a * np.sin(2 * np.pi * f * run["time"].to_numpy()), atol=0.05 * deg)
     np.testing.assert_allclose(run["stiffness"].to_numpy(), 15.0, atol=0.02)
@@ -120,93 +119,92 @@ def test_a_stiffness_that_changes_costs_the_valve_its_rate(knee, load):
     plant = JointPlant(knee, load, FirstOrderValve(0.1))
     slow = Reference(0.0, Sine(3.0, 0.5, 15.0))
     fast = Reference(0.0, Sine(3.0, 8.0, 15.0))
-    assert on(plant, slow).reachable
+    assert on(plant, slow).trackable
     found = on(plant, fast)
-    assert not found.reachable
-    assert found.describe().startswith("at the speed of the valve the stiffness is out of reach for ")
-    assert on(JointPlant(knee, load, FirstOrderValve(1e-3)), fast).reachable
+    assert not found.trackable
+    assert found.describe().startswith("at the rate limit of the valves: the stiffness is not attainable for ")
+    assert on(JointPlant(knee, load, FirstOrderValve(1e-3)), fast).trackable
 
 
-def test_an_infeasible_wish_is_named_with_its_numbers(as_printed, load):
+def test_an_infeasible_reference_is_described_with_its_numbers(as_printed, load):
     found = on(JointPlant(as_printed, load, FirstOrderValve(0.02)), Reference(Sine(20 * deg, 0.5), 72.5))
-    assert not found.reachable
+    assert not found.trackable
     said = found.describe()
-    assert said.startswith("even standing still, no pressures within limits will do for 6")
-    assert "wanted 72.5, attainable 1" in said and "N*m/rad at -10." in said
+    assert said.startswith("not even statically trackable: no pressures within limits give the torque for 6")
+    assert "desired 72.5, attainable 1" in said and "N*m/rad at -10." in said
 
 
 def test_the_torque_of_the_motion_is_named(plant):
     found = on(plant, Reference(Sine(20 * deg, 6.0), 15.0))
-    assert not found.reachable
+    assert not found.trackable
     assert "with the torque of the motion, up to " in found.describe()
     peak = float(plant.load.total_inertia) * 20 * deg * (12 * np.pi) ** 2
     assert np.abs(found.bands.torque).max() == pytest.approx(peak, rel=0.15)
 
 
-def test_a_motion_may_bring_within_reach_what_cannot_be_held(plant):
+def test_a_stiffness_may_be_attainable_dynamically_only(plant):
     found = on(plant, Reference(Sine(20 * deg, 2.0), 15.0))
-    assert found.reachable
-    assert "only the torque of the motion brings it there" in found.describe()
+    assert found.trackable
+    assert "dynamically only, not statically" in found.describe()
 
 
-def test_jumps_are_rounded_off_as_little_as_will_do(plant):
+def test_jumps_are_smoothed_no_more_than_necessary(plant):
     found = on(plant, Reference(Step(0.0, 10 * deg, 1.0), 15.0))
-    assert found.reachable and 0.05 < found.motion.rounding < 0.2
-    assert f"a jump or corner at 1 s rounded off over {found.motion.rounding * 1e3:.3g} ms" in found.describe()
-    assert not on(plant, Reference(Step(0.0, 10 * deg, 1.0), 15.0), rounding=found.motion.rounding / 2).reachable
+    assert found.trackable and 0.05 < found.trajectory.smoothing < 0.2
+    assert f"jump or corner at 1 s smoothed over {found.trajectory.smoothing * 1e3:.3g} ms" in found.describe()
+    assert not on(plant, Reference(Step(0.0, 10 * deg, 1.0), 15.0), smoothing=found.trajectory.smoothing / 2).trackable
     far = on(plant, Reference(Step(-30 * deg, 30 * deg, 1.0), 22.0))
-    assert not far.reachable and not far.rounded_enough
-    assert far.motion.rounding == MOST_ROUNDING
-    assert "a jump or corner at 1 s out of reach even if rounded off over 250 ms" in far.describe()
+    assert not far.trackable and not far.smoothing_sufficient
+    assert far.trajectory.smoothing == MAX_SMOOTHING
+    assert "jump or corner at 1 s not trackable even when smoothed over 250 ms" in far.describe()
 
 
 def test_samples_may_be_many(plant):
     dense = Samples(TIMES, np.asarray(Sine(10 * deg, 0.5)(TIMES)))
     found = on(plant, Reference(dense, 15.0))
-    assert found.reachable and "; its samples rounded off over 40 ms" in found.describe()
+    assert found.trackable and "; samples smoothed over 40 ms" in found.describe()
 
 
-def test_what_can_be_held_over_the_angle(plant, paper_precontracted):
-    found = holdable(plant)
-    assert (found.first / deg, found.last / deg) == pytest.approx((-36.49, 38.57), abs=0.01)
+def test_static_envelope_over_the_angle(plant, paper_precontracted):
+    found = static_envelope(plant)
+    assert (found.angle_min / deg, found.angle_max / deg) == pytest.approx((-36.49, 38.57), abs=0.01)
     zero = int(np.argmin(np.abs(found.angles)))
-    edges = [edge[zero] for edge in (*found.torques, *found.stiffness)]
+    edges = [edge[zero] for edge in (*found.torque_range, *found.stiffness)]
     assert edges == pytest.approx([-7.28, 7.28, 9.96, 19.53], abs=0.01)
-    rows = found.rows()
+    rows = found.table_rows()
     assert len(rows) <= 11 and zero in rows
     for k in rows:
         for stiffness, pressures in (
-            (found.stiffness.lowest[k], found.pressures_lowest[:, k]),
-            (found.stiffness.highest[k], found.pressures_highest[:, k]),
+            (found.stiffness.lowest[k], found.pressures_at_lowest[:, k]),
+            (found.stiffness.highest[k], found.pressures_at_highest[:, k]),
         ):
             assert paper_precontracted.torque(found.angles[k], pressures) == pytest.approx(found.torque[k], abs=1e-5)
             assert paper_precontracted.stiffness(found.angles[k], pressures) == pytest.approx(stiffness, abs=1e-4)
             assert pressures.min() > -1e-3 and pressures.max() < 6 * bar + 1e-3
-    room = found.highest_at - found.lowest_at
-    assert room.shape == found.map_torques.shape
-    assert np.nanmin(room) > -1e-9
+    assert found.map_stiffness.width.shape == found.map_torques.shape
+    assert np.nanmin(found.map_stiffness.width) > -1e-9
 
 
 def test_a_joint_with_springs_is_scanned(as_printed, load):
     spring = SeriesSpring(stiffness=2e4, preload=50.0, travel=0.018)
     joint = AntagonisticJoint(as_printed.geometry, as_printed.muscle1, as_printed.muscle2, spring)
     plant = JointPlant(joint, load, IdealValve())
-    found = follow(plant, Reference(Sine(10 * deg, 0.5), 17.0), duration=2.0, control_period=0.05)
-    assert found.reachable
-    np.testing.assert_allclose(found.bands.driven.lowest, found.bands.inertial.lowest, atol=1e-9)
+    found = check_trackability(plant, Reference(Sine(10 * deg, 0.5), 17.0), duration=2.0, control_period=0.05)
+    assert found.trackable
+    np.testing.assert_allclose(found.bands.rate_limited.lowest, found.bands.dynamic.lowest, atol=1e-9)
     for k in (3, 10, 27):
-        angle, torque = float(found.motion.angle[k]), float(found.bands.torque[k])
+        angle, torque = float(found.trajectory.angle[k]), float(found.bands.torque[k])
         band = [float(x) for x in attainable(joint, angle, torque)]
-        seen = found.bands.inertial.lowest[k], found.bands.inertial.highest[k]
+        seen = found.bands.dynamic.lowest[k], found.bands.dynamic.highest[k]
         assert band[0] - 1e-6 <= seen[0] < band[0] + 0.05 and band[1] - 0.6 < seen[1] <= band[1] + 1e-6
 
 
-@pytest.mark.parametrize("rounding", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_rounding_is_a_time(plant, rounding):
-    with pytest.raises(RangeError, match="the rounding is"):
-        on(plant, Reference(0.0, 15.0), rounding=rounding)
+@pytest.mark.parametrize("smoothing", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_smoothing_is_a_positive_time(plant, smoothing):
+    with pytest.raises(RangeError, match="the smoothing is"):
+        on(plant, Reference(0.0, 15.0), smoothing=smoothing)
 
 
 def test_times_have_to_go_together(plant):
     with pytest.raises(SimulationError):
-        follow(plant, Reference(0.0, 15.0), duration=1.0, control_period=0.3)
+        check_trackability(plant, Reference(0.0, 15.0), duration=1.0, control_period=0.3)

@@ -9,24 +9,25 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, forces
-from mckibben.rig.backend import Drive, MovingBackend
-from mckibben.rig.twin import (
+from mckibben.rig.backend import MovingBackend
+from mckibben.rig.bench import Drive
+from mckibben.rig.simulated import (
     FORCE_SENSOR,
     PRESSURE_SENSOR,
     Burst,
     Converter,
-    Delaying,
-    Dropping,
     HostDelayed,
-    Paced,
+    RealTimeRig,
     Regulator,
-    Silent,
+    SamplesDelayed,
+    SamplesDropped,
+    SamplesStopped,
+    SensorDisconnected,
+    SimulatedRig,
     Slipped,
     Stalled,
     Stretcher,
     SupplyLost,
-    TwinRig,
-    Unplugged,
     ValveStuck,
 )
 from mckibben.units import bar, kPa, mm
@@ -44,13 +45,13 @@ SAFE = 0.2 * bar
 
 
 def opened(muscle=PLAIN, **settings):
-    rig = TwinRig(muscle, **settings)
+    rig = SimulatedRig(muscle, **settings)
     rig.open()
     return rig
 
 
 def press(rig, pressure):
-    rig.press([float(rig.calibrations["valve"].volts(pressure))])
+    rig.set_valves([float(rig.calibrations["valve"].volts(pressure))])
 
 
 def blocks(rig, duration, count=100):
@@ -58,7 +59,7 @@ def blocks(rig, duration, count=100):
     kept = []
     for _ in range(round(duration * rig.rate / count)):
         kept.append(rig.read(count))
-        rig.beat()
+        rig.heartbeat()
     return kept
 
 
@@ -70,11 +71,11 @@ def columns(rig, kept):
 
 
 def test_it_is_a_backend():
-    for rig in (TwinRig(PLAIN), Paced(TwinRig(PLAIN))):
+    for rig in (SimulatedRig(PLAIN), RealTimeRig(SimulatedRig(PLAIN))):
         assert isinstance(rig, MovingBackend)
         assert [channel.name for channel in rig.inputs] == ["force", "pressure"]
         assert [channel.name for channel in rig.outputs] == ["valve"]
-        assert all(isinstance(value, str) for value in rig.described.values())
+        assert all(isinstance(value, str) for value in rig.description.values())
 
 
 def test_sensors_tell_the_truth_of_the_law():
@@ -90,7 +91,7 @@ def test_sensors_tell_the_truth_of_the_law():
     along = forces(PLAIN, -np.arange(0, 1) / 0.18, 0.0)
     assert force[0] == pytest.approx(along[0], abs=1e-3)
     middle = slice(2000, 9000, 500)
-    contraction = -rig.drive.way(pulses[middle]) / 0.18
+    contraction = -rig.drive.travel(pulses[middle]) / 0.18
     np.testing.assert_allclose(force[middle], forces(PLAIN, contraction, pressure[middle]), atol=0.3)
 
 
@@ -168,7 +169,7 @@ def test_motor_counts_its_pulses_in_time():
     block = rig.read(600)
     np.testing.assert_array_equal(block.pulses, np.minimum(np.floor(np.arange(600) * 0.08 + 1e-6), 40))
     assert not rig.moving and rig.truth.stretch == pytest.approx(0.1 * mm)
-    rig.beat()
+    rig.heartbeat()
     rig.move(-40, 80.0)
     rig.read(250)
     rig.stop()
@@ -184,7 +185,7 @@ def test_motor_ramps_where_it_has_an_acceleration():
     pulses = rig.read(1600).pulses
     assert pulses[[0, 500, 1000, 1499]].tolist() == [0, 25, 75, 99] and pulses[1500] == 100 and not rig.moving
     assert (np.diff(pulses) >= 0).all()
-    rig.beat()
+    rig.heartbeat()
     rig.move(-8, 100.0)  # too short to get there: up and down in 2 sqrt(8/200) s
     assert rig.read(500).pulses[[0, 200, 399, 400]].tolist() == [100, 96, 93, 92]
 
@@ -236,16 +237,16 @@ def test_vented_muscle_has_no_pressure_within_a_second(contraction):
     [
         lambda at: SupplyLost(at),
         lambda at: ValveStuck(at, 1.0),
-        lambda at: Unplugged(at, "pressure"),
-        lambda at: Unplugged(at, "force", None),
+        lambda at: SensorDisconnected(at, "pressure"),
+        lambda at: SensorDisconnected(at, "force", None),
         lambda at: Slipped(at),
         lambda at: Burst(at),
         lambda at: Stalled(at),
         lambda at: HostDelayed(at, 0.5),
         lambda at: HostDelayed(at, 3.0),
-        lambda at: Silent(at),
-        lambda at: Dropping(at, 20, every=0.1),
-        lambda at: Delaying(at, 0.3),
+        lambda at: SamplesStopped(at),
+        lambda at: SamplesDropped(at, 20, every=0.1),
+        lambda at: SamplesDelayed(at, 0.3),
     ],
 )
 def test_whatever_is_broken_it_vents_when_told_and_when_not(fault):
@@ -260,7 +261,7 @@ def test_whatever_is_broken_it_vents_when_told_and_when_not(fault):
             try:
                 while rig.clock() < until:
                     before.append(rig.read(50, timeout=0.2))
-                    rig.beat()
+                    rig.heartbeat()
             except SilentError:
                 pass
             if ending != "nothing":
@@ -272,7 +273,7 @@ def test_whatever_is_broken_it_vents_when_told_and_when_not(fault):
             if ending == "nothing":
                 assert not rig.moving
                 for what in (lambda rig=rig: press(rig, 1 * bar), lambda rig=rig: rig.move(1, 80.0)):
-                    with pytest.raises(RigError, match="without a beat"):
+                    with pytest.raises(RigError, match="without a heartbeat"):
                         what()
             assert all((np.diff(block.time) > 0).all() for block in before)
 
@@ -284,8 +285,8 @@ def test_missed_beat_vents_in_time_and_holds_until_opened_anew():
     blocks(rig, 2.0)
     pulses = rig.read(600).pulses  # the beat was at 2.0 s
     assert pulses[299] == -183 and (pulses[300:] == -184).all()
-    rig.beat()
-    with pytest.raises(RigError, match="open it anew"):
+    rig.heartbeat()
+    with pytest.raises(RigError, match="reopen it"):
         press(rig, 1 * bar)
     rig.close()
     rig.open()
@@ -320,12 +321,12 @@ def test_stuck_regulator_fills_to_the_supply():
 
 def test_unplugged_sensor_reads_a_rail_a_plausible_value_or_the_mains():
     for volts, low, high in ((10.0, 10.0, 10.0), (0.5, 0.5, 0.5), (None, -1.1, 3.1)):
-        rig, (time, force, pressure, _) = after(Unplugged(1.5, "pressure", volts))
+        rig, (time, force, pressure, _) = after(SensorDisconnected(1.5, "pressure", volts))
         read = pressure[time >= 1.5] / bar
         assert low - 1e-6 <= read.min() <= read.max() <= high + 1e-6
         assert rig.truth.pressure == pytest.approx(4 * bar, rel=1e-3) and force[-1] == pytest.approx(rig.truth.force)
     assert np.std(read) == pytest.approx(2 / math.sqrt(2), rel=0.05)
-    _, (time, force, *_) = after(Unplugged(1.5, "force"))
+    _, (time, force, *_) = after(SensorDisconnected(1.5, "force"))
     assert (force[time >= 1.5] == 2000).all() and force[1400] < 500
 
 
@@ -347,7 +348,7 @@ def test_stalled_motor_counts_and_stands():
     rig = opened(faults=[Stalled(1.0)], stretcher=Stretcher(backlash=0.0), patience=1e9)
     rig.move(-160, 80.0)
     assert rig.read(2500).pulses[-1] == -160
-    assert rig.truth.stretch == pytest.approx(rig.drive.way(-80))
+    assert rig.truth.stretch == pytest.approx(rig.drive.travel(-80))
 
 
 def test_late_host_finds_its_samples_waiting():
@@ -369,16 +370,16 @@ def test_host_that_is_away_for_too_long_loses_samples_and_is_told():
 
 
 def test_silent_converter_is_told_after_the_timeout():
-    rig = opened(faults=[Silent(0.25)])
+    rig = opened(faults=[SamplesStopped(0.25)])
     assert rig.read(200).first == 0
-    rig.beat()
+    rig.heartbeat()
     with pytest.raises(SilentError):
         rig.read(100, timeout=0.3)
     assert rig.clock() == pytest.approx(0.3 + 0.3)
 
 
 def test_dropped_samples_are_missing_from_the_numbers():
-    rig = opened(faults=[Dropping(0.45, 25, every=1.0)])
+    rig = opened(faults=[SamplesDropped(0.45, 25, every=1.0)])
     kept = blocks(rig, 2.0)
     firsts = np.array([block.first for block in kept])
     assert [*np.flatnonzero(np.diff(firsts) != 100)] == [3, 12]
@@ -388,7 +389,7 @@ def test_dropped_samples_are_missing_from_the_numbers():
 
 
 def test_delayed_samples_come_later_than_they_were_taken():
-    rig = opened(faults=[Delaying(0.5, 0.2)])
+    rig = opened(faults=[SamplesDelayed(0.5, 0.2)])
     lag = [(rig.clock() - block.time[-1]) for _ in range(10) for block in blocks(rig, 0.1)]
     assert max(lag[:4]) < 0.002 and min(lag[6:]) == pytest.approx(0.201)
     with pytest.raises(SilentError):
@@ -399,21 +400,26 @@ def test_delayed_samples_come_later_than_they_were_taken():
 
 
 def test_wrong_use_is_refused():
-    rig = TwinRig(PLAIN)
-    for what in (lambda: rig.read(1), lambda: rig.press([1.0]), lambda: rig.move(1, 80.0)):
+    rig = SimulatedRig(PLAIN)
+    for what in (lambda: rig.read(1), lambda: rig.set_valves([1.0]), lambda: rig.move(1, 80.0)):
         with pytest.raises(RigError, match="not open"):
             what()
     rig.open()
-    for what in (lambda: rig.open(), lambda: rig.press([11.0]), lambda: rig.press([math.nan]), lambda: rig.press([])):
+    for what in (
+        lambda: rig.open(),
+        lambda: rig.set_valves([11.0]),
+        lambda: rig.set_valves([math.nan]),
+        lambda: rig.set_valves([]),
+    ):
         with pytest.raises(RigError):
             what()
     for what in (
         lambda: rig.read(0),
-        lambda: TwinRig(PLAIN, rate=0.0),
+        lambda: SimulatedRig(PLAIN, rate=0.0),
         lambda: Regulator(band=0.0),
-        lambda: Unplugged(1.0, "angle"),
+        lambda: SimulatedRig(PLAIN, faults=[SensorDisconnected(1.0, "angle")]),
         lambda: Burst(-1.0),
-        lambda: Dropping(1.0, 0),
+        lambda: SamplesDropped(1.0, 0),
         lambda: ValveStuck(0.0, 2.0),
         lambda: Stretcher(backlash=-1.0),
         lambda: Drive(lead=0.0),
@@ -441,11 +447,11 @@ class Wall:
 
 def test_paced_rig_waits_for_the_wall():
     wall = Wall()
-    rig = Paced(TwinRig(PLAIN), wall=wall, sleep=wall.sleep)
+    rig = RealTimeRig(SimulatedRig(PLAIN), wall=wall, sleep=wall.sleep)
     rig.open()
     for k in range(5):
         assert rig.read(100).first == 100 * k
-        rig.beat()
+        rig.heartbeat()
         assert rig.clock() == pytest.approx(0.1 * (k + 1))
     wall.now += 0.25  # the host was busy
     assert rig.read(100).first == 500 and rig.clock() == pytest.approx(0.75)
@@ -455,22 +461,22 @@ def test_paced_rig_waits_for_the_wall():
 
 def test_paced_rig_vents_while_the_host_is_away():
     wall = Wall()
-    rig = Paced(TwinRig(PLAIN), wall=wall, sleep=wall.sleep)
+    rig = RealTimeRig(SimulatedRig(PLAIN), wall=wall, sleep=wall.sleep)
     rig.open()
     press(rig.rig, 6 * bar)
     for _ in range(30):
         rig.read(100)
-        rig.beat()
+        rig.heartbeat()
     assert rig.rig.truth.pressure > 5 * bar
     wall.now += 2.5
     assert not rig.moving and rig.rig.truth.pressure < SAFE
-    with pytest.raises(RigError, match="without a beat"):
-        rig.press([1.0])
+    with pytest.raises(RigError, match="without a heartbeat"):
+        rig.set_valves([1.0])
 
 
 def test_paced_rig_that_is_silent_takes_its_timeout():
     wall = Wall()
-    rig = Paced(TwinRig(PLAIN, faults=[Silent(0.05)]), wall=wall, sleep=wall.sleep)
+    rig = RealTimeRig(SimulatedRig(PLAIN, faults=[SamplesStopped(0.05)]), wall=wall, sleep=wall.sleep)
     rig.open()
     with pytest.raises(SilentError):
         rig.read(100, timeout=0.5)

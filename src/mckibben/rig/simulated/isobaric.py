@@ -1,4 +1,4 @@
-"""A virtual rig: a protocol run on a force law, with the hysteresis, creep, noise and offsets of a real test."""
+"""Simulated isobaric test: a protocol on a force law, with hysteresis, creep, noise and offsets."""
 
 from __future__ import annotations
 
@@ -19,60 +19,56 @@ _HOUR = 3600.0  # s
 
 
 @dataclass(frozen=True)
-class VirtualRig:
-    r"""The paper's stretching device with a muscle in it.
+class SimulatedIsobaricTest:
+    r"""Isobaric test on the paper's stretching device.
 
     At a plateau the muscle has the true pressure :math:`p` = set pressure + regulator offset, its law the
-    tension :math:`T` there, and the rig feels
+    tension :math:`T` there, and the measured force is
 
     .. math:: F = T + f + c + d
 
-    with the friction :math:`f` of the muscle along the way, its creep :math:`c`, and the drift :math:`d` of the force
-    sensor. Creep goes on while the rig waits and samples; each pressure begins with a relaxed muscle. A muscle
-    without friction of its own is given a `MaxwellSlip`: what it feels within the band :math:`\pm B \tanh(T/2B)`,
-    which fades with the tension, so that it never pushes (T + f is at least T/2); that form is ours, and 96 % of
-    the band are there at T = 4B. The device is adjusted before each pressure so that the first plateau is reached by
-    stretching. Every loop is then closed, as measured ones are: the first plateaus after a turn still lie on the
-    side of the pass before. To a fit that is a bias: refitting Eq. 3 is out by up to 7 N, by 0.1 N without the two
-    most stretched plateaus of each pressure.
+    with the friction :math:`f` of the muscle, its creep :math:`c`, and the drift :math:`d` of the force sensor. Creep
+    goes on while the rig waits and samples; each pressure begins with a relaxed muscle. A muscle without friction of
+    its own is given a `MaxwellSlip` within the band :math:`\pm B \tanh(T/2B)`, which fades with the tension, so that
+    the force is positive (T + f is at least T/2); that form is ours, and reaches 96 % of the band at T = 4B. The device
+    is adjusted before each pressure so that the first plateau is reached by stretching. Every loop is then closed, as
+    measured ones are: the first plateaus after a reversal still lie on the side of the pass before. To a fit that is a
+    bias: refitting Eq. 3 is out by up to 7 N, by 0.1 N without the two most stretched plateaus of each pressure.
 
     Parameters
     ----------
     muscle
-        What is tested; its law is the truth that an identification should find. Friction of its own takes the place
-        of the next two numbers. It has the creep that it was given, which is none unless said.
+        Its law is the truth that an identification should find. Friction of its own replaces the next two numbers. Its
+        creep is its own, none unless given.
     hysteresis
         Half the width B [N] of the loop between loading (above) and unloading (below). Hunt (2017) finds
-        +-15.6 kPa for a 10 mm muscle, which is +-12..17 N: 12 N. 0 is no friction at all.
+        +-15.6 kPa for a 10 mm muscle, which is +-12..17 N: 12 N. 0 is no friction.
     presliding_length
-        Way [m] s0 of the friction's change of sides after a reversal: 0.5 mm (ours), so that it is done 86 %
-        after 1 mm and 98 % after 2 mm.
+        Travel s0 [m] of the friction's change of direction after a reversal: 0.5 mm (ours), of which 86 % is done after
+        1 mm and 98 % after 2 mm.
     force_noise
-        Standard deviation [N] of a sample of the force sensor, white: 0.5 N (ours; 0.03 % of a 200 kg
-        sensor).
+        Standard deviation of a sample of the force sensor [N], white: 0.5 N (ours; 0.03 % of a 200 kg sensor).
     pressure_noise
-        Standard deviation [Pa] of a sample of the pressure sensor, white: 0.5 kPa (ours; 0.05 % of a 10 bar
-        sensor).
+        Standard deviation of a sample of the pressure sensor [Pa], white: 0.5 kPa (ours; 0.05 % of a 10 bar sensor).
     regulator_offset
-        Largest deviation [Pa] of the true from the set pressure; drawn once per pressure and repeat, evenly
-        from minus to plus that: 4.5 kPa (ours; 0.5 % of a regulator's 9 bar). A true pressure is not below 0:
-        the regulator vents, and pulls no vacuum.
+        Largest deviation of the true from the set pressure [Pa], drawn once per pressure and repeat, uniform: 4.5 kPa
+        (ours; 0.5 % of a regulator's 9 bar). A true pressure is not below 0.
     force_drift
-        What the force sensor's zero moves in an hour [N/h], evenly from the start of the test: 0.
+        Drift of the zero of the force sensor [N/h], linear from the start of the test: 0.
     force_wander
-        Standard deviation of its random walk after an hour [N]; it grows with the square root of time: 0.
+        Standard deviation of its random walk after an hour [N]: 0.
 
     Raises
     ------
     RangeError
-        If one of the numbers is not finite, or negative (only a drift may be), or the presliding length is 0.
+        If a number is not finite, or negative (except the drift), or the presliding length is 0.
 
     Examples
     --------
     >>> from mckibben import catalog
     >>> from mckibben.rig import IsobaricProtocol
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-    >>> VirtualRig(muscle).run(IsobaricProtocol(pressures=[2 * bar, 6 * bar], repeats=1), seed=1)
+    >>> SimulatedIsobaricTest(muscle).run(IsobaricProtocol(pressures=[2 * bar, 6 * bar], repeats=1), seed=1)
     <IsobaricDataset 'MAS-10-180N-AA-MC-O': 126 points (10 slack), 2 pressures 2..6 bar, contraction
     -3..24.78 %, loading and unloading, repeats 0, 1000 samples a point>
     """
@@ -104,14 +100,14 @@ class VirtualRig:
                 remedy = (
                     "take a tenth of the step for almost none" if name == "presliding_length" else "0 switches it off"
                 )
-                problems.append(Problem(f"{value:g} {unit} has no meaning", field=name, remedy=remedy))
+                problems.append(Problem(f"{value:g} {unit} is out of range", field=name, remedy=remedy))
         if problems:
-            heading = f"virtual rig: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
+            heading = f"simulated isobaric test: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
             raise RangeError("\n  ".join([heading, *map(str, problems)]))
 
     @property
     def friction(self) -> Friction:
-        """The muscle's own, or one of the hysteresis and the presliding length."""
+        """Friction of the muscle, or one of the hysteresis and the presliding length."""
         if not isinstance(self.muscle.friction, NoFriction):
             return self.muscle.friction
         if self.hysteresis < MIN_HALF_WIDTH:
@@ -119,7 +115,7 @@ class VirtualRig:
         return MaxwellSlip(self.hysteresis, self.presliding_length)
 
     def run(self, protocol: IsobaricProtocol, *, seed: int) -> IsobaricDataset:
-        """Run the test and return what the sensors read.
+        """Run the test; return the dataset of the sensors' readings.
 
         The pressure of the dataset is the measured one, `set_pressure` the protocol's. Force and pressure of
         a point are the means of its samples. Samples are float32: a rounding of 6e-8, below one step of an 18
@@ -133,7 +129,7 @@ class VirtualRig:
         Parameters
         ----------
         protocol
-            What to do. It is checked, and cut to the `boundaries` of the muscle.
+            The protocol, limited to the `boundaries` of the muscle.
         seed
             The same seed gives the same data.
 
@@ -171,39 +167,39 @@ class VirtualRig:
             pressure_samples=pressure_samples,
             specimen=self.muscle.specimen.name,
             initial_length=float(self.muscle.specimen.initial_length),
-            source=f"virtual rig: {type(self.muscle.law).__name__}, {self._described()}, seed {seed}",
+            source=f"simulated rig: {type(self.muscle.law).__name__}, {self._description()}, seed {seed}",
             slack_force=5 * self.force_noise / math.sqrt(protocol.samples) + max(0.0, float(drift.max())),
         )
 
     def _friction(
         self, rows: Plateaus, tension: NDArray[np.float64], pressure: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """The force of friction [N] at each plateau; each pressure begins stretched."""
+        """Friction force [N] at each plateau; each pressure begins stretched."""
         length = np.asarray(self.muscle.specimen.length_at(rows.contraction))
         starts = np.flatnonzero(np.diff(rows.level)) + 1
-        ways = zip(*(np.split(column, starts) for column in (length, tension, pressure)), strict=True)
-        return np.concatenate([self.friction.path_response(*way, side=1.0) for way in ways])
+        travels = zip(*(np.split(column, starts) for column in (length, tension, pressure)), strict=True)
+        return np.concatenate([self.friction.path_response(*travel, side=1.0) for travel in travels])
 
     def _creep(
         self, protocol: IsobaricProtocol, rows: Plateaus, tension: NDArray[np.float64], read: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """The force of creep [N] so many seconds after each move, shape (plateaus, times); each pressure from rest."""
+        """Creep force [N] at times after each move [s], shape (plateaus, times); each pressure from rest."""
         length = np.asarray(self.muscle.specimen.length_at(rows.contraction))
         moving, resting = np.abs(rows.travel) / protocol.speed, protocol.dwell + protocol.acquisition
         starts = np.flatnonzero(np.diff(rows.level)) + 1
-        ways = zip(*(np.split(column, starts) for column in (length, tension, moving)), strict=True)
+        travels = zip(*(np.split(column, starts) for column in (length, tension, moving)), strict=True)
         creep = self.muscle.creep
         return np.concatenate(
-            [creep.path_response(*way, move_time=m, hold_time=resting, sample_times=read) for *way, m in ways]
+            [creep.path_response(*travel, move_time=m, hold_time=resting, sample_times=read) for *travel, m in travels]
         )
 
     def _drift(self, time: NDArray[np.float64], generator: np.random.Generator) -> NDArray[np.float64]:
-        """Of the force sensor's zero [N]."""
+        """Drift of the zero of the force sensor [N]."""
         since = (time - time[0]) / _HOUR
         steps = generator.standard_normal(len(time)) * np.sqrt(np.diff(since, prepend=0.0))
         return self.force_drift * since + self.force_wander * np.cumsum(steps)
 
-    def _described(self) -> str:
+    def _description(self) -> str:
         friction = self.friction
         parts = [
             f"hysteresis {friction.half_width:g} N over {friction.presliding_length / mm:g} mm"
@@ -241,7 +237,7 @@ class VirtualRig:
 def _sampled(
     truth: NDArray[np.float64], noise: float, count: int, generator: np.random.Generator
 ) -> NDArray[np.float32] | NDArray[np.float64]:
-    """What a sensor reads of a truth, shape (plateaus, 1) or (plateaus, samples): shape (plateaus, samples)."""
+    """Samples of true values of shape (plateaus, 1) or (plateaus, samples); shape (plateaus, samples)."""
     if noise == 0:
         return np.broadcast_to(truth, (len(truth), count))
     samples = generator.standard_normal((len(truth), count), dtype=np.float32)

@@ -13,14 +13,13 @@ from mckibben.errors import RigError
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.rig.backend import Block
 from mckibben.rig.calibration import Calibration
-from mckibben.rig.twin.faults import Delaying, Dropping, Fault, Silent, Unplugged
-from mckibben.rig.twin.machine import Knots
-from mckibben.rig.twin.stretcher import Motor
+from mckibben.rig.simulated.faults import Fault, SamplesDelayed, SamplesDropped, SamplesStopped, SensorDisconnected
+from mckibben.rig.simulated.machine import Knots
+from mckibben.rig.simulated.parts import Motor
 from mckibben.units import N, bar, kPa
 
 _HOUR = 3600.0
-_WANDER = 10.0  # s: between two drawn points of a wandering zero
-_MAINS = 50.0  # Hz
+_WANDER = 10.0  # s between two points of the random walk of a zero
 
 FORCE = Calibration(
     name="force",
@@ -50,20 +49,20 @@ VALVE = Calibration(
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """A sensor with its amplifier.
+    """Sensor with its amplifier.
 
     Parameters
     ----------
     calibration
-        What it really gives, which the host may know otherwise.
+        True calibration, which may differ from that of the host.
     noise
         Standard deviation of a sample, white, in the calibration's unit.
     drift
-        What its zero moves in an hour, in the unit.
+        Drift of its zero in an hour, in the unit.
     wander
         Standard deviation of its zero's random walk after an hour, in the unit.
     saturation
-        Where its amplifier ends, either way [V].
+        Saturation of its amplifier, either way [V].
     """
 
     calibration: Calibration
@@ -80,24 +79,24 @@ class Sensor:
 
 
 FORCE_SENSOR = Sensor(calibration=FORCE, noise=0.5 * N)
-"""The noise is ours, 0.03 % of the sensor, as that of `VirtualRig`."""
+"""The noise is ours, 0.03 % of the sensor, as in `SimulatedIsobaricTest`."""
 
 PRESSURE_SENSOR = Sensor(calibration=PRESSURE, noise=0.5 * kPa)
-"""The noise is ours, 0.05 % of the sensor, as that of `VirtualRig`."""
+"""The noise is ours, 0.05 % of the sensor, as in `SimulatedIsobaricTest`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Converter:
-    """A data acquisition card as the PCI-6281.
+    """Data acquisition card such as the PCI-6281.
 
     Parameters
     ----------
     bits
-        Of a reading: 18 (the maker).
+        Resolution: 18 (the maker).
     low, high
         Range of its inputs [V]: -10 to 10 (the maker; its widest).
     buffer
-        How many seconds of samples it keeps for a host that is late [s]: 10 (ours).
+        Length of its buffer [s]: 10 (ours).
     """
 
     bits: int = 18
@@ -112,27 +111,19 @@ class Converter:
 
     @property
     def step(self) -> float:
-        """Between two readings [V]."""
+        """Resolution [V]."""
         return (self.high - self.low) / 2**self.bits
 
-    def told(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What it tells of volts: whole steps, within its range. The array is written to."""
+    def quantise(self, volts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Quantise volts [V] in place, within the range."""
         volts *= 1 / self.step
         np.rint(volts, out=volts)
         volts *= self.step
         return np.clip(volts, self.low, self.high, out=volts)
 
 
-class Reading:
-    """A sensor over time: its zero, and whether it is plugged in.
-
-    Parameters
-    ----------
-    sensor
-        Which.
-    generator
-        Of its wander, and of nothing else.
-    """
+class SensorChannel:
+    """Signal of a sensor over time; the generator is that of its wander."""
 
     def __init__(self, sensor: Sensor, generator: np.random.Generator) -> None:
         self._sensor = sensor
@@ -142,32 +133,25 @@ class Reading:
         self._per_volt = 1 / calibration.gain
         self._zero = calibration.tare / calibration.gain + calibration.offset
         self.noise = sensor.noise / abs(calibration.gain)
-        self._unplugged: float | None = None
-        self._floating = False
-
-    def unplug(self, volts: float | None) -> None:
-        """From now on it reads so many volts [V]; none, and it floats."""
-        self._unplugged, self._floating = volts or 0.0, volts is None
+        self.disconnected: SensorDisconnected | None = None
 
     def volts(
         self, time: NDArray[np.float64], truth: NDArray[np.float64], noise: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """What it gives [V] at times [s], of a true value; its noise [V] is taken as given."""
-        if self._floating:
-            return 1.0 + 2.0 * np.sin(2 * math.pi * _MAINS * time) + noise
-        if self._unplugged is not None:
-            return np.full(len(time), self._unplugged)
+        """Volts [V] of a true value at times [s], with given noise [V]."""
+        if self.disconnected is not None:
+            return self.disconnected.volts_at(time) + (noise if self.disconnected.volts is None else 0.0)
         sensor = self._sensor
         volts = truth * self._per_volt
         volts += noise
         if self._zero:
             volts += self._zero
         if sensor.drift or sensor.wander:
-            volts += self._moved(time) * self._per_volt
+            volts += self._zero_error(time) * self._per_volt
         return np.clip(volts, -sensor.saturation, sensor.saturation, out=volts)
 
-    def _moved(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of its zero, in the unit."""
+    def _zero_error(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Drift and wander of its zero, in the unit."""
         moved = time * (self._sensor.drift / _HOUR)
         if self._sensor.wander:
             last = int(time[-1] / _WANDER) + 2
@@ -185,21 +169,7 @@ _ROUNDING = 1e-6  # samples
 
 
 class Sampling:
-    """Sensors, converter, and the samples that wait to be read.
-
-    Parameters
-    ----------
-    sensors
-        By the names of the channels, in their order.
-    converter
-        The card.
-    rate
-        Samples a second of each [Hz].
-    noise
-        Generator of the samples' noise.
-    wanders
-        Generators of the sensors' wander, one each.
-    """
+    """Sensors, converter and its buffer; `noise` and `wanders` are generators of noise and of each sensor's wander."""
 
     def __init__(
         self,
@@ -210,12 +180,12 @@ class Sampling:
         wanders: list[np.random.Generator],
     ) -> None:
         self.rate = rate
-        self.next = 0  # the number that the next read begins with
+        self.next = 0  # number of the next sample to read
         self.delay = 0.0  # s
         self._converter = converter
         self._noise = noise
         self._readings = {
-            name: Reading(sensor, wander) for (name, sensor), wander in zip(sensors.items(), wanders, strict=True)
+            name: SensorChannel(sensor, wander) for (name, sensor), wander in zip(sensors.items(), wanders, strict=True)
         }
         self._sigma = np.array([reading.noise for reading in self._readings.values()])
         self._began = 0.0
@@ -227,26 +197,26 @@ class Sampling:
         self._waiting: list[Block] = []
 
     def begin(self, now: float, pulses: int) -> None:
-        """Count samples, time and pulses from now on."""
+        """Begin the count of samples, time and pulses."""
         self._began, self._zero = now, pulses
         self._taken = self.next = 0
         self._overrun = False
         self._waiting = []
 
     def due(self, count: int) -> float:
-        """When the next so many are taken [s], since it began."""
+        """Time at which the next samples are taken [s], since it began."""
         return (self.next + count) / self.rate
 
     def silent(self, count: int) -> bool:
-        """Whether the next so many will never come."""
+        """Whether the next samples will never come."""
         return self._silent and self._taken < self.next + count
 
     def want(self, count: int) -> None:
-        """So many will be read in one: the buffer is at least as long."""
+        """Announce a read of a number of samples: the buffer is at least as long."""
         self._wanted = count
 
     def sample(self, knots: Knots, motor: Motor) -> None:
-        """Take the samples that fall between the first and the last of some knots."""
+        """Take the samples between the first and the last knot."""
         last = math.ceil((knots.time[-1] - self._began) * self.rate - _ROUNDING)
         if self._silent or last <= self._taken:
             return
@@ -266,20 +236,20 @@ class Sampling:
             still = len(truth) == 2 and truth[0] == truth[1]
             there = np.full(len(time), truth[0]) if still else np.interp(time, knots.time, truth)
             volts[:, column] = reading.volts(time, there, noise[:, column])
-        self._waiting.append(Block(first, since, self._converter.told(volts), motor.counted(time) - self._zero))
+        self._waiting.append(Block(first, since, self._converter.quantise(volts), motor.counted(time) - self._zero))
 
     def take(self, count: int) -> Block:
-        """The next so many of those that wait.
+        """Return the next samples of the buffer.
 
         Raises
         ------
         RigError
-            If the buffer ran over.
+            If the buffer was overwritten.
         """
         if self._overrun:
             raise RigError(
-                f"samples were overwritten: the host was away for more than {self._converter.buffer:g} s",
-                remedy="open the rig anew",
+                f"samples were overwritten: the host did not read for more than {self._converter.buffer:g} s",
+                remedy="reopen the rig",
             )
         waiting, first = self._waiting, self.next
         self.next += count
@@ -294,19 +264,19 @@ class Sampling:
         return Block(first, time[:count], volts[:count], pulses[:count])
 
     def forget(self) -> None:
-        """Those that wait are not wanted."""
+        """Clear the buffer."""
         self._waiting = []
 
-    def damage(self, fault: Fault) -> None:
-        """What a fault does to sensors and card; another does nothing."""
+    def apply(self, fault: Fault) -> None:
+        """Apply a fault of sensors or card."""
         match fault:
-            case Unplugged(sensor=sensor, volts=volts):
-                self._readings[sensor].unplug(volts)
-            case Silent():
+            case SensorDisconnected():
+                self._readings[fault.sensor].disconnected = fault
+            case SamplesStopped():
                 self._silent = True
-            case Delaying(delay=delay):
+            case SamplesDelayed(delay=delay):
                 self.delay += delay
-            case Dropping(samples=samples):
+            case SamplesDropped(samples=samples):
                 self.next = max(self.next, self._taken + samples)
                 self._waiting = []
             case _:

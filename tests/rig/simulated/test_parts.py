@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mckibben.rig.twin.air import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR, Chamber, Regulator, mass_flow
+from mckibben.rig.simulated.parts import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR, Chamber, Regulator, mass_flow
 from mckibben.units import bar
 
 VOLUME = 20e-6
@@ -23,7 +23,7 @@ def filled(chamber, duration, volume=lambda time: VOLUME, times=None):
 def at_work(regulator=TIGHT, pressure=0.0):
     chamber = Chamber(regulator, VOLUME)
     chamber.exhausting = False
-    chamber.tell(pressure, 0.0)
+    chamber.set_signal(pressure, 0.0)
     return chamber
 
 
@@ -119,7 +119,7 @@ def test_steps_of_half_a_bar_take_what_a_regulator_takes():
     for first in (0.5, 2.0, 5.5):
         chamber = at_work(TIGHT, first * bar)
         filled(chamber, 3.0)
-        chamber.tell((first + 0.5) * bar, 0.0)
+        chamber.set_signal((first + 0.5) * bar, 0.0)
         time, pressure, *_ = filled(chamber, 1.0)
         reached = time[np.argmax(pressure > (first + 0.475) * bar)]
         assert 0.05 < reached < 0.4
@@ -131,7 +131,7 @@ def test_signals_from_above_and_below_differ_by_the_hysteresis():
     for first in (1.0, 5.0):
         chamber = at_work(plain, first * bar)
         filled(chamber, 5.0)
-        chamber.tell(3 * bar, 0.0)
+        chamber.set_signal(3 * bar, 0.0)
         filled(chamber, 5.0)
         ends.append(chamber.pressure)
     assert ends[1] - ends[0] == pytest.approx(plain.hysteresis, rel=0.01)

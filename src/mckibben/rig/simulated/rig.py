@@ -1,4 +1,4 @@
-"""The virtual rig behind the interface of a real one: it takes volts and pulses, and gives volts."""
+"""Simulated rig: a `MovingBackend` in simulated or in real time."""
 
 from __future__ import annotations
 
@@ -13,63 +13,63 @@ import numpy as np
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.muscle import Muscle
 from mckibben.numerics.checks import check_positive
-from mckibben.rig.backend import Block, Channel, Drive
+from mckibben.rig.backend import AnalogChannel, Block, Watchdog
+from mckibben.rig.bench import Drive
 from mckibben.rig.calibration import Calibration
-from mckibben.rig.twin.air import Regulator
-from mckibben.rig.twin.faults import Dropping, Fault, HostDelayed
-from mckibben.rig.twin.machine import INSTANT, Machine, Truth
-from mckibben.rig.twin.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Converter, Sampling, Sensor
-from mckibben.rig.twin.stretcher import Stretcher
+from mckibben.rig.simulated.faults import Fault, HostDelayed, SamplesDropped, SensorDisconnected
+from mckibben.rig.simulated.machine import INSTANT, Machine, Truth
+from mckibben.rig.simulated.parts import Regulator, Stretcher
+from mckibben.rig.simulated.sensing import FORCE_SENSOR, PRESSURE_SENSOR, VALVE, Converter, Sampling, Sensor
 from mckibben.units import Hz, s
 
 
-class TwinRig:
-    """The paper's stretching device with a muscle in it, as a `MovingBackend` of two inputs and one output.
+class SimulatedRig:
+    """The paper's stretching device with a muscle, as a `MovingBackend` of two inputs and one output.
 
-    Its time is its own: `read` lets as much go by as the samples take, other calls take none; `Paced` makes it real
-    time. The same seed and the same calls give the same samples. Samples are noise on a truth that is integrated in
-    steps that suit it: the slow hours of a test cost little.
+    Simulated time advances only in `read`, by the duration of the samples; `RealTimeRig` paces it in real
+    time. The same seed and the same calls give the same samples. The state is integrated with
+    adaptive steps, so that slow tests cost little.
 
-    - The muscle pulls as its law (a table of it, see `error` in `described`), and with its own friction and creep; it
-      has none unless given. What contracts further than the specimen may by 3 % of its length pulls as at that end.
-    - Its air follows ISO 6358 and the ideal gas at room temperature, in the volume of the braid between the clamps.
-    - After `vent`, or a missed beat, a spring opens the way out whatever the regulator does: from 8 bar, at any
+    - The force is that of the law (tabulated, see `error` in `description`), with the friction and creep of the
+      muscle. It is constant from 3 % beyond the contraction range of the specimen.
+    - The air follows ISO 6358 and the ideal gas at room temperature, in the volume of the braid between the clamps.
+    - After `vent`, or a missed heartbeat, a spring-return valve vents, whatever the regulator does: from 8 bar, at any
       contraction, the true pressure is below 0.2 bar within 1 s (tested), whatever else is broken.
-    - `vent` holds until `press` gives a signal above 0 again. A missed beat holds until the rig is opened anew.
+    - `vent` holds until `set_valves` gives a signal above 0 again. A missed heartbeat holds until it is reopened.
 
     Parameters
     ----------
     muscle
-        What is tested.
+        The muscle under test.
     seed
-        Of noise, wander and the regulator's offsets, each its own stream.
+        Seed of noise, wander and the regulator's offsets, each with its own stream.
     mounted_at
-        Contraction [-] at which it is clamped, and relaxed.
+        Contraction [-] at which it is clamped, relaxed.
     faults
-        What goes wrong, and when.
+        Faults, with their times.
     regulator, stretcher, converter, force_sensor, pressure_sensor, valve
-        The parts. `valve` is the signal of the regulator, as pressure and volts.
+        Its parts; `valve` is the calibration of the regulator's signal.
     rate
-        Samples a second of each input [Hz].
+        Sampling rate of each input [Hz].
     patience
-        How long it goes on without a beat [s].
+        Timeout of the watchdog [s].
 
     Raises
     ------
     RangeError
-        If a number has no meaning, or the muscle's law is too rough.
+        If a number is out of range, or the law is not smooth enough for a table.
 
     Examples
     --------
     >>> from mckibben import catalog
     >>> from mckibben.units import bar
     >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-    >>> rig = TwinRig(muscle, seed=1)
+    >>> rig = SimulatedRig(muscle, seed=1)
     >>> rig.open()
-    >>> rig.press([float(rig.calibrations["valve"].volts(6 * bar))])
+    >>> rig.set_valves([float(rig.calibrations["valve"].volts(6 * bar))])
     >>> for _ in range(20):
     ...     block = rig.read(100)
-    ...     rig.beat()
+    ...     rig.heartbeat()
     >>> force, pressure = block.volts.mean(axis=0)
     >>> round(float(rig.calibrations["force"].si(force)))  # of Eq. 3: 585 N
     582
@@ -97,8 +97,8 @@ class TwinRig:
         rate: float = 1000 * Hz,
         patience: float = 1 * s,
     ) -> None:
-        check_positive("virtual rig", "Hz", rate=rate)
-        check_positive("virtual rig", "s", patience=patience)
+        check_positive("simulated rig", "Hz", rate=rate)
+        check_positive("simulated rig", "s", patience=patience)
         self.rate = float(rate)
         self.patience = float(patience)
         self._muscle, self._seed, self._faults = muscle, seed, tuple(faults)
@@ -106,6 +106,9 @@ class TwinRig:
         self._stretcher = stretcher or Stretcher()
         self._converter = converter or Converter()
         self._sensors = {"force": force_sensor, "pressure": pressure_sensor}
+        for fault in self._faults:
+            if isinstance(fault, SensorDisconnected):
+                fault.check([*self._sensors])
         self._valve = valve
         noise, offsets, *wanders = np.random.default_rng(seed).spawn(4)
         self._offsets = offsets
@@ -113,41 +116,38 @@ class TwinRig:
         self._machine = Machine(muscle, mounted_at, self._regulator, self._stretcher)
         self._opened = 0.0  # by the machine's time [s]
         self._is_open = False
-        self._tripped = False
-        self._beaten = 0.0
+        self._watchdog = Watchdog(self.patience)
         self._late = 0.0  # of the host [s]
         self._turn = itertools.count()
         self._schedule = [(fault.at, next(self._turn), fault) for fault in self._faults]
         heapq.heapify(self._schedule)
 
-    # What it is
-
     @property
-    def inputs(self) -> Sequence[Channel]:
+    def inputs(self) -> Sequence[AnalogChannel]:
         """Force and pressure."""
         low, high = self._converter.low, self._converter.high
-        return tuple(Channel(name, low, high, f"virtual {name}") for name in self._sensors)
+        return tuple(AnalogChannel(name, low, high, f"simulated {name}") for name in self._sensors)
 
     @property
-    def outputs(self) -> Sequence[Channel]:
+    def outputs(self) -> Sequence[AnalogChannel]:
         """The valve."""
-        return (Channel("valve", -10.0, 10.0, "virtual regulator"),)
+        return (AnalogChannel("valve", -10.0, 10.0, "simulated regulator"),)
 
     @property
     def calibrations(self) -> Mapping[str, Calibration]:
-        """What the volts of its channels mean, by name: "force", "pressure", "valve"."""
+        """Calibrations by name: "force", "pressure", "valve"."""
         return {**{name: sensor.calibration for name, sensor in self._sensors.items()}, "valve": self._valve}
 
     @property
     def drive(self) -> Drive:
-        """Its pulses and their way."""
+        """Motor and lead screw."""
         return self._stretcher.drive
 
     @property
-    def described(self) -> Mapping[str, str]:
-        """What it is, for the record."""
+    def description(self) -> Mapping[str, str]:
+        """Description for the record."""
         return {
-            "kind": "virtual",
+            "kind": "simulated",
             "muscle": self._muscle.specimen.name,
             "law": repr(self._muscle.law),
             "friction": repr(self._muscle.friction),
@@ -164,18 +164,16 @@ class TwinRig:
 
     @property
     def truth(self) -> Truth:
-        """What is, now."""
+        """True state."""
         return self._machine.truth
 
     @property
     def is_open(self) -> bool:
-        """Whether it has been opened and not closed."""
+        """Whether it is open."""
         return self._is_open
 
-    # What a host does with it
-
     def open(self) -> None:
-        """Begin, vented and at rest. Faults count from the first time.
+        """Open the rig, vented and at rest. Times of faults count from the first opening.
 
         Raises
         ------
@@ -183,167 +181,166 @@ class TwinRig:
             If it is open.
         """
         if self._is_open:
-            raise RigError("the virtual rig is open already", remedy="close it first")
+            raise RigError("the simulated rig is already open", remedy="close it first")
         self.vent()
         self.stop()
-        self._is_open, self._tripped = True, False
-        self._opened = self._beaten = now = self._machine.now
+        self._is_open = True
+        self._opened = now = self._machine.now
+        self._watchdog.start(now)
         self._sampling.begin(now, int(self._machine.motor.counted(np.array([now]))[0]))
 
     def clock(self) -> float:
-        """Since it was opened [s]."""
+        """Time since it was opened [s]."""
         return self._machine.now - self._opened
 
     def due(self, count: int) -> float:
-        """When the next so many samples will be there, by its clock [s]."""
+        """Time at which the next samples will be available, by its clock [s]."""
         return self._sampling.due(count) + self._sampling.delay
 
     def pass_time(self, duration: float) -> None:
-        """Let time go by [s] without a host; samples wait meanwhile."""
-        self._go(self._machine.now + duration)
+        """Advance the time [s] without a host; samples are buffered."""
+        self._advance(self._machine.now + duration)
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Let time go by until so many samples are there, and take them.
+        """Advance the time until a number of samples is available, and return them.
 
         Raises
         ------
         SilentError
-            If they have not come after the timeout [s] beyond the time that they take.
+            If they have not come within the timeout [s] after their duration.
         RigError
-            If it is not open, or the host was away for longer than the converter keeps samples.
+            If it is not open, or the buffer of the converter was overwritten.
         """
-        self._must_be_open()
+        self._check_open()
         if count < 1:
             raise RangeError(f"{count} samples cannot be read", value=count, lower=1)
         sampling, machine = self._sampling, self._machine
         sampling.want(count)
-        while True:  # what happens on the way may put it off
+        while True:  # events may delay it
             taken = self._opened + sampling.due(count)
             if sampling.silent(count) or sampling.delay > timeout:
-                self._go(taken + timeout)
+                self._advance(taken + timeout)
                 raise SilentError(
-                    f"no samples for {timeout:g} s", remedy="the converter is lost: check its connection, open it anew"
+                    f"no samples for {timeout:g} s", remedy="check the connection of the converter, and reopen it"
                 )
             if machine.now >= taken + sampling.delay - INSTANT:
                 break
-            self._go(taken + sampling.delay)
+            self._advance(taken + sampling.delay)
         if self._late:
             late, self._late = self._late, 0.0
-            self._go(machine.now + late)
+            self._advance(machine.now + late)
         return sampling.take(count)
 
-    def press(self, volts: Sequence[float]) -> None:
-        """Hold this signal at the valve [V]; one that means more than 0 bar ends a `vent`.
+    def set_valves(self, volts: Sequence[float]) -> None:
+        """Set the signal of the valve [V]; one of more than 0 bar ends a `vent`.
 
         Raises
         ------
         RigError
-            If it is not open, or has tripped; or the converter cannot give the signal.
+            If it is not open, its watchdog has expired, or the signal is outside the range.
         """
-        self._must_go()
+        self._check_armed()
         if len(volts) != 1 or not -10 <= volts[0] <= 10:
             raise RigError(f"{list(volts)} V cannot be given at one output of -10..10 V")
         pressure = float(self._valve.si(volts[0]))
         if self._machine.differs(pressure):
             most = self._regulator.repeatability
-            self._machine.tell(pressure, float(self._offsets.uniform(-most, most)))
+            self._machine.set_signal(pressure, float(self._offsets.uniform(-most, most)))
         self._machine.hold()
 
-    def beat(self) -> None:
-        """Say that the host lives; after a missed beat it is too late."""
-        self._beaten = self._machine.now
+    def heartbeat(self) -> None:
+        """Reset the watchdog; no effect once it has tripped."""
+        self._watchdog.reset(self._machine.now)
 
     def vent(self) -> None:
-        """Let all air out. Never raises."""
-        self._machine.tell(0.0, 0.0)
+        """Vent. Never raises."""
+        self._machine.set_signal(0.0, 0.0)
         self._machine.cut()
 
     def close(self) -> None:
-        """Vent, stop, and let go. Its time stands until `pass_time`. Never raises."""
+        """Vent, stop, and close. Its time stands still until `pass_time`. Never raises."""
         self.vent()
         self.stop()
         self._is_open = False
         self._sampling.forget()
 
     def move(self, pulses: int, rate: float) -> None:
-        """Begin to move by so many pulses, positive = stretching, at so many a second [Hz].
+        """Begin a move by a number of pulses, positive = stretching, at a rate [Hz].
 
         Raises
         ------
         RigError
-            If it is not open, has tripped, is still moving, or the motor cannot go at that rate.
+            If it is not open, its watchdog has expired, it is moving, or the rate is too high.
         """
-        self._must_go()
+        self._check_armed()
         self._machine.motor.move(self._machine.now, pulses, rate)
 
     @property
     def moving(self) -> bool:
-        """Whether pulses are being sent."""
+        """Whether the motor is moving."""
         return self._machine.motor.moving(self._machine.now)
 
     def stop(self) -> None:
-        """Stand still, at once. Never raises."""
+        """Stop the motor at once. Never raises."""
         self._machine.motor.stop(self._machine.now)
 
-    # How its time goes
-
-    def _must_be_open(self) -> None:
+    def _check_open(self) -> None:
         if not self._is_open:
-            raise RigError("the virtual rig is not open", remedy="open it first")
+            raise RigError("the simulated rig is not open", remedy="open it first")
 
-    def _must_go(self) -> None:
-        self._must_be_open()
-        if self._tripped:
+    def _check_armed(self) -> None:
+        self._check_open()
+        if self._watchdog.has_expired:
             raise RigError(
-                f"the rig vented and stopped by itself, without a beat for {self.patience:g} s",
-                remedy="open it anew, and beat in time",
+                f"the rig vented and stopped by itself, without a heartbeat for {self.patience:g} s",
+                remedy="reopen it, and send heartbeats in time",
             )
 
-    def _go(self, to: float) -> None:
-        """Let time go by until then, from event to event."""
+    def _advance(self, to: float) -> None:
+        """Advance the time to a time [s], from event to event."""
         machine = self._machine
         while machine.now < to - INSTANT:
-            patient = self._beaten + self.patience if self._is_open and not self._tripped else math.inf
+            armed = self._is_open and not self._watchdog.has_expired
+            expiry = self._watchdog.deadline if armed else math.inf
             fault = self._schedule[0][0] if self._schedule else math.inf
-            event = min(patient, fault, machine.next_event())
+            event = min(expiry, fault, machine.next_event())
             if event > machine.now:
                 knots = machine.pass_until(min(to, event))
                 if self._is_open:
                     self._sampling.sample(knots, machine.motor)
-            if machine.now >= patient - INSTANT:
-                self._tripped = True
+            if armed and self._watchdog.expires(machine.now + 2 * INSTANT):
                 machine.cut()
                 self.stop()
             machine.settle()
             while self._schedule and machine.now >= self._schedule[0][0] - INSTANT:
-                self._happen(heapq.heappop(self._schedule)[-1])
+                self._apply(heapq.heappop(self._schedule)[-1])
 
-    def _happen(self, fault: Fault) -> None:
+    def _apply(self, fault: Fault) -> None:
         if isinstance(fault, HostDelayed):
             self._late += fault.duration
-        if isinstance(fault, Dropping) and fault.every is not None:
+        if isinstance(fault, SamplesDropped) and fault.every is not None:
             heapq.heappush(self._schedule, (self._machine.now + fault.every, next(self._turn), fault))
-        self._machine.damage(fault)
-        self._sampling.damage(fault)
+        self._machine.apply(fault)
+        self._sampling.apply(fault)
 
 
-_SOON = 1e-6  # s: no sleep is shorter
+_SOON = 1e-6  # s, shortest sleep
 
 
-class Paced:
-    """A `TwinRig` whose time is that of the wall: what the host takes too long for goes by.
+class RealTimeRig:
+    """A `SimulatedRig` in real time.
 
     Parameters
     ----------
     rig
-        The virtual rig.
+        The simulated rig.
     wall, sleep
-        A clock [s], and what waits so many seconds; the machine's own unless given.
+        Clock [s] and sleep; those of the system unless given.
     """
 
     def __init__(
         self,
-        rig: TwinRig,
+        rig: SimulatedRig,
         *,
         wall: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
@@ -354,19 +351,19 @@ class Paced:
         self._began = wall()
 
     @property
-    def inputs(self) -> Sequence[Channel]:
-        """Those of the rig."""
+    def inputs(self) -> Sequence[AnalogChannel]:
+        """As of the rig."""
         return self.rig.inputs
 
     @property
-    def outputs(self) -> Sequence[Channel]:
-        """Those of the rig."""
+    def outputs(self) -> Sequence[AnalogChannel]:
+        """As of the rig."""
         return self.rig.outputs
 
     @property
-    def described(self) -> Mapping[str, str]:
-        """The rig, and that it is paced."""
-        return {**self.rig.described, "pace": "real time"}
+    def description(self) -> Mapping[str, str]:
+        """Description of the rig."""
+        return {**self.rig.description, "pace": "real time"}
 
     def open(self) -> None:
         """Open the rig; its time begins now."""
@@ -374,54 +371,54 @@ class Paced:
         self._began = self._wall()
 
     def clock(self) -> float:
-        """Since it was opened [s], by the wall."""
+        """Time since it was opened [s], by the wall clock."""
         return self._wall() - self._began
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for so many samples; as `TwinRig.read`."""
+        """Wait for samples; as `SimulatedRig.read`."""
         self._catch_up()
         most = count / self.rig.rate + timeout
-        while _SOON < (left := self.rig.due(count) - self.clock()) <= most:  # what comes later still, the rig refuses
+        while _SOON < (left := self.rig.due(count) - self.clock()) <= most:  # later samples are refused by the rig
             self._sleep(left)
         try:
             return self.rig.read(count, timeout=timeout)
-        finally:  # a silent rig let its timeout go by, a late host its delay
+        finally:  # timeout of a silent rig, delay of a late host
             if (ahead := self.rig.clock() - self.clock()) > _SOON:
                 self._sleep(ahead)
 
-    def press(self, volts: Sequence[float]) -> None:
-        """As `TwinRig.press`."""
+    def set_valves(self, volts: Sequence[float]) -> None:
+        """As `SimulatedRig.set_valves`."""
         self._catch_up()
-        self.rig.press(volts)
+        self.rig.set_valves(volts)
 
-    def beat(self) -> None:
-        """As `TwinRig.beat`."""
+    def heartbeat(self) -> None:
+        """As `SimulatedRig.heartbeat`."""
         self._catch_up()
-        self.rig.beat()
+        self.rig.heartbeat()
 
     def vent(self) -> None:
-        """As `TwinRig.vent`."""
+        """As `SimulatedRig.vent`."""
         self._catch_up()
         self.rig.vent()
 
     def close(self) -> None:
-        """As `TwinRig.close`."""
+        """As `SimulatedRig.close`."""
         self._catch_up()
         self.rig.close()
 
     def move(self, pulses: int, rate: float) -> None:
-        """As `TwinRig.move`."""
+        """As `SimulatedRig.move`."""
         self._catch_up()
         self.rig.move(pulses, rate)
 
     @property
     def moving(self) -> bool:
-        """As `TwinRig.moving`."""
+        """As `SimulatedRig.moving`."""
         self._catch_up()
         return self.rig.moving
 
     def stop(self) -> None:
-        """As `TwinRig.stop`."""
+        """As `SimulatedRig.stop`."""
         self._catch_up()
         self.rig.stop()
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellSlip, Muscle
-from mckibben.rig import IsobaricProtocol, VirtualRig
+from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, kPa, mm
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
@@ -17,11 +17,11 @@ SMALL = IsobaricProtocol(pressures=[0.0, 2 * bar, 6 * bar], repeats=2, samples=5
 
 @pytest.fixture(scope="module")
 def measured():
-    return VirtualRig(MUSCLE).run(IsobaricProtocol(), seed=3)
+    return SimulatedIsobaricTest(MUSCLE).run(IsobaricProtocol(), seed=3)
 
 
 def test_the_same_seed_gives_the_same_data():
-    rig = VirtualRig(MUSCLE)
+    rig = SimulatedIsobaricTest(MUSCLE)
     first, again, other = rig.run(SMALL, seed=5), rig.run(SMALL, seed=5), rig.run(SMALL, seed=6)
     assert first.table.identical(again.table)
     assert np.all(first.force != other.force)
@@ -29,14 +29,14 @@ def test_the_same_seed_gives_the_same_data():
 
 
 def test_switching_one_noise_off_leaves_the_other_draws():
-    both = VirtualRig(MUSCLE).run(SMALL, seed=5)
-    quiet = VirtualRig(MUSCLE, force_noise=0).run(SMALL, seed=5)
+    both = SimulatedIsobaricTest(MUSCLE).run(SMALL, seed=5)
+    quiet = SimulatedIsobaricTest(MUSCLE, force_noise=0).run(SMALL, seed=5)
     np.testing.assert_array_equal(both.pressure, quiet.pressure)
     assert np.abs(both.force - quiet.force).max() < 5 * 0.5 / np.sqrt(50)
 
 
 def test_with_nothing_in_the_way_it_is_the_law():
-    rig = VirtualRig(MUSCLE, hysteresis=0, force_noise=0, pressure_noise=0, regulator_offset=0)
+    rig = SimulatedIsobaricTest(MUSCLE, hysteresis=0, force_noise=0, pressure_noise=0, regulator_offset=0)
     data = rig.run(IsobaricProtocol(), seed=0)
     law = np.asarray(MUSCLE.tension(data.contraction, data.levels))
     np.testing.assert_allclose(data.pressure, data.levels, rtol=1e-12)
@@ -47,7 +47,7 @@ def test_with_nothing_in_the_way_it_is_the_law():
 
 
 def test_an_offset_is_seen_by_muscle_and_sensor_alike():
-    rig = VirtualRig(MUSCLE, hysteresis=0, force_noise=0, pressure_noise=0)
+    rig = SimulatedIsobaricTest(MUSCLE, hysteresis=0, force_noise=0, pressure_noise=0)
     data = rig.run(IsobaricProtocol(), seed=1)
     np.testing.assert_allclose(data.force, MUSCLE.tension(data.contraction, data.pressure), rtol=1e-9, atol=1e-9)
     offset = data.pressure - data.levels
@@ -70,7 +70,7 @@ def test_the_full_protocol_gives_the_data_of_figure_3(measured):
 
 
 def test_it_is_quick():
-    rig = VirtualRig(MUSCLE)
+    rig = SimulatedIsobaricTest(MUSCLE)
     rig.run(SMALL, seed=0)
     start = time.perf_counter()
     rig.run(IsobaricProtocol(slack_steps=1000), seed=0)
@@ -106,7 +106,7 @@ def test_the_loop_is_twice_the_band_away_from_its_ends(measured):
 
 
 def test_a_loop_closes_at_the_turns():
-    rig = VirtualRig(MUSCLE, force_noise=0, pressure_noise=0, regulator_offset=0)
+    rig = SimulatedIsobaricTest(MUSCLE, force_noise=0, pressure_noise=0, regulator_offset=0)
     data = rig.run(IsobaricProtocol(pressures=[4 * bar], repeats=2), seed=0)
     directions, repeats = data.table["direction"].to_numpy(), data.table["repeat"].to_numpy()
     share = data.force - np.asarray(MUSCLE.tension(data.contraction, data.pressure))
@@ -121,12 +121,12 @@ def test_a_loop_closes_at_the_turns():
 
 def test_the_rated_force_is_never_exceeded(measured):
     assert measured.table["force_samples"].max() < 630
-    hardest = VirtualRig(MUSCLE, hysteresis=17, regulator_offset=9 * kPa, force_noise=0)
+    hardest = SimulatedIsobaricTest(MUSCLE, hysteresis=17, regulator_offset=9 * kPa, force_noise=0)
     assert hardest.run(IsobaricProtocol(), seed=1).force.max() < 630
     with pytest.raises(RangeError, match=r"force to 6\d\d N at .* bar, above the rated 630 N; raise .* 5 %"):
-        VirtualRig(MUSCLE, hysteresis=60).run(IsobaricProtocol(), seed=1)
+        SimulatedIsobaricTest(MUSCLE, hysteresis=60).run(IsobaricProtocol(), seed=1)
     reserved = IsobaricProtocol(force_reserve=0.15)
-    assert VirtualRig(MUSCLE, hysteresis=60).run(reserved, seed=1).force.max() < 630
+    assert SimulatedIsobaricTest(MUSCLE, hysteresis=60).run(reserved, seed=1).force.max() < 630
 
 
 def test_slack_is_known(measured):
@@ -140,7 +140,9 @@ def test_slack_is_known(measured):
 @settings(max_examples=25, deadline=None)
 @given(hysteresis=st.floats(0, 25), reach=st.floats(0.05, 5), seed=st.integers(0, 2**32))
 def test_a_muscle_never_pushes_and_stays_in_its_band(hysteresis, reach, seed):
-    rig = VirtualRig(MUSCLE, hysteresis=hysteresis, presliding_length=reach * mm, force_noise=0, pressure_noise=0)
+    rig = SimulatedIsobaricTest(
+        MUSCLE, hysteresis=hysteresis, presliding_length=reach * mm, force_noise=0, pressure_noise=0
+    )
     data = rig.run(SMALL, seed=seed)
     tension = np.asarray(MUSCLE.tension(data.contraction, data.pressure))
     assert np.all(data.force >= tension / 2 * (1 - 1e-9))
@@ -151,8 +153,8 @@ def test_a_muscle_never_pushes_and_stays_in_its_band(hysteresis, reach, seed):
 def test_a_muscle_brings_its_own_friction():
     own = MaxwellSlip(8.0, 1 * mm, growth=1 / bar, reference_pressure=3 * bar)
     quiet = {"force_noise": 0, "pressure_noise": 0, "regulator_offset": 0}
-    data = VirtualRig(Muscle(MUSCLE.specimen, MUSCLE.law, own), **quiet).run(SMALL, seed=0)
-    plain = VirtualRig(MUSCLE, hysteresis=0, **quiet).run(SMALL, seed=0)
+    data = SimulatedIsobaricTest(Muscle(MUSCLE.specimen, MUSCLE.law, own), **quiet).run(SMALL, seed=0)
+    plain = SimulatedIsobaricTest(MUSCLE, hysteresis=0, **quiet).run(SMALL, seed=0)
     share = data.force - plain.force
     far = (data.levels == 6 * bar) & (data.contraction > 0.05) & (data.contraction < 0.18)
     loading = data.table["direction"].to_numpy() == "loading"
@@ -162,16 +164,16 @@ def test_a_muscle_brings_its_own_friction():
 
 
 def test_the_force_sensor_drifts_evenly_or_wanders():
-    quiet = VirtualRig(MUSCLE, force_noise=0, pressure_noise=0)
+    quiet = SimulatedIsobaricTest(MUSCLE, force_noise=0, pressure_noise=0)
     plain = quiet.run(SMALL, seed=5)
-    drifting = VirtualRig(MUSCLE, force_noise=0, pressure_noise=0, force_drift=0.4).run(SMALL, seed=5)
+    drifting = SimulatedIsobaricTest(MUSCLE, force_noise=0, pressure_noise=0, force_drift=0.4).run(SMALL, seed=5)
     time = plain.table["time"].to_numpy()
     np.testing.assert_allclose(drifting.force - plain.force, 0.4 * (time - time[0]) / 3600, atol=1e-9)
     np.testing.assert_array_equal(drifting.slack, plain.slack)  # the threshold has moved as far
     np.testing.assert_array_equal(drifting.pressure, plain.pressure)
     walks = [
-        VirtualRig(MUSCLE, force_noise=0, pressure_noise=0, force_wander=0.3).run(SMALL, seed=seed).force
-        - VirtualRig(MUSCLE, force_noise=0, pressure_noise=0).run(SMALL, seed=seed).force
+        SimulatedIsobaricTest(MUSCLE, force_noise=0, pressure_noise=0, force_wander=0.3).run(SMALL, seed=seed).force
+        - SimulatedIsobaricTest(MUSCLE, force_noise=0, pressure_noise=0).run(SMALL, seed=seed).force
         for seed in range(12)
     ]
     steps = np.concatenate([np.diff(walk) / np.sqrt(np.diff(time) / 3600) for walk in walks])
@@ -181,13 +183,15 @@ def test_the_force_sensor_drifts_evenly_or_wanders():
 
 def test_numbers_without_meaning_are_refused_together():
     with pytest.raises(RangeError) as error:
-        VirtualRig(MUSCLE, hysteresis=-1, presliding_length=0, pressure_noise=float("nan"), force_drift=float("inf"))
+        SimulatedIsobaricTest(
+            MUSCLE, hysteresis=-1, presliding_length=0, pressure_noise=float("nan"), force_drift=float("inf")
+        )
     assert str(error.value).splitlines() == [
-        "virtual rig: 4 problems",
-        "  hysteresis: -1 N has no meaning; 0 switches it off",
-        "  presliding_length: 0 m has no meaning; take a tenth of the step for almost none",
-        "  pressure_noise: nan Pa has no meaning; 0 switches it off",
-        "  force_drift: inf N/h has no meaning; 0 switches it off",
+        "simulated isobaric test: 4 problems",
+        "  hysteresis: -1 N is out of range; 0 switches it off",
+        "  presliding_length: 0 m is out of range; take a tenth of the step for almost none",
+        "  pressure_noise: nan Pa is out of range; 0 switches it off",
+        "  force_drift: inf N/h is out of range; 0 switches it off",
     ]
 
 

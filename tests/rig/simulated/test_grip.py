@@ -9,7 +9,7 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellCreep, MaxwellSlip, Muscle, forces
-from mckibben.rig.twin.machine import Grip, force_table
+from mckibben.rig.simulated.machine import Grip, force_table
 from mckibben.units import bar, percent
 
 SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")
@@ -35,7 +35,7 @@ def test_law_that_is_too_rough_or_has_no_number_is_refused():
     rough = ExponentialLaw(0.0, 0.0, 0.0, 0.0, 1e-6, 0.0, decay=300.0)  # e-fold within 3 of the table's cells
     assert force_table(Muscle(SPECIMEN, rough)).error < 0.5
     for law, text in (
-        (ExponentialLaw(0.0, 0.0, 0.0, 0.0, 10.0, 0.0, decay=300.0), "too rough"),
+        (ExponentialLaw(0.0, 0.0, 0.0, 0.0, 10.0, 0.0, decay=300.0), "not smooth enough"),
         (ExponentialLaw(0.0, 0.0, 0.0, 0.0, 1e308, 0.0, decay=300.0), "no finite force"),
     ):
         with pytest.raises(RangeError, match=text):

@@ -1,0 +1,221 @@
+"""Models of configuration files from runtime classes, and classes of one's own in configuration files.
+
+A runtime class (`equinox.Module` or dataclass) states unit and range of each number in its annotations:
+
+    time_constant: Annotated[float, Quantity("s", "ms", 0, 1e4, open_lower=True)]
+
+`model_of` makes the model from these. Where a file may hold any subclass of a base class, its field is marked with
+`PartOf`; the key ``class`` then names the subclass, which has to be imported before.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import functools
+import importlib.util
+import inspect
+import os
+import sys
+from collections.abc import Container, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, ClassVar, Union, get_args, get_origin, get_type_hints
+
+from pydantic import Field, GetCoreSchemaHandler, create_model
+from pydantic_core import core_schema
+
+from mckibben.config.fields import Flag, OneOf
+from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
+from mckibben.errors import Problem, ScenarioError, quoted, suggest
+from mckibben.units import SIGNAL_UNIT, BoundedInt, Quantity
+
+
+class ComponentModel(ConfigModel):
+    """The section of a component, made by `model_of`."""
+
+    runtime: ClassVar[type]
+
+    def build(self, *args: Any, **others: Any) -> Any:
+        """The component; what is not given keeps the default of its class."""
+        declared = self.runtime.__dataclass_fields__
+        for name, value in explicit_fields(self).items():
+            if name in declared and name not in others:
+                default = declared[name].default
+                others[name] = type(default)[value.upper()] if isinstance(default, enum.Enum) else value
+        return self.runtime(*args, **others)
+
+    def effective(self, name: str) -> Any:
+        """The value of a field, in SI: as given, or the default of the runtime class."""
+        value = getattr(self, name)
+        return default_of(self.runtime, name) if value is None else value
+
+
+def default_of(runtime: type, name: str) -> Any:
+    """The default of a field of a runtime class; None if it has none."""
+    default = runtime.__dataclass_fields__[name].default
+    return None if default is dataclasses.MISSING else default
+
+
+def model_of(
+    runtime: type,
+    *,
+    base: type[ConfigModel] = ComponentModel,
+    without: Container[str] = (),
+    optional: bool = False,
+    signal: Any = None,
+    name: str = "",
+    **fields: Any,
+) -> Any:
+    """The model of a runtime class.
+
+    Parameters
+    ----------
+    runtime
+        A dataclass. Its fields with unit and range (`Quantity`, `BoundedInt`, also in tuples), its flags and its
+        enumerations become keys; those with a default may be left out.
+    base
+        Base class of the model.
+    without
+        Fields that are not in the file.
+    optional
+        Whether all fields may be left out, because the file may name a catalog entry instead.
+    signal
+        Annotation of a `SignalValue`.
+    name
+        Of the model, if it is used as it is and not as a base class; unique, so that other processes find it.
+    fields
+        Annotation, or annotation and default, of fields that differ from those of the class; those that it has not
+        come first.
+    """
+    declared = runtime.__dataclass_fields__
+    made = {key: one for key, one in fields.items() if key not in declared}
+    for key, annotation in _annotations(runtime, signal).items():
+        annotation = fields.get(key, annotation)
+        if key in without or annotation is None:
+            continue
+        if isinstance(annotation, tuple):
+            made[key] = annotation
+        elif optional or declared[key].default is not dataclasses.MISSING:
+            made[key] = annotation | None, None
+        else:
+            made[key] = annotation, ...
+    model: Any = named_model(name or f"{runtime.__name__}Spec", base, made)
+    model.runtime = runtime
+    return model
+
+
+def named_model(name: str, base: Any, fields: Mapping[str, Any]) -> Any:
+    """A model that `pickle` finds by its name in this module."""
+    model = create_model(name, __base__=base, __module__=__name__, **fields)
+    globals()[name] = model
+    return model
+
+
+def _annotations(runtime: type, signal: Any) -> dict[str, Any]:
+    """The annotation of each field in a file; None for a field that is in no file."""
+    hints = get_type_hints(runtime, include_extras=True)
+    return {name: _annotation(hints[name], signal) for name in runtime.__dataclass_fields__}
+
+
+def _annotation(hint: Any, signal: Any) -> Any:
+    if get_origin(hint) in (Union, UnionType):  # such as Seed | Array
+        return next(filter(None, (_annotation(one, signal) for one in get_args(hint))), None)
+    if get_origin(hint) is tuple:
+        inner = _annotation(get_args(hint)[0], signal)
+        return inner and tuple[inner, ...]
+    if get_origin(hint) is Annotated:
+        mark = next((one for one in get_args(hint) if isinstance(one, Quantity | BoundedInt)), None)
+        return signal if isinstance(mark, Quantity) and mark.unit == SIGNAL_UNIT else mark and hint
+    if isinstance(hint, type) and issubclass(hint, enum.Enum):
+        return Annotated[str, OneOf(tuple(member.name.lower() for member in hint))]
+    return Flag if hint is bool else None
+
+
+@dataclass(frozen=True)
+class PartOf:
+    """Marks a section that is that of its model, or with the key ``class`` that of any subclass of a base class.
+
+    Parameters
+    ----------
+    base
+        The base class, or "module:name" of it, imported at first use.
+    model
+        Base class of the models of subclasses.
+    signal
+        Annotation of a `SignalValue`.
+    """
+
+    base: str
+    model: type[ComponentModel] = ComponentModel
+    signal: Any = None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        def validate(value: Any, inner: Any, info: Any) -> Any:
+            if isinstance(value, self.model) and hasattr(value, "class_name"):
+                return value
+            model = self.model_for(value)
+            return inner(value) if model is None else model.model_validate(value, context=info.context)
+
+        def write(value: Any, info: Any) -> Any:
+            options = {"mode": info.mode, "by_alias": info.by_alias, "exclude_none": info.exclude_none}
+            return value.model_dump(context=info.context, **options)
+
+        return core_schema.with_info_wrap_validator_function(
+            validate,
+            handler(source),
+            serialization=core_schema.plain_serializer_function_ser_schema(write, info_arg=True),
+        )
+
+    def model_for(self, value: Any) -> type[ConfigModel] | None:
+        """The model of a section with the key ``class``; None without."""
+        if not isinstance(value, dict) or "class" not in value:
+            return None
+        module, _, name = self.base.partition(":")
+        base = getattr(importlib.import_module(module), name)
+        known = {one.__name__: one for one in concrete_subclasses(base)}
+        chosen = value["class"]
+        if not isinstance(chosen, str) or chosen not in known:
+            remedy = suggest(str(chosen), sorted(known)) if known else "there is none yet"
+            fail_validation(
+                f"there is no class {quoted(chosen)} of {base.__name__}",
+                f"import its module first (`mckibben --extension FILE.py ...`); {remedy}",
+                value=chosen,
+            )
+        return _model_of_subclass(known[chosen], self.model, self.signal)
+
+
+@functools.cache
+def _model_of_subclass(runtime: type, base: type[ComponentModel], signal: Any) -> Any:
+    return model_of(runtime, base=base, signal=signal, class_name=(str, Field(alias="class")))
+
+
+def concrete_subclasses(base: type) -> Iterator[type]:
+    """All subclasses of a class that are not abstract, of modules that are imported."""
+    for one in base.__subclasses__():
+        yield from concrete_subclasses(one)
+        if not inspect.isabstract(one):
+            yield one
+
+
+def load_extension(path: str | os.PathLike[str]) -> None:
+    """Run a Python file, so that configuration files can name the classes that it defines.
+
+    Raises
+    ------
+    ScenarioError
+        If it cannot be run.
+    """
+    source = os.fspath(path)
+    name = f"mckibben_extension_{Path(path).stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ScenarioError(source, [Problem("is no Python file", remedy="name a file that ends in .py")])
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        raise ScenarioError(source, [Problem(f"cannot be run: {type(error).__name__}: {error}")]) from error

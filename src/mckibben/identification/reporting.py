@@ -1,0 +1,175 @@
+"""Results of fits in the units of publications: as plain data and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mckibben.identification.bootstrap import Bootstrap, bootstrap
+from mckibben.identification.fit import Fit
+from mckibben.identification.hysteresis import HysteresisFit
+from mckibben.identification.intervals import Interval, check_level
+from mckibben.identification.profile import Profile, profile
+from mckibben.units import factor
+
+
+def fit_numbers(fit: Fit) -> dict[str, Any]:
+    """A fit as plain data."""
+    held_out = fit.leave_one_pressure_out
+    published = {p.name: factor(p.shown, p.unit) for p in type(fit.law).parameters()}
+    return {
+        "law": type(fit.law).__name__,
+        **({"decay_per_percent": fit.estimates["decay"] / published["decay"]} if "decay" in published else {}),
+        "rmse_N": fit.rmse,
+        "max_N": fit.max_error,
+        "leave_one_pressure_out_rmse_N": held_out.rmse if held_out else None,
+        "leave_one_pressure_out_max_N": held_out.max_error if held_out else None,
+        "points_used": fit.points_used,
+        "points_slack": fit.points_slack,
+        "parameters": {
+            name: {
+                "estimate": value / published[name],
+                "standard_error": fit.standard_errors[name] / published[name],
+                "unit": _unit(fit, name),
+            }
+            for name, value in fit.estimates.items()
+        },
+        "warnings": list(fit.warnings),
+    }
+
+
+def hysteresis_numbers(found: HysteresisFit) -> dict[str, Any]:
+    """Friction and drift as plain data."""
+    friction, errors = found.friction, found.standard_errors
+    per_bar = factor("N/bar")
+    return {
+        "half_width_N": friction.half_width,
+        "half_width_standard_error_N": errors["half_width"],
+        "growth_N_per_bar": friction.growth / per_bar,
+        "growth_standard_error_N_per_bar": errors["growth"] / per_bar,
+        "reference_pressure_bar": friction.reference_pressure / factor("bar"),
+        "presliding_length_mm": friction.presliding_length / factor("mm"),
+        "presliding_length_standard_error_mm": errors["presliding_length"] / factor("mm"),
+        "drift_N_per_hour": found.drift.rate * 3600 if found.drift else 0.0,
+        "rmse_N": found.rmse,
+        "max_N": found.max_error,
+        "warnings": list(found.warnings),
+    }
+
+
+@dataclass(frozen=True)
+class UncertaintyReport:
+    """Profile likelihoods and bootstrap of a fit.
+
+    Attributes
+    ----------
+    fit
+        The fit.
+    level
+        Confidence level of all intervals.
+    profiles
+        Of each shape parameter; perhaps none.
+    bootstrap
+        None unless requested.
+    """
+
+    fit: Fit
+    level: float
+    profiles: tuple[Profile, ...]
+    bootstrap: Bootstrap | None
+
+    @classmethod
+    def of(
+        cls, fit: Fit, *, level: float = 0.95, profiles: bool = False, refits: int = 0, seed: int = 0
+    ) -> UncertaintyReport:
+        """Compute profiles, and a bootstrap of so many refits (none at 0).
+
+        Raises
+        ------
+        RangeError
+            If the level is not between 0 and 1, or there is only one refit.
+        IdentificationError
+            If there are too few blocks to draw from.
+        """
+        check_level(level)
+        shape = type(fit.law).shape_parameters if profiles else ()
+        found = tuple(profile(fit, p.name, level=level) for p in shape)
+        return cls(fit, level, found, bootstrap(fit, refits, seed=seed) if refits else None)
+
+    def describe(self) -> str:
+        """The report as text; empty without profiles and bootstrap."""
+        share = f"{100 * self.level:g} %"
+        lines: list[str] = []
+        for one in self.profiles:
+            low, high = (_end(end) for end in _interval(self.fit, one.name, one.interval))
+            lines.append(f"profile of {one.name}: {share} interval {low} .. {high} {_unit(self.fit, one.name)}")
+            lines += [f"warning: {reason}" for reason in one.reasons]
+        if refits := self.bootstrap:
+            failed = f"; {refits.failed} draws did not determine the law and were repeated" if refits.failed else ""
+            blocks = refits.by.counted(refits.blocks)
+            lines.append(f"bootstrap: {len(refits.draws)} refits to {blocks} drawn with replacement{failed}")
+            for name, interval in refits.intervals(self.level).items():
+                (low, high), unit = _interval(self.fit, name, interval), _unit(self.fit, name)
+                error = refits.standard_errors[name] / factor(unit)
+                values = f"standard error {error:.2g}, {share} {low:.5g} .. {high:.5g} {unit}"
+                lines.append(f"  {name}: {'at its bound' if np.isnan(error) else values}")
+            lines += [f"warning: {doubt}" for doubt in refits.warnings]
+        return "\n".join(lines)
+
+    def records(self) -> dict[str, Any]:
+        """The report as plain data, with the intervals of the fit itself."""
+        fit, robust = self.fit, self.fit.robust
+        numbers: dict[str, Any] = {
+            "level": self.level,
+            "errors_by": robust.by.value if robust else "point",
+            "groups": robust.groups if robust else fit.points_used,
+            "intervals": _intervals(fit, fit.intervals(self.level)),
+        }
+        if robust:
+            numbers["robust_standard_errors"] = _scaled(fit, robust.standard_errors)
+            numbers["degrees_of_freedom"] = dict(robust.degrees_of_freedom)
+        if self.profiles:
+            numbers["profiles"] = {
+                one.name: {
+                    "interval": list(_interval(fit, one.name, one.interval)),
+                    "identified": one.identified,
+                    "reasons": list(one.reasons),
+                }
+                for one in self.profiles
+            }
+        if refits := self.bootstrap:
+            numbers["bootstrap"] = {
+                "by": refits.by.value,
+                "blocks": refits.blocks,
+                "refits": len(refits.draws),
+                "drawn_again": refits.failed,
+                "doubts": list(refits.warnings),
+                "standard_errors": _scaled(fit, refits.standard_errors),
+                "intervals": _intervals(fit, refits.intervals(self.level)),
+            }
+        return numbers
+
+
+def _unit(fit: Fit, name: str) -> str:
+    return next(p.shown for p in type(fit.law).parameters() if p.name == name)
+
+
+def _scaled(fit: Fit, values: Mapping[str, float]) -> dict[str, float]:
+    return {name: value / factor(_unit(fit, name)) for name, value in values.items()}
+
+
+def _interval(fit: Fit, name: str, interval: Interval) -> tuple[float, float]:
+    scale = factor(_unit(fit, name))
+    return interval.lower / scale, interval.upper / scale
+
+
+def _intervals(fit: Fit, intervals: Mapping[str, Interval]) -> dict[str, list[float]]:
+    return {name: list(_interval(fit, name, interval)) for name, interval in intervals.items()}
+
+
+def _end(value: float) -> str:
+    return "not bounded" if math.isinf(value) else f"{value:.5g}"

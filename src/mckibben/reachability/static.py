@@ -1,0 +1,200 @@
+"""Static envelope of a joint: torque and stiffness attainable at rest, over the angle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
+
+from mckibben.joint.attainable import cocontraction_segment, is_affine
+from mckibben.numerics.compiled import compiled
+from mckibben.numerics.elementary import floating
+from mckibben.plant import JointPlant
+from mckibben.units import deg
+
+Values = NDArray[np.float64]
+
+SEGMENT_MARGIN = 1e-9  # of a segment of tensions: at its very end a muscle is slack
+_SCAN_POINTS = 41  # along the segment of a joint whose stiffness is not affine in tension
+_TOLERANCE = 1e-6  # N*m/rad
+_ANGLE_LIMIT = 80 * deg
+_TABLE_STEPS = (0.25, 0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0)  # deg
+_TABLE_ROWS = 11
+
+
+class AttainableRange(NamedTuple):
+    """Lower and upper bound, each of shape (samples,); NaN where nothing is attainable."""
+
+    lowest: Values
+    highest: Values
+
+    @property
+    def width(self) -> Values:
+        """Upper minus lower bound."""
+        return self.highest - self.lowest
+
+    def violation(self, value: Values) -> Values:
+        """Distance of a value from the range: 0 inside, NaN where nothing is attainable."""
+        out = np.maximum(self.lowest - value, value - self.highest)
+        return np.where(out > _TOLERANCE, out, np.where(np.isnan(out), np.nan, 0.0))
+
+    def shrunk(self, fraction: float) -> AttainableRange:
+        """The range without a fraction of its width at either end."""
+        margin = fraction * self.width
+        return AttainableRange(self.lowest + margin, self.highest - margin)
+
+
+@dataclass(frozen=True)
+class StaticEnvelope:
+    """Torque and stiffness that the joint of a plant attains at rest.
+
+    Attributes
+    ----------
+    angles
+        Shape (angles,) [rad].
+    torque
+        Muscle torque that balances gravity, shape (angles,) [N*m].
+    torque_range
+        Attainable muscle torque [N*m].
+    stiffness
+        Attainable stiffness under gravity [N*m/rad].
+    pressures_at_lowest, pressures_at_highest
+        Gauge pressures at the two ends of the stiffness range, shape (2, angles) [Pa].
+    angle_min, angle_max
+        Contiguous range of static angles about the requested one [rad]; NaN if there is none.
+    map_angles, map_torques
+        Grid over the attainable torques of each angle, shape (torques, columns) [rad], [N*m]; no columns if nothing is
+        attainable.
+    map_stiffness
+        Attainable stiffness on that grid [N*m/rad].
+    """
+
+    angles: Values
+    torque: Values
+    torque_range: AttainableRange
+    stiffness: AttainableRange
+    pressures_at_lowest: Values
+    pressures_at_highest: Values
+    angle_min: float
+    angle_max: float
+    map_angles: Values
+    map_torques: Values
+    map_stiffness: AttainableRange
+
+    @property
+    def exists(self) -> bool:
+        """Whether the load can be held at any angle."""
+        return self.angle_min <= self.angle_max
+
+    def table_rows(self) -> NDArray[np.int_]:
+        """Indices of at most 11 round angles within the static range; empty if there is none."""
+        if not self.exists:
+            return np.empty(0, int)
+        inside = (self.angles >= self.angle_min - 1e-9) & (self.angles <= self.angle_max + 1e-9)
+        degrees = self.angles / deg
+        selections = (inside & (np.abs(degrees / step - np.round(degrees / step)) < 1e-6) for step in _TABLE_STEPS)
+        return next((at for chosen in selections if len(at := np.flatnonzero(chosen)) <= _TABLE_ROWS), np.empty(0, int))
+
+
+def scan_points(plant: JointPlant) -> Values:
+    """Positions along a segment of tensions, 0 to 1: its ends where the stiffness is affine, else a scan."""
+    return np.linspace(SEGMENT_MARGIN, 1 - SEGMENT_MARGIN, 2 if is_affine(plant.joint) else _SCAN_POINTS)
+
+
+def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
+    """Compute the static envelope of a plant's joint from -80 to 80 deg, where both moment arms are positive.
+
+    Parameters
+    ----------
+    plant
+        Joint and load.
+    about
+        An angle [rad] in the range of interest; the nearest static angle replaces it where it is not static itself.
+
+    Examples
+    --------
+    >>> from mckibben import IdealValve, catalog
+    >>> printed = JointPlant(catalog.joint("knee-table-2"), catalog.load("knee-table-2"), IdealValve())
+    >>> found = static_envelope(printed)
+    >>> round(found.angle_min / deg, 1), round(found.angle_max / deg, 1)  # there one muscle is stretched by 3 %
+    (-10.4, 10.4)
+    """
+    affine = is_affine(plant.joint)
+    count = 641 if affine else 161
+    angles = np.linspace(-_ANGLE_LIMIT, _ANGLE_LIMIT, count)
+    points = scan_points(plant)
+    torque, *limits, stiffness, pressure1, pressure2 = (np.asarray(x) for x in _static_states(plant, angles, points))
+    infeasible = np.asarray(np.isnan(stiffness).all(axis=0))
+    low = np.argmin(np.where(np.isnan(stiffness), np.inf, stiffness), axis=0)
+    high = np.argmax(np.where(np.isnan(stiffness), -np.inf, stiffness), axis=0)
+    each = np.arange(count)
+
+    def pressures(index: NDArray[np.int_]) -> Values:
+        return np.where(infeasible, np.nan, np.stack([pressure1[index, each], pressure2[index, each]]))
+
+    grid = _torque_grid(angles, limits, *((81, 33) if affine else (33, 17)))
+    return StaticEnvelope(
+        angles,
+        torque,
+        AttainableRange(*limits),
+        AttainableRange(stiffness[low, each], stiffness[high, each]),
+        pressures(low),
+        pressures(high),
+        *_contiguous_range(plant, angles, infeasible, about, points),
+        *grid,
+        AttainableRange(*(np.asarray(x) for x in _attainable_stiffness(plant, *grid))),
+    )
+
+
+def _contiguous_range(
+    plant: JointPlant, angles: Values, infeasible: NDArray[np.bool_], about: float, points: Values
+) -> tuple[float, float]:
+    """First infeasible angle on either side of `about`, refined once between grid points."""
+    if infeasible.all():
+        return np.nan, np.nan
+    feasible = np.flatnonzero(~infeasible)
+    middle = int(feasible[np.argmin(np.abs(angles[feasible] - about))])
+
+    def edge(outwards: Values, outside: NDArray[np.bool_]) -> float:
+        if not outside.any():
+            return float(outwards[-1])
+        at = int(np.argmax(outside))
+        between = np.linspace(outwards[at - 1], outwards[at], angles.size)
+        stiffness = np.asarray(_static_states(plant, between, points)[3])
+        return float(between[int(np.argmax(np.isnan(stiffness).all(axis=0))) - 1])
+
+    return edge(angles[middle::-1], infeasible[middle::-1]), edge(angles[middle:], infeasible[middle:])
+
+
+def _torque_grid(angles: Values, torques: list[Values], columns: int, rows: int) -> tuple[Values, Values]:
+    """Angles and torques over the attainable set, a little inside its boundary."""
+    attainable = np.flatnonzero(~np.isnan(torques[0]))
+    if not attainable.size:
+        return np.empty((rows, 0)), np.empty((rows, 0))
+    chosen = attainable[np.linspace(0, attainable.size - 1, columns).round().astype(int)]
+    fraction = np.linspace(1e-6, 1 - 1e-6, rows)[:, None]
+    low, high = (limit[chosen] for limit in torques)
+    return np.broadcast_to(angles[chosen], (rows, columns)), low + fraction * (high - low)
+
+
+@compiled
+def _static_states(plant: JointPlant, angle: ArrayLike, points: ArrayLike) -> tuple[Array, ...]:
+    """Static torque, attainable torques; stiffness and pressures, (points, angles), NaN where infeasible."""
+    angle, points = floating(angle), floating(points)
+    torque = -plant.load.gravity_torque(angle)
+    limits = plant.joint.attainable_torque(angle)
+    segment = cocontraction_segment(plant.joint, angle, torque, None, 0.0)
+    pressures, stiffness = segment.at(points[:, None])
+    _, arms = plant.joint.geometry.paths_and_arms(angle)
+    able = (arms[0] > 0) & (arms[1] > 0)
+    stiffness = jnp.where(able & segment.feasible, stiffness, jnp.nan)
+    return torque, *(jnp.where(able, limit, jnp.nan) for limit in limits), stiffness, *pressures
+
+
+@compiled
+def _attainable_stiffness(plant: JointPlant, angle: ArrayLike, torque: ArrayLike) -> tuple[Array, Array]:
+    return plant.joint.attainable_stiffness(angle, torque)

@@ -1,0 +1,233 @@
+"""Reference trajectories: derivatives, smoothing of jumps and corners, scaling in amplitude and time."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mckibben.control import Constant, Multisine, Reference, Samples, Signal, Sine, Step
+from mckibben.errors import ParameterError
+
+Values = NDArray[np.float64]
+
+_AVERAGES = 4
+"""Moving averages in a row. Their kernel is a cubic B-spline: the third derivative of a smoothed jump is bounded."""
+
+
+@dataclass(frozen=True)
+class ReferenceTrajectory:
+    """A sampled reference with its derivatives.
+
+    Attributes
+    ----------
+    times
+        Shape (samples,) [s].
+    angle, velocity, acceleration, jerk
+        Angle and its first three derivatives [rad], [rad/s], [rad/s^2], [rad/s^3].
+    stiffness, stiffness_rate
+        [N*m/rad], [N*m/(rad*s)].
+    smoothing
+        Width [s] of the kernel that smooths jumps and corners.
+    """
+
+    times: Values
+    angle: Values
+    velocity: Values
+    acceleration: Values
+    jerk: Values
+    stiffness: Values
+    stiffness_rate: Values
+    smoothing: float
+
+
+def reference_trajectory(reference: Reference, times: Values, *, smoothing: float) -> ReferenceTrajectory:
+    """Sample a reference and its derivatives.
+
+    Constants, sines and sums of sines are differentiated exactly; steps, samples and other signals are smoothed first,
+    see `smoothed`.
+
+    Parameters
+    ----------
+    reference
+        Desired angle and stiffness.
+    times
+        Evenly spaced, shape (samples,) [s].
+    smoothing
+        Width of the smoothing kernel [s].
+
+    Examples
+    --------
+    >>> reference = Reference(angle=Sine(0.1, 0.5), stiffness=15.0)
+    >>> trajectory = reference_trajectory(reference, np.array([0.0, 0.5]), smoothing=0.02)
+    >>> trajectory.acceleration.round(4).tolist()  # -0.1 (2 pi 0.5)^2 at the crest
+    [0.0, -0.987]
+    """
+    angle, velocity, acceleration, jerk = derivatives(reference.angle, times, 3, smoothing=smoothing)
+    stiffness, stiffness_rate = derivatives(reference.stiffness, times, 1, smoothing=smoothing)
+    return ReferenceTrajectory(times, angle, velocity, acceleration, jerk, stiffness, stiffness_rate, smoothing)
+
+
+def derivatives(signal: Signal, times: Values, order: int, *, smoothing: float) -> list[Values]:
+    """A signal and its derivatives up to an order, at evenly spaced times."""
+    if isinstance(signal, Constant):
+        return [np.full_like(times, float(signal.value)), *[np.zeros_like(times)] * order]
+    if isinstance(signal, Sine):
+        return _sine_derivatives(signal, times, order)
+    if isinstance(signal, Multisine):
+        phases = signal.phases or (0.0,) * len(signal.amplitudes)
+        parts = zip(signal.amplitudes, signal.frequencies, phases, strict=True)
+        terms = [_sine_derivatives(Sine(a, f, 0.0, p), times, order) for a, f, p in parts]
+        total = [np.sum([term[k] for term in terms], axis=0) for k in range(order + 1)]
+        return [total[0] + float(signal.offset), *total[1:]]
+    return [smoothed(signal, times, smoothing, order=k) for k in range(order + 1)]
+
+
+def _sine_derivatives(sine: Sine, times: Values, order: int) -> list[Values]:
+    a, w = float(sine.amplitude), 2 * math.pi * float(sine.frequency)
+    phase = w * times + float(sine.phase)
+    found = [a * w**k * np.sin(phase + k * math.pi / 2) for k in range(order + 1)]
+    return [found[0] + float(sine.offset), *found[1:]]
+
+
+def smoothed(signal: Signal, times: Values, width: float, *, order: int = 0) -> Values:
+    r"""A smoothed signal, or one of its first three derivatives.
+
+    .. math:: \bar x(t) = \int x(t - s)\, B(s/w)/w\, ds, \quad w = R/4,
+
+    with B the cubic B-spline: four moving averages over w. Samples within R/2 of a jump or corner change; straight
+    lines do not. Each derivative replaces a moving average by a difference over w, exact but for the trapezoidal rule
+    of the averages.
+
+    Parameters
+    ----------
+    signal
+        Continued beyond the first and last time by point reflection, so that the ends are no corners.
+    times
+        Evenly spaced, shape (samples,) [s].
+    width
+        R [s]; rounded up to a multiple of four sample periods.
+    order
+        0 for the value, up to 3 for a derivative.
+
+    Examples
+    --------
+    >>> times = np.arange(401) * 1e-3
+    >>> velocity = smoothed(Step(0.0, 1.0, 0.2), times, 0.1, order=1)
+    >>> round(float(velocity.max()), 1)  # 2/3 of the step in a quarter of the time
+    26.6
+    """
+    period = float(times[-1] - times[0]) / max(len(times) - 1, 1)
+    return smoothed_values(np.asarray(signal(times), float), period, width, order=order)
+
+
+def smoothed_values(values: Values, period: float, width: float, *, order: int = 0) -> Values:
+    """Smoothed samples that are a period [s] apart, or a derivative of them."""
+    if values.size < 2:
+        return values if order == 0 else np.zeros_like(values)
+    window = max(math.ceil(width / (_AVERAGES * period) - 1e-9), 1)
+    values = np.pad(values, _AVERAGES * window // 2, mode="reflect", reflect_type="odd")
+    average = np.ones(window + 1) / window
+    average[[0, -1]] /= 2
+    difference = np.zeros(window + 1)
+    difference[0], difference[-1] = 1 / (window * period), -1 / (window * period)
+    for k in range(_AVERAGES):
+        values = np.convolve(values, difference if k < order else average, mode="valid")
+    return values
+
+
+def breakpoints(signal: Signal, times: Values) -> Values:
+    """Jumps and corners of a signal [s] between the first and the last time; all times if they are not known."""
+    match signal:
+        case Constant() | Sine() | Multisine():
+            return np.empty(0)
+        case Step():
+            at = np.array([float(signal.at)]) if signal.before != signal.after else np.empty(0)
+        case Samples():
+            at = _corners(np.asarray(signal.times, float), np.asarray(signal.values, float))
+        case _:
+            at = times
+    return at[(at > times[0]) & (at < times[-1])]
+
+
+def _corners(times: Values, values: Values) -> Values:
+    """Samples at which the slope of the linear interpolation changes; it is 0 beyond the ends."""
+    slopes = np.concatenate([[0.0], np.diff(values) / np.diff(times), [0.0]])
+    change = np.abs(np.diff(slopes))
+    return times[change > 1e-9 * max(float(np.abs(slopes).max()), 1e-30)]
+
+
+def is_near(times: Values, at: ArrayLike, tolerance: float) -> NDArray[np.bool_]:
+    """Mask of the times within a tolerance of any of the given times."""
+    at = np.sort(np.asarray(at, float))
+    if not at.size:
+        return np.zeros(times.shape, bool)
+    after = np.searchsorted(at, times)
+    before = np.abs(times - at[np.maximum(after - 1, 0)])
+    return np.minimum(before, np.abs(at[np.minimum(after, at.size - 1)] - times)) <= tolerance
+
+
+def centre_of(signal: Signal, times: Values) -> float:
+    """Centre about which a signal is scaled: offset of sines, initial value of a step, else the midrange."""
+    match signal:
+        case Sine() | Multisine():
+            return float(signal.offset)
+        case Step():
+            return float(signal.before)
+        case Constant():
+            return float(signal.value)
+    values = np.asarray(signal(times), float)
+    return float(values.min() + values.max()) / 2
+
+
+def scaled(signal: Signal, factor: float, about: float, centre: float, times: Values) -> Signal:
+    """Scale the deviation of a signal from `about` and add it to `centre`; the kind of signal is kept where possible.
+
+    >>> scaled(Sine(0.2, 0.5, 0.1), 0.5, 0.1, 0.0, np.linspace(0.0, 1.0, 11))
+    Sine(amplitude=0.1, frequency=0.5, offset=0.0)
+    """
+
+    def map_value(value: float | Values) -> float | Values:
+        return centre + factor * (value - about)
+
+    match signal:
+        case Constant():
+            return Constant(float(map_value(float(signal.value))))
+        case Step():
+            return Step(float(map_value(float(signal.before))), float(map_value(float(signal.after))), signal.at)
+        case Sine():
+            offset = float(map_value(float(signal.offset)))
+            return dataclasses.replace(signal, amplitude=factor * signal.amplitude, offset=offset)
+        case Multisine():
+            amplitudes = tuple(factor * amplitude for amplitude in signal.amplitudes)
+            offset = float(map_value(float(signal.offset)))
+            return dataclasses.replace(signal, amplitudes=amplitudes, offset=offset)
+        case Samples():
+            return Samples(signal.times, map_value(np.asarray(signal.values, float)))  # type: ignore[arg-type]
+    return Samples(times, map_value(np.asarray(signal(times), float)))  # type: ignore[arg-type]
+
+
+def slowed(signal: Signal, factor: float) -> Signal:
+    """Scale the speed of a signal by a factor up to 1; constants and steps stay as they are.
+
+    Raises
+    ------
+    ParameterError
+        For any other kind of signal.
+    """
+    match signal:
+        case Constant() | Step():
+            return signal
+        case Sine():
+            return dataclasses.replace(signal, frequency=factor * signal.frequency)
+        case Multisine():
+            return dataclasses.replace(signal, frequencies=tuple(factor * f for f in signal.frequencies))
+        case Samples():
+            times = np.asarray(signal.times, float)
+            return Samples(times[0] + (times - times[0]) / factor, signal.values)  # type: ignore[arg-type]
+    raise ParameterError(
+        f"a {type(signal).__name__} cannot be slowed", value=signal, remedy="give it as sines or as samples"
+    )

@@ -1,0 +1,139 @@
+"""Faults of the simulated rig and the simulated joint, each at a given time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import RangeError
+from mckibben.numerics.checks import check_positive
+from mckibben.rig.simulated.parts import L_PER_S_BAR
+
+_MAINS = 50.0  # Hz
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of simulated hardware.
+
+    Parameters
+    ----------
+    at
+        Time since the rig was first opened [s].
+    """
+
+    at: float
+
+    def __post_init__(self) -> None:
+        check_positive(type(self).__name__, "s", zero=True, at=self.at)
+
+
+@dataclass(frozen=True)
+class SupplyLost(Fault):
+    """Loss of the supply; an open regulator lets the air of the muscle flow back."""
+
+
+@dataclass(frozen=True)
+class ValveStuck(Fault):
+    """Regulator stuck at an opening, from -1 (exhaust) to 1 (supply), whatever its signal."""
+
+    opening: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not -1 <= self.opening <= 1:
+            raise RangeError(f"ValveStuck: opening {self.opening:g} is outside -1..1", value=self.opening)
+
+
+@dataclass(frozen=True)
+class SensorDisconnected(Fault):
+    """The cable of a sensor is disconnected.
+
+    Parameters
+    ----------
+    sensor
+        Name of the input.
+    volts
+        Reading of the open input [V]: 10 V, the rail to which a resistor pulls it. None: it floats, with mains hum.
+    """
+
+    sensor: str = "force"
+    volts: float | None = 10.0
+
+    def volts_at(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Readings [V] at times [s]."""
+        if self.volts is None:
+            return 1.0 + 2.0 * np.sin(2 * np.pi * _MAINS * time)
+        return np.full(len(time), self.volts)
+
+    def check(self, sensors: Sequence[str]) -> None:
+        """Raise `RangeError` unless the rig has that sensor."""
+        if self.sensor not in sensors:
+            message = f"SensorDisconnected: no sensor {self.sensor!r}"
+            raise RangeError(message, value=self.sensor, remedy=f"choose one of {', '.join(sensors)}")
+
+
+@dataclass(frozen=True)
+class Slipped(Fault):
+    """Muscle slips out of its clamp: no force, shortest length."""
+
+
+@dataclass(frozen=True)
+class Burst(Fault):
+    """Burst bladder, of a sonic conductance [m^3/(s*Pa)], 5 dm^3/(s*bar) unless given."""
+
+    conductance: float = 5 * L_PER_S_BAR
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_positive("Burst", "m^3/(s*Pa)", conductance=self.conductance)
+
+
+@dataclass(frozen=True)
+class Stalled(Fault):
+    """Motor stalls; its pulses are counted all the same."""
+
+
+@dataclass(frozen=True)
+class HostDelayed(Fault):
+    """Host is busy for a duration [s]: its next read returns that much later."""
+
+    duration: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_positive("HostDelayed", "s", duration=self.duration)
+
+
+@dataclass(frozen=True)
+class SamplesStopped(Fault):
+    """No more samples."""
+
+
+@dataclass(frozen=True)
+class SamplesDropped(Fault):
+    """Samples are lost: a number of them and all that wait to be read; again each period [s] `every`, if given."""
+
+    samples: int = 10
+    every: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.samples < 1:
+            raise RangeError(f"SamplesDropped: {self.samples} samples", value=self.samples, lower=1)
+        if self.every is not None:
+            check_positive("SamplesDropped", "s", every=self.every)
+
+
+@dataclass(frozen=True)
+class SamplesDelayed(Fault):
+    """Samples come with a delay [s]."""
+
+    delay: float = 0.2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_positive("SamplesDelayed", "s", delay=self.delay)

@@ -1,0 +1,393 @@
+"""Parts of the simulated rig: regulator and air chamber, motor and carriage of the stretching device."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import RangeError, RigError
+from mckibben.numerics.checks import check_positive, check_within
+from mckibben.rig.bench import Drive
+from mckibben.units import N, bar, kPa, mm, ms
+
+ATMOSPHERE = 1.01325e5
+"""Atmospheric pressure [Pa, absolute]."""
+
+TEMPERATURE = 293.15
+"""Temperature of the room and the air [K]; changes are isothermal."""
+
+GAS_CONSTANT = 288.0
+"""Gas constant of air at 65 % relative humidity [J/(kg*K)], from ISO 6358."""
+
+DENSITY = 1.185
+"""Density of air in the reference state of ISO 8778 [kg/m^3]: 20 degrees C, 1 bar, 65 % relative humidity (ANR)."""
+
+ENERGY = GAS_CONSTANT * TEMPERATURE
+"""R T [J/kg]: pressure times volume per mass."""
+
+L_PER_S_BAR = 1e-3 / bar
+"""A sonic conductance of 1 dm^3/(s*bar), the unit of data sheets, in m^3/(s*Pa)."""
+
+_LAMINAR = 0.999  # ratio of pressures above which the flow is proportional to their difference (ISO 6358)
+
+
+def mass_flow(conductance: float, critical: float, upstream: float, downstream: float) -> float:
+    r"""Mass flow [kg/s] between two pressures [Pa, absolute]; negative for reverse flow.
+
+    .. math::
+
+        G = C \rho_0 p_1 \psi, \qquad \psi = \begin{cases} 1 & p_2/p_1 \le b \\
+        \sqrt{1 - \left(\frac{p_2/p_1 - b}{1 - b}\right)^2} & \text{above} \end{cases}
+
+    Parameters
+    ----------
+    conductance
+        C, sonic conductance [m^3/(s*Pa)].
+    critical
+        b, critical ratio of pressures [-].
+    upstream, downstream
+        p1 and p2.
+
+    References
+    ----------
+    ISO 6358-1:2013, "Determination of flow-rate characteristics of components using compressible fluids".
+
+    Examples
+    --------
+    A choked valve of 0.01 dm^3/(s*bar) at 10 bar passes 0.1 dm^3/s of air in its reference state:
+
+    >>> round(mass_flow(0.01 * L_PER_S_BAR, 0.3, 10e5, 2e5) / DENSITY * 1e3, 6)
+    0.1
+    """
+    if downstream > upstream:
+        return -mass_flow(conductance, critical, downstream, upstream)
+    if upstream <= 0:
+        return 0.0
+    ratio = downstream / upstream
+    if ratio <= critical:
+        share = 1.0
+    elif ratio < _LAMINAR:
+        share = math.sqrt(1 - ((ratio - critical) / (1 - critical)) ** 2)
+    else:
+        edge = math.sqrt(1 - ((_LAMINAR - critical) / (1 - critical)) ** 2)
+        share = edge * (1 - ratio) / (1 - _LAMINAR)
+    return conductance * DENSITY * upstream * share
+
+
+@dataclass(frozen=True, kw_only=True)
+class Regulator:
+    """Proportional pressure regulator such as SMC's ITV0050-3ML, with supply, vent valve and tube.
+
+    The command follows the signal with play (hysteresis), offset and lag. The opening is proportional to the pressure
+    error within a band, to the supply or to the exhaust. Behind it is a 3/2 valve: without current its spring shuts off
+    the regulator and vents the muscle.
+
+    Numbers "of the maker" are those of the data sheet of the ITV0000 series from memory, unchecked.
+
+    Parameters
+    ----------
+    supply
+        Gauge pressure [Pa] of the compressed air: 8 bar (ours; the maker allows 10).
+    conductance, critical
+        C [m^3/(s*Pa)] and b [-] of the fully open regulator, either way: 0.0091 dm^3/(s*bar), with which it passes the
+        maker's 6 dm^3/min (ANR) at 10 bar, and 0.3 (ours).
+    band
+        Pressure error at which it is fully open [Pa]: 0.1 bar (ours).
+    lag
+        Time constant of the command [s]: 30 ms (ours), a third of the maker's response of 0.1 s without a load.
+    hysteresis
+        Width of the command's play [Pa]: 4.5 kPa, the maker's 0.5 % of 9 bar.
+    repeatability
+        Largest offset [Pa], drawn at each new command: 4.5 kPa, the maker's 0.5 % of 9 bar.
+    highest
+        Highest command [Pa]: 9 bar (the maker).
+    dead_volume
+        Volume of tube and fittings [m^3]: 5 cm^3 (ours; a metre of tube with 2.5 mm inside).
+    exhaust, exhaust_delay
+        C [m^3/(s*Pa)] of the vent valve with its tube, 0.1 dm^3/(s*bar), and its opening time [s], 20 ms; both ours.
+    leak
+        C [m^3/(s*Pa)] of all leaks: 1e-5 dm^3/(s*bar) (ours).
+    """
+
+    supply: float = 8 * bar
+    conductance: float = 0.0091 * L_PER_S_BAR
+    critical: float = 0.3
+    band: float = 0.1 * bar
+    lag: float = 30 * ms
+    hysteresis: float = 4.5 * kPa
+    repeatability: float = 4.5 * kPa
+    highest: float = 9 * bar
+    dead_volume: float = 5e-6
+    exhaust: float = 0.1 * L_PER_S_BAR
+    exhaust_delay: float = 20 * ms
+    leak: float = 1e-5 * L_PER_S_BAR
+
+    def __post_init__(self) -> None:
+        check_positive("regulator", "m^3/(s*Pa)", conductance=self.conductance, exhaust=self.exhaust)
+        check_positive("regulator", "m^3/(s*Pa)", zero=True, leak=self.leak)
+        check_positive("regulator", "Pa", supply=self.supply, band=self.band, highest=self.highest)
+        check_positive("regulator", "Pa", zero=True, hysteresis=self.hysteresis, repeatability=self.repeatability)
+        check_positive("regulator", "s", lag=self.lag)
+        check_positive("regulator", "s", zero=True, exhaust_delay=self.exhaust_delay)
+        check_positive("regulator", "m^3", dead_volume=self.dead_volume)
+        check_within("regulator", 0.0, 0.99, critical=self.critical)
+        if self.supply <= self.band:
+            raise RangeError("regulator: a supply below its band gives no pressure", remedy="raise the supply")
+
+
+_STEP = 2 * kPa  # largest change of pressure in a step: within 0.2 kPa of much shorter steps
+_SHORTEST = 1e-5  # s
+_REST = 0.05  # Pa from the target of a settled command
+_STILL = 0.5  # Pa/s, highest rate of a pressure at rest
+_NUDGE = 1.0  # Pa
+
+
+class Chamber:
+    """Air of the muscle. Its mass is the state; the pressure follows from the volume.
+
+    Parameters
+    ----------
+    regulator
+        Its regulator.
+    volume
+        Initial volume of the muscle [m^3].
+    """
+
+    def __init__(self, regulator: Regulator, volume: float) -> None:
+        self.regulator = regulator
+        self.supply = regulator.supply
+        self.hole = 0.0
+        self.exhausting = True
+        self.stuck: float | None = None
+        self.offset = 0.0
+        self.pressure = 0.0  # gauge [Pa]
+        self.flow = 0.0  # into the muscle [kg/s]
+        self.mass = ATMOSPHERE * (volume + regulator.dead_volume) / ENERGY
+        self.resting = False
+        self._signal = 0.0
+        self._played = 0.0
+        self._command = 0.0
+        self._last = _SHORTEST  # length of the last adaptive step
+
+    @property
+    def signal(self) -> float:
+        """Signal of the regulator, as a pressure [Pa]."""
+        return self._signal
+
+    def set_signal(self, pressure: float, offset: float) -> None:
+        """Set a new signal, as a pressure [Pa], with the offset of the regulator [Pa]."""
+        half = self.regulator.hysteresis / 2
+        self._signal = min(max(pressure, 0.0), self.regulator.highest)
+        self._played = min(max(self._played, self._signal - half), self._signal + half)
+        self.offset = offset if self._signal > 0 else 0.0
+        self.resting = False
+
+    @property
+    def target(self) -> float:
+        """Target of the command [Pa]; 0 at a signal of 0."""
+        return self._played + self.offset if self._signal > 0 else 0.0
+
+    def step(self, span: float, volume: Callable[[float], float]) -> float:
+        """Integrate at most a time span [s], with the volume [m^3] as a function of time; return the step [s]."""
+        dead = self.regulator.dead_volume
+        decay = self.regulator.lag
+        target, command = self.target, self._command
+        h = min(span, 2 * self._last)
+        while True:
+            half = target + (command - target) * math.exp(-h / (2 * decay))
+            room = volume(h / 2) + dead
+            per_mass = ENERGY / room
+            now = self.mass * per_mass - ATMOSPHERE
+            flow = self._into(now, half)
+            slope = (self._into(now + _NUDGE, half) - flow) / _NUDGE * per_mass * h
+            grown = flow * h * (math.expm1(slope) / slope if slope < -1e-9 else 1.0)
+            if abs(grown * per_mass) <= _STEP or h <= _SHORTEST:
+                break
+            h = max(h * max(0.8 * _STEP / abs(grown * per_mass), 0.1), _SHORTEST)
+        self._last = h if h < span or h > self._last else self._last  # not of a short span
+        before = self.pressure
+        self.mass += grown
+        self.pressure = self.mass * ENERGY / (volume(h) + dead) - ATMOSPHERE
+        self.flow = grown / h
+        self._command = target + (command - target) * math.exp(-h / decay)
+        self.resting = abs(self.pressure - before) < _STILL * h and abs(self._command - target) < _REST
+        return h
+
+    def widen(self, volume: float) -> None:
+        """Change the volume of the muscle [m^3] at once, at constant mass."""
+        self.pressure = self.mass * ENERGY / (volume + self.regulator.dead_volume) - ATMOSPHERE
+        self.resting = False
+
+    def _into(self, gauge: float, command: float) -> float:
+        """Flow into the muscle [kg/s] at a pressure and a command [Pa, gauge]."""
+        part, pressure = self.regulator, gauge + ATMOSPHERE
+        out = part.leak + self.hole  # leaks and hole in parallel
+        if self.exhausting:
+            return mass_flow(out + part.exhaust, part.critical, ATMOSPHERE, pressure)
+        opening = min(max((command - gauge) / part.band, -1.0), 1.0) if self.stuck is None else self.stuck
+        if opening <= 0:
+            return mass_flow(out - part.conductance * opening, part.critical, ATMOSPHERE, pressure)
+        flow = mass_flow(part.conductance * opening, part.critical, self.supply + ATMOSPHERE, pressure)
+        return flow + mass_flow(out, part.critical, ATMOSPHERE, pressure) if out else flow
+
+    @property
+    def opening(self) -> float:
+        """Opening of the regulator, -1 (exhaust) to 1 (supply)."""
+        if self.stuck is not None:
+            return self.stuck
+        return min(max((self._command - self.pressure) / self.regulator.band, -1.0), 1.0)
+
+
+_ROUNDING = 1e-6  # pulses
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stretcher:
+    """Motor, reducer, lead screw and guide rails.
+
+    Parameters
+    ----------
+    drive
+        Motor and lead screw.
+    backlash
+        Backlash of the nut [m]: 0.02 mm (ours). A force above the friction of the guide takes it up: the carriage of a
+        taut muscle follows the screw, that of a slack one stays.
+    guide_friction
+        Friction of the guide rails [N]: 5 N (ours).
+    acceleration
+        Of the motor [Hz/s]: infinite; at 80 Hz it needs no ramp.
+    """
+
+    drive: Drive = field(default_factory=Drive)
+    backlash: float = 0.02 * mm
+    guide_friction: float = 5 * N
+    acceleration: float = math.inf
+
+    def __post_init__(self) -> None:
+        check_positive("stretcher", "m", zero=True, backlash=self.backlash)
+        check_positive("stretcher", "N", zero=True, guide_friction=self.guide_friction)
+        if self.acceleration != math.inf:
+            check_positive("stretcher", "Hz/s", acceleration=self.acceleration)
+
+
+@dataclass(frozen=True)
+class _Move:
+    """Trapezoidal profile of a move: ramp up, constant rate, ramp down."""
+
+    begin: float
+    first: int
+    pulses: int
+    rate: float
+    acceleration: float
+
+    @property
+    def end(self) -> float:
+        ramp = self.rate / self.acceleration
+        return self.begin + abs(self.pulses) / self.rate + ramp
+
+    def sent(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance [pulses, fractional], not negative, at times [s]."""
+        total, since = abs(self.pulses), np.minimum(time, self.end) - self.begin
+        if self.acceleration == math.inf:
+            return np.clip(since * self.rate, 0.0, total)
+        ramp, left = self.rate / self.acceleration, self.end - self.begin - since
+        even = self.rate * (since - ramp / 2)
+        there = np.where(since < ramp, self.acceleration * since**2 / 2, even)
+        there = np.where(left < ramp, total - self.acceleration * left**2 / 2, there)
+        return np.clip(there, 0.0, total)
+
+
+class Motor:
+    """Position of the motor over time."""
+
+    def __init__(self, stretcher: Stretcher) -> None:
+        self._acceleration = stretcher.acceleration
+        self._per_metre = stretcher.drive.pulses_per_metre
+        self._fastest = stretcher.drive.fastest
+        self._move: _Move | None = None
+        self._counted = 0  # end of the last move
+        self._stalled: float | None = None  # position of the blocked shaft [pulses]
+
+    def move(self, now: float, pulses: int, rate: float) -> None:
+        """Begin a move.
+
+        Raises
+        ------
+        RigError
+            If it is moving, or the rate is too high.
+        """
+        if self.moving(now):
+            raise RigError("the motor is still moving", remedy="wait until it stops, or stop it")
+        if not 0 < rate <= self._fastest:
+            raise RigError(
+                f"the motor cannot go at {rate:g} pulses a second",
+                value=rate,
+                lower=0.0,
+                upper=self._fastest,
+                unit="Hz",
+                remedy=f"it does {self._fastest:g} at most",
+            )
+        self.stop(now)
+        if pulses:
+            rate = min(rate, math.sqrt(abs(pulses) * self._acceleration))
+            self._move = _Move(now, self._counted, int(pulses), rate, self._acceleration)
+
+    def moving(self, now: float) -> bool:
+        """Whether it is moving."""
+        return self._move is not None and now < self._move.end - 1e-9
+
+    def next_end(self, now: float) -> float:
+        """End of the present move [s]; infinite without one."""
+        return self._move.end if self._move is not None and now < self._move.end else math.inf
+
+    def stop(self, now: float) -> None:
+        """Stop."""
+        if self._move is not None:
+            self._counted = int(self.counted(np.array([now]))[0])
+            self._move = None
+
+    def stall(self, now: float) -> None:
+        """Block the shaft."""
+        self._stalled = self._position(now)
+
+    def counted(self, time: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Whole pulses sent until times [s]."""
+        if self._move is None:
+            return np.full(len(time), self._counted, np.int64)
+        sent = np.floor(self._move.sent(time) + _ROUNDING).astype(np.int64)
+        return self._move.first + (sent if self._move.pulses > 0 else -sent)
+
+    def travel(self, now: float) -> float:
+        """Travel of the screw [m]."""
+        return (self._position(now) if self._stalled is None else self._stalled) / self._per_metre
+
+    def _position(self, now: float) -> float:
+        move = self._move
+        if move is None:
+            return float(self._counted)
+        if self._acceleration == math.inf:
+            sent = min(max((now - move.begin) * move.rate, 0.0), abs(move.pulses))
+        else:
+            sent = float(move.sent(np.array([now]))[0])
+        return move.first + math.copysign(sent, move.pulses)
+
+
+class Carriage:
+    """Position of the carriage [m], with backlash and friction."""
+
+    def __init__(self, stretcher: Stretcher) -> None:
+        self._play = stretcher.backlash
+        self._friction = stretcher.guide_friction
+        self.at = 0.0
+
+    def follow(self, screw: float, pull: float) -> float:
+        """Follow the screw [m] at a force of the muscle [N]."""
+        if pull > self._friction:
+            self.at = screw
+        else:
+            self.at = min(max(self.at, screw), screw + self._play)
+        return self.at

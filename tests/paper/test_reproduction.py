@@ -1,0 +1,486 @@
+"""Results of the reproduction: tracking runs, files, JSON, and verdicts recomputed from its numbers."""
+
+import dataclasses
+import itertools
+import json
+import math
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mckibben import control, paper
+from mckibben.dataset import IsobaricDataset
+from mckibben.identification import Fit
+from mckibben.paper import reproduction
+from mckibben.paper.identification import CHOU, EXPERIMENTAL, FESTO, MARTENS
+from mckibben.paper.settings import (
+    AS_PRINTED,
+    PRE_CONTRACTED,
+    SETTINGS,
+    STEP_TIME,
+    StiffnessReference,
+    bp_scenario,
+    gains_of,
+    pid_scenario,
+)
+from mckibben.paper.tracking import (
+    BP,
+    CONTROLLERS,
+    FREE_TUNED_BP,
+    PID,
+    TUNED_BP,
+    TUNED_PID,
+    ControllerRun,
+)
+from mckibben.simulation import Metrics, Result, check_reference
+from mckibben.study.parameters import with_values
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.running import run_scenario
+from mckibben.units import quantity
+
+CHOU_CLAIM = "The experimental law is closer to the measured force than Chou's"
+REAL_CLAIM = "Eq. 2 is closer than Chou's law on a measured map"
+SIMILAR_CLAIM = "Loading and unloading are similar"
+SAFE_CLAIM = "BP can be added to any PID"
+COUPLED_CLAIM = "Position and stiffness are coupled"
+RANGE_CLAIM = "The knee's rotating range is 55 deg"
+MODERATE, OPTIMISED = "the same moderate gains in both", "gains tuned by an optimiser"
+
+
+def angle_claim(reference: StiffnessReference, gains: str) -> str:
+    return f"BP's position error is smaller than PID's under {reference.value} stiffness ({gains})"
+
+
+def settling_claim(gains: str) -> str:
+    return f"BP's stiffness settles sooner ({gains})"
+
+
+def of(claims, start: str):
+    found = [claim for claim in claims if claim.claim.startswith(start)]
+    assert len(found) == 1, [claim.claim for claim in claims]
+    return found[0]
+
+
+RUN_KEYS = list(itertools.product([s.key for s in SETTINGS], StiffnessReference))
+
+
+def moved_by(amplitude: float, **metrics) -> types.SimpleNamespace:
+    """As much of a result as a run looks at: the reference, a sine, and metrics."""
+    reference = amplitude * np.sin(np.linspace(0, 2 * np.pi, 1000, endpoint=False))
+    return types.SimpleNamespace(
+        trajectory=types.SimpleNamespace(desired_angle=reference), metrics=lambda **_: {"angle_rmse": 0.5, **metrics}
+    )
+
+
+def seeded(**columns) -> ControllerRun:
+    """A run of which the metrics over the seeds are known; zeros where they are not given."""
+    size = len(next(iter(columns.values())))
+    return ControllerRun(
+        None, moved_by(1.0), Metrics(**{n: np.asarray(columns.get(n, np.zeros(size)), float) for n in Metrics._fields})
+    )
+
+
+def test_every_controller_runs_every_reference_in_every_geometry(tracking):
+    assert set(tracking.runs) == set(itertools.product([s.key for s in SETTINGS], StiffnessReference, CONTROLLERS))
+    assert tracking.seeds == 2
+
+
+@pytest.mark.parametrize(("key", "reference"), RUN_KEYS)
+def test_both_methods_have_the_same_plant_reference_start_and_base_gains(tracking, key, reference):
+    for pid, learned in ((PID, (BP,)), (TUNED_PID, (TUNED_BP, FREE_TUNED_BP))):
+        base = tracking.runs[key, reference, pid].scenario
+        for name in learned:
+            other = tracking.runs[key, reference, name].scenario
+            assert other.joint == base.joint
+            assert (other.load, other.valve, other.signals, other.start) == (
+                base.load,
+                base.valve,
+                base.signals,
+                base.start,
+            )
+            for loop in ("position", "stiffness"):
+                one, two = getattr(base.control(), loop), getattr(other.control(), loop)
+                assert isinstance(two, control.BackpropPID)
+                assert (two.base.kp, two.base.ki, two.base.kd) == (one.kp, one.ki, one.kd)
+    assert tracking.runs[key, reference, BP].scenario.control().position.gain_ratio == 2.0
+    assert tracking.runs[key, reference, TUNED_BP].scenario.control().position.gain_ratio == 1.1
+    assert tracking.runs[key, reference, FREE_TUNED_BP].scenario.control().position.gain_ratio == 2.0
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
+def test_the_tuned_gains_are_those_of_the_tuning_to_the_last_bit(tracking, setting):
+    tuned = tracking.tuned[setting.key]
+    for reference in StiffnessReference:
+        given = tracking.runs[setting.key, reference, TUNED_PID].scenario.control()
+        for loop in ("position", "stiffness"):
+            for gain in ("kp", "ki", "kd"):
+                used = getattr(getattr(given, loop), gain)
+                assert used == tuned.values.get(f"controller.{loop}.{gain}", 0.0)
+    assert tuned.cost <= tuned.cost_before
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
+def test_the_cost_of_the_tuning_is_that_of_the_runs_at_least(tracking, setting):
+    """The larger of that of the gains and that of gains half as high again: for moderate gains the first."""
+    tuned = tracking.tuned[setting.key]
+    angle, stiffness = quantity(setting.angle_scale, "rad") / 10, quantity(setting.stiffness_scale, "N*m/rad") / 10
+    total = dict.fromkeys((PID, TUNED_PID), 0.0)
+    for name in total:
+        for reference in StiffnessReference:
+            found = tracking.runs[setting.key, reference, name].result.metrics()
+            total[name] += found["angle_rmse"] / angle + found["stiffness_rmse"] / stiffness
+    assert tuned.cost_before == pytest.approx(total[PID] / len(StiffnessReference), rel=1e-6)
+    assert tuned.cost >= total[TUNED_PID] / len(StiffnessReference) * (1 - 1e-6)
+
+
+@pytest.mark.parametrize(("key", "reference"), RUN_KEYS)
+def test_the_run_in_the_figures_is_that_of_the_first_seed(tracking, key, reference):
+    run = tracking.runs[key, reference, BP]
+    own = run.result.metrics()
+    for name in ("angle_rmse", "angle_max", "stiffness_rmse", "stiffness_settling"):
+        assert float(getattr(run.seeds, name)[0]) == pytest.approx(own[name], rel=1e-6), name
+    assert run.seeds.angle_rmse.shape == (2,)
+    assert float(run.seeds.angle_rmse[0]) != float(run.seeds.angle_rmse[1])
+    assert tracking.runs[key, reference, PID].seeds is None
+
+
+def test_progress_rises_to_the_end(tracking, reported):
+    assert reported == sorted(reported)
+    assert reported[-1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
+@pytest.mark.parametrize("reference", StiffnessReference)
+def test_the_references_are_within_reach(setting, reference):
+    scenario = pid_scenario(setting, reference)
+    reach = check_reference(scenario.plant(), scenario.reference(), control_period=1e-2)
+    assert reach.reachable, reach.describe()
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
+def test_the_references_are_what_is_declared(setting):
+    times = np.array([0.0, 0.5, 4.999, 5.0, 9.9])
+    constant, step = (
+        pid_scenario(setting, reference).reference()(times)
+        for reference in (StiffnessReference.CONSTANT, StiffnessReference.STEP)
+    )
+    amplitude = quantity(setting.amplitude, "rad")
+    np.testing.assert_allclose(constant.angle, amplitude * np.sin(np.pi * times), atol=1e-12)
+    np.testing.assert_allclose(constant.angle, step.angle)
+    np.testing.assert_allclose(constant.stiffness, quantity(setting.constant, "N*m/rad"))
+    before, after = quantity(setting.before, "N*m/rad"), quantity(setting.after, "N*m/rad")
+    np.testing.assert_allclose(step.stiffness, np.where(times < quantity(STEP_TIME, "s"), before, after))
+
+
+def test_gains_as_text_read_back_to_the_last_bit():
+    position, stiffness = control.PID(1 / 3, 2e5 / 7, 0.1 + 0.2), control.PID(-1e5 / 9, -math.pi * 1e7, 0.0)
+    values = {
+        f"controller.{name}.{gain}": getattr(loop, gain)
+        for name, loop in (("position", position), ("stiffness", stiffness))
+        for gain in ("kp", "ki", "kd")
+    }
+    text = gains_of(with_values(pid_scenario(SETTINGS[0], StiffnessReference.STEP), values))
+    for scenario in (
+        pid_scenario(SETTINGS[1], StiffnessReference.STEP, text),
+        bp_scenario(SETTINGS[1], StiffnessReference.STEP, text),
+    ):
+        again = Scenario.parse(scenario.dumps()).control()
+        for given, loop in ((position, again.position), (stiffness, again.stiffness)):
+            base = getattr(loop, "base", loop)
+            assert (base.kp, base.ki, base.kd) == (given.kp, given.ki, given.kd)
+
+
+@pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
+def test_coupling_is_what_the_runs_show(tracking, setting):
+    found = tracking.coupling[setting.key]
+    table = tracking.runs[setting.key, StiffnessReference.CONSTANT, PID].result.table
+    late = table["time"].to_numpy() >= 5.0 - 1e-9
+    error = (table["stiffness"] - table["desired_stiffness"]).to_numpy()[late]
+    assert found.stiffness_by_motion == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-6)
+    assert found.stiffness_at_rest < 1e-3 * found.stiffness_by_motion
+
+    scenario = tracking.runs[setting.key, StiffnessReference.STEP, PID].scenario
+    level = pid_scenario(dataclasses.replace(setting, after=setting.before), StiffnessReference.STEP)
+    assert level.start == scenario.start
+    from mckibben.study.scenario.running import run_scenario
+
+    with_step = tracking.runs[setting.key, StiffnessReference.STEP, PID].result.table["angle"].to_numpy()
+    without = run_scenario(level).result.table
+    assert np.ptp(without["desired_stiffness"].to_numpy()) == 0
+    assert found.angle_by_step == pytest.approx(np.abs(with_step - without["angle"].to_numpy())[late].max(), rel=1e-6)
+
+
+def test_medians_and_worsts_over_seeds():
+    run = seeded(angle_rmse=[3.0, 1.0, 2.0], stiffness_settling=[0.5, np.nan, 0.1])
+    assert run.median("angle_rmse") == 2.0
+    assert run.worst("angle_rmse") == 3.0
+    assert run.median("stiffness_settling") == 0.5  # one that never settles is the longest
+    assert math.isnan(run.worst("stiffness_settling"))
+    assert math.isnan(seeded(stiffness_settling=[np.nan, np.nan, 0.1]).median("stiffness_settling"))
+
+
+def test_a_run_that_is_worse_than_not_moving_or_not_finite_is_unstable():
+    still = math.sqrt(0.5)  # the RMS of a sine of 1 rad
+    assert seeded(angle_rmse=[0.1, still * 1.001, np.nan, np.inf, still * 0.999]).unstable == 3
+    assert ControllerRun(None, moved_by(1.0), None).unstable == 0
+    single = ControllerRun(None, moved_by(0.1), None)
+    assert single.unstable == 1
+    assert single.median("angle_rmse") == single.worst("angle_rmse") == 0.5
+
+
+@pytest.mark.parametrize("size", [2, 4, 20])
+def test_the_median_of_an_even_number_of_seeds_is_the_median(size):
+    values = np.arange(size, dtype=float) ** 2
+    assert seeded(angle_rmse=values).median("angle_rmse") == np.median(values)
+
+
+NAMES = {
+    f"{s.key.replace('_', '-')}-{w.value}-{c.lower().replace(',', '').replace(' ', '-')}"
+    for s in SETTINGS
+    for w in StiffnessReference
+    for c in CONTROLLERS
+}
+
+
+@pytest.fixture(scope="module")
+def results(reproduction):
+    return reproduction.results()
+
+
+@pytest.fixture(scope="module")
+def folder(reproduction, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report") / "new" / "folder"
+    reproduction.save(folder)
+    return folder
+
+
+def test_the_results_are_json_without_nan(results):
+    assert json.loads(json.dumps(results, allow_nan=False)) == results
+
+
+def test_the_results_have_every_number_of_the_report(results):
+    assert set(results["identification"]) == {"virtual-rig", "dmsp-10-250-martens2017", "festo-tool-10mm"}
+    for fit in results["identification"].values():
+        for name in ("decay_per_percent", "rmse_N", "max_N", "leave_one_pressure_out_rmse_N"):
+            assert fit[name] > 0
+        assert set(fit["parameters"]) == {"a1", "a2", "b1", "b2", "c1", "c2", "decay"}
+        assert all({"estimate", "standard_error", "unit"} <= set(p) for p in fit["parameters"].values())
+    for law, by_pressure in results["validation"]["retest_rmse_N"].items():
+        assert {"all", "loading", "2 bar", "3 bar", "4.5 bar", "6 bar", "6 bar, unloading"} <= set(by_pressure), law
+    for setting in SETTINGS:
+        low, high = results["joint"][setting.key]["attainable_stiffness_at_0_deg"]
+        assert 0 < low < high
+        for reference in StiffnessReference:
+            runs = results["tracking"][setting.key][reference.value]
+            assert set(runs) == set(CONTROLLERS)
+            for run in runs.values():
+                for name in ("angle_rmse_deg", "angle_max_deg", "stiffness_rmse"):
+                    assert run[name] > 0
+                assert run["stiffness_settling_s"] is None or run["stiffness_settling_s"] >= 0
+    for claim in results["claims"]:
+        assert set(claim) == {"claim", "source", "holds", "evidence", "of_paper"}
+
+
+def test_the_numbers_of_a_run_are_those_of_its_trajectory(results, reproduction):
+    """Worked out here, in degrees, from the table."""
+    for setting in SETTINGS:
+        for reference in StiffnessReference:
+            table = reproduction.tracking.runs[setting.key, reference, PID].result.table
+            shown = results["tracking"][setting.key][reference.value][PID]
+            error = np.degrees((table["angle"] - table["desired_angle"]).to_numpy())
+            assert shown["angle_rmse_deg"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-9)
+            assert shown["angle_max_deg"] == pytest.approx(np.abs(error).max(), rel=1e-9)
+            stiffness = table["stiffness"].to_numpy()
+            off = stiffness - table["desired_stiffness"].to_numpy()
+            assert shown["stiffness_rmse"] == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-9)
+            start = 5000 if reference is StiffnessReference.STEP else 0
+            band = 0.1 * abs(table["desired_stiffness"].to_numpy()[-1] - stiffness[start])
+            outside = np.flatnonzero(np.abs(off[start:]) > band)
+            assert shown["stiffness_settling_s"] == pytest.approx((outside[-1] + 1) * 1e-3)
+
+
+def test_saved_files_read_back(folder, results, reproduction):
+    assert json.loads((folder / "results.json").read_text(encoding="utf-8")) == results
+    for name, fit in reproduction.identification.fits.items():
+        back = Fit.from_yaml(folder / "fits" / f"{name}.yaml")
+        assert back.estimates == fit.estimates
+        assert back.rmse == fit.rmse
+    rig = reproduction.identification.rig
+    for name, data in (("test", rig.test), ("retest", rig.retest)):
+        back = IsobaricDataset.from_netcdf(folder / "data" / f"virtual-rig-{name}.nc")
+        assert back.table.identical(data.table)
+    assert {p.stem for p in (folder / "scenarios").iterdir()} == NAMES
+    assert {p.stem for p in (folder / "trajectories").iterdir()} == NAMES
+    assert not list(folder.rglob(".*.part"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        f"as-printed-constant-{BP.lower()}",
+        f"pre-contracted-step-{PID.lower()}",
+        f"pre-contracted-constant-{TUNED_PID.lower().replace(' ', '-')}",
+        f"as-printed-step-{TUNED_BP.lower().replace(' ', '-')}",
+    ],
+)
+def test_a_scenario_run_alone_gives_its_trajectory_to_the_last_bit(folder, name):
+    kept = Result.from_netcdf(folder / "trajectories" / f"{name}.nc")
+    scenario = Scenario.read(folder / "scenarios" / f"{name}.yaml")
+    again = run_scenario(scenario).result
+    assert again.table.identical(kept.table.assign_attrs(scenario=again.table.attrs["scenario"]))
+    assert Scenario.parse(kept.table.attrs["scenario"]) == scenario  # the trajectory carries what made it
+
+
+def test_reproduce_puts_the_parts_together(monkeypatch, identification, joint_maps, tracking):
+    asked = {}
+
+    def part(name, answer):
+        def run(**options):
+            asked[name] = {k: v for k, v in options.items() if k != "progress"}
+            if "progress" in options:
+                options["progress"](0.5)
+            return answer
+
+        return run
+
+    monkeypatch.setattr(reproduction, "run_identification", part("identification", identification))
+    monkeypatch.setattr(reproduction, "run_joint", part("joint", joint_maps))
+    monkeypatch.setattr(reproduction, "run_tracking", part("tracking", tracking))
+    reported, generations = [], {}
+    for quick, repeats, seeds in ((False, 5, 20), (True, 2, 5)):
+        done = paper.reproduce(quick=quick, progress=lambda what, share: reported.append((share, what)))
+        assert (done.identification, done.joint, done.tracking) == (identification, joint_maps, tracking)
+        assert done.quick is quick
+        assert len(done.claims) == 12
+        assert asked["identification"] == {"repeats": repeats}
+        assert asked["tracking"]["seeds"] == seeds
+        generations[quick] = asked["tracking"]["generations"]
+    assert 0 < generations[True] < generations[False]
+    shares = [share for share, _ in reported]
+    assert shares[: len(shares) // 2] == sorted(shares[: len(shares) // 2])
+    assert all(0 <= share <= 1 for share in shares)
+    assert all(what for _, what in reported)
+    paper.reproduce(quick=True)  # and without anyone to report to
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_the_command_keeps_the_numbers_and_calls_the_report(monkeypatch, capsys, tmp_path, reproduction, as_json):
+    import mckibben.report
+    from mckibben.cli import app
+
+    calls = []
+
+    def write_report(done, out):
+        assert (out / "results.json").exists()  # the numbers are safe before anything is drawn
+        calls.append(done)
+        return out / "report.html"
+
+    monkeypatch.setattr(paper, "reproduce", lambda *, quick, progress: reproduction)
+    monkeypatch.setattr(mckibben.report, "write_report", write_report)
+    out = tmp_path / "deep" / "report"
+    app(["reproduce", "--quick", "--out", str(out), *(["--json"] if as_json else [])], standalone_mode=False)
+    printed = capsys.readouterr()
+    assert calls == [reproduction]
+    if as_json:
+        assert json.loads(printed.out) == reproduction.results()
+    else:
+        assert printed.out.count("holds") + printed.out.count("does not") >= 12
+        assert "results.json" in printed.out.replace("\n", "")
+
+
+def test_every_claim_has_a_source_and_evidence(reproduction):
+    claims = reproduction.claims
+    assert len({claim.claim for claim in claims}) == len(claims) == 12
+    for claim in claims:
+        assert claim.source
+        assert any(c.isdigit() for c in claim.evidence)
+        assert isinstance(claim.holds, bool)
+
+
+def test_the_verdicts_follow_from_the_numbers_of_the_report(reproduction):
+    """All of it from results(), as a reader of results.json would."""
+    found = reproduction.results()
+    verdict = {claim["claim"]: claim["holds"] for claim in found["claims"]}
+    expected = {}
+
+    retest = found["validation"]["retest_rmse_N"]
+    expected[CHOU_CLAIM] = all(
+        retest[EXPERIMENTAL][p] < retest[CHOU][p] for p in ("2 bar", "3 bar", "4.5 bar", "6 bar")
+    )
+    measured = found["validation"]["measured_rmse_N"]
+    expected[next(c for c in verdict if c.startswith(REAL_CLAIM))] = all(
+        found["identification"][name]["leave_one_pressure_out_rmse_N"]
+        < min(rmse["all"] for law, rmse in measured[name].items() if law.startswith("Chou"))
+        for name in (MARTENS, FESTO)
+    )
+    tracking = found["tracking"]
+
+    def number(key, reference, name, what):
+        return tracking[key][reference.value][name][what]
+
+    def rmse(*run):
+        return number(*run, "angle_rmse_deg")
+
+    for pid, bp, gains in ((PID, BP, MODERATE), (TUNED_PID, TUNED_BP, OPTIMISED)):
+        for reference in StiffnessReference:
+            expected[angle_claim(reference, gains)] = all(
+                tracking[s.key][reference.value][bp]["unstable"] == 0
+                and number(s.key, reference, bp, "angle_rmse_deg")
+                < 0.95 * number(s.key, reference, pid, "angle_rmse_deg")
+                for s in SETTINGS
+            )
+        sooner = []
+        for s in SETTINGS:
+            for reference in StiffnessReference:
+                after, before = (number(s.key, reference, name, "stiffness_settling_s") for name in (bp, pid))
+                sooner.append(after is not None and (before is None or after < before))
+        expected[settling_claim(gains)] = all(sooner)
+    expected[next(c for c in verdict if c.startswith(SAFE_CLAIM))] = all(
+        tracking[s.key][reference.value][FREE_TUNED_BP]["unstable"] == 0
+        and number(s.key, reference, FREE_TUNED_BP, "angle_rmse_deg")
+        <= number(s.key, reference, TUNED_PID, "angle_rmse_deg")
+        for s in SETTINGS
+        for reference in StiffnessReference
+    )
+    low, high = found["joint"]["as_printed"]["static_range_deg"]
+    expected[next(c for c in verdict if c.startswith(RANGE_CLAIM))] = high - low >= 55
+    expected[next(c for c in verdict if c.startswith(COUPLED_CLAIM))] = all(
+        c["angle_by_step_deg"] > 1e-4 and c["stiffness_by_motion"] > c["stiffness_at_rest"]
+        for c in found["coupling"].values()
+    )
+    assert expected == {claim: holds for claim, holds in verdict.items() if claim != SIMILAR_CLAIM}
+    assert {True, False} <= set(expected.values())
+
+
+def test_the_numbers_of_the_evidence_are_those_of_the_report(reproduction):
+    found = reproduction.results()["tracking"]
+    evidence = of(reproduction.claims, angle_claim(StiffnessReference.CONSTANT, MODERATE)).evidence
+    for setting in SETTINGS:
+        both = found[setting.key]["constant"]
+        pid, bp = both[PID]["angle_rmse_deg"], both[BP]["angle_rmse_deg"]
+        assert f"{setting.name}: PID {pid:.3f} deg, BP {bp:.3f} deg" in evidence
+        assert f"worst of 2 seeds {both[BP]['worst']['angle_rmse_deg']:.3f}" in evidence
+
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+RUNS = {
+    "as-printed-constant-pid": pid_scenario(AS_PRINTED, StiffnessReference.CONSTANT),
+    "pre-contracted-step-pid": pid_scenario(PRE_CONTRACTED, StiffnessReference.STEP),
+    "pre-contracted-step-backprop": bp_scenario(PRE_CONTRACTED, StiffnessReference.STEP),
+}
+
+
+def test_there_is_a_run_for_every_example():
+    assert {path.stem for path in EXAMPLES.glob("*.yaml")} == set(RUNS)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_an_example_is_built_as_the_run_of_the_report(name):
+    example, run = Scenario.read(EXAMPLES / f"{name}.yaml"), RUNS[name]
+    assert repr(example.plant()) == repr(run.plant())
+    assert repr(example.control()) == repr(run.control())
+    assert repr(example.reference()) == repr(run.reference())
+    assert example.start == run.start
+    assert (example.duration, example.control_period, example.substeps) == (10.0, 1e-3, 4)
