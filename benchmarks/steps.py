@@ -27,7 +27,7 @@ def main():
     parser = argparse.ArgumentParser(description="How long a step of each controller takes.")
     parser.add_argument("suite", nargs="?", type=Path, default=SUITE)
     suite = Suite.read(parser.parse_args().suite)
-    reference = next(iter(suite.setpoints))
+    reference = next(iter(suite.references))
     moved = None
     print("| controller | median | slowest |\n|---|---|---|")
     for name in suite.controllers:
@@ -43,8 +43,8 @@ def main():
         @jax.jit
         def replayed(state, angle, stiffness, measured, pressures, control=control):
             def step(state, at):
-                reference, told = Setpoint(*at[:2]), Measurement(*at[2:])
-                return control.step(state, reference, told, suite.control_period)
+                setpoint, measured = Setpoint(*at[:2]), Measurement(*at[2:])
+                return control.step(state, setpoint, measured, suite.control_period)
 
             return lax.scan(step, state, (angle, stiffness, measured, pressures))
 

@@ -199,7 +199,7 @@ def invented(runs, controller, sets=1, metrics=Metrics._fields):
         for leaf in (runs.plant.load.mass2, runs.plant.valve.time_constant, runs.plant.disturbance.height)
     )
     error = (1.0 if position is not None else 0.5) * (1 + abs(np.log10(kp / 3e5))) * mass / 0.5
-    steps = np.tile([wish == "sine and step" for wish in runs.wish], sets)
+    steps = np.tile([wish == "sine and step" for wish in runs.reference_name], sets)
     known = {
         "angle_rmse": np.deg2rad(error),
         "stiffness_rmse": lag / 0.02,

@@ -196,6 +196,52 @@ def quantity(text: str, unit: str) -> float:
     return value
 
 
+def split_range(text: str) -> tuple[str, str]:
+    """Split a range ``LOW..HIGH`` into the texts of its ends; the unit of HIGH does for both.
+
+    >>> split_range("1.5e2..2.6e2 mm")
+    ('1.5e2 mm', '2.6e2 mm')
+    """
+    low, _, high = (part.strip() for part in text.partition(".."))
+    number = NUMBER.match(high)
+    if number and NUMBER.fullmatch(low):
+        low = f"{low} {high[number.end() :].strip()}".strip()
+    return low, high
+
+
+def parse_range(text: str, unit: str) -> tuple[float, float]:
+    """Read a range ``LOW..HIGH`` of quantities, or one quantity, which is both its ends.
+
+    Parameters
+    ----------
+    text
+        Such as ``"150..260 mm"``, ``"-3 %..25 %"`` or ``"6 bar"``.
+    unit
+        The unit of the answer, as for `quantity`.
+
+    Raises
+    ------
+    UnitError
+        If an end is no such quantity, or the range is reversed.
+
+    Examples
+    --------
+    >>> parse_range("3..6 bar", "Pa")
+    (300000.0, 600000.0)
+    >>> parse_range("260..150 mm", "m")
+    Traceback (most recent call last):
+        ...
+    mckibben.errors.UnitError: '260..150 mm' is a reversed range; write the lower end first
+    """
+    if ".." not in text:
+        value = quantity(text, unit)
+        return value, value
+    low, high = (quantity(end, unit) for end in split_range(text))
+    if low > high:
+        raise UnitError(f"{text!r} is a reversed range", value=text, unit=unit, remedy="write the lower end first")
+    return low, high
+
+
 def show(value: float, unit: str, digits: int = 6) -> str:
     """An SI value as text in `unit`; `quantity` reads it back.
 

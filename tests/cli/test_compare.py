@@ -12,9 +12,10 @@ from mckibben import report
 from mckibben.cli.options import metric
 from mckibben.storage.files import json_ready
 from mckibben.study.benchmark import Suite
-from mckibben.study.benchmark.benchmark import standing
+from mckibben.study.benchmark.benchmark import statistics
 from mckibben.study.scenario import Scenario
-from mckibben.study.tune.tune import History
+from mckibben.study.tune import read_trials
+from mckibben.study.tune.tune import TuningHistory
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
 DECOUPLING = TEXT[TEXT.index("  decoupling:\n") : TEXT.index("  as it is:")]
@@ -62,19 +63,19 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
     assert {path.stem for path in (kept / "tuning").iterdir()} == {"pid-3"}
     assert Suite.read(kept / "suite.yaml") == suite
     (contest,) = drawn
-    numbers = standing(contest)
+    numbers = statistics(contest)
     assert results(kept) == json.loads(json.dumps(json_ready(numbers)))
     for name in contest.tuned:
         scenario = Scenario.read(kept / "controllers" / f"{name.lower().replace(' ', '-')}.yaml")
         expected = contest.tuned[name].get(KP)
         assert scenario.control().position.kp == (expected or 2e5)
-        assert scenario.start.angle == pytest.approx(np.deg2rad(5.0)), "at the first angle of its wish"
+        assert scenario.start.angle == pytest.approx(np.deg2rad(5.0)), "at the first angle of its reference"
     for name, each in numbers["controllers"].items():
         medians = [metric(key, each["metrics"][key]["median"]) for key in ("angle_rmse_deg", "stiffness_rmse")]
         (row,) = re.findall(rf"^\W*{name} .* [0-9]+\W*$", found.out, re.M)
         assert [row.split(name)[1].split()[0], row.split(name)[1].split()[2]] == medians
-    assert f"{16 - numbers['not_begun']} unseen runs" in found.out
-    assert f"{numbers['not_begun']} runs were infeasible" in found.out
+    assert f"{16 - numbers['no_start']} unseen runs" in found.out
+    assert f"{numbers['no_start']} runs were infeasible" in found.out
     assert "medians against PID 3" in found.out
 
     with xr.open_dataset(kept / "runs.nc") as runs:
@@ -123,20 +124,24 @@ def test_json_fewer_runs_and_a_quick_look(cli, written, tmp_path):
     assert numbers["runs"] == 20
     assert "wrote results.json" in found.err
     kept = Suite.read(tmp_path / "kept" / "suite.yaml")
-    assert (kept.unseen.runs, kept.tuning.generations, kept.tuning.starts) == (20, 2, 1)
-    lines = (tmp_path / "kept" / "tuning" / "pid-3.jsonl").read_text(encoding="utf-8").splitlines()
-    assert 8 <= len(lines) - 1 <= 9
+    assert (kept.evaluation.runs, kept.tuning.generations, kept.tuning.starts) == (20, 2, 1)
+    assert 8 <= len(read_trials(tmp_path / "kept" / "tuning" / "pid-3.journal")) <= 9
     alone = cli("compare", "suite.yaml", "--out", "kept", "--repeat", "as it is 19")  # without the options again
     assert alone.code == 0
-    wish = xr.load_dataset(tmp_path / "kept" / "runs.nc")["wish"].to_numpy()[19]
-    assert Scenario.parse(alone.out).name == f"a small contest: as it is, {wish}"
-    written((DECOUPLING, ""), ("unseen: {runs: 16", "unseen: {runs: 4096"), name="large.yaml")
+    reference = xr.load_dataset(tmp_path / "kept" / "runs.nc")["reference"].to_numpy()[19]
+    assert Scenario.parse(alone.out).name == f"a small contest: as it is, {reference}"
+    written((DECOUPLING, ""), ("evaluation: {runs: 16", "evaluation: {runs: 4096"), name="large.yaml")
     assert json.loads(cli("compare", "large.yaml", "--out", "look", "--json", "--quick").out)["runs"] == 128
 
     for run, said in (("PID 4 3", "known are PID 3"), ("PID 3 20", "give 0 to 19"), ("PID 3 ²", "give 0 to 19")):
         refused = cli("compare", "suite.yaml", "--out", "kept", "--repeat", run)
         assert (refused.code, refused.out) == (2, "")
         assert said in refused.err
+    for content in ("", "{", "[]", '{"controllers": 3}', '{"controllers": {"PID 3": {}}}', "[" * 100_000):
+        (tmp_path / "kept" / "results.json").write_text(content, encoding="utf-8")
+        refused = cli("compare", "suite.yaml", "--out", "kept", "--repeat", "PID 3 1")
+        assert (refused.code, refused.out) == (2, "")
+        assert "results.json" in refused.err and "it is damaged" in refused.err
 
 
 @pytest.mark.parametrize(
@@ -169,7 +174,7 @@ def test_a_mistake_in_the_suite_names_its_line(cli, tmp_path):
 @pytest.mark.usefixtures("undrawn")
 def test_an_interrupted_search_is_gone_on_with(cli, written, tmp_path, monkeypatch):
     written((DECOUPLING, ""))
-    add, counted = History.add, []
+    add, counted = TuningHistory.add, []
 
     def interrupted(self, trials):
         add(self, trials)
@@ -178,7 +183,7 @@ def test_an_interrupted_search_is_gone_on_with(cli, written, tmp_path, monkeypat
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(History, "add", interrupted)
+        patch.setattr(TuningHistory, "add", interrupted)
         found = cli("compare", "suite.yaml", "--out", "kept")
     assert found.code == 130
     assert "continue with --resume" in found.err

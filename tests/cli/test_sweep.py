@@ -12,16 +12,17 @@ import numpy as np
 import pytest
 
 from mckibben.simulation.metrics import METRICS
-from mckibben.study.parameters import addresses
+from mckibben.storage.journal import JournalReader
+from mckibben.study.parameters import list_parameters
 from mckibben.study.scenario import Scenario
-from mckibben.study.sweep import Sweep
+from mckibben.study.sweep import SweepResult
 
 HOLDING = """
 import signal, threading, time
 from pathlib import Path
-from mckibben.study.sweep.store import Store
+from mckibben.study.sweep.sweep import SweepStore
 
-keep, kept, interrupted = Store.keep, [], threading.Event()
+keep, kept, interrupted = SweepStore.keep, [], threading.Event()
 
 def slowly(store, block, columns):  # the third block is kept; then nothing goes on but an interruption
     keep(store, block, columns)
@@ -35,12 +36,12 @@ def interrupt(*_):
     interrupted.set()
     raise KeyboardInterrupt
 
-Store.keep = slowly
+SweepStore.keep = slowly
 signal.signal(signal.SIGINT, interrupt)
 from mckibben.cli import main
 main()
 """
-MASS = ("--over", "load.m2=0.2 kg..1.0 kg")
+MASS = ("--over", "load.mass2=0.2 kg..1.0 kg")
 
 
 @pytest.fixture
@@ -56,24 +57,24 @@ def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path):
     assert found.code == 0
     kept = tmp_path / "kept"
     assert {path.name for path in kept.iterdir()} == {
-        *("manifest.json", "blocks", "sweep.nc", "results.json", "sweep.png", "sweep.svg")
+        *("sweep.journal", "sweep.nc", "results.json", "sweep.png", "sweep.svg")
     }
-    swept = Sweep.from_netcdf(kept / "sweep.nc")
+    swept = SweepResult.from_netcdf(kept / "sweep.nc")
     assert (swept.count, swept.table.attrs["source"]) == (40, "s.yaml")
-    assert swept.lost.sum() == 20
+    assert swept.failed.sum() == 20
     numbers = json.loads((kept / "results.json").read_text(encoding="utf-8"))
     assert numbers["outcomes"] == {"completed": 20, "no_start": 20}
     assert set(numbers["metrics"]) == set(METRICS)
     assert re.search(r"20 +50\.0% +completed", found.out)
     assert re.search(r"20 +50\.0% +not run: no pressures", found.out)
     for name, (metric, unit, size) in METRICS.items():
-        values = swept.table[metric].to_numpy()[~swept.lost] / size
+        values = swept.table[metric].to_numpy()[~swept.failed] / size
         if np.isfinite(values).any():
             median = f"{np.nanmedian(values):.4g}"
             assert numbers["metrics"][name]["median"] == pytest.approx(np.nanmedian(values), rel=1e-12)
             assert re.search(rf"{metric.replace('_', ' ')} +{re.escape(unit)} +{re.escape(median)} ", found.out), name
-    assert re.search(r"start\.stiffness +being lost +\+1\.00", found.out)
-    assert "all references are within static reach throughout" in found.out
+    assert re.search(r"start\.stiffness +failed +\+1\.00", found.out)
+    assert "all references are statically feasible" in found.out
     assert found.out.rstrip().endswith("wrote sweep.nc, results.json, sweep.png and sweep.svg to kept")
     assert "40 of 40 runs" in found.err
 
@@ -87,7 +88,7 @@ def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path):
     before = (kept / "sweep.nc").read_bytes()
     refused = cli("sweep", "s.yaml", *asked, "--out", "kept")
     assert (refused.code, refused.out) == (2, "")
-    assert "there is a sweep already; go on with --resume" in refused.err
+    assert "there is a sweep already; continue it with --resume" in refused.err
     refused = cli("sweep", "s.yaml", "--resume", "--seed", "2", "--out", "kept")
     assert refused.code == 2
     assert "seed: the sweep was begun with 1, not 2" in refused.err
@@ -95,7 +96,7 @@ def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path):
 
 
 def test_json_alone_goes_to_standard_output_and_nothing_is_shown_on_the_way(cli, scenario):
-    asked = ("--over", "load.m2=0.4 kg, 0.6 kg", "--design", "grid", "--metrics", "angle_rmse,force_max_N")
+    asked = ("--over", "load.mass2=0.4 kg, 0.6 kg", "--design", "grid", "--metrics", "angle_rmse,force_max_N")
     found = cli("sweep", "s.yaml", *asked, "--precision", "32", "--out", "kept", "--json")
     assert found.code == 0
     numbers = json.loads(found.out)
@@ -107,7 +108,7 @@ def test_json_alone_goes_to_standard_output_and_nothing_is_shown_on_the_way(cli,
 def test_the_list_of_what_can_be_varied(cli, scenario):
     found = cli("sweep", "s.yaml", "--list")
     assert (found.code, found.err) == (0, "")
-    known = addresses(Scenario.read(scenario))
+    known = list_parameters(Scenario.read(scenario))
     for address in known:
         nominal = "-" if address.nominal is None else re.escape(address.show(address.nominal))
         assert re.search(rf"{re.escape(address.name)} +{nominal} +.*{re.escape(address.shown)}", found.out), address
@@ -129,17 +130,17 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
         (["s.yaml", *MASS], "--out DIR"),
         (["s.yaml", "--out", "x"], "nothing is varied; say what, like --over"),
         (["s.yaml", "--out", "x", "--over", "load.mas2=1..2 kg"], "did you mean 'load.mass2'?"),
-        (["s.yaml", "--out", "x", "--over", "load.m2=2..1 kg"], "the range is empty: 2 kg is not below 1 kg"),
-        (["s.yaml", "--out", "x", "--over", "load.m2=1..2..3 kg"], "give a range (0.2 kg..1.0 kg), values (1 kg"),
+        (["s.yaml", "--out", "x", "--over", "load.mass2=2..1 kg"], "the range is empty: 2 kg is not below 1 kg"),
+        (["s.yaml", "--out", "x", "--over", "load.mass2=1..2..3 kg"], "give a range (0.2 kg..1.0 kg), values (1 kg"),
         (
             ["s.yaml", "--out", "x", *MASS, "--over", "load.mass2=1..2 kg"],
-            "'load.m2=0.2 kg..1.0 kg' and 'load.mass2=1..2 kg' are about the same number; keep one of them",
+            "'load.mass2=0.2 kg..1.0 kg' and 'load.mass2=1..2 kg' are about the same parameter; keep one of them",
         ),
-        (["s.yaml", "--out", "x", "--over", "load.m2=1..2 N"], "give it in a unit like kg"),
-        (["s.yaml", "--out", "x", "--over", "load.m2=1..2"], "has no unit; write it like '2 kg'"),
+        (["s.yaml", "--out", "x", "--over", "load.mass2=1..2 N"], "give it in a unit like kg"),
+        (["s.yaml", "--out", "x", "--over", "load.mass2=1..2"], "has no unit; write it like '2 kg'"),
         (["s.yaml", "--out", "x", *MASS, "--samples", "0"], "samples is 0; choose a whole number"),
         (
-            ["s.yaml", "--out", "x", *MASS, "--known", "load.m2"],
+            ["s.yaml", "--out", "x", *MASS, "--known", "load.mass2"],
             "does not take load.mass2 from the plant; leave it out",
         ),
         (["s.yaml", "--out", "x", *MASS, "--design", "girdle"], "choose sobol, random or grid"),
@@ -147,7 +148,7 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
         (["s.yaml", "--out", "x", *MASS, "--metrics", "angel_rmse"], "did you mean 'angle_rmse'?"),
         (["s.yaml", "--out", "x", *MASS, "--precision", "16"], "choose 64 or 32"),
         (["s.yaml", "--out", "x", *MASS, "--dask", "localhost"], "give local, or an address like tcp://host:8786"),
-        (["s.yaml", "--out", "x", "--resume"], "there is no sweep to go on with (manifest.json)"),
+        (["s.yaml", "--out", "x", "--resume"], "there is no sweep to continue (sweep.journal)"),
         (["s.yaml", "--out", "s.yaml", *MASS], "it is a file; give a folder"),
         (["s.yaml", "--out", "/proc/x", *MASS], "/proc/x: 1 problem\n  it cannot be made"),
         (["nowhere.yaml", "--out", "x", *MASS], "nowhere.yaml: 1 problem"),
@@ -167,17 +168,17 @@ def test_ctrl_c_in_the_middle_says_how_to_go_on(cli, scenario, monkeypatch):
     import mckibben.study.sweep as package
 
     def interrupted(*_, **__):
-        raise package.InterruptedSweep("512 of 1024 runs are kept in kept; go on with --resume")
+        raise package.InterruptedSweep("512 of 1024 runs are kept in kept; continue with --resume")
 
     monkeypatch.setattr(package, "sweep", interrupted)
     found = cli("sweep", "s.yaml", *MASS, "--out", "kept")
     assert (found.code, found.out) == (130, "")
-    assert found.err == "interrupted: 512 of 1024 runs are kept in kept; go on with --resume\n"
+    assert found.err == "interrupted: 512 of 1024 runs are kept in kept; continue with --resume\n"
 
 
 def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, scenario, tmp_path):
     asked = (*MASS, "--samples", "512", "--metrics", "angle_rmse")
-    blocks = tmp_path / "kept" / "blocks"
+    path = tmp_path / "kept" / "sweep.journal"
 
     def stopped(sent: signal.Signals, *arguments: str) -> tuple[int, str, int]:
         """Run until three more blocks are there, then send a signal: exit code, what was said, blocks."""
@@ -193,11 +194,11 @@ def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, scen
         process.send_signal(sent)
         _, said = process.communicate(timeout=100)
         (tmp_path / "holding").unlink()
-        return process.returncode, said, len(list(blocks.glob("*.block")))
+        return process.returncode, said, len(list(JournalReader(path))) - 1
 
     code, said, first = stopped(signal.SIGINT, *asked)
     assert code == 130, said
-    assert f"interrupted: {32 * first} of 512 runs are kept in kept; go on with --resume" in said
+    assert f"interrupted: {32 * first} of 512 runs are kept in kept; continue with --resume" in said
     assert "Traceback" not in said
     assert 3 <= first < 12
     code, said, second = stopped(signal.SIGKILL, "--resume")

@@ -14,7 +14,8 @@ import pytest
 
 from mckibben.simulation.metrics import METRICS
 from mckibben.study.scenario import Scenario
-from mckibben.study.tune.problem import TuningProblem
+from mckibben.study.tune import read_trials
+from mckibben.study.tune.objective import TuningProblem
 
 HOLDING = """
 import os, signal, time
@@ -79,14 +80,14 @@ def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
     found = cli("tune", "s.yaml", *SMALL, "--method", method)
     assert found.code == 0
     kept = tmp_path / "kept"
-    names = {"s-tuned.yaml", "history.jsonl", "results.json", "tuning.png", "tuning.svg"}
+    names = {"s-tuned.yaml", "history.journal", "results.json", "tuning.png", "tuning.svg"}
     assert {path.name for path in kept.iterdir()} == names
     assert all(name.removeprefix("tuning") in found.out for name in names)
     numbers = json.loads((kept / "results.json").read_text(encoding="utf-8"))
     assert numbers["cost"] <= numbers["cost_before"]
-    tried = [json.loads(line) for line in (kept / "history.jsonl").read_text(encoding="utf-8").splitlines()[1:]]
+    tried = read_trials(kept / "history.journal")
     assert numbers["evaluated"] == len(tried)
-    assert f"searching, lowest cost {min(trial['cost'] for trial in tried):.4g}" in found.err
+    assert f"searching, lowest cost {min(trial.cost for trial in tried):.4g}" in found.err
     (run,) = numbers["runs"]
     assert set(run["before"]) == set(run["tuned"]) == set(METRICS)
     assert run["scenario"] == "pre-contracted knee, stiffness step, PID"
@@ -111,15 +112,15 @@ def test_json_alone_on_standard_output(cli, scenario, tmp_path):
     found = cli("tune", "s.yaml", *SMALL, "--method", "cma", "--json")
     assert found.code == 0
     assert json.loads(found.out) == json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
-    assert re.fullmatch(r"wrote s-tuned.yaml, history.jsonl.* to kept\n", found.err)
+    assert re.fullmatch(r"wrote s-tuned.yaml, history.journal.* to kept\n", found.err)
 
 
 def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, text, monkeypatch):
     monkeypatch.setattr(TuningProblem, "costs", lambda self, values: values[:, 1])  # what is found does not matter here
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    (tmp_path / "a" / "wish.csv").write_text("time_s,angle_deg\n0,2\n1,2\n", encoding="utf-8")
-    far = text.replace("angle: 2 deg", "angle: {samples: {file: wish.csv}}")
+    (tmp_path / "a" / "reference.csv").write_text("time_s,angle_deg\n0,2\n1,2\n", encoding="utf-8")
+    far = text.replace("angle: 2 deg", "angle: {samples: {file: reference.csv}}")
     assert far != text
     (tmp_path / "a" / "s.yaml").write_text(far, encoding="utf-8")
     (tmp_path / "b" / "s.yaml").write_text(text, encoding="utf-8")
@@ -132,7 +133,7 @@ def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, 
     for new, old in zip(tuned, before, strict=True):
         assert new.model_copy(update={"start": old.start}) == old
         assert [new.start.angle, new.start.stiffness] == [each["si"] for each in values.values()]
-    assert tuned[0].signals.angle.samples.file == tmp_path / "a" / "wish.csv"
+    assert tuned[0].signals.angle.samples.file == tmp_path / "a" / "reference.csv"
     assert "# The knee" in (kept / "s-tuned-2.yaml").read_text(encoding="utf-8")
 
 
@@ -171,19 +172,19 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
     [
         (SMALL[:-2], "--out DIR"),
         ((*SMALL, "--method", "newton"), "choose one of gradient, evolution, cma"),
-        ((*SMALL, "--parameters", "load.mass9=1..2 kg"), "no number 'load.mass9'"),
-        ((*SMALL, "--parameters", "load.m2=2..1 kg"), "the range is empty"),
-        ((*SMALL, "--parameters", "load.m2=1..2 N"), "not a unit of the kind"),
+        ((*SMALL, "--parameters", "load.mass9=1..2 kg"), "no parameter 'load.mass9'"),
+        ((*SMALL, "--parameters", "load.mass2=2..1 kg"), "the range is empty"),
+        ((*SMALL, "--parameters", "load.mass2=1..2 N"), "not a unit of the kind"),
         ((*SMALL, "--parameters", "start.angle"), "zero, or not given: there is no range around it"),
         (
             (*SMALL, "--parameters", "start.angle=0..1 deg"),
-            "'start.angle=-5..8 deg' and 'start.angle=0..1 deg' are about the same number",
+            "'start.angle=-5..8 deg' and 'start.angle=0..1 deg' are about the same parameter",
         ),
         (
             (*SMALL, "--parameters", "controller.position.kp", "--parameters", "controller.position.pid.kp"),
-            "'controller.position.kp' and 'controller.position.pid.kp' are about the same number; keep one of them",
+            "'controller.position.kp' and 'controller.position.pid.kp' are about the same parameter; keep one of them",
         ),
-        ((*SMALL, "--parameters", "load.m2=10 %"), "give a range (0.2 kg..1.0 kg), values"),
+        ((*SMALL, "--parameters", "load.mass2=10 %"), "give a range (0.2 kg..1.0 kg), values"),
         ((*SMALL, "--cost", "stiffness_settling"), "has no gradient; use cma or evolution"),
         ((*SMALL, "--cost", "coupling", "--method", "cma"), "coupling is not defined"),
         ((*SMALL, "--cost", "angle_rmse/1 N"), "not a unit of the kind"),
@@ -193,7 +194,7 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
         ((*SMALL, "--method", "evolution", "--population", "4"), "at least 5"),
         ((*SMALL, "--iterations", "0"), "iterations is 0"),
         ((*SMALL, "--seed", "-1"), "seed is -1"),
-        ((*SMALL, "--resume"), "no search to go on with; start it without --resume"),
+        ((*SMALL, "--resume"), "no search to continue; start it without --resume"),
         (("missing.yaml", *SMALL), "missing.yaml"),
     ],
 )
@@ -223,13 +224,13 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
     before = {path: path.read_bytes() for path in (tmp_path / "kept").iterdir()}
     found = cli(*asked)
     assert (found.code, found.out) == (2, "")
-    assert "history of a search already; go on with it (--resume), or choose another folder" in found.err
+    assert "history of a search already; continue it (--resume), or choose another folder" in found.err
     for change, named in (
-        (("--seed", "1"), "seed 0, not 1"),
-        (("--worst",), "worst False, not True"),
-        (("--margin", "2"), "gain margin 1.0, not 2.0"),
-        (("--cost", "angle_rmse"), "a search with cost"),
-        (("--parameters", "load.damping"), "a search (that differs in|with) parameters"),
+        (("--seed", "1"), "begun with 0, not 1"),
+        (("--worst",), "worst: .* begun with False, not True"),
+        (("--margin", "2"), "gain_margin: .* begun with 1.0, not 2.0"),
+        (("--cost", "angle_rmse"), "cost: the search was begun"),
+        (("--parameters", "load.damping"), "parameters: the search was begun"),
     ):
         found = cli(*asked, *change, "--resume")
         assert (found.code, found.out) == (2, "")
@@ -241,7 +242,7 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
 class TestCutOff:
     """The same search undisturbed, and cut off twice; then they are the same."""
 
-    KEPT = ("s-tuned.yaml", "results.json", "history.jsonl")
+    KEPT = ("s-tuned.yaml", "results.json", "history.journal")
 
     def cut_off(self, folder, sent, *arguments):
         """Send a signal when two more answers have been written: exit code, and what was said."""
@@ -268,15 +269,15 @@ class TestCutOff:
         (folder / "s.yaml").write_text(text, encoding="utf-8")
         code, _ = self.cut_off(folder, signal.SIGKILL, *asked)
         assert code == -signal.SIGKILL
-        left = [(folder / "kept" / "history.jsonl").read_bytes()]
-        with (folder / "kept" / "history.jsonl").open("a") as file:
-            file.write('{"point": [0.2, 0.')
+        left = [(folder / "kept" / "history.journal").read_bytes()]
+        with (folder / "kept" / "history.journal").open("ab") as file:
+            file.write(b"MCKCHUNK torn")
         if method == "cma":
             code, wrong = self.cut_off(folder, signal.SIGINT, *asked, "--resume")
             assert code == 130
-            assert "interrupted: the evaluated points are in kept/history.jsonl; continue with --resume" in wrong
+            assert "interrupted: the evaluated points are in kept/history.journal; continue with --resume" in wrong
             assert "Traceback" not in wrong
-            left.append((folder / "kept" / "history.jsonl").read_bytes())
+            left.append((folder / "kept" / "history.journal").read_bytes())
 
         assert cli(*asked).code == 0
         undisturbed = [(tmp_path / "kept" / name).read_bytes() for name in self.KEPT]

@@ -12,7 +12,7 @@ from mckibben.config.schema import default_of, load_extension, model_of
 from mckibben.control import Controller, Signal
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.plant import FirstOrderValve, SampledSensors, Valve
-from mckibben.study.parameters import find, with_values
+from mckibben.study.parameters import find_parameter, with_values
 from mckibben.study.scenario import Scenario
 from mckibben.units import Bandwidth, PositiveTime, Pressure, Quantity, SignalValue, deg
 
@@ -81,7 +81,7 @@ def test_a_valve_of_ones_own():
     scenario = Scenario.parse(text)
     assert scenario.plant().valve == SlowValve(0.03, 0.01, reverse=True)
     assert Scenario.parse(scenario.dumps()) == scenario
-    assert find(scenario, "valve.dead_time").nominal == 0.01
+    assert find_parameter(scenario, "valve.dead_time").nominal == 0.01
     assert with_values(scenario, {"valve.dead_time": 0.02}).plant().valve.dead_time == 0.02
 
 
@@ -100,7 +100,7 @@ def test_a_controller_of_ones_own_runs():
     assert Scenario.parse(scenario.dumps()) == scenario
     command = scenario.control().step((), None, None, 0.001)[1]
     assert [float(one) for one in command] == [2e5, 2e5]
-    assert find(scenario, "controller.pressure").nominal == 2e5
+    assert find_parameter(scenario, "controller.pressure").nominal == 2e5
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,8 @@ from mckibben.paper.identification import run_identification, run_joint
 from mckibben.paper.settings import SETTINGS, StiffnessReference, bp_scenario, gains_of, pid_scenario
 from mckibben.paper.tracking import BP, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun, Coupling, Tracking
 from mckibben.simulation import Metrics
-from mckibben.study.parameters import addresses, with_values
+from mckibben.study.parameters import list_parameters, with_values
 from mckibben.study.scenario.running import run_scenario
-from mckibben.study.tune import Tuned
 
 SEEDS = 3
 
@@ -32,7 +31,7 @@ def reproduction():
     runs, tuned, coupling = {}, {}, {}
     for setting in SETTINGS:
         moderate = pid_scenario(setting, StiffnessReference.CONSTANT)
-        doubled = {a.name: 2 * a.nominal for a in addresses(moderate) if a.name.endswith(("kp", "ki"))}
+        doubled = {a.name: 2 * a.nominal for a in list_parameters(moderate) if a.name.endswith(("kp", "ki"))}
         found = with_values(moderate, doubled)
         tuned[setting.key] = Tuned(doubled, (found,), 5.0, 80.0, 100, ("controller.position.ki",), ())
         coupling[setting.key] = Coupling(1e-3, 0.1, 1e-14)

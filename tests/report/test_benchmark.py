@@ -16,8 +16,8 @@ from mckibben.report.style import plain_numbers
 from mckibben.report.tables import number
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.result import OUTCOMES
-from mckibben.study.benchmark import Contest, Suite, draw
-from mckibben.study.benchmark.benchmark import standing
+from mckibben.study.benchmark import BenchmarkResult, Suite, draw
+from mckibben.study.benchmark.benchmark import statistics
 from mckibben.units import deg
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -54,9 +54,9 @@ def made(lost=None):
         if name == "as it is" and lost is not None:
             codes[list(lost)] = OUTCOMES.index(Outcome.SWUNG_OVER)
         batches[name] = Batch(xr.Dataset({**table, "outcome": ("run", codes, flags)}))
-    tuned = {name: {each.name: each.address.nominal for each in suite.tuned_over(name)} for name in batches}
+    tuned = {name: {each.name: each.parameter.nominal for each in suite.tuned_over(name)} for name in batches}
     costs = {"PID 3": (1.25, 20.5), "decoupling": (0.5, 0.6)}
-    return Contest(suite, runs, tuned, costs, dict.fromkeys(batches, ()), batches)
+    return BenchmarkResult(suite, runs, tuned, costs, dict.fromkeys(batches, ()), batches)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def contest():
 
 @pytest.fixture(scope="module")
 def numbers(contest):
-    return standing(contest)
+    return statistics(contest)
 
 
 @pytest.fixture(scope="module")
@@ -115,10 +115,10 @@ def test_its_words_and_numbers(text, numbers, contest):
     assert "3 controllers on 16 unseen runs" in words
     assert "Each but as it is was tuned with the same budget: 2 searches of 2 generations of 4 points" in words
     for name, found in numbers["controllers"].items():
-        assert f"{name} {found['lost']} {number(found['metrics']['angle_rmse_deg']['median'])}" in words
+        assert f"{name} {found['unstable']} {number(found['metrics']['angle_rmse_deg']['median'])}" in words
         ripple, estimate = (number(found["metrics"][key]["median"]) for key in ("stiffness_ripple", "estimate_rmse"))
         assert f"{name} {ripple} {estimate}" in words
-    ratio = numbers["controllers"]["decoupling"]["against_first"]["angle_rmse_deg"]
+    ratio = numbers["controllers"]["decoupling"]["ratio_to_first"]["angle_rmse_deg"]
     assert f"{number(ratio['ratio'])} ({number(ratio['low'])} to {number(ratio['high'])})" in words
     assert "as it is not tuned" in words
     assert "cost 20.5 before, 1.25 tuned" in words
@@ -166,13 +166,13 @@ def test_air_and_error_are_drawn_with_the_middle_of_the_runs(contest, numbers):
 def test_nobody_has_to_come_through(tmp_path):
     """A controller that lost every run is left out of figures; so is the only one there is. Its name is no markup."""
     contest = made(range(RUNS))
-    numbers = standing(contest)
+    numbers = statistics(contest)
     assert "as it is" not in colours(benchmark_air(contest, numbers))
     assert list(_ratios(numbers).rows[-1]) == ["as it is", "– (– to –)", "– (– to –)"]
     suite = contest.suite.model_copy(update={"name": "<b>&"})
     name = "as it is"
-    alone = Contest(suite, contest.runs, {name: {}}, {}, {name: ()}, {name: contest.batches[name]})
-    text = write_benchmark(alone, standing(alone), tmp_path).read_text(encoding="utf-8")
+    alone = BenchmarkResult(suite, contest.runs, {name: {}}, {}, {name: ()}, {name: contest.batches[name]})
+    text = write_benchmark(alone, statistics(alone), tmp_path).read_text(encoding="utf-8")
     assert Page(text).open == []
     assert "<title>&lt;b&gt;&amp;</title>" in text
 

@@ -6,8 +6,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mckibben.report import save, tuning
-from mckibben.study.tune import Tuned
-from mckibben.study.tune.problem import LOST
+from mckibben.study.tune import TuningResult
+from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.tune import Trial
 
 
@@ -15,10 +15,10 @@ def searched(numbers, trials=40, *, lost=0, before=30.0, seed=0, named="controll
     """What a search of so many numbers leaves, the first trials lost."""
     rng = np.random.default_rng(seed)
     points = rng.random((trials, numbers))
-    costs = np.where(np.arange(trials) < lost, LOST, rng.uniform(1, 100, trials))
+    costs = np.where(np.arange(trials) < lost, FAILED_COST, rng.uniform(1, 100, trials))
     tried = tuple(Trial(tuple(p), float(c)) for p, c in zip(points.tolist(), costs, strict=True))
     values = {f"{named}{i}": 1.0 for i in range(numbers)}
-    return Tuned(values, (), float(costs.min()), before, trials, (), tried)
+    return TuningResult(values, (), float(costs.min()), before, trials, (), tried)
 
 
 def drawn(tuned):

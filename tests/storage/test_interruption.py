@@ -6,7 +6,8 @@ import threading
 
 import pytest
 
-from mckibben.storage.interruption import SIGNALS, heeded
+from mckibben.storage import interruption
+from mckibben.storage.interruption import SIGNALS, handle_signals
 
 
 @pytest.fixture(params=SIGNALS)
@@ -18,11 +19,11 @@ def number(request):
 
 def test_a_signal_is_told_and_a_later_one_interrupts(number, monkeypatch):
     told = []
-    with heeded(told.append):
+    with handle_signals(told.append):
         os.kill(os.getpid(), number)
         os.kill(os.getpid(), number)  # as a terminal that closes
         assert told == 2 * [number]
-        monkeypatch.setattr(signals, "_SAME", -1.0)
+        monkeypatch.setattr(interruption, "_REPEAT_INTERVAL", -1.0)
         for again in (3, 4):
             with pytest.raises(KeyboardInterrupt):
                 os.kill(os.getpid(), number)
@@ -33,14 +34,14 @@ def test_a_signal_is_told_and_a_later_one_interrupts(number, monkeypatch):
 def test_one_that_is_ignored_still_is(number):
     signal.signal(number, signal.SIG_IGN)
     told = []
-    with heeded(told.append):
+    with handle_signals(told.append):
         os.kill(os.getpid(), number)
     assert not told and signal.getsignal(number) == signal.SIG_IGN
 
 
 def test_another_thread_is_told_nothing(number):
     def work():
-        with heeded(print):
+        with handle_signals(print):
             seen.append(signal.getsignal(number))
 
     seen = []

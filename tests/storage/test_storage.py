@@ -3,37 +3,39 @@
 import errno
 import fcntl
 import os
+import subprocess
+import sys
 
 import pytest
 
 from mckibben.errors import FileError, McKibbenWarning
-from mckibben.storage.files import alone, check_free
+from mckibben.storage.files import atomic_write, check_free, file_lock
 
 
 def test_only_one_at_a_time(tmp_path):
     path = tmp_path / ".lock"
-    with alone(path, "at it"):
+    with file_lock(path, "at it"):
         with (
             pytest.raises(FileError, match=rf"another process \(pid {os.getpid()} on .*\) is at it; wait for its end"),
-            alone(path, "at it"),
+            file_lock(path, "at it"),
         ):
             pytest.fail("two at once")
         assert path.exists()
     assert not path.exists()
-    with alone(path, "at it"):
+    with file_lock(path, "at it"):
         pass
 
 
 def test_it_is_let_go_of_after_an_error_too(tmp_path):
     for _ in range(2):
-        with pytest.raises(KeyboardInterrupt), alone(tmp_path / ".lock", "at it"):
+        with pytest.raises(KeyboardInterrupt), file_lock(tmp_path / ".lock", "at it"):
             raise KeyboardInterrupt
     assert list(tmp_path.iterdir()) == []
 
 
 def test_what_a_killed_process_left_is_no_lock(tmp_path):
     (tmp_path / ".lock").write_text("pid 1 on elsewhere, and much more than will be written\n")
-    with alone(tmp_path / ".lock", "at it"):
+    with file_lock(tmp_path / ".lock", "at it"):
         assert (tmp_path / ".lock").read_text().startswith(f"pid {os.getpid()} on ")
         assert "elsewhere" not in (tmp_path / ".lock").read_text()
 
@@ -48,7 +50,7 @@ def test_a_file_that_its_last_holder_removes_in_between_is_no_lock(tmp_path, mon
         real(file, how)
 
     monkeypatch.setattr(fcntl, "flock", removed)
-    with alone(path, "at it"), pytest.raises(FileError, match="is at it"), alone(path, "at it"):
+    with file_lock(path, "at it"), pytest.raises(FileError, match="is at it"), file_lock(path, "at it"):
         pytest.fail("two at once")
     assert len(calls) == 3
 
@@ -59,13 +61,13 @@ def test_where_there_are_no_locks_it_says_so(tmp_path, monkeypatch):
 
     monkeypatch.setattr(fcntl, "flock", unknown)
     said = "has no locks: take care that one process alone is at it"
-    with pytest.warns(McKibbenWarning, match=said), alone(tmp_path / ".lock", "at it"):
+    with pytest.warns(McKibbenWarning, match=said), file_lock(tmp_path / ".lock", "at it"):
         pass
 
 
 def test_a_folder_that_cannot_be_written_to(tmp_path):
     said = "it cannot be written: No such file or directory"
-    with pytest.raises(FileError, match=said), alone(tmp_path / "nowhere" / ".lock", "at it"):
+    with pytest.raises(FileError, match=said), file_lock(tmp_path / "nowhere" / ".lock", "at it"):
         pass
 
 
@@ -79,3 +81,47 @@ def test_files_that_are_there_are_all_named(tmp_path):
         check_free(tmp_path, ["a", "[b]*.yaml", "gone"])
     assert [problem.field for problem in refused.value.problems] == ["[b]*.yaml", "gone"]
     assert "move what is there out of the way" in str(refused.value)
+
+
+def test_a_file_is_written_completely_or_not_at_all(tmp_path):
+    path = tmp_path / "a"
+    with pytest.raises(RuntimeError), atomic_write(path) as part:
+        part.write_text("half")
+        raise RuntimeError
+    assert not list(tmp_path.iterdir())
+    with atomic_write(path) as part:
+        part.write_text("first")
+    with pytest.raises(FileError) as refused, atomic_write(path) as part:
+        part.write_text("second")
+    assert refused.value.problems[0].field == "a" and path.read_text() == "first"
+    with atomic_write(path, overwrite=True) as part:
+        part.write_text("second")
+    assert path.read_text() == "second" and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_a_link_is_not_followed(tmp_path, overwrite):
+    (tmp_path / "target").write_text("mine")
+    path = tmp_path / "link"
+    path.symlink_to(tmp_path / "target")
+    if overwrite:
+        with atomic_write(path, overwrite=True) as part:
+            part.write_text("new")
+        assert not path.is_symlink() and path.read_text() == "new"
+    else:
+        with pytest.raises(FileError), atomic_write(path) as part:
+            part.write_text("new")
+    assert (tmp_path / "target").read_text() == "mine"
+
+
+def test_a_written_file_and_its_folder_are_synced(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda file: synced.append(os.fstat(file).st_ino))
+    with atomic_write(tmp_path / "a") as part:
+        part.write_text("text")
+    assert synced == [(tmp_path / "a").stat().st_ino, tmp_path.stat().st_ino]
+
+
+def test_without_the_modules_of_unix_the_package_imports():
+    code = "import sys; sys.modules['fcntl'] = None; import mckibben.storage.files as f; assert f.fcntl is None"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,6 +1,5 @@
-"""Controllers are tuned alike and judged on the same runs: each of which is, alone, what `simulate` gives."""
+"""Controllers are tuned alike and evaluate on the same runs: each of which is, alone, what `simulate` gives."""
 
-import json
 from pathlib import Path
 
 import jax
@@ -9,11 +8,12 @@ import pytest
 
 from mckibben.errors import FileError, ParameterError
 from mckibben.simulation import Metrics
-from mckibben.study.benchmark import Contest, Suite, benchmark, compare, draw, judged
+from mckibben.study.benchmark import BenchmarkResult, Suite, benchmark, compare, draw, evaluate
 from mckibben.study.benchmark.benchmark import _controller
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_scenario
-from mckibben.study.tune.problem import LOST
+from mckibben.study.tune import read_trials
+from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import deg
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -35,19 +35,25 @@ def suite():
 
 @pytest.fixture(scope="module")
 def simulated(suite):
-    """The unseen runs of one controller, in earnest."""
+    """The evaluation runs of one controller, simulated."""
     runs, values = draw(suite, 16, 1), {KP: 2e5}
-    return Contest(suite, runs, {"PID 3": values}, {}, {"PID 3": ()}, {"PID 3": judged(runs, "PID 3", values)})
+    return BenchmarkResult(
+        suite, runs, {"PID 3": values}, {}, {"PID 3": ()}, {"PID 3": evaluate(runs, "PID 3", values)}
+    )
 
 
 class TestRuns:
     def test_a_run_of_the_batch_is_that_run_alone(self, simulated):
         """With both joints, with its noise and delay: as `mckibben simulate` runs its scenario.
 
-        Every wish has a program of its own to compile; that all are wished for as drawn is seen without running them.
+        Every reference has a program of its own to compile; that the draws are used is seen without running them.
         """
         batch, runs = simulated.batches["PID 3"], simulated.runs
-        kinds = {(runs.wish[i], runs.joint[i]): i for i in range(runs.count) if runs.wish[i] != "angle step"}
+        kinds = {
+            (runs.reference_name[i], runs.joint[i]): i
+            for i in range(runs.count)
+            if runs.reference_name[i] != "angle step"
+        }
         assert len(kinds) == 4
         delays = runs.conditions["sensors.delay"][list(kinds.values())]
         assert set(delays.tolist()) == {0.0, 1.0}
@@ -60,7 +66,7 @@ class TestRuns:
             assert scenario.control().position.kp == simulated.tuned["PID 3"][KP]
 
     def test_the_noise_is_that_of_the_run(self, simulated):
-        run = simulated.runs.wish.index("sine and step")
+        run = simulated.runs.reference_name.index("sine and step")
         scenario = simulated.scenario("PID 3", run)
         other = scenario.model_copy(update={"sensors": scenario.sensors.model_copy(update={"seed": 1})})
         assert scenario.sensors.seed == simulated.runs.conditions["sensors.seed"][run]
@@ -68,10 +74,10 @@ class TestRuns:
         assert abs(own - others) > 1e-6 * own
 
     def test_its_cost_is_that_of_the_suite(self, simulated):
-        unseen = simulated.batches["PID 3"].metrics
-        assert not simulated.lost("PID 3").any()
+        metrics = simulated.batches["PID 3"].metrics
+        assert not simulated.unstable("PID 3").any()
         assert simulated.cost("PID 3") == pytest.approx(
-            unseen["angle_rmse"] / (0.1 * deg) + unseen["stiffness_rmse"] / 0.5
+            metrics["angle_rmse"] / (0.1 * deg) + metrics["stiffness_rmse"] / 0.5
         )
 
 
@@ -82,12 +88,12 @@ def mean_cost(runs, kp):
     for mass, lag, height in zip(runs.conditions["load.mass2"], lags, heights, strict=True):
         if lag <= 0.048:
             lost = height > 0 and kp > 8e5
-            costs.append(LOST if lost else (1 + abs(np.log10(kp / 3e5))) * mass / 0.5 / 0.1 + lag / 0.02 / 0.5)
+            costs.append(FAILED_COST if lost else (1 + abs(np.log10(kp / 3e5))) * mass / 0.5 / 0.1 + lag / 0.02 / 0.5)
     return np.mean(costs)
 
 
 def trials(folder, name="pid-3"):
-    return [json.loads(line) for line in (folder / f"{name}.jsonl").read_text(encoding="utf-8").splitlines()[1:]]
+    return read_trials(folder / f"{name}.journal")
 
 
 OTHERS = TEXT[TEXT.index("  decoupling:\n") : TEXT.index("tuning:")]
@@ -120,8 +126,8 @@ class TestTuning:
         assert (training.conditions["valve.time_constant"] > 0.048).any(), "one cannot begin"
         assert (training.conditions["disturbance.pulses.height"] > 0).any(), "and some can be lost"
         tried = trials(tmp_path)
-        kps = 1e4 * 200 ** np.array([trial["point"][0] for trial in tried])
-        assert [trial["cost"] for trial in tried] == pytest.approx([mean_cost(training, kp) for kp in kps], rel=1e-9)
+        kps = 1e4 * 200 ** np.array([trial.point[0] for trial in tried])
+        assert [trial.cost for trial in tried] == pytest.approx([mean_cost(training, kp) for kp in kps], rel=1e-9)
         assert (kps > 8e5).any()
         assert contest.training_cost["PID 3"][1] == pytest.approx(mean_cost(training, 1.2e5))
         kp = contest.tuned["PID 3"][KP]
@@ -137,7 +143,7 @@ class TestTuning:
         assert contest.tuned["PID 3"][KP] == pytest.approx(1.3e5, rel=0.01)
 
     def test_all_have_the_same_budget_and_untuned_ones_none(self, contest, kept):
-        counts = {path.stem: len(trials(kept, path.stem)) for path in kept.glob("*.jsonl")}
+        counts = {path.stem: len(trials(kept, path.stem)) for path in kept.glob("*.journal")}
         assert set(counts) == {"pid-3", "decoupling"}
         assert all(16 <= count <= 17 for count in counts.values()), counts  # and one more for the rounded numbers
         assert contest.tuned["as it is"] == {}
@@ -157,15 +163,15 @@ class TestTuning:
         assert not contest.started.all()
         heavy = contest.runs.conditions["load.mass2"][contest.started]
         assert contest.metric("as it is", "angle_rmse") / deg == pytest.approx((1 + np.log10(1.5)) * heavy / 0.5)
-        assert not contest.lost("as it is").any()
+        assert not contest.unstable("as it is").any()
 
     def test_a_search_repeats_itself_and_is_taken_up(self, suite, contest, kept, tmp_path):
-        whole = {path.name: path.read_text(encoding="utf-8") for path in kept.glob("*.jsonl")}
-        lines = whole["pid-3.jsonl"].splitlines(keepends=True)
-        (tmp_path / "pid-3.jsonl").write_text("".join(lines[:6]) + lines[6][:10], encoding="utf-8")
+        whole = {path.name: path.read_bytes() for path in kept.glob("*.journal")}
+        content = whole["pid-3.journal"]
+        (tmp_path / "pid-3.journal").write_bytes(content[: len(content) // 2])
         for _ in range(2):
             again = compare(suite, folder=tmp_path, resume=True)
-            assert {path.name: path.read_text(encoding="utf-8") for path in tmp_path.glob("*.jsonl")} == whole
+            assert {path.name: path.read_bytes() for path in tmp_path.glob("*.journal")} == whole
             assert again.tuned == contest.tuned
             assert again.training_cost == contest.training_cost
 
@@ -180,24 +186,24 @@ class TestTuning:
         ):
             with pytest.raises(FileError):
                 compare(other, folder=tmp_path, resume=True)
-        more = changed(*ALONE, ("unseen: {runs: 16", "unseen: {runs: 20"))
+        more = changed(*ALONE, ("evaluation: {runs: 16", "evaluation: {runs: 20"))
         assert compare(more, folder=tmp_path, resume=True).runs.count == 20
 
     def test_lost_runs_cost_a_million(self):
         alone = TEXT[: TEXT.index("  PID 3:")] + TEXT[TEXT.index("  as it is:") :]
         wild = compare(Suite.parse(alone.replace("{kp: 2 bar/rad", "{kp: 9 bar/rad")))
         lost = wild.runs.conditions["disturbance.pulses.height"][wild.started] > 0
-        assert np.array_equal(wild.lost("as it is"), lost)
+        assert np.array_equal(wild.unstable("as it is"), lost)
         assert lost.any()
         assert np.array_equal(np.isnan(wild.metric("as it is", "angle_rmse")), lost)
-        assert set(wild.cost("as it is")[lost]) == {LOST}
+        assert set(wild.cost("as it is")[lost]) == {FAILED_COST}
         assert (wild.cost("as it is")[~lost] < 100).all()
 
     def test_when_no_run_can_begin_it_is_said(self):
         slow = ("valve.time_constant=10..50 ms", "valve.time_constant=49..50 ms")
-        with pytest.raises(ParameterError, match="none of the training runs can begin"):
+        with pytest.raises(ParameterError, match="none of the training runs can start"):
             compare(changed(slow, *ALONE))
-        with pytest.raises(ParameterError, match="none of the unseen runs can begin"):
+        with pytest.raises(ParameterError, match="none of the evaluation runs can start"):
             compare(changed(slow, ALONE[0], ("untuned: [as it is]", "untuned: [PID 3]")))
 
 
@@ -208,7 +214,7 @@ def test_a_controller_does_not_differ_from_run_to_run(suite, controller):
     several = [draw(suite, 16, 1), draw(suite, 16, 7), draw(heavier, 16, 1)]
     plants = [jax.tree.leaves(runs.plant) for runs in several]
     assert any(not np.array_equal(a, b) for a, b in zip(plants[0], plants[1], strict=True))
-    for table in ({}, {each.name: [float(each.address.nominal)] for each in suite.tuned_over(controller)[:1]}):
+    for table in ({}, {each.name: [float(each.parameter.nominal)] for each in suite.tuned_over(controller)[:1]}):
         first, *others = (jax.tree.leaves(_controller(runs, controller, table)) for runs in several)
         varying = [leaf for leaf in first if np.ndim(leaf)]
         assert len(varying) == len(table)
@@ -226,7 +232,7 @@ def test_sets_of_numbers_lie_one_after_the_other(suite):
 def test_every_set_meets_every_run(suite, monkeypatch):
     """What `simulate_many` is given: all runs for the first set, then all for the second."""
     given = {}
-    monkeypatch.setattr(comparing, "simulate_many", lambda *parts, **options: given.update(parts=parts, **options))
+    monkeypatch.setattr(benchmark, "simulate_many", lambda *parts, **options: given.update(parts=parts, **options))
     runs = draw(suite, 4, 1)
     control = _controller(runs, "PID 3", {KP: np.array([1e5, 2e5, 3e5])})
     benchmark._simulated(runs, control, 3, ("air",))

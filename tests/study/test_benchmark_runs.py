@@ -8,8 +8,8 @@ import pytest
 
 from mckibben.control import Constant, Multisine, Sine, Step
 from mckibben.errors import ParameterError
-from mckibben.study.benchmark import AS_BELIEVED, Suite, draw
-from mckibben.study.benchmark.runs import _in_one_form
+from mckibben.study.benchmark import NOMINAL_JOINT, Suite, draw
+from mckibben.study.benchmark.runs import _as_step_and_sines
 from mckibben.study.scenario import Scenario
 from mckibben.units import deg, ms
 
@@ -35,14 +35,14 @@ def counted(names):
     return {name: names.count(name) for name in dict.fromkeys(sorted(names))}
 
 
-def test_joints_and_wishes_come_in_their_shares(suite, runs):
-    assert counted(runs.joint) == {AS_BELIEVED: 48, "longer": 16}  # 3 to 1
-    assert counted(runs.wish) == {"angle step": 16, "both move": 16, "sine and step": 32}  # 1 to 1 to 2
+def test_joints_and_references_come_in_their_shares(suite, runs):
+    assert counted(runs.joint) == {NOMINAL_JOINT: 48, "longer": 16}  # 3 to 1
+    assert counted(runs.reference_name) == {"angle step": 16, "both move": 16, "sine and step": 32}  # 1 to 1 to 2
     few = draw(suite, 6, 1)
-    assert counted(few.joint) == {AS_BELIEVED: 5, "longer": 1}
-    assert counted(few.wish) == {"angle step": 1, "both move": 1, "sine and step": 4}
+    assert counted(few.joint) == {NOMINAL_JOINT: 5, "longer": 1}
+    assert counted(few.reference_name) == {"angle step": 1, "both move": 1, "sine and step": 4}
     assert runs.count == 64
-    assert len(set(zip(runs.joint, runs.wish, strict=True))) == 6, "one does not follow from the other"
+    assert len(set(zip(runs.joint, runs.reference_name, strict=True))) == 6, "one does not follow from the other"
 
 
 def test_conditions_fill_their_ranges(runs):
@@ -60,22 +60,22 @@ def test_conditions_fill_their_ranges(runs):
     assert counted(found["disturbance.pulses.height"].tolist()) == {0.0: 32, 0.5: 32}
 
 
-def test_wishes_fill_their_ranges(runs):
-    angle = runs.wished["angle step"]
+def test_references_fill_their_ranges(runs):
+    angle = runs.reference_values["angle step"]
     assert sorted(np.floor((angle["reference.angle.before"] / deg + 5) / 10 * 16)) == list(range(16))
-    both = runs.wished["both move"]["reference.stiffness.frequency"]
+    both = runs.reference_values["both move"]["reference.stiffness.frequency"]
     assert sorted(np.floor(np.log(both / 2) / np.log(3) * 16)) == list(range(16)), "evenly in the logarithm"
 
 
 def test_fast_sines_are_made_smaller(suite, runs):
-    sine = runs.wished["sine and step"]
+    sine = runs.reference_values["sine and step"]
     amplitude, frequency = sine["reference.angle.amplitude"], sine["reference.angle.frequency"]
-    fastest = amplitude * (2 * np.pi * frequency) ** 2
-    assert fastest.max() == pytest.approx(60.0)
-    cut = fastest > 60.0 * (1 - 1e-9)
+    max_angular_acceleration = amplitude * (2 * np.pi * frequency) ** 2
+    assert max_angular_acceleration.max() == pytest.approx(60.0)
+    cut = max_angular_acceleration > 60.0 * (1 - 1e-9)
     assert 0 < cut.sum() < 16
     assert np.all(amplitude[~cut] >= 2 * deg)
-    free = draw(suite.model_copy(update={"fastest": None}), 64, 1).wished["sine and step"]
+    free = draw(suite.model_copy(update={"max_angular_acceleration": None}), 64, 1).reference_values["sine and step"]
     assert np.array_equal(free["reference.angle.frequency"], frequency)
     assert np.array_equal(free["reference.angle.amplitude"][~cut], amplitude[~cut])
     assert np.all(free["reference.angle.amplitude"][cut] > amplitude[cut])
@@ -86,15 +86,15 @@ def test_a_sine_that_does_not_differ_is_made_smaller_too():
         "over: [reference.angle.amplitude=2..10 deg, reference.angle.frequency=0.25..4 Hz log, ", "over: ["
     )
     slow = draw(Suite.parse(text), 8, 1)
-    assert np.allclose(slow.wished["sine and step"]["reference.angle.amplitude"], 5 * deg)  # 3.4 rad/s^2
+    assert np.allclose(slow.reference_values["sine and step"]["reference.angle.amplitude"], 5 * deg)  # 3.4 rad/s^2
     fast = draw(Suite.parse(text.replace("frequency: 1 Hz", "frequency: 10 Hz")), 8, 1)
-    assert np.allclose(fast.wished["sine and step"]["reference.angle.amplitude"], 60 / (20 * np.pi) ** 2)
+    assert np.allclose(fast.reference_values["sine and step"]["reference.angle.amplitude"], 60 / (20 * np.pi) ** 2)
 
 
 def test_the_same_seed_draws_the_same(suite, runs):
     again, other = draw(suite, 64, 1), draw(suite, 64, 2)
     assert again.joint == runs.joint
-    assert again.wish == runs.wish
+    assert again.reference_name == runs.reference_name
     for mine, same, different in zip(
         *(jax.tree.leaves((each.plant, each.reference)) for each in (runs, again, other)), strict=True
     ):
@@ -102,7 +102,7 @@ def test_the_same_seed_draws_the_same(suite, runs):
         if np.ndim(mine):
             assert np.shape(mine) == (64,)
             assert np.shape(different) == (64,)
-    assert other.wish != runs.wish
+    assert other.reference_name != runs.reference_name
     assert not np.array_equal(other.conditions["load.mass2"], runs.conditions["load.mass2"])
 
 
@@ -116,7 +116,7 @@ def test_each_run_has_noise_of_its_own(suite, runs):
 
 
 def test_a_run_of_the_arrays_is_that_of_its_scenario(runs):
-    """Every leaf of the plant, and the wishes at all times; the scenario is written down and read again."""
+    """Every leaf of the plant, and the references at all times; the scenario is written down and read again."""
     for run in range(0, 64, 5):
         scenario = Scenario.parse(runs.scenario("PID 3", run).dumps())
         plant = scenario.plant()
@@ -126,8 +126,8 @@ def test_a_run_of_the_arrays_is_that_of_its_scenario(runs):
             assert np.asarray(a) == pytest.approx(np.asarray(b), rel=1e-14)
         reference, expected = scenario.reference(), lane(runs.reference, run)
         for quantity in ("angle", "stiffness"):
-            wish = np.asarray(getattr(reference, quantity)(TIMES))
-            assert wish == pytest.approx(np.asarray(getattr(expected, quantity)(TIMES)), rel=1e-13, abs=1e-15)
+            wanted = np.asarray(getattr(reference, quantity)(TIMES))
+            assert wanted == pytest.approx(np.asarray(getattr(expected, quantity)(TIMES)), rel=1e-13, abs=1e-15)
         assert scenario.start.angle == pytest.approx(float(reference.angle(0.0)), abs=1e-15)
 
 
@@ -139,8 +139,8 @@ def test_a_tuned_controller_is_put_into_the_run(runs):
 
 
 def test_a_run_in_which_nothing_differs_is_the_scenario_as_it_stands(suite):
-    wish = suite.references["both move"].model_copy(update={"over": ()})
-    bare = suite.model_copy(update={"sensors": None, "conditions": (), "references": {"both move": wish}})
+    reference = suite.references["both move"].model_copy(update={"over": ()})
+    bare = suite.model_copy(update={"sensors": None, "conditions": (), "references": {"both move": reference}})
     drawn = draw(bare, 4, 1)
     assert drawn.scenario("PID 3", 2) == bare.scenario("PID 3", "both move", drawn.joint[2])
 
@@ -158,9 +158,9 @@ def test_a_run_in_which_nothing_differs_is_the_scenario_as_it_stands(suite):
         (Multisine((1.0,), (3.0,)), lambda t: np.sin(6 * np.pi * t)),
     ],
 )
-def test_all_wishes_have_one_form(signal, expected):
-    form = _in_one_form(signal, 3)
-    assert jax.tree.structure(form) == jax.tree.structure(_in_one_form(Constant(0.0), 3))
+def test_all_references_have_one_form(signal, expected):
+    form = _as_step_and_sines(signal, 3)
+    assert jax.tree.structure(form) == jax.tree.structure(_as_step_and_sines(Constant(0.0), 3))
     assert np.asarray(form(TIMES)) == pytest.approx(expected(TIMES), abs=1e-13)
 
 

@@ -12,9 +12,9 @@ from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES
 from mckibben.storage.files import to_json
-from mckibben.study.benchmark import Contest, Suite, draw
-from mckibben.study.benchmark.benchmark import keep_table, standing
-from mckibben.study.tune.problem import LOST
+from mckibben.study.benchmark import BenchmarkResult, Suite, draw
+from mckibben.study.benchmark.benchmark import statistics, write_table
+from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import deg, litre
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -60,12 +60,12 @@ def contest(runs, columns):
         THIRD: batch(columns[THIRD], range(RUNS)),
     }
     tuned = {FIRST: {"controller.position.kp": 2e5}, SECOND: {}, THIRD: {}}
-    return Contest(runs.suite, runs, tuned, {FIRST: (3.0, 4.0)}, {FIRST: (), SECOND: (), THIRD: ()}, batches)
+    return BenchmarkResult(runs.suite, runs, tuned, {FIRST: (3.0, 4.0)}, {FIRST: (), SECOND: (), THIRD: ()}, batches)
 
 
 @pytest.fixture(scope="module")
 def numbers(contest):
-    return standing(contest)
+    return statistics(contest)
 
 
 def begun(values, *without):
@@ -73,9 +73,9 @@ def begun(values, *without):
 
 
 def test_who_begins_and_who_is_lost(contest, numbers):
-    assert (numbers["runs"], numbers["not_begun"]) == (RUNS, 1)
-    assert [each["lost"] for each in numbers["controllers"].values()] == [0, 1, RUNS - 1]
-    assert contest.lost(SECOND).sum() == 1
+    assert (numbers["runs"], numbers["no_start"]) == (RUNS, 1)
+    assert [each["unstable"] for each in numbers["controllers"].values()] == [0, 1, RUNS - 1]
+    assert contest.unstable(SECOND).sum() == 1
     assert np.isnan(contest.metric(SECOND, "air")).sum() == 1
 
 
@@ -103,10 +103,10 @@ def test_the_order_is_that_of_the_median_cost(contest, numbers, columns):
     for name in (FIRST, SECOND):
         cost = columns[name]["angle_rmse"] / (0.1 * deg) + columns[name]["stiffness_rmse"] / 0.5
         if name == SECOND:
-            cost[LOST_RUN] = LOST
+            cost[LOST_RUN] = FAILED_COST
         assert contest.cost(name) == pytest.approx(begun(cost))
         assert numbers["controllers"][name]["median_cost"] == pytest.approx(np.median(begun(cost)))
-    assert numbers["controllers"][THIRD]["median_cost"] == LOST
+    assert numbers["controllers"][THIRD]["median_cost"] == FAILED_COST
 
 
 def test_ratios_of_medians(numbers, columns):
@@ -115,7 +115,7 @@ def test_ratios_of_medians(numbers, columns):
         own = columns[SECOND][metric].copy()
         own[LOST_RUN] = np.inf
         own, first = begun(own), begun(columns[FIRST][metric])
-        found = numbers["controllers"][SECOND]["against_first"][key]
+        found = numbers["controllers"][SECOND]["ratio_to_first"][key]
         assert found["ratio"] == pytest.approx(np.median(own) / np.median(first))
         assert found["low"] <= found["ratio"] <= found["high"]
         expected = scipy.stats.bootstrap(
@@ -129,7 +129,7 @@ def test_ratios_of_medians(numbers, columns):
         ).confidence_interval
         # Medians of 39 runs move in steps, and an end of 2000 resamplings by some of them.
         assert [found["low"], found["high"]] == pytest.approx([expected.low, expected.high], rel=0.15)
-    same = numbers["controllers"][FIRST]["against_first"]["angle_rmse_deg"]
+    same = numbers["controllers"][FIRST]["ratio_to_first"]["angle_rmse_deg"]
     assert same == {"ratio": 1.0, "low": 1.0, "high": 1.0}
 
 
@@ -138,26 +138,26 @@ def test_runs_are_resampled_in_pairs(contest, columns):
     spread = begun(columns[FIRST]["angle_rmse"])
     assert spread.max() / spread.min() > 5
     batches = {name: batch(columns[name]) for name in (FIRST, SECOND)}
-    found = standing(Contest(contest.suite, contest.runs, contest.tuned, {}, contest.at_bound, batches))
-    half = found["controllers"][SECOND]["against_first"]["angle_rmse_deg"]
+    found = statistics(BenchmarkResult(contest.suite, contest.runs, contest.tuned, {}, contest.at_bound, batches))
+    half = found["controllers"][SECOND]["ratio_to_first"]["angle_rmse_deg"]
     assert [half["ratio"], half["low"], half["high"]] == pytest.approx([0.5, 0.5, 0.5], rel=1e-12)
 
 
 def test_a_controller_that_loses_everything(contest, numbers):
-    against = numbers["controllers"][THIRD]["against_first"]["angle_rmse_deg"]
+    against = numbers["controllers"][THIRD]["ratio_to_first"]["angle_rmse_deg"]
     assert against["ratio"] == against["low"] == against["high"] == np.inf
-    assert json.loads(to_json(numbers))["controllers"][THIRD]["against_first"]["angle_rmse_deg"]["low"] is None
-    turned = standing(
-        Contest(
+    assert json.loads(to_json(numbers))["controllers"][THIRD]["ratio_to_first"]["angle_rmse_deg"]["low"] is None
+    turned = statistics(
+        BenchmarkResult(
             contest.suite, contest.runs, contest.tuned, {}, contest.at_bound, dict(reversed(contest.batches.items()))
         )
     )
-    assert turned["controllers"][FIRST]["against_first"]["angle_rmse_deg"]["ratio"] == 0.0
-    assert np.isnan(turned["controllers"][THIRD]["against_first"]["angle_rmse_deg"]["low"])
+    assert turned["controllers"][FIRST]["ratio_to_first"]["angle_rmse_deg"]["ratio"] == 0.0
+    assert np.isnan(turned["controllers"][THIRD]["ratio_to_first"]["angle_rmse_deg"]["low"])
 
 
-def test_medians_by_wish_and_joint(contest, numbers, columns):
-    for key, groups in (("by_wish", contest.runs.wish), ("by_joint", contest.runs.joint)):
+def test_medians_by_reference_and_joint(contest, numbers, columns):
+    for key, groups in (("by_reference", contest.runs.reference_name), ("by_joint", contest.runs.joint)):
         found = numbers["controllers"][SECOND][key]
         assert list(found) == sorted(set(groups))
         for group, medians in found.items():
@@ -168,7 +168,7 @@ def test_medians_by_wish_and_joint(contest, numbers, columns):
 
 
 def test_correlations_are_spearmans(contest, numbers, columns):
-    found = numbers["controllers"][SECOND]["depends_on"]
+    found = numbers["controllers"][SECOND]["correlations"]
     assert "sensors.seed" not in found
     assert set(found) == set(contest.runs.conditions) - {"sensors.seed"}
     own = columns[SECOND]["stiffness_rmse"].copy()
@@ -176,8 +176,8 @@ def test_correlations_are_spearmans(contest, numbers, columns):
     for condition, each in found.items():
         expected = scipy.stats.spearmanr(begun(contest.runs.conditions[condition]), begun(own)).statistic
         assert each["stiffness_rmse"] == pytest.approx(expected, abs=1e-12)
-    assert numbers["controllers"][FIRST]["depends_on"]["load.mass2"]["angle_rmse_deg"] == pytest.approx(1.0)
-    assert numbers["controllers"][THIRD]["depends_on"]["load.mass2"]["angle_rmse_deg"] is None
+    assert numbers["controllers"][FIRST]["correlations"]["load.mass2"]["angle_rmse_deg"] == pytest.approx(1.0)
+    assert numbers["controllers"][THIRD]["correlations"]["load.mass2"]["angle_rmse_deg"] is None
 
 
 def test_what_tuning_found_is_told(numbers):
@@ -187,15 +187,15 @@ def test_what_tuning_found_is_told(numbers):
 
 
 def test_all_runs_are_kept(contest, columns, tmp_path):
-    keep_table(contest, tmp_path / "runs.nc")
+    write_table(contest, tmp_path / "runs.nc")
     with xr.open_dataset(tmp_path / "runs.nc") as kept:
         assert kept.sizes == {"controller": 3, "run": RUNS}
         assert np.array_equal(kept["air"].sel(controller=SECOND), columns[SECOND]["air"])
-        assert kept["wish"].to_numpy().tolist() == list(contest.runs.wish)
+        assert kept["reference"].to_numpy().tolist() == list(contest.runs.reference_name)
         assert np.array_equal(kept["load.mass2"], contest.runs.conditions["load.mass2"])
         assert kept["outcome"].attrs["flag_meanings"].split()[int(kept["outcome"][1, LOST_RUN])] == "DIVERGED"
-        wished = contest.runs.wished["angle step"]["reference.stiffness"]
-        rows = [i for i, wish in enumerate(contest.runs.wish) if wish == "angle step"]
-        assert np.array_equal(kept["reference.stiffness"][rows], wished)
+        drawn = contest.runs.reference_values["angle step"]["reference.stiffness"]
+        rows = [i for i, reference in enumerate(contest.runs.reference_name) if reference == "angle step"]
+        assert np.array_equal(kept["reference.stiffness"][rows], drawn)
         assert np.isfinite(kept["reference.stiffness"]).sum() == len(rows)
         assert json.loads(kept.attrs["tuned"]) == contest.tuned

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from mckibben.errors import ScenarioError
-from mckibben.study.benchmark import AS_BELIEVED, Suite
+from mckibben.study.benchmark import NOMINAL_JOINT, Suite
 from mckibben.study.scenario import Scenario
 from mckibben.units import deg
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "tests" / "small-suite.yaml").read_text(encoding="utf-8")
-WISHES = ("sine and step", "angle step", "both move")
+REFERENCES = ("sine and step", "angle step", "both move")
 WITHOUT_LAG = (("  - valve.time_constant=10..50 ms\n", ""),)
 
 
@@ -48,12 +48,12 @@ def test_what_a_suite_says_comes_back(suite, tmp_path):
     again = Suite.parse(example.dumps(folder=tmp_path), folder=tmp_path)
     assert again == example
     assert len(example.references) == 5
-    assert example.unseen.runs >= 500
+    assert example.evaluation.runs >= 500
     assert Suite.parse(changed(("valve: {time_constant: 20 ms}", "valve: ideal"), *WITHOUT_LAG)).valve is None
 
 
-def test_a_run_starts_at_rest_where_its_wish_begins(suite):
-    starts = {wish: suite.scenario("PID 3", wish).start for wish in WISHES}
+def test_a_run_starts_at_rest_where_its_reference_begins(suite):
+    starts = {reference: suite.scenario("PID 3", reference).start for reference in REFERENCES}
     assert [start.angle for start in starts.values()] == pytest.approx([5 * deg, 0.0, 1 * deg], abs=1e-15)
     assert {start.stiffness for start in starts.values()} == {None}
 
@@ -89,7 +89,7 @@ def test_what_a_controller_says_it_believes_is_kept():
 
 def test_what_is_tuned(suite):
     gains = suite.tuned_over("PID 3")
-    shown = {each.name: tuple(round(end, 6) for end in each.spread.ends) for each in gains}
+    shown = {each.name: tuple(round(end, 6) for end in each.distribution.bounds) for each in gains}
     assert shown["controller.position.kp"] == (0.12e5, 12e5)  # a decade down and up
     assert "controller.stiffness.kd" not in shown, "a gain of zero stays zero"
     assert len(shown) == 5
@@ -97,7 +97,7 @@ def test_what_is_tuned(suite):
     assert all(each.name.startswith("controller.") for each in suite.tuned_over("decoupling"))
     text = changed(("untuned:", "over: {PID 3: [controller.position.kp=1..2 bar/rad]}, untuned:"))
     (one,) = Suite.parse(text).tuned_over("PID 3")
-    assert one.spread.ends == pytest.approx((1e5, 2e5))
+    assert one.distribution.bounds == pytest.approx((1e5, 2e5))
 
 
 KP = "{kp: 1.2 bar/rad, ki: 40 bar/(rad*s), kd: 0.2 bar*s/rad}"
@@ -108,24 +108,24 @@ MISTAKES = {
         ("conditions[0]", "load.mass2", "not a parameter of the plant"),
     ),
     "condition unknown": (("load.mass2=+-50 %", "load.mas2=+-50 %"), ("conditions[0]", "load.mass2", "load.mas2")),
-    "condition of the wish": (
+    "condition of the reference": (
         ("load.mass2=+-50 %", "reference.angle.before=1..2 deg"),
         ("conditions[0]", "load.mass2", ""),
     ),
     "condition twice": (
-        ("sensors.delay=0, 1", "load.m2=1..2 kg"),
-        ("conditions", "conditions:", "about the same number"),
+        ("sensors.delay=0, 1", "load.mass2=1..2 kg"),
+        ("conditions", "conditions:", "about the same parameter"),
     ),
-    "wish over": (
+    "reference over": (
         ("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]"),
         ("references.both move.over[0]", "2..6 Hz", "not a parameter of the reference"),
     ),
-    "wish over twice": (
+    "reference over twice": (
         (
             "[reference.stiffness.frequency=2..6 Hz log]",
             "[reference.stiffness.frequency=2..6 Hz log, reference.stiffness.frequency=2..3 Hz]",
         ),
-        ("references.both move.over", "2..6 Hz", "about the same number"),
+        ("references.both move.over", "2..6 Hz", "about the same parameter"),
     ),
     "samples": (
         ("angle: {multisine: {amplitudes: [3 deg, 1.5 deg], frequencies: [2 Hz, 5 Hz], offset: 1 deg}}", SAMPLES),
@@ -143,7 +143,7 @@ MISTAKES = {
         ("untuned: [as it is]", "untuned: [as it iss]"),
         ("tuning.untuned[0]", "untuned:", "did you mean 'as it is'"),
     ),
-    "seed": (("seed: 1}", "seed: 99}"), ("unseen", "unseen:", "seed of the tuning")),
+    "seed": (("seed: 1}", "seed: 99}"), ("evaluation", "evaluation:", "seed of the tuning")),
     "cost": (
         ("tuning: {runs: 8", "tuning: {cost: angel_rmse, runs: 8"),
         ("tuning.cost", "untuned:", "did you mean 'angle_rmse'"),
@@ -176,8 +176,8 @@ MISTAKES = {
     ),
     "same file": (("  as it is:", "  pid-3:"), ("controllers.pid-3", "  as it is:", "the same file as 'PID 3'")),
     "reserved": (
-        ("  longer:", f"  {AS_BELIEVED}:"),
-        ("other_joints.as believed", "  longer:", "the suite's own joint"),
+        ("  longer:", f"  {NOMINAL_JOINT}:"),
+        ("other_joints.nominal", "  longer:", "the suite's own joint"),
     ),
     "other kind of law": (
         ("law: lei-mas-10-180n, strength: 1.05", "law: chou, strength: 1.05"),
@@ -260,8 +260,11 @@ def test_a_suite_is_no_scenario_nor_the_other_way_round():
         Suite.read("nowhere.yaml")
 
 
-def test_the_old_name_of_a_key_is_told_the_new_one():
+@pytest.mark.parametrize(
+    ("old", "new"), [("wishes", "references"), ("fastest", "max_angular_acceleration"), ("unseen", "evaluation")]
+)
+def test_the_old_name_of_a_key_is_told_the_new_one(old, new):
     with pytest.raises(ScenarioError) as caught:
-        Suite.parse(re.sub("^references:", "wishes:", TEXT, flags=re.M))
+        Suite.parse(re.sub(f"^{new}:", f"{old}:", TEXT, flags=re.M))
     (problem,) = caught.value.problems
-    assert (problem.field, problem.remedy) == ("wishes", "it was renamed to 'references'")
+    assert (problem.field, problem.remedy) == (old, f"it was renamed to {new!r}")

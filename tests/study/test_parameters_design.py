@@ -11,17 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben.errors import ParameterError
-from mckibben.study.parameters import design, over, read_overs
-from mckibben.study.parameters.distributions import LogUniform, Normal, Uniform, Values, Wholes
+from mckibben.study.parameters import parse_sweeps, sample, sweep_parameters
+from mckibben.study.parameters.distributions import IntegerRange, LogUniform, Normal, Uniform, Values
 from mckibben.study.scenario import Scenario
 
 BACKPROP = Scenario.read(Path(__file__).parents[2] / "examples" / "pre-contracted-step-backprop.yaml")
-MIXED = over(
+MIXED = sweep_parameters(
     BACKPROP,
     {
-        "load.m2": Uniform(0.2, 1.0, points=5),
+        "load.mass2": Uniform(0.2, 1.0, points=5),
         "controller.position.kp": LogUniform(1e4, 1e6),
-        "controller.position.seed": Wholes(0, 9),
+        "controller.position.seed": IntegerRange(0, 9),
         "valve.time_constant": Normal(0.02, 0.005),
         "load.distance2": Values((0.1, 0.2, 0.4)),
     },
@@ -37,56 +37,56 @@ def same(one, other):
 def test_a_table_has_as_many_rows_as_asked_for_and_no_warning(kind, samples):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        table = design(MIXED, kind, samples, seed=3)
+        table = sample(MIXED, kind, samples, seed=3)
     assert list(table) == [each.name for each in MIXED]
     for each in MIXED:
         column = table[each.name]
         assert column.shape == (samples,)
-        assert column.dtype == (np.int64 if each.address.whole else np.float64)
-        assert np.all(each.address.holds(column))
+        assert column.dtype == (np.int64 if each.parameter.is_integer else np.float64)
+        assert np.all(each.parameter.holds(column))
 
 
 @given(st.integers(1, 300), st.integers(1, 300), st.integers(0, 2**63 - 1), st.sampled_from(["sobol", "random"]))
 def test_the_first_rows_do_not_depend_on_how_many_follow(samples, more, seed, kind):
-    short, long = design(MIXED, kind, samples, seed), design(MIXED, kind, samples + more, seed)
+    short, long = sample(MIXED, kind, samples, seed), sample(MIXED, kind, samples + more, seed)
     assert same(short, {name: column[:samples] for name, column in long.items()})
 
 
 @pytest.mark.parametrize("kind", ["sobol", "random"])
 def test_a_seed_is_a_table_and_another_seed_another(kind):
-    assert same(design(MIXED, kind, 50, seed=1), design(MIXED, kind, 50, seed=1))
-    assert not same(design(MIXED, kind, 50, seed=1), design(MIXED, kind, 50, seed=2))
-    assert not same(design(MIXED, "sobol", 50, seed=1), design(MIXED, "random", 50, seed=1))
+    assert same(sample(MIXED, kind, 50, seed=1), sample(MIXED, kind, 50, seed=1))
+    assert not same(sample(MIXED, kind, 50, seed=1), sample(MIXED, kind, 50, seed=2))
+    assert not same(sample(MIXED, "sobol", 50, seed=1), sample(MIXED, "random", 50, seed=1))
 
 
 def test_another_process_makes_the_same_table():
     code = (
         "from mckibben.study.scenario import Scenario\n"
-        "from mckibben.study.parameters import design, read_overs\n"
+        "from mckibben.study.parameters import sample, parse_sweeps\n"
         "scenario = Scenario.read('examples/pre-contracted-step-backprop.yaml')\n"
-        "over = read_overs(['load.m2=0.2..1 kg', 'valve.time_constant=normal 10 %'], scenario)\n"
-        "table = design(over, 'sobol', 9, 4)\n"
+        "over = parse_sweeps(['load.mass2=0.2..1 kg', 'valve.time_constant=normal 10 %'], scenario)\n"
+        "table = sample(over, 'sobol', 9, 4)\n"
         "print({name: [x.hex() for x in column.tolist()] for name, column in table.items()})"
     )
     there = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=Path(__file__).parents[2]
     )
-    table = design(read_overs(["load.m2=0.2..1 kg", "valve.time_constant=normal 10 %"], BACKPROP), "sobol", 9, 4)
+    table = sample(parse_sweeps(["load.mass2=0.2..1 kg", "valve.time_constant=normal 10 %"], BACKPROP), "sobol", 9, 4)
     assert there.stdout.strip() == str({name: [x.hex() for x in column.tolist()] for name, column in table.items()})
 
 
 def test_a_sobol_table_puts_one_row_into_each_of_as_many_slices():
-    table = design(MIXED, "sobol", 256, seed=5)
+    table = sample(MIXED, "sobol", 256, seed=5)
     for each in MIXED[:2]:
-        slices = np.floor(each.spread.quantile(table[each.name]) * 256).astype(int)
+        slices = np.floor(each.distribution.quantile(table[each.name]) * 256).astype(int)
         assert sorted(slices) == list(range(256))
     counts = np.unique(table["load.distance2"], return_counts=True)[1]
     assert np.all(np.abs(counts - 256 / 3) < 2)
 
 
 def test_random_columns_do_not_depend_on_each_other():
-    table = design(MIXED[:2], "random", 20_000, seed=1)
-    columns = [each.spread.quantile(table[each.name]) for each in MIXED[:2]]
+    table = sample(MIXED[:2], "random", 20_000, seed=1)
+    columns = [each.distribution.quantile(table[each.name]) for each in MIXED[:2]]
     assert abs(np.corrcoef(columns)[0, 1]) < 0.03
     for column in columns:
         assert column.mean() == pytest.approx(0.5, abs=0.01)
@@ -94,9 +94,13 @@ def test_random_columns_do_not_depend_on_each_other():
 
 
 def test_a_grid_is_every_combination_the_last_number_fastest():
-    table = design(
-        read_overs(
-            ["load.m2=1..3 kg in 3", "controller.position.seed=4..5", "controller.position.kp=1..100 bar/rad log in 3"],
+    table = sample(
+        parse_sweeps(
+            [
+                "load.mass2=1..3 kg in 3",
+                "controller.position.seed=4..5",
+                "controller.position.kp=1..100 bar/rad log in 3",
+            ],
             BACKPROP,
         ),
         "grid",
@@ -111,23 +115,23 @@ def test_a_grid_is_every_combination_the_last_number_fastest():
 @pytest.mark.parametrize(
     ("texts", "why"),
     [
-        (["load.m2=1..3 kg"], r"load\.mass2=1 kg\.\.3 kg: .* in 9"),
-        (["load.m2=normal 10 %"], "has no grid"),
-        (["load.m2=1..3 kg in 4000", "load.m1=1..3 kg in 4000"], "16000000 combinations"),
+        (["load.mass2=1..3 kg"], r"load\.mass2=1 kg\.\.3 kg: .* in 9"),
+        (["load.mass2=normal 10 %"], "has no grid"),
+        (["load.mass2=1..3 kg in 4000", "load.mass1=1..3 kg in 4000"], "16000000 combinations"),
         (["controller.position.seed=0..2000000000"], "more than"),
     ],
 )
 def test_a_grid_that_is_none_is_refused(texts, why):
     with pytest.raises(ParameterError, match=why):
-        design(read_overs(texts, BACKPROP), "grid")
+        sample(parse_sweeps(texts, BACKPROP), "grid")
 
 
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ({"over": ()}, "nothing is varied"),
-        ({"over": [MIXED[0], MIXED[0]]}, "varied twice"),
-        ({"kind": "lattice"}, "no design 'lattice'"),
+        ({"swept": ()}, "nothing is varied"),
+        ({"swept": [MIXED[0], MIXED[0]]}, "varied twice"),
+        ({"method": "lattice"}, "no design 'lattice'"),
         ({"samples": 0}, "samples is 0"),
         ({"samples": 1.5}, "samples is 1.5"),
         ({"samples": 10**12}, "samples"),
@@ -136,4 +140,4 @@ def test_a_grid_that_is_none_is_refused(texts, why):
 )
 def test_designs_that_are_none_are_refused(options, why):
     with pytest.raises(ParameterError, match=why):
-        design(**{"over": MIXED, "kind": "sobol", "samples": 8, "seed": 0, **options})
+        sample(**{"swept": MIXED, "method": "sobol", "samples": 8, "seed": 0, **options})

@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 
 from mckibben.errors import McKibbenError, ParameterError
 from mckibben.study.parameters import (
+    IntegerRange,
     LogUniform,
     Normal,
-    Over,
+    SweptParameter,
     Uniform,
     Values,
-    Wholes,
-    addresses,
-    find,
-    over,
-    read_over,
-    read_overs,
+    find_parameter,
+    list_parameters,
+    parse_sweep,
+    parse_sweeps,
+    sweep_parameters,
 )
 from mckibben.study.scenario import Scenario
 from mckibben.units import bar, deg
@@ -30,7 +30,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 PID = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml")
 BACKPROP = Scenario.read(EXAMPLES / "pre-contracted-step-backprop.yaml")
 PRINTED = Scenario.read(EXAMPLES / "as-printed-constant-pid.yaml")
-NUMBERS = [(scenario, address) for scenario in (PID, BACKPROP, PRINTED) for address in addresses(scenario)]
+NUMBERS = [(scenario, address) for scenario in (PID, BACKPROP, PRINTED) for address in list_parameters(scenario)]
 
 
 FORMS = "give a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal 10 %`"
@@ -49,13 +49,13 @@ FORMS = "give a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal
 )
 def test_what_is_written_otherwise_gets_a_remedy_that_helps(said, remedy):
     with pytest.raises(ParameterError) as refused:
-        read_over(f"load.mass2={said}", PID)
+        parse_sweep(f"load.mass2={said}", PID)
     assert str(refused.value).startswith(f"'load.mass2={said}': ")
     assert refused.value.remedy.startswith(remedy)
 
 
 def spread(text, scenario=BACKPROP):
-    return read_over(text, scenario).spread
+    return parse_sweep(text, scenario).distribution
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def spread(text, scenario=BACKPROP):
     [
         ("load.mass2=0.2 kg..1.0 kg", Uniform(0.2, 1.0)),
         ("load.mass2=0.2..1.0 kg", Uniform(0.2, 1.0)),
-        ("load.m2 = 200 g .. 1 kg", Uniform(0.2, 1.0)),
+        ("load.mass2 = 200 g .. 1 kg", Uniform(0.2, 1.0)),
         ("load.mass2=200..1000g", Uniform(0.2, 1.0)),
         ("load.mass2=0.2..1.0 kg in 9", Uniform(0.2, 1.0, 9)),
         ("load.mass2=1.0 kg", Values((1.0,))),
@@ -75,7 +75,7 @@ def spread(text, scenario=BACKPROP):
         ("controller.position.kp=1..100 bar/rad log", LogUniform(1 * bar, 100 * bar)),
         ("controller.position.kp=1..100 bar/rad log in 3", LogUniform(1 * bar, 100 * bar, 3)),
         ("controller.position.kp=-100 bar/rad..-1 bar/rad log", LogUniform(-100 * bar, -1 * bar)),
-        ("controller.position.seed=0..19", Wholes(0, 19)),
+        ("controller.position.seed=0..19", IntegerRange(0, 19)),
         ("controller.position.seed=3", Values((3,))),
         ("controller.position.seed=0,5, 1", Values((0, 5, 1))),
         ("controller.position.momentum=0..0.9", Uniform(0.0, 0.9)),
@@ -95,24 +95,24 @@ def test_texts_that_mean_something(text, expected):
 
 
 def test_a_range_around_a_negative_nominal_value_is_not_upside_down():
-    nominal = find(PRINTED, "controller.stiffness.kp").nominal
-    assert spread("controller.stiffness.kp=+-10 %", PRINTED).ends == pytest.approx((1.1 * nominal, 0.9 * nominal))
+    nominal = find_parameter(PRINTED, "controller.stiffness.kp").nominal
+    assert spread("controller.stiffness.kp=+-10 %", PRINTED).bounds == pytest.approx((1.1 * nominal, 0.9 * nominal))
 
 
 def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
     relative, absolute = spread("load.mass2=normal 10 %"), spread("load.mass2=normal 0.05 kg")
     assert relative == absolute == Normal(0.5, 0.05, 0.0, 1e4)
     wide = spread("valve.time_constant=normal 100 %")
-    assert wide.ends[0] > 0  # a valve of no time is none
-    assert np.all(wide.at(np.linspace(0, 1, 1001)) > 0)
+    assert wide.bounds[0] > 0  # a valve of no time is none
+    assert np.all(wide.ppf(np.linspace(0, 1, 1001)) > 0)
 
 
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        ("load.mass2", ["is no name and what it is varied over", "load.mass2=0.2 kg..1.0 kg"]),
+        ("load.mass2", ["is no parameter and its range", "load.mass2=0.2 kg..1.0 kg"]),
         ("load.mass2=", ["says nothing after '='", "a range"]),
-        ("=1 kg", ["no number ''", "--list"]),
+        ("=1 kg", ["no parameter ''", "--list"]),
         ("load.mas2=1 kg", ["did you mean 'load.mass2'"]),
         ("load.mass2=1 kg..0.2 kg", ["empty", "1 kg is not below 0.2 kg", "lower end first"]),
         ("load.mass2=1 kg..1 kg", ["empty"]),
@@ -132,8 +132,8 @@ def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
         ("load.mass2=0 kg..1e999 kg", ["not a finite number"]),
         ("load.mass2=1 kg, 1 kg", ["listed twice"]),
         ("load.mass2=1 kg,", ["a value is missing"]),
-        ("load.mass2=0 kg..1 kg log", ["0 kg to 1 kg has no even logarithm", "log"]),
-        ("start.angle=-5 deg..5 deg log", ["-5 deg to 5 deg has no even logarithm"]),
+        ("load.mass2=0 kg..1 kg log", ["0 kg to 1 kg has no logarithm", "log"]),
+        ("start.angle=-5 deg..5 deg log", ["-5 deg to 5 deg has no logarithm"]),
         ("load.mass2=0..1 kg in 1", ["1 points"]),
         ("load.mass2=0..1 kg in 9.5", ["no number of points", "in 9"]),
         ("load.mass2=0..1 kg in 999999999", ["points"]),
@@ -161,7 +161,7 @@ def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
 )
 def test_texts_that_mean_nothing_are_told_what_to_do(text, parts):
     with pytest.raises(ParameterError) as caught:
-        read_over(text, BACKPROP)
+        parse_sweep(text, BACKPROP)
     message = str(caught.value)
     assert message.startswith(repr(text)[:70])
     for part in parts:
@@ -174,18 +174,18 @@ def test_an_amount_around_nothing_is_an_error():
         (EXAMPLES / "pre-contracted-step-pid.yaml").read_text().replace(", stiffness: 12 N*m/rad", "")
     )
     with pytest.raises(ParameterError, match="no nominal value in the scenario"):
-        read_over("start.stiffness=+-1 N*m/rad", scenario)
-    assert read_over("start.stiffness=12..14 N*m/rad", scenario).spread == Uniform(12.0, 14.0)
+        parse_sweep("start.stiffness=+-1 N*m/rad", scenario)
+    assert parse_sweep("start.stiffness=12..14 N*m/rad", scenario).distribution == Uniform(12.0, 14.0)
 
 
 def test_two_texts_about_one_number_are_an_error():
-    with pytest.raises(ParameterError, match=r"'load\.m2=1 kg' and 'load.mass2=2 kg' are about the same number"):
-        read_overs(["load.m2=1 kg", "load.mass1=2 kg", "load.mass2=2 kg"], PID)
-    read = read_overs(["load.m2=1 kg", "load.mass1=2 kg"], PID)
+    with pytest.raises(ParameterError, match=r"'load\.mass2=1 kg' and 'load.mass2=2 kg' are about the same parameter"):
+        parse_sweeps(["load.mass2=1 kg", "load.mass1=2 kg", "load.mass2=2 kg"], PID)
+    read = parse_sweeps(["load.mass2=1 kg", "load.mass1=2 kg"], PID)
     assert [each.name for each in read] == ["load.mass2", "load.mass1"]
 
 
-PIECES = ["load.m2", "load.mass2", "controller.position.seed", "start.angle", "controller.position.momentum", "="]
+PIECES = ["load.mass2", "load.mass2", "controller.position.seed", "start.angle", "controller.position.momentum", "="]
 PIECES += [
     "..",
     ",",
@@ -233,22 +233,22 @@ PIECES += [
 def test_any_text_is_read_or_an_error_of_ours(said):
     for text in (said, f"load.mass2={said}", f"controller.position.seed={said}", f"start.angle={said}"):
         try:
-            read = read_over(text, BACKPROP)
+            read = parse_sweep(text, BACKPROP)
         except McKibbenError as error:
             assert isinstance(error, ParameterError)
             continue
-        values = read.spread.at([0.0, 0.3, 1.0])
-        assert np.all(read.address.holds(values))
+        values = read.distribution.ppf([0.0, 0.3, 1.0])
+        assert np.all(read.parameter.holds(values))
         assert np.all(np.isfinite(values))
 
 
 @st.composite
 def spreads(draw, address):
-    if address.whole:
+    if address.is_integer:
         if draw(st.booleans()):
             return Values(tuple(draw(st.lists(st.integers(0, 2**31 - 1), min_size=1, max_size=5, unique=True))))
         low, high = sorted(draw(st.lists(st.integers(0, 2**31 - 1), min_size=2, max_size=2, unique=True)))
-        return Wholes(low, high)
+        return IntegerRange(low, high)
     inside = st.floats(address.lower, address.upper, allow_subnormal=False).filter(address.holds)
     values = draw(st.lists(inside, min_size=2, max_size=5, unique=True))
     low, high = sorted(values[:2])
@@ -268,24 +268,24 @@ def spreads(draw, address):
 @given(st.data())
 def test_what_is_varied_prints_as_text_that_means_the_same(data):
     scenario, address = data.draw(st.sampled_from(NUMBERS))
-    said = Over(address, data.draw(spreads(address)))
-    assert read_over(said.text, scenario) == said
+    said = SweptParameter(address, data.draw(spreads(address)))
+    assert parse_sweep(said.text, scenario) == said
 
 
 @settings(max_examples=300)
 @given(st.data(), st.lists(st.floats(0, 1), min_size=1, max_size=20))
 def test_spreads_rise_stay_inside_and_know_where_a_value_lies(data, quantiles):
     _, address = data.draw(st.sampled_from(NUMBERS))
-    drawn = Over(address, data.draw(spreads(address))).spread
-    values = drawn.at(np.sort(quantiles))
-    low, high = drawn.ends
+    drawn = SweptParameter(address, data.draw(spreads(address))).distribution
+    values = drawn.ppf(np.sort(quantiles))
+    low, high = drawn.bounds
     assert values.shape == (len(quantiles),)
-    assert values.dtype == (np.int64 if address.whole else np.float64)
+    assert values.dtype == (np.int64 if address.is_integer else np.float64)
     assert np.all((values >= low) & (values <= high))
     assert np.all(address.holds(values))
     if not isinstance(drawn, Values):
         assert np.all(np.diff(values) >= 0)
-    again = drawn.at(drawn.quantile(values))
+    again = drawn.ppf(drawn.quantile(values))
     if isinstance(drawn, Normal):  # far out in its upper tail a quantile has fewer digits than a value
         np.testing.assert_allclose(drawn.quantile(again), drawn.quantile(values), rtol=0, atol=1e-12)
         return
@@ -294,34 +294,34 @@ def test_spreads_rise_stay_inside_and_know_where_a_value_lies(data, quantiles):
 
 def test_the_ends_of_a_range_are_its_ends_to_the_bit():
     for low, high in itertools.pairwise([0.1, 0.3, 7.7, 1e5, 3.3e9]):
-        assert Uniform(low, high).at([0.0, 1.0]).tolist() == [low, high]
-        assert LogUniform(low, high).at([0.0, 1.0]).tolist() == [low, high]
-        assert LogUniform(-high, -low).at([0.0, 1.0]).tolist() == [-high, -low]
+        assert Uniform(low, high).ppf([0.0, 1.0]).tolist() == [low, high]
+        assert LogUniform(low, high).ppf([0.0, 1.0]).tolist() == [low, high]
+        assert LogUniform(-high, -low).ppf([0.0, 1.0]).tolist() == [-high, -low]
 
 
 def test_an_even_logarithm_has_even_ratios():
     grid = LogUniform(2.0, 32.0, 5).grid()
     np.testing.assert_allclose(grid, [2, 4, 8, 16, 32], rtol=1e-14)
-    np.testing.assert_allclose(LogUniform(-32.0, -2.0).at([0.25, 0.5]), [-16, -8], rtol=1e-14)
+    np.testing.assert_allclose(LogUniform(-32.0, -2.0).ppf([0.25, 0.5]), [-16, -8], rtol=1e-14)
 
 
 def test_the_normal_distribution_is_one():
     from scipy import stats
 
     quantiles = (np.arange(200_000) + 0.5) / 200_000
-    values = Normal(0.5, 0.2, 0.0, 0.9).at(quantiles)
+    values = Normal(0.5, 0.2, 0.0, 0.9).ppf(quantiles)
     expected = stats.truncnorm(-2.5, 2.0, loc=0.5, scale=0.2)
     np.testing.assert_allclose(values[::1000], expected.ppf(quantiles[::1000]), rtol=1e-9)
     assert values.mean() == pytest.approx(expected.mean(), rel=1e-6)
     assert values.std() == pytest.approx(expected.std(), rel=1e-4)
-    assert Normal(0.0, 1.0).at([0.0, 0.5, 1.0]) == pytest.approx([-8.2, 0.0, 8.2], abs=0.2)
+    assert Normal(0.0, 1.0).ppf([0.0, 0.5, 1.0]) == pytest.approx([-8.2, 0.0, 8.2], abs=0.2)
 
 
 def test_listed_values_and_whole_numbers_come_equally_often():
     quantiles = (np.arange(1200) + 0.5) / 1200
-    values, counts = np.unique(Values((4.0, 1.0, 2.0)).at(quantiles), return_counts=True)
+    values, counts = np.unique(Values((4.0, 1.0, 2.0)).ppf(quantiles), return_counts=True)
     assert (values.tolist(), counts.tolist()) == ([1.0, 2.0, 4.0], [400, 400, 400])
-    values, counts = np.unique(Wholes(-1, 2).at(quantiles), return_counts=True)
+    values, counts = np.unique(IntegerRange(-1, 2).ppf(quantiles), return_counts=True)
     assert (values.tolist(), counts.tolist()) == ([-1, 0, 1, 2], [300] * 4)
 
 
@@ -340,7 +340,7 @@ def test_listed_values_and_whole_numbers_come_equally_often():
         lambda: Values(()),
         lambda: Values((1.0, math.nan)),
         lambda: Values((1.0, 1.0)),
-        lambda: Wholes(2, 2),
+        lambda: IntegerRange(2, 2),
     ],
 )
 def test_spreads_that_are_none_are_refused(make):
@@ -351,22 +351,24 @@ def test_spreads_that_are_none_are_refused(make):
 @pytest.mark.parametrize(
     ("name", "spread", "why"),
     [
-        ("load.mass2", Wholes(0, 3), "no whole number"),
+        ("load.mass2", IntegerRange(0, 3), "no whole number"),
         ("load.mass2", Uniform(-1.0, 1.0), "reaches -1 kg"),
         ("load.mass2", Normal(-1.0, 1.0), "outside"),
         ("controller.position.seed", Uniform(0.0, 3.0), "is a whole number"),
         ("controller.position.seed", Values((0.5, 1.0)), "is a whole number"),
         ("controller.position.seed", Normal(3.0, 1.0), "is a whole number"),
-        ("controller.position.seed", Wholes(0, 2**31), "outside"),
+        ("controller.position.seed", IntegerRange(0, 2**31), "outside"),
         ("valve.time_constant", Uniform(0.0, 1.0), "outside above 0"),
     ],
 )
 def test_a_spread_has_to_go_with_its_number(name, spread, why):
     with pytest.raises(ParameterError, match=why):
-        over(BACKPROP, {name: spread})
+        sweep_parameters(BACKPROP, {name: spread})
 
 
 def test_values_are_of_the_kind_of_their_number():
-    seeds, masses = over(BACKPROP, {"controller.position.seed": Values((0.0, 2.0)), "load.m2": Values((1, 2))})
-    assert seeds.spread.grid().dtype == np.int64
-    assert masses.spread.grid().dtype == np.float64
+    seeds, masses = sweep_parameters(
+        BACKPROP, {"controller.position.seed": Values((0.0, 2.0)), "load.mass2": Values((1, 2))}
+    )
+    assert seeds.distribution.grid().dtype == np.int64
+    assert masses.distribution.grid().dtype == np.float64

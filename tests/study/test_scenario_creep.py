@@ -7,7 +7,7 @@ import pytest
 
 from mckibben.errors import ScenarioError
 from mckibben.muscle import MaxwellCreep, NoCreep
-from mckibben.study.parameters import find, lanes
+from mckibben.study.parameters import batched, find_parameter
 from mckibben.study.scenario import Scenario
 
 BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
@@ -40,8 +40,10 @@ def test_without_it_all_is_as_before():
 def test_its_numbers_can_be_varied():
     scenario = Scenario.parse(CREEPING)
     name = "joint.muscle.creep.time_constant"
-    assert find(scenario, name).nominal == 8.0
-    np.testing.assert_array_equal(lanes(scenario, {name: [2.0, 8.0]}).plant().joint.muscle2.creep.time_constant, [2, 8])
+    assert find_parameter(scenario, name).nominal == 8.0
+    np.testing.assert_array_equal(
+        batched(scenario, {name: [2.0, 8.0]}).plant().joint.muscle2.creep.time_constant, [2, 8]
+    )
 
 
 def test_what_does_not_go_together_is_said():

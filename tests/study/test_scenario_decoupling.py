@@ -15,9 +15,9 @@ from mckibben.control import (
     VelocityObserver,
 )
 from mckibben.errors import ParameterError, ScenarioError
-from mckibben.study.parameters import addresses, find, lanes
+from mckibben.study.parameters import batched, find_parameter, list_parameters
 from mckibben.study.scenario import Scenario
-from mckibben.study.tune import around_gains
+from mckibben.study.tune import gain_ranges
 from mckibben.units import ms
 
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
@@ -81,23 +81,23 @@ def test_all_its_numbers_can_be_varied_and_have_a_value():
         "  decoupling: {poles: {bandwidth: 50 rad/s}, disturbance_observer: {bandwidth: 90 rad/s}}\n",
     ):
         read = scenario(controller)
-        mine = [a for a in addresses(read) if a.name.startswith("controller.decoupling.")]
+        mine = [a for a in list_parameters(read) if a.name.startswith("controller.decoupling.")]
         assert len(mine) >= 4
         assert all(a.nominal is not None for a in mine), mine
-    assert find(scenario(), "controller.decoupling.minimum_tension").nominal == 5.0
-    assert find(scenario(), "controller.decoupling.valve_time_constant").nominal == 0.02
-    assert find(scenario(FULL), "controller.decoupling.load.m2").nominal == 0.6
-    many = lanes(scenario(FULL), {"controller.decoupling.load.m2": [0.4, 0.5], "load.m2": [0.5, 0.5]})
+    assert find_parameter(scenario(), "controller.decoupling.minimum_tension").nominal == 5.0
+    assert find_parameter(scenario(), "controller.decoupling.valve_time_constant").nominal == 0.02
+    assert find_parameter(scenario(FULL), "controller.decoupling.load.mass2").nominal == 0.6
+    many = batched(scenario(FULL), {"controller.decoupling.load.mass2": [0.4, 0.5], "load.mass2": [0.5, 0.5]})
     np.testing.assert_array_equal(many.control().load.mass2, [0.4, 0.5])
     with pytest.raises(ParameterError, match="the controller's load is that of the plant itself"):
-        find(scenario(), "controller.decoupling.load.mass2")
+        find_parameter(scenario(), "controller.decoupling.load.mass2")
     with pytest.raises(ParameterError, match="outside above 0"):
-        lanes(scenario(), {"controller.decoupling.poles.bandwidth": [50.0, 0.0]})
+        batched(scenario(), {"controller.decoupling.poles.bandwidth": [50.0, 0.0]})
 
 
 def test_bandwidths_count_as_gains():
-    assert list(around_gains(scenario())) == ["controller.decoupling.poles.bandwidth"]
-    assert "controller.decoupling.sliding.reach" in around_gains(scenario(FULL))
+    assert list(gain_ranges(scenario())) == ["controller.decoupling.poles.bandwidth"]
+    assert "controller.decoupling.sliding.reach" in gain_ranges(scenario(FULL))
 
 
 def test_what_does_not_go_together_is_said():

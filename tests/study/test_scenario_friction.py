@@ -9,7 +9,7 @@ import pytest
 from mckibben.control import FrictionCompensation, PositionStiffnessControl
 from mckibben.errors import ScenarioError
 from mckibben.muscle import MaxwellSlip, NoFriction
-from mckibben.study.parameters import find, lanes
+from mckibben.study.parameters import batched, find_parameter
 from mckibben.study.scenario import Scenario
 from mckibben.units import bar, mm
 
@@ -73,8 +73,8 @@ def test_it_comes_back_from_its_text(text):
 def test_its_numbers_can_be_varied():
     scenario = Scenario.parse(COMPENSATED)
     name = "joint.muscle.friction.half_width"
-    assert find(scenario, name).nominal == 12.0
-    many = lanes(scenario, {name: [8.0, 12.0]}, known=[name])
+    assert find_parameter(scenario, name).nominal == 12.0
+    many = batched(scenario, {name: [8.0, 12.0]}, known=[name])
     np.testing.assert_array_equal(many.plant().joint.muscle1.friction.half_width, [8.0, 12.0])
     assert np.ndim(jax.tree.leaves(many.control().model.muscle2.friction)[0]) == 1
 

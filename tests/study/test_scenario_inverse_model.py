@@ -7,9 +7,9 @@ import pytest
 
 from mckibben.control import InverseModelControl, PositionStiffnessControl
 from mckibben.errors import ParameterError, ScenarioError
-from mckibben.study.parameters import addresses, find, lanes
+from mckibben.study.parameters import batched, find_parameter, list_parameters
 from mckibben.study.scenario import Scenario
-from mckibben.study.tune import around_gains
+from mckibben.study.tune import gain_ranges
 
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 BEFORE, AFTER = TEXT.split("reference:")
@@ -68,25 +68,25 @@ def test_it_comes_back_from_its_text(more):
 
 def test_its_numbers_can_be_varied_and_have_a_value():
     for more in (FULL, "  inverse_model: {learning_rate: 5 1/s}\n"):
-        mine = [a for a in addresses(scenario(more)) if a.name.startswith("controller.inverse_model.")]
+        mine = [a for a in list_parameters(scenario(more)) if a.name.startswith("controller.inverse_model.")]
         assert len(mine) >= 9
         assert all(a.nominal is not None for a in mine), mine
-    assert find(scenario(), "controller.inverse_model.valve_time_constant").nominal == 0.02
+    assert find_parameter(scenario(), "controller.inverse_model.valve_time_constant").nominal == 0.02
     values = {"controller.inverse_model.learning_rate": [1.0, 2.0], "controller.minimum_tension": [5.0, 6.0]}
-    many = lanes(scenario(FULL), values).control()
+    many = batched(scenario(FULL), values).control()
     np.testing.assert_array_equal(many.learning_rate, [1.0, 2.0])
     np.testing.assert_array_equal(many.loops.minimum_tension, [5.0, 6.0])
-    many = lanes(scenario(FULL), {"controller.inverse_model.load.m2": [0.4, 0.5]})
+    many = batched(scenario(FULL), {"controller.inverse_model.load.mass2": [0.4, 0.5]})
     np.testing.assert_array_equal(many.control().load.mass2, [0.4, 0.5])
     with pytest.raises(ParameterError, match="the controller's load is that of the plant itself"):
-        find(scenario(), "controller.inverse_model.load.mass2")
+        find_parameter(scenario(), "controller.inverse_model.load.mass2")
     with pytest.raises(ParameterError, match="outside above 0"):
-        lanes(scenario(FULL), {"controller.minimum_tension": [5.0, 0.0]})
+        batched(scenario(FULL), {"controller.minimum_tension": [5.0, 0.0]})
 
 
 def test_only_the_loops_have_gains():
     """How fast it learns is none: no feedback goes faster with it."""
-    assert all(name.split(".")[1] in ("position", "stiffness") for name in around_gains(scenario(FULL)))
+    assert all(name.split(".")[1] in ("position", "stiffness") for name in gain_ranges(scenario(FULL)))
 
 
 def test_what_does_not_go_together_is_said():

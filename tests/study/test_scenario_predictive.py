@@ -6,9 +6,9 @@ import pytest
 
 from mckibben.control import ExtendedStateObserver, LawAdaptation, PredictiveControl, PressureObserver, VelocityObserver
 from mckibben.errors import ParameterError, ScenarioError
-from mckibben.study.parameters import addresses, find, lanes
+from mckibben.study.parameters import batched, find_parameter, list_parameters
 from mckibben.study.scenario import Scenario
-from mckibben.study.tune import around_gains
+from mckibben.study.tune import gain_ranges
 from mckibben.units import deg, ms
 
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
@@ -76,26 +76,26 @@ def test_it_comes_back_from_its_text(controller):
 
 def test_its_numbers_can_be_varied_and_have_a_value():
     for controller, count in ((SHORT, 8), (FULL, 18)):
-        mine = [a for a in addresses(scenario(controller)) if a.name.startswith("controller.predictive.")]
+        mine = [a for a in list_parameters(scenario(controller)) if a.name.startswith("controller.predictive.")]
         assert len(mine) >= count
         assert all(a.nominal is not None for a in mine), mine
-    many = lanes(scenario(), {"controller.predictive.damping": [2.0, 3.0]}).control()
+    many = batched(scenario(), {"controller.predictive.damping": [2.0, 3.0]}).control()
     assert many.damping.tolist() == [2.0, 3.0]
-    assert find(scenario(FULL), "controller.predictive.adaptation.mass_spread").nominal == 0.0
-    assert find(scenario(), "controller.predictive.horizon").nominal == pytest.approx(60 * ms)
+    assert find_parameter(scenario(FULL), "controller.predictive.adaptation.mass_spread").nominal == 0.0
+    assert find_parameter(scenario(), "controller.predictive.horizon").nominal == pytest.approx(60 * ms)
     for name in ("stages", "iterations"):
         with pytest.raises(ParameterError, match="size of what is compiled"):
-            find(scenario(FULL), f"controller.predictive.{name}")
+            find_parameter(scenario(FULL), f"controller.predictive.{name}")
     with pytest.raises(ParameterError, match="the controller's load is that of the plant itself"):
-        find(scenario(), "controller.predictive.load.mass2")
+        find_parameter(scenario(), "controller.predictive.load.mass2")
     with pytest.raises(ParameterError, match="outside 2"):
-        lanes(scenario(), {"controller.predictive.damping": [2.0, 3.5]})
+        batched(scenario(), {"controller.predictive.damping": [2.0, 3.5]})
 
 
 def test_its_bandwidths_count_as_gains():
     both = ["controller.predictive.bandwidth", "controller.predictive.stiffness_bandwidth"]
-    assert list(around_gains(scenario())) == both
-    found = {name.removeprefix("controller.predictive.") for name in around_gains(scenario(FULL))}
+    assert list(gain_ranges(scenario())) == both
+    found = {name.removeprefix("controller.predictive.") for name in gain_ranges(scenario(FULL))}
     others = {"velocity_observer.bandwidth", "pressure_observer.bandwidth"}
     assert found == {"bandwidth", "stiffness_bandwidth"} | others
 

@@ -9,10 +9,10 @@ from mckibben.control import DecouplingControl, LawAdaptation
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.muscle import PressureAffineLaw
 from mckibben.plant import NoDisturbance, PerfectSensors, SampledSensors, TorquePulses
-from mckibben.study.parameters import addresses, find, lanes, with_values
+from mckibben.study.parameters import batched, find_parameter, list_parameters, with_values
 from mckibben.study.scenario import Scenario
-from mckibben.study.sweep.result import listed
-from mckibben.study.tune import around_gains
+from mckibben.study.sweep.result import parameter_rows
+from mckibben.study.tune import gain_ranges
 from mckibben.units import deg, ms
 
 BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
@@ -100,9 +100,9 @@ NUMBERS = {
 
 
 def test_all_its_numbers_are_listed_with_what_they_are(real):
-    nominal = {each.name: each.nominal for each in addresses(real)}
+    nominal = {each.name: each.nominal for each in list_parameters(real)}
     assert {name: nominal[name] for name in NUMBERS} == pytest.approx(NUMBERS)
-    shown = {each["name"]: (each["nominal"], each["range"], each["unit"]) for each in listed(real)}
+    shown = {each["name"]: (each["nominal"], each["range"], each["unit"]) for each in parameter_rows(real)}
     assert shown["sensors.encoder"] == ("0.022 deg", "0 to 90 deg", "deg")
     assert shown["sensors.pressure_noise"] == ("4 kPa", "0 to 100000 kPa", "kPa")
     assert shown["controller.decoupling.adaptation.strength_spread"] == ("0.08", "above 0 to 0.3", "1")
@@ -110,7 +110,7 @@ def test_all_its_numbers_are_listed_with_what_they_are(real):
 
 def test_what_is_left_out_is_that_of_the_classes():
     read = Scenario.parse(text("sensors: {}\n", "", None, "{}"))
-    nominal = {each.name: each.nominal for each in addresses(read)}
+    nominal = {each.name: each.nominal for each in list_parameters(read)}
     assert nominal["joint.muscle.strength"] == 1.0  # that of the law
     assert [nominal[f"sensors.{key}"] for key in ("encoder", "pressure_noise", "delay", "seed")] == [0.0, 0.0, 0.0, 0]
     for key in ("strength_spread", "mass_spread", "friction_spread", "torque_error", "bandwidth"):
@@ -119,7 +119,7 @@ def test_what_is_left_out_is_that_of_the_classes():
 
 def test_they_can_be_varied(real):
     table = {name: [value, value * 2 if isinstance(value, int) else value * 1.5] for name, value in NUMBERS.items()}
-    many = lanes(real, table, known="all")
+    many = batched(real, table, known="all")
     plant, control = many.plant(), many.control()
     np.testing.assert_array_equal(plant.sensors.seed, [7, 14])
     np.testing.assert_array_equal(plant.disturbance.height, [0.5, 0.75])
@@ -136,15 +136,17 @@ def test_the_model_keeps_its_own_strength():
         "controller:\n  model: {geometry: knee-table-2, connector_length: 208 mm, "
         f"muscle: {{specimen: MAS-10-180N-AA-MC-O, {MUSCLE}}}\n",
     )
-    many = lanes(Scenario.parse(own), {"joint.muscle.strength": [0.9, 1.1], "controller.model.muscle.strength": [1, 1]})
+    many = batched(
+        Scenario.parse(own), {"joint.muscle.strength": [0.9, 1.1], "controller.model.muscle.strength": [1, 1]}
+    )
     np.testing.assert_array_equal(many.plant().joint.muscle1.law.strength, [0.9, 1.1])
     np.testing.assert_array_equal(many.control().model.muscle1.law.strength, [1.0, 1.0])
-    alone = lanes(Scenario.parse(own), {"joint.muscle.strength": [0.9, 1.1]})
+    alone = batched(Scenario.parse(own), {"joint.muscle.strength": [0.9, 1.1]})
     assert type(alone.control().model.muscle1.law).__name__ == "ExponentialLaw"
 
 
 def test_what_an_adaptation_takes_for_true_is_no_gain(real):
-    assert not [name for name in around_gains(real) if ".adaptation." in name]
+    assert not [name for name in gain_ranges(real) if ".adaptation." in name]
 
 
 @pytest.mark.parametrize(
@@ -153,7 +155,7 @@ def test_what_an_adaptation_takes_for_true_is_no_gain(real):
 )
 def test_what_is_not_there_cannot_be_varied(name, what):
     with pytest.raises(ParameterError, match=f"cannot be varied: .*{what}") as refused:
-        find(Scenario.parse(BASE), name)
+        find_parameter(Scenario.parse(BASE), name)
     assert "write" in refused.value.remedy
 
 

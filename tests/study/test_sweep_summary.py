@@ -13,13 +13,13 @@ from mckibben.simulation import Metrics
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES, Outcome
 from mckibben.storage.files import to_json
-from mckibben.study.sweep import Sweep, summary
+from mckibben.study.sweep import SweepResult, summary
 from mckibben.study.sweep.result import (
     correlation_rows,
+    feasibility_sentence,
     main_metrics,
     metric_rows,
     outcome_rows,
-    reach_sentence,
     spearman,
 )
 from mckibben.units import deg
@@ -68,9 +68,9 @@ def made_up(count=400, lost=0.1, inputs=5, seed=0, metrics=Metrics._fields):
     table |= {
         "outcome": ("run", codes),
         "shortfall_max": ("run", short),
-        "unheld": ("run", np.where(np.arange(count) % 50 == 3, 0.5, 0.0)),
+        "infeasible_time": ("run", np.where(np.arange(count) % 50 == 3, 0.5, 0.0)),
     }
-    return Sweep(xr.Dataset(table, attrs={"title": "made up"}))
+    return SweepResult(xr.Dataset(table, attrs={"title": "made up"}))
 
 
 def test_the_statistics_are_those_of_numpy():
@@ -82,7 +82,7 @@ def test_the_statistics_are_those_of_numpy():
         "diverged": np.sum(codes == 4),
         "no_start": np.sum(codes == 5),
     }
-    assert (numbers["runs"], numbers["lost"]) == (400, np.sum(codes != 0))
+    assert (numbers["runs"], numbers["failed"]) == (400, np.sum(codes != 0))
     for name, (metric, _, unit) in METRICS.items():
         values = swept.table[metric].to_numpy() / unit
         spread = numbers["metrics"][name]
@@ -96,11 +96,11 @@ def test_the_statistics_are_those_of_numpy():
 
 def test_numbers_of_lost_runs_count_for_nothing():
     swept = made_up()
-    lost = swept.lost
+    lost = swept.failed
     lively = swept.table.copy()
     for name in Metrics._fields:
         lively[name] = ("run", np.where(lost, 1e9, swept.table[name].to_numpy()))
-    assert summary(Sweep(lively)) == summary(swept)
+    assert summary(SweepResult(lively)) == summary(swept)
 
 
 def test_rank_correlations_are_those_of_scipy():
@@ -119,29 +119,29 @@ def test_what_matters_comes_first():
     found = {(each["input"], each["with"]): each["spearman"] for each in correlations}
     assert found["load.mass2", "angle_rmse_deg"] == pytest.approx(1)
     assert found["controller.position.kp", "stiffness_rmse"] == pytest.approx(-1, abs=1e-3)
-    assert abs(found["load.mass2", "lost"]) < 0.2
+    assert abs(found["load.mass2", "failed"]) < 0.2
     sizes = [abs(each["spearman"]) for each in correlations]
     assert sizes == sorted(sizes, reverse=True)
     assert len(correlations) == 5 * 4
 
 
-def test_what_is_out_of_reach():
+def test_infeasible_references_are_counted():
     swept = made_up()
-    reach = summary(swept)["reach"]
+    found = summary(swept)["feasibility"]
     short = swept.table["shortfall_max"].to_numpy()
-    assert reach["runs_stiffness_out_of_reach"] == np.sum(short > 0)
-    assert (reach["shortfall_max"], reach["shortfall_max_run"]) == (np.nanmax(short), np.nanargmax(short))
-    assert reach["runs_angle_unheld"] == 8
-    sentence = reach_sentence(summary(swept))
-    assert re.match(r"\d+ of 400 runs ask at times for a stiffness that the joint cannot hold, by up to 0\.", sentence)
-    assert sentence.endswith("; 8 of 400 runs ask at times for an angle that no pressures within limits hold")
+    assert found["runs_stiffness_infeasible"] == np.sum(short > 0)
+    assert (found["shortfall_max"], found["shortfall_max_run"]) == (np.nanmax(short), np.nanargmax(short))
+    assert found["runs_angle_infeasible"] == 8
+    stiffness, angle = feasibility_sentence(summary(swept)).split("; ")
+    assert stiffness.startswith(f"{np.sum(short > 0)} of 400 runs")
+    assert angle.startswith("8 of 400 runs")
 
 
 @pytest.mark.parametrize("count", [1, 2, 40])
 def test_all_runs_lost(count):
     swept = made_up(count, lost=1.1)
     numbers = summary(swept)
-    assert numbers["lost"] == count
+    assert numbers["failed"] == count
     assert all(spread["runs"] == 0 and spread["median"] is None for spread in numbers["metrics"].values())
     assert metric_rows(numbers) == correlation_rows(numbers) == []
     assert sum(int(row[0]) for row in outcome_rows(numbers)) == count
@@ -197,4 +197,12 @@ def test_the_figure_shows_the_four_inputs_that_matter_most():
     shown = " ".join(axes.get_xlabel().replace("\n", "") for axes in figure.axes)
     assert "load.mass2[kg]" in shown
     assert "controller.position.kp[bar/rad]" in shown
-    assert "1 input of less weight not shown" in figure._suptitle.get_text()
+    assert "1 input with weaker correlation" in figure._suptitle.get_text()
+
+
+def test_it_shows_itself_in_short():
+    swept = made_up(lost=0.0, inputs=2)
+    assert repr(swept) == "<SweepResult: 400 runs, over load.mass2, controller.position.kp>"
+    assert "failed" in repr(made_up())
+    html = swept._repr_html_()
+    assert html.count("<tr>") == 1 + len(METRICS) and len(html) < 5000

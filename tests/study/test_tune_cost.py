@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mckibben.errors import McKibbenError, ParameterError
 from mckibben.simulation import Metrics
 from mckibben.simulation.result import attributes
-from mckibben.study.tune import Cost, Term, read_cost
+from mckibben.study.tune import Cost, Term, parse_cost
 from mckibben.units import deg
 
 SIZES = st.floats(1e-30, 1e30)
@@ -19,20 +19,20 @@ COSTS = st.lists(st.sampled_from(Metrics._fields), min_size=1, unique=True).flat
 
 @given(COSTS)
 def test_what_is_written_reads_back_to_the_last_bit(terms):
-    assert read_cost(Cost(terms).text).terms == terms
+    assert parse_cost(Cost(terms).text).terms == terms
 
 
 @given(st.text(max_size=40) | st.text("angle_rmse/+*0.1e degN- \n", max_size=40))
 def test_any_text_is_a_cost_or_an_error_of_ours(text):
     try:
-        assert read_cost(read_cost(text).text).terms == read_cost(text).terms
+        assert parse_cost(parse_cost(text).text).terms == parse_cost(text).terms
     except McKibbenError as error:
         assert str(error)
 
 
 @pytest.mark.parametrize("plus", [" + ", "+", " +", "+ ", "\n  + "])
 def test_terms_with_units_weights_and_any_plus(plus):
-    cost = read_cost(f"angle_rmse/0.1 deg{plus}2*stiffness_rmse/50 N*cm/rad{plus}1e+1 * coupling / 1e+3 deg")
+    cost = parse_cost(f"angle_rmse/0.1 deg{plus}2*stiffness_rmse/50 N*cm/rad{plus}1e+1 * coupling / 1e+3 deg")
     assert [term.metric for term in cost.terms] == ["angle_rmse", "stiffness_rmse", "coupling"]
     assert [term.weight for term in cost.terms] == [1.0, 2.0, 10.0]
     np.testing.assert_allclose([term.scale for term in cost.terms], [0.1 * deg, 0.5, 1000 * deg], rtol=1e-15)
@@ -40,18 +40,18 @@ def test_terms_with_units_weights_and_any_plus(plus):
 
 
 def test_a_metric_alone_needs_no_scale():
-    assert read_cost(" angle_rmse ") == Cost((Term("angle_rmse", 1.0),))
-    assert read_cost("3*force_max").terms == (Term("force_max", 1.0, 3.0),)
+    assert parse_cost(" angle_rmse ") == Cost((Term("angle_rmse", 1.0),))
+    assert parse_cost("3*force_max").terms == (Term("force_max", 1.0, 3.0),)
 
 
 def test_how_runs_are_put_together_is_passed_on():
-    cost = read_cost("angle_rmse", gain_margin=2.0, worst=True)
+    cost = parse_cost("angle_rmse", gain_margin=2.0, worst=True)
     assert (cost.gain_margin, cost.worst) == (2.0, True)
     assert cost == Cost.of({"angle_rmse": 1.0}, gain_margin=2.0, worst=True)
 
 
 def test_the_sum_is_elementwise():
-    cost = read_cost("angle_rmse/0.5 rad + 3*force_max/10 N")
+    cost = parse_cost("angle_rmse/0.5 rad + 3*force_max/10 N")
     values = {"angle_rmse": np.array([1.0, 2.0]), "force_max": np.array([10.0, 0.0]), "coupling": None}
     np.testing.assert_allclose(cost(values), [5.0, 4.0])
 
@@ -78,7 +78,7 @@ def test_the_sum_is_elementwise():
 )
 def test_what_is_wrong_is_named(text, named):
     with pytest.raises(ParameterError, match=named):
-        read_cost(text)
+        parse_cost(text)
 
 
 @pytest.mark.parametrize("margin", [0.99, 0.0, -2.0, float("nan"), float("inf")])
@@ -95,5 +95,5 @@ def test_every_metric_has_a_unit_for_its_scale():
 def test_the_remedy_for_a_missing_scale_is_one(name):
     other = "force_max" if name != "force_max" else "coupling"
     with pytest.raises(ParameterError) as wrong:
-        read_cost(f"{name} + {other}/1 {attributes(other)['units']}")
-    assert read_cost(wrong.value.remedy.removeprefix("write it like ")).metrics == (name,)
+        parse_cost(f"{name} + {other}/1 {attributes(other)['units']}")
+    assert parse_cost(wrong.value.remedy.removeprefix("write it like ")).metrics == (name,)

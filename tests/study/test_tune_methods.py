@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mckibben.errors import ParameterError
-from mckibben.study.parameters import LogUniform, Uniform, read_over
+from mckibben.study.parameters import LogUniform, Uniform, parse_sweep
 from mckibben.study.scenario import Scenario
-from mckibben.study.tune import Cost, Method, around_gains, read_ranges, tune
-from mckibben.study.tune.problem import LOST, TuningProblem
+from mckibben.study.tune import Cost, Method, gain_ranges, parse_ranges, tune
+from mckibben.study.tune.objective import FAILED_COST, TuningProblem
 from mckibben.units import deg
 
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
@@ -118,13 +118,13 @@ def test_a_start_outside_its_range_is_moved_to_its_end(method):
     low, high = np.transpose([(each.low, each.high) for each in RANGES.values()])
     assert ((low <= list(tuned.values.values())) & (list(tuned.values.values()) <= high)).all()
     assert (1.0, 0.0) in [trial.point for trial in tuned.trials]
-    assert tuned.cost < tuned.cost_before < LOST
+    assert tuned.cost < tuned.cost_before < FAILED_COST
 
 
 def test_a_start_that_cannot_be_held_costs_nothing_that_is_known(method):
     tuned = tune(starting("0 deg", 99), RANGES, COST, method=method, **SMALL | {"starts": 6})
     assert np.isnan(tuned.cost_before)
-    assert tuned.cost < LOST
+    assert tuned.cost < FAILED_COST
 
 
 def test_a_number_at_an_end_of_its_range_is_named(method):
@@ -143,7 +143,7 @@ def test_where_nothing_can_be_run_it_says_so(method):
 
 
 def test_several_scenarios_are_tuned_at_once():
-    """With a second wish of 4 deg the worst of both is least in the middle."""
+    """With a second reference of 4 deg the worst of both is least in the middle."""
     other = Scenario.parse(TEXT.replace("angle: 2 deg", "angle: 4 deg"))
     cost = Cost.of({"angle_rmse": deg, "stiffness_rmse": 1.0}, worst=True)
     tuned = tune([STILL, other], RANGES, cost, method=Method.CMA, **SMALL | {"iterations": 25})
@@ -168,21 +168,21 @@ def test_a_seed_is_one_that_all_methods_take(seed):
 def test_a_whole_number_has_no_range_to_search():
     learning = Scenario.read(Path(__file__).parents[2] / "examples" / "pre-contracted-step-backprop.yaml")
     with pytest.raises(ParameterError, match="no range to search"):
-        tune(learning, [read_over("controller.position.seed=0..9", learning)], COST)
+        tune(learning, [parse_sweep("controller.position.seed=0..9", learning)], COST)
     with pytest.raises(ParameterError, match=r"controller\.position\.seed is a whole number"):
-        read_ranges(["controller.position.seed"], learning)
+        parse_ranges(["controller.position.seed"], learning)
 
 
 def test_ranges_around_what_numbers_are():
-    gains = around_gains(STILL)
+    gains = gain_ranges(STILL)
     assert list(gains) == [f"controller.{k}" for k in ("position.kp", "position.ki", "position.kd")] + [
         f"controller.stiffness.{k}" for k in ("kp", "ki")
     ]  # one is zero
     for name, spread in gains.items():
         assert spread.high / spread.low == pytest.approx(1e4)
-        assert {each.name: each.spread for each in read_ranges([], STILL)}[name] == spread
+        assert {each.name: each.distribution for each in parse_ranges([], STILL)}[name] == spread
     reverse = Scenario.parse(TEXT.replace("kp: 0.08 bar", "kp: -0.08 bar").replace("ki: 5 bar", "ki: -5 bar"))
-    spread = around_gains(reverse)["controller.stiffness.kp"]
+    spread = gain_ranges(reverse)["controller.stiffness.kp"]
     assert (spread.low, spread.high) == pytest.approx((-8e5, -80.0))
 
 
@@ -190,8 +190,8 @@ def test_ranges_around_what_numbers_are():
     ("texts", "named"),
     [
         (["controller.stiffness.kd"], "controller.stiffness.kd is zero, or not given: there is no range"),
-        (["load.mass2", "load.m2=1..2 kg"], "are about the same number"),
-        (["load.mass9"], "no number 'load.mass9'"),
+        (["load.mass2", "load.mass2=1..2 kg"], "are about the same parameter"),
+        (["load.mass9"], "no parameter 'load.mass9'"),
         (["load.mass2=2..1 kg"], "the range is empty"),
         (["load.mass2=1..2 N"], "not a unit of the kind"),
         (["load.mass2=-1..2 kg"], "load.mass2"),
@@ -199,13 +199,13 @@ def test_ranges_around_what_numbers_are():
 )
 def test_ranges_that_are_none(texts, named):
     with pytest.raises(ParameterError, match=named):
-        read_ranges(texts, STILL)
+        parse_ranges(texts, STILL)
 
 
 def test_gains_that_are_all_zero_are_nothing_to_tune():
     import re
 
     zero = Scenario.parse(re.sub(r"(k[pid]): [0-9.]+ ", r"\1: 0 ", TEXT))
-    assert around_gains(zero) == {}
+    assert gain_ranges(zero) == {}
     with pytest.raises(ParameterError, match="all gains are zero; say what to search"):
-        read_ranges([], zero)
+        parse_ranges([], zero)

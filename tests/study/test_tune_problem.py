@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from mckibben.errors import ParameterError
-from mckibben.study.parameters import LogUniform, Uniform, find, over, with_values
+from mckibben.study.parameters import LogUniform, Uniform, find_parameter, sweep_parameters, with_values
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_scenario
 from mckibben.study.tune import Cost, Term
-from mckibben.study.tune.cost import SMOOTH
-from mckibben.study.tune.problem import LOST, problem
+from mckibben.study.tune.objective import FAILED_COST, SMOOTH, TuningProblem
 from mckibben.units import bar, deg, mm
 
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
@@ -53,7 +52,7 @@ SCALES = {"angle_rmse": 0.1 * deg, "stiffness_rmse": 0.2 / 3, "angle_max": deg, 
 
 
 def asked(cost, scenarios=(LIGHT, HEAVY)):
-    return problem(scenarios, over(LIGHT, RANGES), cost, known="all")
+    return TuningProblem.of(scenarios, sweep_parameters(LIGHT, RANGES), cost, known="all")
 
 
 @pytest.fixture(scope="module")
@@ -93,45 +92,47 @@ def test_gradients_are_central_differences(worst, margin):
 def check_differences(task, rows, rtol=1e-5):
     """Gradients over the unit cube against differences of the costs there."""
     _, slopes = task.costs_and_gradients(rows)
-    found = task.to_unit(rows, slopes)
-    points, h = np.array([task.point(row) for row in rows]), 1e-5
+    found = slopes * task.space.slopes(rows)
+    points, h = np.array([task.space.point(row) for row in rows]), 1e-5
     moved = [point + sign * h * axis for point in points for axis in np.eye(rows.shape[1]) for sign in (1, -1)]
     twice = moved if task.cost.gain_margin > 1 else moved * 2  # as many runs as with the margin: one program less
-    costs = task.costs(task.values(np.array(twice)))[: len(moved)].reshape(*rows.shape, 2)
+    costs = task.costs(task.space.values(np.array(twice)))[: len(moved)].reshape(*rows.shape, 2)
     expected = (costs[..., 0] - costs[..., 1]) / (2 * h)
     assert (np.abs(expected) > 1e-4).all()
     np.testing.assert_allclose(found, expected, rtol=rtol, atol=rtol * np.abs(expected).max())
 
 
 def test_the_controllers_model_follows_the_plant_where_it_is_known_alone():
-    connectors = over(LIGHT, {"joint.connector_length": RANGES["joint.connector_length"]})
+    connectors = sweep_parameters(LIGHT, {"joint.connector_length": RANGES["joint.connector_length"]})
     rows, cost = np.array([[0.207], [0.208]]), Cost(TERMS)
-    fixed = problem((LIGHT,), connectors, cost).costs(rows)
-    known = problem((LIGHT,), connectors, cost, ["joint.connector_length"]).costs(rows)
+    fixed = TuningProblem.of((LIGHT,), connectors, cost).costs(rows)
+    known = TuningProblem.of((LIGHT,), connectors, cost, ["joint.connector_length"]).costs(rows)
     assert fixed[1] == pytest.approx(known[1], rel=1e-9)  # the model's own length
     assert abs(fixed[0] - known[0]) > 1e-3
     with pytest.raises(ParameterError, match=r"does not take load\.damping from the plant"):
-        problem((LIGHT,), over(LIGHT, RANGES), cost, ["load.damping"])
+        TuningProblem.of((LIGHT,), sweep_parameters(LIGHT, RANGES), cost, ["load.damping"])
 
 
 def test_points_are_places_in_the_ranges():
     task = asked(Cost(TERMS))
-    np.testing.assert_allclose(task.values(np.zeros((1, 5)))[0], [s.low for s in RANGES.values()], rtol=0)
-    np.testing.assert_allclose(task.values(np.ones((1, 5)))[0], [s.high for s in RANGES.values()], rtol=0)
-    np.testing.assert_allclose(task.values(task.point(ROWS[1])[None])[0], ROWS[1], rtol=1e-12)
-    np.testing.assert_allclose(task.point(task.nominal), [0.5, 0.5, 0.03, 2 / 3, 0.2], rtol=1e-9)
-    assert task.point(np.array([1e9, 1e9, -1.0, 1.0, 0.0])).tolist() == [1.0, 1.0, 0.0, 1.0, 0.0]
+    np.testing.assert_allclose(task.space.values(np.zeros((1, 5)))[0], [s.low for s in RANGES.values()], rtol=0)
+    np.testing.assert_allclose(task.space.values(np.ones((1, 5)))[0], [s.high for s in RANGES.values()], rtol=0)
+    np.testing.assert_allclose(task.space.values(task.space.point(ROWS[1])[None])[0], ROWS[1], rtol=1e-12)
+    np.testing.assert_allclose(task.space.point(task.space.nominal), [0.5, 0.5, 0.03, 2 / 3, 0.2], rtol=1e-9)
+    assert task.space.point(np.array([1e9, 1e9, -1.0, 1.0, 0.0])).tolist() == [1.0, 1.0, 0.0, 1.0, 0.0]
 
 
 def test_what_is_not_allowed_or_cannot_start_costs_most_and_leaves_its_neighbours_alone():
-    task = problem((LIGHT,), over(LIGHT, RANGES | {"joint.connector_length": Uniform(0.2, 0.39)}), Cost(TERMS), "all")
+    task = TuningProblem.of(
+        (LIGHT,), sweep_parameters(LIGHT, RANGES | {"joint.connector_length": Uniform(0.2, 0.39)}), Cost(TERMS), "all"
+    )
     rows = ROWS.copy()
     rows[1, 3] = 0.38  # no allowed one
     rows[2, 4] = 60.0  # no pressures hold it
     expected = asked(Cost(TERMS), (LIGHT,)).costs(np.tile(ROWS, (2, 1)))
-    assert task.costs(np.tile(rows, (2, 1)))[:3].tolist() == [expected[0], LOST, LOST]
+    assert task.costs(np.tile(rows, (2, 1)))[:3].tolist() == [expected[0], FAILED_COST, FAILED_COST]
     costs, slopes = task.costs_and_gradients(rows)
-    assert costs[1:].tolist() == [LOST, LOST]
+    assert costs[1:].tolist() == [FAILED_COST, FAILED_COST]
     assert np.isfinite(slopes).all()
     assert not slopes[1:].any()
     assert slopes[0].all()
@@ -141,14 +142,16 @@ def test_what_is_not_allowed_or_cannot_start_costs_most_and_leaves_its_neighbour
 def test_one_lost_scenario_is_enough_also_for_the_mean(worst):
     lifted = with_values(LIGHT, {"start.angle": 20 * deg})  # where not every one of the stiffnesses can be held
     costs = asked(Cost(TERMS, worst=worst), (LIGHT, lifted)).costs(np.tile(ROWS, (2, 1)))[:3]
-    assert costs[:2].tolist() == [LOST, LOST]
-    assert costs[2] < LOST
+    assert costs[:2].tolist() == [FAILED_COST, FAILED_COST]
+    assert costs[2] < FAILED_COST
 
 
 def test_the_margin_does_not_lead_beyond_what_a_file_may_say():
     name = "controller.position.kp"
-    most = find(LIGHT, name).upper
-    task = problem((LIGHT,), over(LIGHT, RANGES | {name: LogUniform(most / 100, most)}), Cost(TERMS, gain_margin=1.5))
+    most = find_parameter(LIGHT, name).upper
+    task = TuningProblem.of(
+        (LIGHT,), sweep_parameters(LIGHT, RANGES | {name: LogUniform(most / 100, most)}), Cost(TERMS, gain_margin=1.5)
+    )
     rows = ROWS.copy()
     rows[0, 0] = most
     assert np.isfinite(task.costs(rows)).all()
@@ -156,21 +159,21 @@ def test_the_margin_does_not_lead_beyond_what_a_file_may_say():
 
 def test_nothing_to_tune_and_numbers_without_a_range():
     with pytest.raises(ParameterError, match="nothing to tune"):
-        problem((), (), Cost(TERMS))
+        TuningProblem.of((), (), Cost(TERMS))
     with pytest.raises(ParameterError, match="nothing to tune"):
-        problem((LIGHT,), (), Cost(TERMS))
-    from mckibben.study.parameters import read_over
+        TuningProblem.of((LIGHT,), (), Cost(TERMS))
+    from mckibben.study.parameters import parse_sweep
 
     for text in ("load.damping=normal 10 %", "load.damping=0.1 N*m*s/rad, 0.2 N*m*s/rad"):
         with pytest.raises(ParameterError, match=r"load\.damping has no range to search"):
-            problem((LIGHT,), [read_over(text, LIGHT)], Cost(TERMS))
+            TuningProblem.of((LIGHT,), [parse_sweep(text, LIGHT)], Cost(TERMS))
 
 
 def test_a_number_that_one_scenario_lacks_is_said_with_the_scenario():
     ideal = Scenario.parse(TEXT.replace("valve: {time_constant: 20 ms}", "valve: ideal").replace("name: ", "name: my "))
-    ranges = over(LIGHT, {"valve.time_constant": Uniform(0.01, 0.05)})
+    ranges = sweep_parameters(LIGHT, {"valve.time_constant": Uniform(0.01, 0.05)})
     with pytest.raises(ParameterError, match=r"my pre-contracted.*the valve is ideal"):
-        problem((LIGHT, ideal), ranges, Cost(TERMS))
+        TuningProblem.of((LIGHT, ideal), ranges, Cost(TERMS))
 
 
 def test_coupling_needs_a_step():

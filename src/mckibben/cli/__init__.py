@@ -22,7 +22,7 @@ from mckibben.cli.rig import rig
 from mckibben.cli.sweep import sweep
 from mckibben.cli.tune import tune
 from mckibben.errors import McKibbenError, McKibbenWarning
-from mckibben.storage.files import folder
+from mckibben.storage.files import make_folder
 
 if TYPE_CHECKING:
     from mckibben.simulation import Result
@@ -46,7 +46,7 @@ def reproduce(
     json: Json = False,
 ) -> None:
     """Reproduce the paper: test, identification, knee and control, with a report and figures."""
-    folder(out)  # fails before the computation
+    make_folder(out)  # fails before the computation
     from mckibben.storage.files import to_json
 
     with progress() as report:
@@ -87,7 +87,7 @@ def simulate(
 ) -> None:
     """Simulate a scenario: a controller on a joint."""
     if out:
-        folder(out)
+        make_folder(out)
     from mckibben.study.scenario import Scenario
 
     read = Scenario.read(scenario)

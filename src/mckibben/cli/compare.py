@@ -9,10 +9,10 @@ import typer
 
 from mckibben.cli.options import Json, long_job, metric, required_folder, table
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.storage.files import folder, whole
+from mckibben.storage.files import atomic_write, make_folder
 
 if TYPE_CHECKING:
-    from mckibben.study.benchmark import Contest, Suite
+    from mckibben.study.benchmark import BenchmarkResult, Suite
 
 _KEPT = ("results.json", "runs.nc", "suite.yaml", "comparison.html")
 
@@ -47,11 +47,11 @@ def compare(
 
     searches = out / "tuning"
     if not resume:
-        if searches.is_dir() and any(searches.glob("*.jsonl")):
+        if searches.is_dir() and any(searches.glob("*.journal")):
             remedy = "continue them with --resume, or choose another folder"
             raise FileError(str(searches), [Problem("there are histories of searches already", remedy=remedy)])
         check_free(out, _KEPT)
-    folder(out)
+    make_folder(out)
     with long_job(quiet=json, kept=f"the evaluated points are in {searches}; continue with --resume") as bar:
         contest = run(read, folder=searches, resume=resume, progress=bar)
     _show(contest, out, json)
@@ -59,15 +59,15 @@ def compare(
 
 def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
     """Return the suite with fewer runs or a smaller tuning budget."""
-    tuning, unseen = suite.tuning, suite.unseen
+    tuning, evaluation = suite.tuning, suite.evaluation
     if quick:
         tuning = tuning.model_copy(update={"generations": max(tuning.generations // 10, 1), "starts": 1})
-        unseen = unseen.model_copy(update={"runs": min(unseen.runs, 128)})
+        evaluation = evaluation.model_copy(update={"runs": min(evaluation.runs, 128)})
     if runs is not None:
         if not 2 <= runs <= 1_000_000:
             raise ParameterError(f"--runs {runs}", value=runs, lower=2, upper=1_000_000, remedy="give 2 to 1000000")
-        unseen = unseen.model_copy(update={"runs": runs})
-    return suite.model_copy(update={"tuning": tuning, "unseen": unseen})
+        evaluation = evaluation.model_copy(update={"runs": runs})
+    return suite.model_copy(update={"tuning": tuning, "evaluation": evaluation})
 
 
 def _alone(out: Path, repeat: str) -> str:
@@ -79,27 +79,32 @@ def _alone(out: Path, repeat: str) -> str:
     kept = out / "results.json"
     if not kept.is_file():
         raise ParameterError(f"{out} holds no comparison", remedy="run it first, without --repeat")
-    numbers = json.loads(kept.read_text(encoding="utf-8"))
+    try:
+        numbers = json.loads(kept.read_text(encoding="utf-8"))
+        tuned = {each: found["tuned"] for each, found in numbers["controllers"].items()}
+        count = int(numbers["runs"])
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        remedy = "run the comparison again in another folder"
+        raise FileError(str(kept), [Problem("it is damaged, or no result of a comparison", remedy=remedy)]) from None
     suite = Suite.read(out / "suite.yaml")
     name, _, run = repeat.rpartition(" ")
-    tuned = {each: found["tuned"] for each, found in numbers["controllers"].items()}
     if name not in tuned:
         raise ParameterError(f"there is no controller {name!r}", value=name, remedy=f"known are {', '.join(tuned)}")
-    if not run.isdecimal() or int(run) >= numbers["runs"]:
-        raise ParameterError(f"there is no run {run!r}", value=run, remedy=f"give 0 to {numbers['runs'] - 1}")
-    scenario = draw(suite, numbers["runs"], suite.unseen.seed).scenario(name, int(run), tuned[name])
+    if not run.isdecimal() or int(run) >= count:
+        raise ParameterError(f"there is no run {run!r}", value=run, remedy=f"give 0 to {count - 1}")
+    scenario = draw(suite, count, suite.evaluation.seed).scenario(name, int(run), tuned[name])
     return scenario.dumps()
 
 
-def _show(contest: Contest, out: Path, json: bool) -> None:
+def _show(contest: BenchmarkResult, out: Path, json: bool) -> None:
     from mckibben import report
     from mckibben.storage.files import to_json, write_json
-    from mckibben.study.benchmark.benchmark import keep_table, standing
+    from mckibben.study.benchmark.benchmark import statistics, write_table
 
-    numbers = standing(contest)
+    numbers = statistics(contest)
     write_json(out / "results.json", numbers)  # before anything is drawn
-    keep_table(contest, out / "runs.nc")
-    with whole(out / "suite.yaml") as part:
+    write_table(contest, out / "runs.nc")
+    with atomic_write(out / "suite.yaml", overwrite=True) as part:
         part.write_text(contest.suite.dumps(folder=out), encoding="utf-8")
     kept = _tuned_scenarios(contest, out)
     page = report.write_benchmark(contest, numbers, out)
@@ -121,7 +126,7 @@ def _tables(numbers: dict[str, Any]) -> None:
         return "-" if spread is None else metric(key, spread[what])
 
     table(
-        f"{numbers['suite']}: {numbers['runs'] - numbers['not_begun']} unseen runs",
+        f"{numbers['suite']}: {numbers['runs'] - numbers['no_start']} unseen runs",
         ("controller", "angle rmse, deg", "95 %", "stiffness rmse", "95 %", "coupling, deg", "air, L", "unstable"),
         [
             (
@@ -132,7 +137,7 @@ def _tables(numbers: dict[str, Any]) -> None:
                 cell(name, "stiffness_rmse", "percentile_95"),
                 cell(name, "coupling_deg"),
                 cell(name, "air_L"),
-                str(found[name]["lost"]),
+                str(found[name]["unstable"]),
             )
             for name in numbers["order"]
         ],
@@ -141,10 +146,10 @@ def _tables(numbers: dict[str, Any]) -> None:
     table(
         f"medians against {first}",
         ("controller", "angle rmse", "95 % interval", "stiffness rmse", "95 % interval"),
-        [(name, *_ratios(found[name]["against_first"])) for name in numbers["order"] if name != first],
+        [(name, *_ratios(found[name]["ratio_to_first"])) for name in numbers["order"] if name != first],
     )
-    if numbers["not_begun"]:
-        typer.echo(f"{numbers['not_begun']} runs were infeasible: no static equilibrium at their start")
+    if numbers["no_start"]:
+        typer.echo(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
     for name, each in found.items():
         if each["at_bound"]:
             typer.echo(f"{name}: at a bound of the range: {', '.join(each['at_bound'])}; consider a wider range")
@@ -158,14 +163,14 @@ def _ratios(against: dict[str, dict[str, float]]) -> list[str]:
     ]
 
 
-def _tuned_scenarios(contest: Contest, out: Path) -> int:
+def _tuned_scenarios(contest: BenchmarkResult, out: Path) -> int:
     """Write each tuned controller as a scenario with the plant of its model."""
     from mckibben.study.benchmark.benchmark import filename
     from mckibben.study.parameters import with_values
 
-    kept = folder(out / "controllers")
-    wish = next(iter(contest.suite.references))
+    kept = make_folder(out / "controllers")
+    reference = next(iter(contest.suite.references))
     for name, values in contest.tuned.items():
-        scenario = contest.suite.scenario(name, wish)
+        scenario = contest.suite.scenario(name, reference)
         (with_values(scenario, values) if values else scenario).to_yaml(kept / f"{filename(name)}.yaml")
     return len(contest.tuned)

@@ -9,7 +9,7 @@ import typer
 
 from mckibben.cli.options import Json, Out, notify, parse_optional_quantity, parse_quantity, table
 from mckibben.errors import ParameterError
-from mckibben.storage.files import folder
+from mckibben.storage.files import make_folder
 
 if TYPE_CHECKING:
     from mckibben.reachability import Design, Envelope
@@ -46,7 +46,7 @@ def envelope(
 ) -> None:
     """Show the static envelope, whether the reference is trackable, and the nearest that is; or size the joint."""
     if out:
-        folder(out)
+        make_folder(out)
     fraction = parse_quantity("--margin", margin, "1")
     width = parse_optional_quantity("--smoothing", smoothing, "s")
     reserve = parse_quantity("--torque-reserve", torque_reserve, "N*m")

@@ -21,7 +21,7 @@ from mckibben.cli.options import (
     table,
 )
 from mckibben.errors import ParameterError
-from mckibben.storage.files import folder
+from mckibben.storage.files import make_folder
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
@@ -55,7 +55,7 @@ def identify(
     With --hysteresis the friction between loading and unloading is identified with the law.
     """
     if out:
-        folder(out)
+        make_folder(out)
     from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law) if law != _ALL else None
@@ -110,7 +110,7 @@ def validate(
 ) -> None:
     """Validate a force law with measured points: errors by pressure and direction."""
     if out:
-        folder(out)
+        make_folder(out)
     from mckibben.study.inputs import law_named
 
     known = law_named(law, specimen=specimen)
@@ -150,7 +150,7 @@ def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
 
         for entry in ranking.entries:
             if entry.fit:
-                entry.fit.to_yaml(folder(out / "fits") / f"{entry.law}.yaml")
+                entry.fit.to_yaml(make_folder(out / "fits") / f"{entry.law}.yaml")
         assert best.fit is not None
         best.fit.to_yaml(out / "fit.yaml")
         points.to_netcdf(out / "data.nc")

@@ -20,7 +20,7 @@ from mckibben.cli.options import (
     table,
 )
 from mckibben.errors import ParameterError, UnitError
-from mckibben.storage.files import folder
+from mckibben.storage.files import make_folder
 
 if TYPE_CHECKING:
     from mckibben.experiment_design import ExperimentPlan
@@ -88,7 +88,7 @@ def plan(
 ) -> None:
     """Plan the next test: the points that most reduce the uncertainty of a quantity, and diagnostics of the data."""
     if out:
-        folder(out)
+        make_folder(out)
     if directions not in _DIRECTIONS:
         raise ParameterError(
             f"{directions!r} is not a direction", value=directions, remedy=f"choose of {', '.join(_DIRECTIONS)}"
@@ -151,8 +151,8 @@ def _limits(contraction: str, pressure: str, specimen: Specimen | None) -> Domai
     """Design region; a limit that is not given is the specimen's."""
     if not contraction and not pressure:
         return None
-    from mckibben.experiment_design import parse_range
     from mckibben.muscle import Domain
+    from mckibben.units import parse_range
 
     if specimen is None and not (contraction and pressure):
         raise ParameterError(

@@ -57,14 +57,14 @@ def control(
 
     compute_in_this_thread()
     from mckibben.realtime import JointRig, prepare
-    from mckibben.storage.files import check_free, folder
+    from mckibben.storage.files import check_free, make_folder
     from mckibben.study.scenario import Scenario
 
     read = _with_duration(Scenario.read(scenario), parse_optional_quantity("--duration", duration, "s"))
     on = None if rig is None else JointRig.read(rig)
     if on is not None and on.nidaqmx is not None and unpaced:
         raise ParameterError("--unpaced is for the simulated joint", remedy="leave it out")
-    check_free(folder(out), (*_KEPT, "record-0001.chunks"))
+    check_free(make_folder(out), (*_KEPT, "record-0001.chunks"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
     if not session.reach.feasible:
         typer.echo(f"warning: {session.reach.describe()}", err=True)

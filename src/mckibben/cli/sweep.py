@@ -13,7 +13,7 @@ from mckibben.cli.options import Json, long_job, required_folder, table
 
 if TYPE_CHECKING:
     from mckibben.study.scenario import Scenario
-    from mckibben.study.sweep import Sweep
+    from mckibben.study.sweep import SweepResult
 
 
 def sweep(
@@ -67,11 +67,11 @@ def sweep(
     with long_job(quiet=json, kept=f"finished blocks are in {out}; continue with --resume") as bar:
         from mckibben.storage.files import check_free
         from mckibben.study.scenario import Scenario
-        from mckibben.study.sweep import MANIFEST
         from mckibben.study.sweep import sweep as run
+        from mckibben.study.sweep.sweep import JOURNAL
 
         read = Scenario.read(scenario)
-        if not resume and not (out / MANIFEST).exists():  # an existing sweep is reported by `run`
+        if not resume and not (out / JOURNAL).exists():  # an existing sweep is reported by `run`
             check_free(out, ("results.json", "sweep.png", "sweep.svg"))
         names = None if metrics is None else [name.strip() for each in metrics for name in each.split(",")]
         swept = run(
@@ -92,11 +92,11 @@ def sweep(
     _show(swept, out, json)
 
 
-def _show(swept: Sweep, out: Path, json: bool) -> None:
+def _show(swept: SweepResult, out: Path, json: bool) -> None:
     """Write and print the statistics, and write the figure."""
     from mckibben.storage.files import to_json, write_json
     from mckibben.study.sweep import summary
-    from mckibben.study.sweep.result import correlation_rows, metric_rows, outcome_rows, reach_sentence
+    from mckibben.study.sweep.result import correlation_rows, feasibility_sentence, metric_rows, outcome_rows
 
     numbers = summary(swept)
     write_json(out / "results.json", numbers)
@@ -113,7 +113,7 @@ def _show(swept: Sweep, out: Path, json: bool) -> None:
         rows = correlation_rows(numbers)
         if rows:
             table("Rank correlations, strongest first", ("parameter", "metric", "Spearman"), rows)
-        typer.echo(reach_sentence(numbers))
+        typer.echo(feasibility_sentence(numbers))
     from mckibben import report
 
     report.save(report.sweep(swept), out, "sweep")
@@ -123,10 +123,10 @@ def _show(swept: Sweep, out: Path, json: bool) -> None:
 def _list(path: Path, json: bool) -> None:
     from mckibben.storage.files import to_json
     from mckibben.study.scenario import Scenario
-    from mckibben.study.sweep.result import listed
+    from mckibben.study.sweep.result import parameter_rows
 
     read: Scenario = Scenario.read(path)
-    numbers = listed(read)
+    numbers = parameter_rows(read)
     if json:
         typer.echo(to_json(numbers))
         return

@@ -10,11 +10,11 @@ import typer
 
 from mckibben.cli.options import Json, long_job, metric, required_folder, table
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 
 if TYPE_CHECKING:
     from mckibben.study.scenario import Scenario
-    from mckibben.study.tune import Tuned
+    from mckibben.study.tune import TuningResult
 
 _METHODS = ("gradient", "evolution", "cma")
 
@@ -70,12 +70,12 @@ def tune(
     from mckibben.study.scenario import Scenario
 
     read = [Scenario.read(path) for path in scenarios]
-    from mckibben.study.tune import Method, read_cost, read_ranges
+    from mckibben.study.tune import Method, parse_cost, parse_ranges
     from mckibben.study.tune import tune as run
 
-    ranges = read_ranges(parameters or [], read[0])
-    asked = read_cost(cost, gain_margin=margin, worst=worst)
-    history = out / "history.jsonl"
+    ranges = parse_ranges(parameters or [], read[0])
+    asked = parse_cost(cost, gain_margin=margin, worst=worst)
+    history = out / "history.journal"
     if not resume and not history.exists():  # an existing search is reported by `run`
         check_free(out, ("results.json", "tuning.png", "tuning.svg", *_tuned_names(scenarios)))
     with long_job(quiet=json, kept=f"the evaluated points are in {history}; continue with --resume") as bar:
@@ -98,7 +98,7 @@ def tune(
     _show(tuned, read, scenarios, ranges, out, json)
 
 
-def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, out: Path, json: bool) -> None:
+def _show(tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges: Any, out: Path, json: bool) -> None:
     from mckibben import report
     from mckibben.simulation.metrics import METRICS
     from mckibben.storage.files import to_json, write_json
@@ -108,7 +108,7 @@ def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, 
         {"scenario": old.name, "before": _metrics(old), "tuned": _metrics(new)}
         for old, new in zip(before, tuned.scenarios, strict=True)
     ]
-    shown_values = {each.name: each.address.show(tuned.values[each.name]) for each in ranges}
+    shown_values = {each.name: each.parameter.show(tuned.values[each.name]) for each in ranges}
     numbers = {
         "cost_before": tuned.cost_before,
         "cost": tuned.cost,
@@ -123,7 +123,7 @@ def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, 
         typer.echo(to_json(numbers))
     else:
         rows = [
-            (each.name, each.address.show(each.address.nominal) if each.address.nominal is not None else "-", now)
+            (each.name, each.parameter.show(each.parameter.nominal) if each.parameter.nominal is not None else "-", now)
             for each, now in zip(ranges, shown_values.values(), strict=True)
         ]
         table(
@@ -140,7 +140,7 @@ def _show(tuned: Tuned, before: list[Scenario], paths: list[Path], ranges: Any, 
             table(run["scenario"], ("metric", "before", "tuned", "unit"), rows)
         if tuned.at_bound:
             typer.echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
-    typer.echo(f"wrote {', '.join(kept)}, history.jsonl, results.json, tuning.png and tuning.svg to {out}", err=json)
+    typer.echo(f"wrote {', '.join(kept)}, history.journal, results.json, tuning.png and tuning.svg to {out}", err=json)
 
 
 def _metrics(scenario: Scenario) -> dict[str, float]:
@@ -154,14 +154,14 @@ def _metrics(scenario: Scenario) -> dict[str, float]:
         return dict.fromkeys(METRICS, float("nan"))
 
 
-def _keep_scenarios(tuned: Tuned, paths: list[Path], out: Path) -> list[str]:
+def _keep_scenarios(tuned: TuningResult, paths: list[Path], out: Path) -> list[str]:
     """Write the tuned scenarios, editing the user's text in place where its relative paths still hold."""
-    from mckibben.study.parameters import rewritten
+    from mckibben.study.parameters import edit_scenario
     from mckibben.study.scenario import Scenario
 
     names = _tuned_names(paths)
     for name, scenario, path in zip(names, tuned.scenarios, paths, strict=True):
-        text = rewritten(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
+        text = edit_scenario(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
         try:
             same = Scenario.parse(text, folder=out) == scenario
         except ScenarioError:
@@ -169,7 +169,7 @@ def _keep_scenarios(tuned: Tuned, paths: list[Path], out: Path) -> list[str]:
         if not same:  # a relative path in it does not hold in the new folder
             scenario.to_yaml(out / name)
             continue
-        with whole(out / name) as part:
+        with atomic_write(out / name, overwrite=True) as part:
             part.write_text(text, encoding="utf-8")
     return names
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from mckibben.dataset.matlab import global_heaps_are_valid
 from mckibben.errors import DatasetError, Problem
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 
 VACUUM = -101325.0
 """Lowest possible gauge pressure [Pa]: vacuum at a standard atmosphere."""
@@ -215,7 +215,7 @@ def write_netcdf(table: xr.Dataset, path: Path) -> None:
     # Not compressed: the low bits of samples are noise, so that gzip and lzf make the file smaller by a quarter to a
     # half, but 5 to 10 times slower to read and 10 times slower to write (5.85 million samples: 47 MB in 20 ms).
     encoding = {str(name): {"_FillValue": None} for name, values in table.variables.items() if values.dtype.kind == "f"}
-    with whole(path) as sibling:
+    with atomic_write(path, overwrite=True) as sibling:
         table.to_netcdf(sibling, engine="h5netcdf", encoding=encoding)
 
 
@@ -288,7 +288,7 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
         comments.append(f"# repairs: {quote(attrs['repairs'])}")
     header = ",".join(CSV_COLUMNS[name] for name in present)
     text = "\n".join([*comments, header, *map(",".join, rows)])
-    with whole(path) as sibling:
+    with atomic_write(path, overwrite=True) as sibling:
         sibling.write_text(f"{text}\n", encoding="utf-8", newline="\n")
 
 

@@ -8,7 +8,6 @@ from mckibben.experiment_design.quantities import (
     JointTorque,
     QuantityOfInterest,
     parse_quantity_of_interest,
-    parse_range,
 )
 from mckibben.experiment_design.result import ErrorMap, ExperimentPlan, PlannedPoint
 
@@ -22,6 +21,5 @@ __all__ = [
     "PlannedPoint",
     "QuantityOfInterest",
     "parse_quantity_of_interest",
-    "parse_range",
     "plan",
 ]

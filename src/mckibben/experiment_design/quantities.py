@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -21,7 +20,7 @@ from mckibben.identification.intervals import force_gradients
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.numerics.compiled import compiled
-from mckibben.units import bar, deg, quantity
+from mckibben.units import bar, deg, parse_range, quantity
 
 _SIDE = 21  # states along each side of a region
 _ANGLES = 5  # in a range of angles
@@ -318,28 +317,3 @@ def parse_quantity_of_interest(
             f"{law_type.__name__} has {', '.join(known.values())}",
         )
     return Coefficients(tuple(known[name] for name in names))
-
-
-def parse_range(text: str, unit: str) -> tuple[float, float]:
-    """Parse a range such as "0..10 %" or a single value, which is both its ends, into SI.
-
-    >>> parse_range("3..6 bar", "Pa"), parse_range("-5 deg", "rad") == parse_range("-5..-5 deg", "rad")
-    ((300000.0, 600000.0), True)
-
-    Raises
-    ------
-    UnitError
-        If the text has another form or unit, or the lower end is not first.
-    """
-    first, dots, last = (part.strip() for part in text.partition(".."))
-    if not dots:
-        return (value := quantity(text, unit)), value
-    number = re.compile(r"[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?")
-    if number.fullmatch(first) and (shared := number.sub("", last, count=1).strip()):
-        first = f"{first} {shared}"
-    start, end = quantity(first, unit), quantity(last, unit)
-    if start > end:
-        raise UnitError(
-            f"{text!r} begins with the higher end", value=text, unit=unit, remedy="give the lower one first"
-        )
-    return start, end

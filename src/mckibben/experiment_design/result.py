@@ -16,7 +16,7 @@ from mckibben.experiment_design.information import Floats, NoiseModel
 from mckibben.experiment_design.prior import PriorData
 from mckibben.experiment_design.quantities import QuantityOfInterest
 from mckibben.muscle import ForceLaw
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.units import bar, factor, percent
 
 _SAME_PLACE = 0.1 * percent  # contractions nearer than this are one place
@@ -229,7 +229,7 @@ class ExperimentPlan:
             p = self.points[i]
             numbers = f"{p.pressure / bar:.9g},{p.contraction / percent:.9g}"
             lines.append(f"{numbers},{p.direction or 'unknown'},{p.repeat},{p.force:.1f},{i + 1}")
-        with whole(Path(path)) as part:
+        with atomic_write(Path(path), overwrite=True) as part:
             part.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
     def _compared(self) -> str:

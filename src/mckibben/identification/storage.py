@@ -22,7 +22,7 @@ from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.uncertainty import Grouping
 from mckibben.muscle import LAWS, Domain, ForceLaw
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.units import BoundedInt, factor, quantity, show
 
 _HEAD = "# A force law identified by mckibben. Numbers have their unit beside them, comments that of publications.\n"
@@ -73,7 +73,7 @@ def write_fit(fit: Fit, path: Path) -> None:
             "pressure_unit": "Pa",
         },
     }
-    with whole(path) as sibling:
+    with atomic_write(path, overwrite=True) as sibling:
         sibling.write_text(_HEAD + to_text(data, comments, width=200), encoding="utf-8", newline="\n")
 
 

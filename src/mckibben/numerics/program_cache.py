@@ -26,7 +26,7 @@ import jaxlib.version
 import numpy as np
 
 from mckibben.numerics.runtime import processor
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 
 _KNOWN = frozenset({"mckibben", "builtins", "jax", "jaxlib", "equinox", "numpy"})
 _PLAIN = (type(None), bool, int, float, complex, str, bytes)
@@ -84,7 +84,7 @@ def load_or_compile(
 
 def _write(path: Path, content: bytes) -> None:
     """Write with a checksum: damaged native code crashes the process."""
-    with whole(path) as part:
+    with atomic_write(path, overwrite=True) as part:
         part.touch(mode=0o600)
         part.write_bytes(_checksum(path, content) + content)
         part.chmod(0o600)

@@ -31,7 +31,7 @@ from mckibben.simulation import (
 )
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_scenario
-from mckibben.study.tune import Cost, Method, Tuned, around_gains, tune
+from mckibben.study.tune import Cost, Method, TuningResult, gain_ranges, tune
 from mckibben.units import quantity
 
 PID, BP, TUNED_PID = "PID", "BP", "PID tuned"
@@ -114,7 +114,7 @@ class Tracking:
     """
 
     runs: dict[tuple[str, StiffnessReference, str], ControllerRun]
-    tuned: dict[str, Tuned]
+    tuned: dict[str, TuningResult]
     coupling: dict[str, Coupling]
     seeds: int
 
@@ -135,7 +135,7 @@ def run_tracking(
     """
     with ThreadPoolExecutor(max_workers=1) as beside:  # most of both is compilation, which uses one core each
         moderate = beside.submit(_moderate_runs, seeds)
-        tuned: dict[str, Tuned] = {}
+        tuned: dict[str, TuningResult] = {}
         for i, setting in enumerate(SETTINGS):
 
             def report(part: float, start: float = i / len(SETTINGS)) -> None:
@@ -163,7 +163,9 @@ def _moderate_runs(seeds: int) -> dict[tuple[str, StiffnessReference, str], Cont
     return runs
 
 
-def _tuned_runs(setting: Setting, tuned: Tuned, seeds: int) -> dict[tuple[str, StiffnessReference, str], ControllerRun]:
+def _tuned_runs(
+    setting: Setting, tuned: TuningResult, seeds: int
+) -> dict[tuple[str, StiffnessReference, str], ControllerRun]:
     gains = gains_of(tuned.scenarios[0])
     runs: dict[tuple[str, StiffnessReference, str], ControllerRun] = {}
     for reference in StiffnessReference:
@@ -183,7 +185,7 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
     }
     return tune(
         scenarios,
-        around_gains(scenarios[0]),
+        gain_ranges(scenarios[0]),
         Cost.of(scales, gain_margin=_GAIN_MARGIN),
         method=Method.EVOLUTION,
         iterations=generations,

@@ -16,7 +16,7 @@ from mckibben.reachability.feasible import FeasibleReference, check_margin, find
 from mckibben.reachability.sizing import Design
 from mckibben.reachability.static import StaticEnvelope, static_envelope
 from mckibben.reachability.trackability import Trackability, TrackabilityChecker
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.study.parameters import with_values
 from mckibben.study.scenario import ReferenceSpec, Scenario, StartSpec
 from mckibben.units import bar, deg
@@ -212,7 +212,7 @@ def _write_samples(path: Path, found: FeasibleReference) -> None:
     ):
         if _is_sampled(signal):
             columns[title] = np.asarray(signal(found.times), float) / unit
-    with whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+    with atomic_write(path, overwrite=True) as part, part.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows([f"{value:.9g}" for value in row] for row in zip(*columns.values(), strict=True))

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from mckibben.errors import ParameterError, UnitError
-from mckibben.experiment_design import parse_range
 from mckibben.joint import Geometry, RigidTendon
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.muscle import Muscle, PressureAffineLaw
@@ -23,7 +22,7 @@ from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
 from mckibben.reachability.static import AttainableRange, StaticEnvelope, Values, static_envelope
-from mckibben.units import deg, mm, percent
+from mckibben.units import deg, mm, parse_range, percent
 
 _GEOMETRY, _MUSCLES = ("connector_length", "joint_radius", "joint_length"), ("muscle1_length", "muscle2_length")
 DESIGN_LENGTHS = (*_GEOMETRY, "muscle_length", *_MUSCLES)

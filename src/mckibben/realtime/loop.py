@@ -24,7 +24,7 @@ from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import JointMonitor
-from mckibben.storage.interruption import heeded
+from mckibben.storage.interruption import handle_signals
 from mckibben.units import bar
 
 _PRIORITY = 20  # of 1 to 99: above ordinary processes, below those of the system
@@ -133,13 +133,13 @@ class StopFlag:
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[StopFlag]:
-    """Set a flag on the signals that `heeded` handles."""
+    """Set a flag on the signals that `handle_signals` handles."""
     flag = StopFlag()
 
     def note(number: int) -> None:
         flag.signal = number
 
-    with heeded(note):
+    with handle_signals(note):
         yield flag
 
 

@@ -34,8 +34,7 @@ from mckibben.rig.calibration import calibrations_in, content_of
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
 from mckibben.simulation import Feasibility, Result, check_reference, sampled
-from mckibben.storage.files import alone
-from mckibben.storage.files import folder as made
+from mckibben.storage.files import file_lock, make_folder
 from mckibben.study.scenario import Scenario
 from mckibben.units import deg
 
@@ -114,9 +113,9 @@ class JointSession:
         RigError
             If the rig is not connected, or does not fit, before anything moves.
         """
-        folder = made(folder)
+        folder = make_folder(folder)
         with (
-            alone(folder / "lock", "running a joint rig"),
+            file_lock(folder / "lock", "running a joint rig"),
             stop_on_signals() as stop_flag,
             realtime_process_settings() as priority,
         ):

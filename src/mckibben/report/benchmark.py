@@ -16,8 +16,8 @@ from mckibben.report.figures import ReportFigure
 from mckibben.report.page import EmbeddedFigure, address_of, style_sheet, template_of
 from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, save, styled
 from mckibben.report.tables import Table, number
-from mckibben.storage.files import whole
-from mckibben.study.benchmark import Contest
+from mckibben.storage.files import atomic_write
+from mckibben.study.benchmark import BenchmarkResult
 from mckibben.units import deg
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
@@ -26,7 +26,7 @@ _NARROW = 3.0  # a smaller ratio gets a linear axis
 
 
 @styled
-def benchmark_errors(contest: Contest) -> Figure:
+def benchmark_errors(contest: BenchmarkResult) -> Figure:
     """Cumulative distribution of the angle and stiffness errors over the unseen runs, by controller.
 
     Parameters
@@ -56,7 +56,7 @@ def benchmark_errors(contest: Contest) -> Figure:
 
 
 @styled
-def benchmark_references(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
+def benchmark_references(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
     """Median errors by reference and controller.
 
     Parameters
@@ -64,7 +64,7 @@ def benchmark_references(contest: Contest, numbers: Mapping[str, Any]) -> Figure
     contest
         What `mckibben.study.benchmark.compare` gave.
     numbers
-        Its `standing`.
+        Its `statistics`.
     """
     references = list(contest.suite.references)
     figure = blank(DOUBLE, 0.9 + 0.42 * len(references))
@@ -73,7 +73,7 @@ def benchmark_references(contest: Contest, numbers: Mapping[str, Any]) -> Figure
     keys = ("angle_rmse_deg", "stiffness_rmse")
     for panel, mark, key, (_, label, _) in zip(axes, "ab", keys, _ERRORS, strict=True):
         for i, (name, look) in enumerate(looks.items()):
-            found = numbers["controllers"][name]["by_wish"]
+            found = numbers["controllers"][name]["by_reference"]
             shift = (i - (len(looks) - 1) / 2) * 0.7 / len(looks)
             medians = [(found.get(reference, {}).get(key), row + shift) for row, reference in enumerate(references)]
             places = [(median, row) for median, row in medians if median]
@@ -93,7 +93,7 @@ def benchmark_references(contest: Contest, numbers: Mapping[str, Any]) -> Figure
 
 
 @styled
-def benchmark_air(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
+def benchmark_air(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
     """Angle error over air consumption: median and 90 % range of the runs.
 
     Parameters
@@ -101,7 +101,7 @@ def benchmark_air(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
     contest
         What `mckibben.study.benchmark.compare` gave.
     numbers
-        Its `standing`.
+        Its `statistics`.
     """
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots()
@@ -120,7 +120,7 @@ def benchmark_air(contest: Contest, numbers: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def write_benchmark(contest: Contest, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
+def write_benchmark(contest: BenchmarkResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
     """Write `comparison.html` with embedded figures, and the figures as PNG and SVG in `figures/`.
 
     Parameters
@@ -128,7 +128,7 @@ def write_benchmark(contest: Contest, numbers: Mapping[str, Any], folder: str | 
     contest
         What `mckibben.study.benchmark.compare` gave.
     numbers
-        Its `standing`.
+        Its `statistics`.
     folder
         Output folder, created if missing.
 
@@ -159,13 +159,13 @@ def write_benchmark(contest: Contest, numbers: Mapping[str, Any], folder: str | 
         tuned=_tuned(contest),
         text=contest.suite.dumps(folder=folder),
     )
-    with whole(page) as part:
+    with atomic_write(page, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
     return page
 
 
-def _figures(contest: Contest, numbers: Mapping[str, Any]) -> list[ReportFigure]:
-    runs = numbers["runs"] - numbers["not_begun"]
+def _figures(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> list[ReportFigure]:
+    runs = numbers["runs"] - numbers["no_start"]
     said = (
         (
             "errors",
@@ -215,7 +215,7 @@ def _ranking(numbers: Mapping[str, Any]) -> Table:
     for name in numbers["order"]:
         found = numbers["controllers"][name]
         settled = f"{found['settled']['runs']} of {found['settled']['of']}"
-        rows.append((name, str(found["lost"]), *_cells(found, _ERROR_COLUMNS), settled))
+        rows.append((name, str(found["unstable"]), *_cells(found, _ERROR_COLUMNS), settled))
     return Table(
         "Ordered by median cost. Medians and 95th percentiles over the stable runs. Errors are those of the plant's "
         "stiffness; coupling and settling refer to stiffness steps.",
@@ -242,7 +242,7 @@ def _ratios(numbers: Mapping[str, Any]) -> Table:
     first = next(iter(numbers["controllers"]))
     rows = []
     for name in numbers["order"]:
-        ratios = numbers["controllers"][name]["against_first"]
+        ratios = numbers["controllers"][name]["ratio_to_first"]
         cells = [
             f"{number(each['ratio'])} ({number(each['low'])} to {number(each['high'])})" for each in ratios.values()
         ]
@@ -271,13 +271,13 @@ def _by_group(numbers: Mapping[str, Any], key: str, what: str) -> Table:
 
 def _dependence(numbers: Mapping[str, Any]) -> Table:
     controllers = numbers["controllers"]
-    conditions = list(next(iter(controllers.values()))["depends_on"])
+    conditions = list(next(iter(controllers.values()))["correlations"])
     rows = [
         (
             condition,
             *(
-                f"{number(found['depends_on'][condition]['angle_rmse_deg'], 2)}, "
-                f"{number(found['depends_on'][condition]['stiffness_rmse'], 2)}"
+                f"{number(found['correlations'][condition]['angle_rmse_deg'], 2)}, "
+                f"{number(found['correlations'][condition]['stiffness_rmse'], 2)}"
                 for found in controllers.values()
             ),
         )
@@ -286,19 +286,19 @@ def _dependence(numbers: Mapping[str, Any]) -> Table:
     return Table(
         "Spearman's rank correlation of each condition with the angle error, and with the stiffness error. "
         "Uncorrelated conditions give less than "
-        f"{number(1.96 / max(numbers['runs'] - numbers['not_begun'] - 1, 1) ** 0.5, 2)} 95 % of the time.",
+        f"{number(1.96 / max(numbers['runs'] - numbers['no_start'] - 1, 1) ** 0.5, 2)} 95 % of the time.",
         ("condition", *controllers),
         rows,
     )
 
 
-def _tuned(contest: Contest) -> Table:
+def _tuned(contest: BenchmarkResult) -> Table:
     rows = []
     for name, values in contest.tuned.items():
         costs = contest.training_cost.get(name)
         said = "not tuned" if costs is None else f"cost {number(costs[1])} before, {number(costs[0])} tuned"
         written = [
-            f"{each.name.removeprefix('controller.')} {each.address.show(values[each.name]).replace('*', '·')}"
+            f"{each.name.removeprefix('controller.')} {each.parameter.show(values[each.name]).replace('*', '·')}"
             for each in contest.suite.tuned_over(name)
         ]
         rows.append((name, said, "; ".join(written)))

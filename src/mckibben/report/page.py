@@ -20,7 +20,7 @@ from mckibben.report import tables
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
 from mckibben.report.tables import SECTIONS, decisions, name_of
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 
 _LARGEST_SVG = 400_000  # bytes; a larger drawing is embedded as PNG
 
@@ -109,7 +109,7 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
         drawn[figure.section].append(EmbeddedFigure(figure, address_of(png, svg)))
     text = render(reproduction, drawn)
     page = folder / _PAGE
-    with whole(page) as part:
+    with atomic_write(page, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
     return page
 

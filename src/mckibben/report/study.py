@@ -29,17 +29,17 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.simulation.metrics import METRICS
-from mckibben.study.sweep import Sweep
+from mckibben.study.sweep import SweepResult
 from mckibben.study.sweep.result import main_metrics, spearman
-from mckibben.study.tune import Tuned
-from mckibben.study.tune.problem import LOST
+from mckibben.study.tune import TuningResult
+from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import factor
 
 _FEW = 12  # parameters whose names are drawn
 
 
 @styled
-def tuning(tuned: Tuned) -> Figure:
+def tuning(tuned: TuningResult) -> Figure:
     """Cost over the evaluated points, and the values found within their ranges.
 
     Parameters
@@ -50,7 +50,7 @@ def tuning(tuned: Tuned) -> Figure:
     figure = blank(DOUBLE, 2.9)
     costs_axes, places_axes = figure.subplots(1, 2, width_ratios=(1.35, 1))
     costs = np.array([trial.cost for trial in tuned.trials])
-    finite = costs < LOST
+    finite = costs < FAILED_COST
     tried = np.arange(1, costs.size + 1)
 
     letter(costs_axes, "a", "cost of the evaluated points")
@@ -115,7 +115,7 @@ class _Input(NamedTuple):
 
 
 @styled
-def sweep(swept: Sweep) -> Figure:
+def sweep(swept: SweepResult) -> Figure:
     """Main metrics (rows) over the four parameters with the strongest rank correlations (columns).
 
     Runs are points or hexagonal bins, with the running median and a band of 90 % of the runs; the last row is the share
@@ -126,7 +126,7 @@ def sweep(swept: Sweep) -> Figure:
     swept
         Result of `mckibben.sweep`.
     """
-    metrics, lost = main_metrics(swept), swept.lost
+    metrics, lost = main_metrics(swept), swept.failed
     inputs = _strongest(swept, metrics)
     rows = [*metrics, *([None] if lost.any() or not metrics else [])]
     heights = [1.0 if metric else 0.5 for metric in rows]
@@ -162,9 +162,9 @@ def sweep(swept: Sweep) -> Figure:
     return figure
 
 
-def _strongest(swept: Sweep, metrics: tuple[str, ...]) -> list[_Input]:
+def _strongest(swept: SweepResult, metrics: tuple[str, ...]) -> list[_Input]:
     """Parameters with the largest rank correlations, in their original order."""
-    lost = swept.lost
+    lost = swept.failed
     strengths = {}
     for name in swept.inputs:
         column = swept.table[name].to_numpy()
@@ -178,7 +178,7 @@ def _strongest(swept: Sweep, metrics: tuple[str, ...]) -> list[_Input]:
     return [_input(swept, name) for name in swept.inputs if name in chosen]
 
 
-def _input(swept: Sweep, name: str) -> _Input:
+def _input(swept: SweepResult, name: str) -> _Input:
     variable = swept.table[name]
     unit = variable.attrs.get("shown_units", "1")
     values = variable.to_numpy().astype(float) / factor(unit)
@@ -186,9 +186,9 @@ def _input(swept: Sweep, name: str) -> _Input:
     return _Input(name, unit, values, log)
 
 
-def _metric(axes: Axes, one: _Input, swept: Sweep, metric: str) -> None:
+def _metric(axes: Axes, one: _Input, swept: SweepResult, metric: str) -> None:
     values = swept.table[metric].to_numpy().astype(float) / _shown(metric)[1]
-    there = ~swept.lost & np.isfinite(values)
+    there = ~swept.failed & np.isfinite(values)
     x, y = one.values[there], values[there]
     low, high = np.percentile(y, [5, 95])
     log = bool(low > 0 and high > _SPREAD_OF_LOG * low)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import struct
-import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -14,17 +13,14 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import DatasetError, Problem
+from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.rig.bench import Bench
+from mckibben.storage.journal import JournalReader
 
-MAGIC = b"MCKCHUNK"
 VERSION = 1
 
-HEADER, SAMPLES, EVENT = b"H", b"S", b"E"
-"""The kinds of chunk."""
-
-_FRONT = struct.Struct("<8s1s3xIQQ")  # magic, kind, checksum, bytes of the payload, rows before it
-_LARGEST = 1 << 31
+SAMPLES, EVENT = b"S", b"E"
+"""Kinds of journal records after the header; their index is the number of rows before them."""
 
 
 class Column(NamedTuple):
@@ -46,43 +42,6 @@ class Column(NamedTuple):
     def stored(self) -> np.dtype[Any]:
         """The type of the values in a file."""
         return np.dtype(self.dtype).newbyteorder("<")
-
-
-class Chunk(NamedTuple):
-    """One chunk of a file: its kind, how many rows came before it, and what it holds."""
-
-    kind: bytes
-    first: int
-    payload: bytes
-
-
-def pack(kind: bytes, first: int, payload: bytes) -> bytes:
-    """A chunk as it is written.
-
-    >>> pack(EVENT, 7, b"{}")[:8], len(pack(EVENT, 7, b"{}"))
-    (b'MCKCHUNK', 34)
-    """
-    front = _FRONT.pack(MAGIC, kind, 0, len(payload), first)
-    return _FRONT.pack(MAGIC, kind, zlib.crc32(payload, zlib.crc32(front)), len(payload), first) + payload
-
-
-def pack_json(kind: bytes, first: int, content: Mapping[str, Any]) -> bytes:
-    """A chunk that holds JSON."""
-    return pack(kind, first, json.dumps(content, ensure_ascii=False, allow_nan=False).encode())
-
-
-def chunks(path: Path) -> Iterator[Chunk]:
-    """The whole chunks of a file, up to its end or to the first that is torn."""
-    with path.open("rb") as file:
-        while len(front := file.read(_FRONT.size)) == _FRONT.size:
-            magic, kind, checksum, length, first = _FRONT.unpack(front)
-            if magic != MAGIC or length > _LARGEST:
-                return
-            payload = file.read(length)
-            blank = _FRONT.pack(magic, kind, 0, length, first)
-            if len(payload) < length or zlib.crc32(payload, zlib.crc32(blank)) != checksum:
-                return
-            yield Chunk(kind, first, payload)
 
 
 def pack_rows(columns: Sequence[Column], arrays: Sequence[np.ndarray]) -> bytes:
@@ -109,19 +68,16 @@ def unpack_rows(columns: Sequence[Column], payload: bytes) -> dict[str, np.ndarr
 
 
 def read_header(path: Path) -> tuple[dict[str, Any], list[Column]]:
-    """What stands at the beginning of a file: the header, and the columns.
+    """Header of a recording's file, and its columns.
 
     Raises
     ------
     DatasetError
-        If the file is no record, or one of a later version.
+        If the file is no recording, or one of another version.
     """
-    with path.open("rb"):
-        pass  # what the system objects to, in its own words
-    front = next(chunks(path), None)
-    if front is None or front.kind != HEADER:
+    content = JournalReader(path).header()
+    if content is None or "columns" not in content:
         raise DatasetError(str(path), [Problem("is no record of a rig", remedy="give the folder of `rig run --out`")])
-    content = json.loads(front.payload)
     if content["version"] != VERSION:
         message = f"is of version {content['version']}, and this mckibben reads version {VERSION}"
         raise DatasetError(str(path), [Problem(message, remedy="update mckibben")])
@@ -221,27 +177,40 @@ def header_of(folder: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Colu
 
 
 def passages(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
-    """Rows and events of a record in their order, a chunk at a time: as much memory as one chunk takes.
+    """Rows and events of a record in order, one journal record at a time.
 
     Raises
     ------
     DatasetError
-        If there is no record, or rows are missing from the middle of it.
+        If there is no record, or rows are missing from the middle of it though nothing is damaged.
+
+    Warns
+    -----
+    McKibbenWarning
+        Of rows lost in damaged parts of a file, which are skipped.
     """
-    expected = 0
+    expected, damaged = 0, False
     for path in segments(Path(folder)):
         _, columns = read_header(path)
-        for chunk in chunks(path):
-            if chunk.first != expected:
-                message = f"rows {expected} to {chunk.first - 1} are missing, or {expected - chunk.first} stand twice"
-                raise DatasetError(str(path), [Problem(message, remedy="the file was changed, or one is missing")])
-            if chunk.kind == SAMPLES:
-                rows = unpack_rows(columns, chunk.payload)
+        reader = JournalReader(path)
+        for record in reader:
+            damaged = damaged or reader.damaged > 0
+            if record.number != expected:
+                if record.number < expected or not damaged:
+                    gap = record.number - expected
+                    message = f"{gap} rows are missing before row {record.number}" if gap > 0 else f"{-gap} rows repeat"
+                    raise DatasetError(str(path), [Problem(message, remedy="the file was changed, or one is missing")])
+                message = f"{path} is damaged: rows {expected} to {record.number - 1} are lost"
+                warnings.warn(message, McKibbenWarning, stacklevel=2)
+                expected = record.number
+            if record.kind == SAMPLES:
+                rows = unpack_rows(columns, record.payload)
                 expected += len(rows[columns[0].name])
-                yield Rows(chunk.first, rows)
-            elif chunk.kind == EVENT:
-                content = json.loads(chunk.payload)
-                yield Event(content["kind"], content["text"], chunk.first, content["data"])
+                yield Rows(record.number, rows)
+            elif record.kind == EVENT:
+                content = json.loads(record.payload)
+                yield Event(content["kind"], content["text"], record.number, content["data"])
+        damaged = damaged or reader.end < path.stat().st_size
 
 
 def rows_in(folder: str | os.PathLike[str]) -> int:
@@ -366,11 +335,18 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
     _fill(folder, kept, {"force": force, "pressure": pressure})
     for name, samples in (("force", force), ("pressure", pressure)):
         _to_si(samples, bench, name)
-    there = np.count_nonzero(~np.isnan(force), axis=1)
-    if len(missing := np.flatnonzero(there != [point.samples for point in kept])):
-        point = kept[missing[0]]
-        problem = f"of the {point.samples} samples of point {point.number} {there[missing[0]]} are there"
-        raise DatasetError(str(folder), [Problem(problem)])
+    complete = np.count_nonzero(~np.isnan(force), axis=1) == [point.samples for point in kept]
+    if not complete.all():
+        lost = [point.number for point, whole in zip(kept, complete, strict=True) if not whole]
+        if not complete.any():
+            raise DatasetError(str(folder), [Problem("holds samples of no point", remedy="record again")])
+        warnings.warn(
+            f"{folder}: samples of the points {', '.join(map(str, lost))} are missing; they are left out",
+            McKibbenWarning,
+            stacklevel=2,
+        )
+        kept = [point for point, whole in zip(kept, complete, strict=True) if whole]
+        force, pressure = force[complete], pressure[complete]
     same = len(counts) == 1
     mean = np.mean if same else np.nanmean
     means = [mean(samples, axis=1, dtype=np.float64) for samples in (force, pressure)]

@@ -15,20 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mckibben.errors import FileError, Problem, RangeError, RigError
-from mckibben.rig.record import (
-    EVENT,
-    HEADER,
-    SAMPLES,
-    VERSION,
-    Column,
-    pack,
-    pack_json,
-    pack_rows,
-    read_header,
-    rows_in,
-    segments,
-)
-from mckibben.storage.files import folder as made
+from mckibben.rig.record import EVENT, SAMPLES, VERSION, Column, pack_rows, read_header, rows_in, segments
+from mckibben.storage.files import make_folder
+from mckibben.storage.journal import Journal, pack, pack_json
 
 PERIOD = 0.25
 """How often [s] what was appended is written and brought to the disk."""
@@ -90,7 +79,7 @@ class Recorder:
         try:
             self._reserve = path.with_name(_RESERVE_NAME)
             _keep_free(self._reserve)
-            self._file, self._end = _begun(path, pack_json(HEADER, first, content))
+            self._journal = Journal.create(path, content, number=first)
         except OSError as error:
             self._reserve.unlink(missing_ok=True)
             raise FileError(str(path), [Problem(f"it cannot be written: {error.strerror}")]) from error
@@ -115,7 +104,7 @@ class Recorder:
         FileError
             If there is a record already, or the folder cannot be written to.
         """
-        folder = made(folder)
+        folder = make_folder(folder)
         if segments(folder):
             remedy = "resume it, or choose another folder"
             raise FileError(str(folder), [Problem("holds a record already", remedy=remedy)])
@@ -201,9 +190,8 @@ class Recorder:
             self._closing = True
             self._change.notify_all()
         self._thread.join()
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        if not self._journal.closed:
+            self._journal.close()
             self._reserve.unlink(missing_ok=True)
             self._raise_failure()
 
@@ -269,52 +257,24 @@ class Recorder:
         return packed
 
     def _write(self, content: bytes) -> None:
-        """Append to the file; where that fails, the file ends as it did before, and the room kept free is tried."""
+        """Append to the journal, on a full disk in the room of the reserve."""
         try:
-            _put(self._file, self._end, content)
+            self._journal.append(content)
         except OSError as error:
-            os.ftruncate(self._file, self._end)
             if error.errno != errno.ENOSPC:
                 raise
             self._reserve.unlink(missing_ok=True)
-            _put(self._file, self._end, content)
+            self._journal.append(content)
             with self._change:
                 self._failure = error  # it is kept, but nothing more should come
-        self._end += len(content)
-
-
-def _put(file: int, at: int, content: bytes) -> None:
-    view = memoryview(content)
-    while view:
-        done = os.pwrite(file, view, at)
-        view, at = view[done:], at + done
-    os.fsync(file)
-
-
-def _begun(path: Path, content: bytes) -> tuple[int, int]:
-    """A file that holds its header when it appears: the descriptor, and where it ends."""
-    part = path.with_suffix(".part")
-    file = os.open(part, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o644)
-    try:
-        _put(file, 0, content)
-        part.rename(path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    except BaseException:
-        os.close(file)
-        part.unlink(missing_ok=True)
-        raise
-    return file, len(content)
 
 
 def _keep_free(path: Path) -> None:
-    with path.open("wb") as file:
-        os.posix_fallocate(file.fileno(), 0, _RESERVE) if hasattr(os, "posix_fallocate") else file.write(
-            bytes(_RESERVE)
-        )
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0), 0o644)
+    try:
+        os.posix_fallocate(file, 0, _RESERVE) if hasattr(os, "posix_fallocate") else os.write(file, bytes(_RESERVE))
+    finally:
+        os.close(file)
 
 
 def _name(number: int) -> str:

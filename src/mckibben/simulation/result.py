@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import FileError, Problem, SimulationError
 from mckibben.simulation.metrics import METRICS, Trajectory, compiled_measure
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
@@ -298,7 +298,7 @@ class Result:
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write to a NetCDF file, atomically."""
-        with whole(path) as part:
+        with atomic_write(path, overwrite=True) as part:
             self.to_xarray().to_netcdf(part, engine="h5netcdf")
 
     @classmethod

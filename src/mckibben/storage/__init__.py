@@ -1,1 +1,1 @@
-"""Files that survive interruption, and the interruption of long jobs."""
+"""Durable files: atomic writes, locks, append-only journals, and signals during a long job."""

@@ -1,9 +1,8 @@
-"""Files and folders that survive interruption: atomic writes, exclusive locks, results that are never overwritten."""
+"""Atomic writes, file locks, output folders and JSON."""
 
 from __future__ import annotations
 
 import errno
-import fcntl
 import json
 import math
 import os
@@ -19,26 +18,86 @@ import numpy as np
 
 from mckibben.errors import FileError, McKibbenWarning, Problem
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+_NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of file systems without locks
+
 
 @contextmanager
-def whole(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A sibling to write to, which takes the place of `path` when the block ends, and goes if it fails."""
-    path = Path(path)
-    sibling = path.with_name(f".{uuid.uuid4().hex}.part")
-    try:
-        yield sibling
-        sibling.replace(path)
-    finally:
-        sibling.unlink(missing_ok=True)
+def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
+    """Write a file so that it appears complete or not at all, also after a power cut.
 
+    The block writes to a temporary file in the same folder. At its end the file is synced and renamed to `path`; after
+    an exception it is removed. A symbolic link at `path` is replaced, not followed.
 
-def folder(path: str | os.PathLike[str]) -> Path:
-    """A folder to write to, made if need be.
+    Parameters
+    ----------
+    path
+        The file to write.
+    overwrite
+        Replace an existing file.
+
+    Yields
+    ------
+    Path
+        The temporary file, empty.
 
     Raises
     ------
     FileError
-        If it cannot be: a file is in the way, or may not be written.
+        If `path` exists and `overwrite` is not set.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{uuid.uuid4().hex}.part")
+    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY | _NO_FOLLOW, 0o666))
+    try:
+        yield temporary
+        _sync(temporary, os.O_RDWR | _NO_FOLLOW)
+        if overwrite:
+            temporary.replace(path)
+        else:
+            _rename_new(temporary, path)
+        sync_folder(path.parent)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _rename_new(temporary: Path, path: Path) -> None:
+    """Rename a file unless its new name is taken."""
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        check_free(path.parent, [path.name])
+    except OSError:  # no hard links here
+        check_free(path.parent, [path.name])
+        temporary.replace(path)
+
+
+def sync_folder(path: Path) -> None:
+    """Make new names in a folder durable, where the system can."""
+    if hasattr(os, "O_DIRECTORY"):
+        _sync(path, os.O_RDONLY | os.O_DIRECTORY)
+
+
+def _sync(path: Path, flags: int) -> None:
+    file = os.open(path, flags)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
+
+
+def make_folder(path: str | os.PathLike[str]) -> Path:
+    """Create a folder and its parents unless they exist.
+
+    Raises
+    ------
+    FileError
+        If it cannot be created.
     """
     path = Path(path)
     try:
@@ -52,81 +111,65 @@ def folder(path: str | os.PathLike[str]) -> Path:
     return path
 
 
-_UNKNOWN = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
-"""What file systems say that have no locks."""
-
-
 def check_free(folder: Path, names: Iterable[str]) -> None:
-    """Raise if files that are about to be written are there already.
-
-    Parameters
-    ----------
-    folder
-        To write to; it need not exist.
-    names
-        Of files in it.
+    """Raise if any of some files exists in a folder, which need not exist itself.
 
     Raises
     ------
     FileError
-        Which names all of them.
+        With every file that exists.
     """
-    there = [name for name in names if os.path.lexists(folder / name)]
-    if there:
+    existing = [name for name in names if os.path.lexists(folder / name)]
+    if existing:
         remedy = "choose another folder, or move what is there out of the way"
-        raise FileError(str(folder), [Problem("it is there already", field=name, remedy=remedy) for name in there])
+        raise FileError(str(folder), [Problem("it is there already", field=name, remedy=remedy) for name in existing])
 
 
 @contextmanager
-def alone(path: Path, what: str) -> Iterator[None]:
-    """Hold a lock file, which goes when the block ends; a process that was killed holds it no longer.
+def file_lock(path: Path, task: str) -> Iterator[None]:
+    """Hold an exclusive lock on a file, which is removed at the end; the lock of a killed process is void.
 
     Parameters
     ----------
     path
-        The file, in a folder that exists.
-    what
-        Is done meanwhile, such as "computing this sweep".
+        The lock file, in an existing folder.
+    task
+        What the holder does, for the error of others, such as "computing this sweep".
 
     Raises
     ------
     FileError
-        If another process holds it, or the file cannot be written.
+        If another process holds the lock, or the file cannot be written.
 
     Warns
     -----
     McKibbenWarning
-        If the file system knows no locks.
+        If the file system or the platform has no such locks.
     """
     try:
-        file = _locked(path, what)
+        file = _lock(path, task)
     except OSError as error:
         problem = Problem(f"it cannot be written: {error.strerror}", remedy="choose another folder")
         raise FileError(str(path), [problem]) from None
     try:
         yield
     finally:
-        path.unlink(missing_ok=True)
+        if fcntl is not None:
+            path.unlink(missing_ok=True)
         os.close(file)
+        if fcntl is None:  # an open file cannot be removed there
+            path.unlink(missing_ok=True)
 
 
-def _locked(path: Path, what: str) -> int:
-    """The open file, locked and with our name in it."""
+def _lock(path: Path, task: str) -> int:
+    """Descriptor of the locked file, which then holds our process id."""
     while True:
-        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | _NO_FOLLOW, 0o644)
         try:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                holder = os.read(file, 200).decode("utf-8", "replace").strip() or "just started"
-                problem = Problem(f"another process ({holder}) is {what}", remedy="wait for its end")
-                raise FileError(str(path.parent), [problem]) from None
-            except OSError as error:
-                if error.errno not in _UNKNOWN:
-                    raise
-                message = f"the file system of {path.parent} has no locks: take care that one process alone is {what}"
+            if not _try_flock(file, path, task):
+                message = f"the file system of {path.parent} has no locks: take care that one process alone is {task}"
                 warnings.warn(message, McKibbenWarning, stacklevel=4)
-            if not _is(path, file):  # who held it before has removed it: ours is one that nobody else sees
+            if not _is_same(path, file):  # its last holder removed it meanwhile
                 os.close(file)
                 continue
             os.ftruncate(file, 0)
@@ -137,7 +180,24 @@ def _locked(path: Path, what: str) -> int:
             raise
 
 
-def _is(path: Path, file: int) -> bool:
+def _try_flock(file: int, path: Path, task: str) -> bool:
+    """Lock an open file; False where locks are not supported."""
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        holder = os.read(file, 200).decode("utf-8", "replace").strip() or "just started"
+        problem = Problem(f"another process ({holder}) is {task}", remedy="wait for its end")
+        raise FileError(str(path.parent), [problem]) from None
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        return False
+    return True
+
+
+def _is_same(path: Path, file: int) -> bool:
     try:
         return os.path.samestat(path.stat(), os.fstat(file))
     except FileNotFoundError:
@@ -165,5 +225,5 @@ def to_json(value: Any) -> str:
 def write_json(path: Path, value: Any) -> None:
     """Write JSON atomically."""
     text = to_json(value)
-    with whole(path) as part:
+    with atomic_write(path, overwrite=True) as part:
         part.write_text(text + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Signals that interrupt a long job in good order."""
+"""Signal handling during a long job."""
 
 from __future__ import annotations
 
@@ -9,35 +9,34 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""What stops a run: Ctrl-C, a polite end, and a terminal that closes."""
+"""Signals that stop a job: Ctrl-C, termination and a closed terminal."""
 
-_SAME = 1.0  # s
+_REPEAT_INTERVAL = 1.0  # s
 
 
 @contextmanager
-def heeded(tell: Callable[[int], None]) -> Iterator[None]:
-    """Tell of a signal in place of what it does otherwise; one that comes again raises KeyboardInterrupt as well.
+def handle_signals(callback: Callable[[int], None]) -> Iterator[None]:
+    """Call a function on a signal that would end the process; a repeated signal also raises KeyboardInterrupt.
 
-    One that comes again within a second is the same: a terminal that closes may send SIGHUP twice (its shell does as
-    well), and the impatient press Ctrl-C twice. Neither ends a process that has a rig in its hands. Signals that are
-    ignored, as SIGHUP is under nohup, still are. Only the main thread is told of signals; in another this does nothing.
+    Repeats within 1 s are ignored: a closing terminal may send SIGHUP twice. Signals that were ignored before (SIGHUP
+    under nohup) stay ignored. Outside of the main thread this does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    heard: dict[int, float] = {}
+    first: dict[int, float] = {}
 
-    def heed(number: int, _: object) -> None:
-        tell(number)
-        if time.monotonic() - heard.setdefault(number, time.monotonic()) > _SAME:
+    def handle(number: int, _: object) -> None:
+        callback(number)
+        if time.monotonic() - first.setdefault(number, time.monotonic()) > _REPEAT_INTERVAL:
             raise KeyboardInterrupt
 
-    before = {}
+    previous = {}
     try:
         for number in SIGNALS:
             if signal.getsignal(number) not in (signal.SIG_IGN, None):
-                before[number] = signal.signal(number, heed)
+                previous[number] = signal.signal(number, handle)
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)

@@ -1,8 +1,7 @@
-r"""How sure the torque and stiffness of a joint are, given the fits of its muscles.
+r"""Uncertainty of a joint's torque and stiffness from the fits of its muscles.
 
-Both depend on the parameters of the muscles' laws; their gradients come from forward differentiation through the joint,
-and the delta method gives their variance. Two muscles of one make that share a fit share its errors, too: much of them
-cancels in the torque of a symmetric joint and adds up in its stiffness. Two fits are independent of each other.
+The delta method, with gradients by forward differentiation through the joint. Two muscles that share a fit share its
+errors, which partly cancel in the torque of a symmetric joint and add up in its stiffness. Two fits are independent.
 """
 
 from __future__ import annotations
@@ -31,17 +30,17 @@ from mckibben.numerics.compiled import compiled
 
 @dataclass(frozen=True)
 class JointBands:
-    """What a joint does, and how sure that is.
+    """Torque and stiffness of a joint with intervals.
 
     Attributes
     ----------
     torque
-        Of the muscles [N*m].
+        Torque of the muscles [N*m].
     stiffness
-        At constant pressures [N*m/rad].
+        Isobaric stiffness [N*m/rad].
     may_be_slack
-        Where the interval of a muscle's force reaches from below zero to above it: whether the muscle pulls at all is
-        then not known, and the bands, which follow the law on one side, are too narrow.
+        Mask of the points at which the interval of a muscle's force includes zero: the muscle may be slack, and the
+        intervals, which follow the law on one side, are too narrow.
     """
 
     torque: IntervalEstimate
@@ -63,18 +62,18 @@ def joint_bands(
     Parameters
     ----------
     joint
-        Its muscles get the laws of the fits; all else stays.
+        Joint, whose muscles get the laws of the fits.
     fits
-        One for both muscles, whose errors are then the same; or one for each, independent of each other.
+        One fit for both muscles, with common errors, or one for each, independent.
     angle, pressures
-        Where [rad], [Pa]; they broadcast.
+        Angle [rad] and gauge pressures [Pa]; they broadcast.
     level, by
         As for `Fit.intervals`.
 
     Returns
     -------
     JointBands
-        Where a muscle is slack its law has no part in them; see `JointBands.may_be_slack`.
+        Torque and stiffness; a slack muscle contributes nothing.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Comparison: controllers tuned alike, and ranked on runs that none of them has seen."""
 
-from mckibben.study.benchmark.benchmark import Contest, compare, judged
+from mckibben.study.benchmark.benchmark import BenchmarkResult, compare, evaluate
 from mckibben.study.benchmark.runs import Runs, draw
-from mckibben.study.benchmark.suite import AS_BELIEVED, Suite
+from mckibben.study.benchmark.suite import NOMINAL_JOINT, Suite
 
-__all__ = ["AS_BELIEVED", "Contest", "Runs", "Suite", "compare", "draw", "judged"]
+__all__ = ["NOMINAL_JOINT", "BenchmarkResult", "Runs", "Suite", "compare", "draw", "evaluate"]

@@ -1,11 +1,12 @@
-"""Controllers tuned with one budget and compared on the same unseen runs."""
+"""Benchmark of controllers: tuned with one budget, compared on the same evaluation runs."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,44 +17,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.control import Controller
+from mckibben.dataset.schema import html_table
 from mckibben.errors import ParameterError
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
 from mckibben.simulation.metrics import METRICS
 from mckibben.study.benchmark.runs import Runs, draw
 from mckibben.study.benchmark.suite import Suite, filename
-from mckibben.study.parameters import Over, allowed, lanes
+from mckibben.study.parameters import batched, valid_rows
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.result import spearman
-from mckibben.study.tune.cost import Numbers, as_written, at_bound, nominal_of, point_of, values_at
-from mckibben.study.tune.problem import LOST
+from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Method, by_cma, check_method
-from mckibben.study.tune.tune import Generations, History, Trial
+from mckibben.study.tune.space import SearchSpace, Vector
+from mckibben.study.tune.tune import CostEvaluator, TuningHistory
 
 if TYPE_CHECKING:
     import xarray as xr
 
+_TUNING = 0.98  # share of the time of a controller
 
-_TUNING = 0.98  # of the time that a controller takes
 
-
-@dataclass(frozen=True, eq=False)
-class Contest:
-    """What came of a suite.
+@dataclass(frozen=True, eq=False, repr=False)
+class BenchmarkResult:
+    """Result of a benchmark.
 
     Attributes
     ----------
     suite
-        Which.
+        The suite.
     runs
-        The unseen ones.
+        Evaluation runs.
     tuned
-        What tuning found for each controller: numbers [SI] by name; nothing for one that was taken as it is.
+        Tuned values [SI] by name, of each controller; empty for one that was not tuned.
     training_cost
-        Of each controller that was tuned, with these numbers; and before, with those of the file.
+        Cost of each tuned controller on the training runs after and before tuning.
     at_bound
-        Numbers of each controller that tuning left at an end of their range.
+        Parameters of each controller at an end of their range.
     batches
-        What each controller did in the runs.
+        Results of each controller in the evaluation runs.
     """
 
     suite: Suite
@@ -63,28 +64,41 @@ class Contest:
     at_bound: dict[str, tuple[str, ...]]
     batches: dict[str, Batch]
 
+    def __repr__(self) -> str:
+        return f"<BenchmarkResult: {', '.join(self.batches)} on {self.runs.count} runs>"
+
+    def _repr_html_(self) -> str:
+        numbers = statistics(self)
+        rows = []
+        for name in numbers["order"]:
+            found = numbers["controllers"][name]
+            medians = [found["metrics"][_SHOWN[metric]] for metric in MAIN]
+            cells = ["-" if each is None else f"{each['median']:.3g}" for each in medians]
+            rows.append((name, *cells, str(found["unstable"])))
+        return html_table(repr(self), ("controller", *(_SHOWN[metric] for metric in MAIN), "unstable"), rows)
+
     @property
     def started(self) -> NDArray[np.bool_]:
-        """Which runs any controller could begin: the others are no fault of theirs. Shape (runs,)."""
-        return _began(next(iter(self.batches.values())))
+        """Mask of the runs that could start, whatever the controller. Shape (runs,)."""
+        return _started(next(iter(self.batches.values())))
 
-    def metric(self, controller: str, name: str) -> Numbers:
-        """A metric [SI] of each run that began; NaN where the controller lost it."""
+    def metric(self, controller: str, name: str) -> Vector:
+        """A metric [SI] of each run that started; NaN where the controller was unstable."""
         batch = self.batches[controller]
         return np.where(batch.failed, np.nan, batch.metrics[name])[self.started]
 
-    def lost(self, controller: str) -> NDArray[np.bool_]:
-        """Which of the runs that began the controller lost."""
+    def unstable(self, controller: str) -> NDArray[np.bool_]:
+        """Mask of the runs that started and in which the controller was unstable."""
         return self.batches[controller].failed[self.started]
 
-    def cost(self, controller: str) -> Numbers:
-        """The cost of each run that began; 1e6 where it was lost."""
+    def cost(self, controller: str) -> Vector:
+        """Cost of each run that started; 1e6 where the controller was unstable."""
         names = self.suite.cost.metrics
         cost = self.suite.cost({name: self.metric(controller, name) for name in names})
-        return np.where(np.isfinite(cost), cost, LOST)
+        return np.where(np.isfinite(cost), cost, FAILED_COST)
 
     def scenario(self, controller: str, run: int) -> Scenario:
-        """A run alone, with the tuned controller."""
+        """Scenario of one run with the tuned controller."""
         return self.runs.scenario(controller, run, self.tuned[controller])
 
 
@@ -94,209 +108,166 @@ def compare(
     folder: Path | None = None,
     resume: bool = False,
     progress: Callable[[str, float], None] | None = None,
-) -> Contest:
-    """Compare the controllers of a suite.
+) -> BenchmarkResult:
+    """Tune the controllers of a suite and compare them on its evaluation runs.
 
     Parameters
     ----------
     suite
-        Which.
+        The suite.
     folder
-        Where to keep what tuning tries, a file for each controller; nothing is kept without one.
+        Folder for the tuning histories, a file for each controller; without one nothing is stored.
     resume
-        Go on with what is kept there.
+        Continue the histories in the folder.
     progress
-        Called with what is being done, and the part of all that is done, 0 to 1.
+        Called with the present task and the finished share, 0 to 1.
 
     Raises
     ------
     ParameterError
-        If a controller has nothing to tune, no point that was tried has a cost, or no run can begin.
+        If a controller has nothing to tune, no trial succeeds, or no run can start.
     FileError
-        If there are histories already and they are not to be taken up, or they are of another suite.
+        As for `TuningHistory.open`.
     """
-    training, unseen = (draw(suite, each.runs, each.seed) for each in (suite.tuning, suite.unseen))
+    training = draw(suite, suite.tuning.runs, suite.tuning.seed)
+    evaluation = draw(suite, suite.evaluation.runs, suite.evaluation.seed)
     names = list(suite.controllers)
-    tuned: dict[str, dict[str, float]] = {}
-    costs: dict[str, tuple[float, float]] = {}
-    bounds: dict[str, tuple[str, ...]] = {}
-    batches: dict[str, Batch] = {}
+    result = BenchmarkResult(suite, evaluation, {}, {}, {}, {})
     for number, name in enumerate(names):
 
-        def told(what: str, part: float, name: str = name, number: int = number) -> None:
+        def report(task: str, part: float, name: str = name, number: int = number) -> None:
             if progress:
-                progress(f"{name}: {what}", (number + part) / len(names))
+                progress(f"{name}: {task}", (number + part) / len(names))
 
-        varied = suite.tuned_over(name)
-        if varied:
-            task = _Task(suite, name, varied, training)
-            tuned[name], costs[name], bounds[name] = _searched(
-                task, folder, resume, lambda part: told("tuning", _TUNING * part)
-            )
-        else:
-            tuned[name], bounds[name] = {}, ()
-        told("unseen runs", _TUNING)
-        batches[name] = judged(unseen, name, tuned[name])
-        if not _began(batches[name]).any():
-            raise _none_begins("unseen")
+        swept = suite.tuned_over(name)
+        result.tuned[name], result.at_bound[name] = {}, ()
+        if swept:
+            task = ControllerTuning(suite, name, SearchSpace(swept), training)
+            tuned = task.run(folder, resume, lambda part: report("tuning", _TUNING * part))
+            result.tuned[name], result.training_cost[name], result.at_bound[name] = tuned
+        report("evaluation runs", _TUNING)
+        result.batches[name] = evaluate(evaluation, name, result.tuned[name])
+        if not _started(result.batches[name]).any():
+            raise _none_starts("evaluation")
     if progress:
         progress("done", 1.0)
-    return Contest(suite, unseen, tuned, costs, bounds, batches)
+    return result
 
 
-def judged(runs: Runs, controller: str, values: dict[str, float]) -> Batch:
-    """What a controller with these numbers [SI] does in the runs."""
+def evaluate(runs: Runs, controller: str, values: dict[str, float]) -> Batch:
+    """Simulate the runs with a controller of these values [SI]."""
     return _simulated(runs, _controller(runs, controller, {name: [value] for name, value in values.items()}), 1)
 
 
-def _began(batch: Batch) -> NDArray[np.bool_]:
-    """Which runs could begin, whatever their controller; shape (runs,)."""
+def _started(batch: Batch) -> NDArray[np.bool_]:
+    """Mask of the runs that could start. Shape (runs,)."""
     return np.array([outcome is not Outcome.NO_START for outcome in batch.outcomes])
 
 
-def _none_begins(which: str) -> ParameterError:
+def _none_starts(runs: str) -> ParameterError:
     return ParameterError(
-        f"none of the {which} runs can begin: no pressures hold their plants where their wishes start",
-        remedy="wish for other angles at the start, or change the joint or its load",
+        f"none of the {runs} runs can start: no pressures hold their plants at the start of their references",
+        remedy="give references that start at other angles, or change the joint or its load",
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
-    """What is searched for a controller: its numbers within ranges, and what they cost on the training runs."""
+class ControllerTuning:
+    """Tuning of one controller of a suite on training runs."""
 
     suite: Suite
     controller: str
-    over: tuple[Over, ...]
+    space: SearchSpace
     runs: Runs
-    _scenario: Scenario = field(init=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_scenario", self.suite.scenario(self.controller, next(iter(self.suite.references))))
+    @cached_property
+    def _scenario(self) -> Scenario:
+        return self.suite.scenario(self.controller, next(iter(self.suite.references)))
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(each.name for each in self.over)
-
-    @property
-    def nominal(self) -> Numbers:
-        """The numbers [SI] of the file, or the middle of their ranges."""
-        return nominal_of(self.over, [each.address.nominal for each in self.over])
-
-    def values(self, points: Numbers) -> Numbers:
-        """Numbers [SI] at points of the unit cube, shape (n, numbers)."""
-        return values_at(self.over, points)
-
-    def point(self, values: Numbers) -> Numbers:
-        """The point of numbers [SI], moved into the ranges."""
-        return point_of(self.over, values)
-
-    def costs(self, values: Numbers) -> Numbers:
-        """The mean cost of rows of numbers [SI] over the training runs that can begin."""
-        table = dict(zip(self.names, values.T, strict=True))
-        good = allowed(self._scenario, table)
+    def costs(self, values: Vector) -> Vector:
+        """Mean cost of rows of values [SI] over the training runs that can start."""
+        table = dict(zip(self.space.names, values.T, strict=True))
+        good = valid_rows(self._scenario, table)
         if not good.any():
-            return np.full(len(values), LOST)
+            return np.full(len(values), FAILED_COST)
         table = {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
         control = _controller(self.runs, self.controller, table)
         batch = _simulated(self.runs, control, len(values), self.suite.cost.metrics)
         found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
-        found = np.where(np.isfinite(found) & ~batch.failed, np.minimum(found, LOST), LOST)
-        began = _began(batch)
-        if not began.any():
-            raise _none_begins("training")
+        found = np.where(np.isfinite(found) & ~batch.failed, np.minimum(found, FAILED_COST), FAILED_COST)
+        started = _started(batch)
+        if not started.any():
+            raise _none_starts("training")
         shape = (len(values), self.runs.count)
-        total = np.sum(np.where(began, found, 0.0).reshape(shape), axis=1)
-        return np.where(good, total / began.reshape(shape).sum(axis=1), LOST)
+        total = np.sum(np.where(started, found, 0.0).reshape(shape), axis=1)
+        return np.where(good, total / started.reshape(shape).sum(axis=1), FAILED_COST)
 
     def about(self) -> dict[str, Any]:
-        """All that makes a trial what it is."""
+        """Everything that determines the trials."""
         leaves = jax.tree.leaves((self.runs.plant, self.runs.reference, self._scenario.control()))
         content = repr([np.asarray(leaf).tolist() for leaf in leaves if eqx.is_array_like(leaf)])
         tuning = self.suite.tuning
         return {
-            "kind": "comparison",
-            "version": version("mckibben"),
+            "mckibben": version("mckibben"),
             "controller": self.controller,
             "runs": hashlib.sha256(content.encode()).hexdigest(),
             "duration": self.suite.duration,
-            "control period": self.suite.control_period,
+            "control_period": self.suite.control_period,
             "substeps": self.suite.substeps,
-            "parameters": [each.text for each in self.over],
+            "parameters": [each.text for each in self.space.swept],
             "cost": tuning.cost,
             "population": tuning.population,
             "starts": tuning.starts,
         }
 
+    def run(
+        self, folder: Path | None, resume: bool, progress: Callable[[float], None]
+    ) -> tuple[dict[str, float], tuple[float, float], tuple[str, ...]]:
+        """Best values [SI], their cost and the nominal one, and the parameters at a bound."""
+        tuning, space = self.suite.tuning, self.space
+        check_method(Method.CMA, numbers=max(len(space), 2), population=tuning.population)
+        path = None if folder is None else folder / f"{filename(self.controller)}.journal"
+        with TuningHistory.open(path, self.about(), resume=resume and path is not None and path.exists()) as past:
+            evaluator = CostEvaluator(self, past, tuning.population)
+            first = space.point(space.nominal)
+            evaluator(first[None])
+            starts = np.random.default_rng(tuning.seed).random((tuning.starts, len(space)))
+            starts[0] = first
+            for number, start in enumerate(starts):
+                self._search(
+                    evaluator,
+                    start,
+                    tuning.seed + number,
+                    lambda part, number=number: progress((number + part) / tuning.starts),
+                )
+            best = past.best
+            if best.cost >= FAILED_COST:
+                raise ParameterError(
+                    f"{self.controller}: all {len(past.trials)} trials failed",
+                    remedy="search other ranges, or begin with other gains",
+                )
+            rounded = space.rounded(space.values(np.array(best.point)[None])[0])
+            (cost,), (before,) = evaluator(space.point(rounded)[None]), evaluator(first[None])
+            values = dict(zip(space.names, rounded.tolist(), strict=True))
+            return values, (float(cost), float(before)), space.at_bound(best.point)
 
-def _searched(
-    task: _Task, folder: Path | None, resume: bool, progress: Callable[[float], None]
-) -> tuple[dict[str, float], tuple[float, float], tuple[str, ...]]:
-    """The best numbers [SI], their cost and that of the file's, and which of them are at an end of their range."""
-    tuning = task.suite.tuning
-    check_method(Method.CMA, numbers=max(len(task.over), 2), population=tuning.population)
-    path = None if folder is None else folder / f"{filename(task.controller)}.jsonl"
-    resumed = resume and path is not None and path.exists()
-    with History.kept(path, task.about(), numbers=len(task.over), slopes=False, resume=resumed) as past:
-        tried = Generations(task, past, tuning.population)
-        first = task.point(task.nominal)
-        tried(first[None])
-        places = np.random.default_rng(tuning.seed).random((tuning.starts, len(task.over)))
-        for start in range(tuning.starts):
-            _cma(
-                tried,
-                first if start == 0 else places[start],
-                tuning.population,
-                tuning.generations,
-                tuning.seed + start,
-                lambda part, start=start: progress((start + part) / tuning.starts),
-            )
-        best = past.best
-        if best.cost >= LOST:
-            raise ParameterError(
-                f"{task.controller}: none of the {len(past.trials)} points that were tried came through a run",
-                remedy="search other ranges, or begin with other gains",
-            )
-        rounded = as_written(task.over, task.values(np.array(best.point)[None])[0])
-        found = past.find(task.point(rounded)) or _tried(tried, task, past, rounded)
-        before = past.find(first)
-        assert before is not None  # it was tried first
-        values = dict(zip(task.names, rounded.tolist(), strict=True))
-        return values, (found.cost, before.cost), at_bound(task.over, best.point)
-
-
-def _cma(
-    tried: Generations, first: Numbers, population: int, generations: int, seed: int, progress: Callable[[float], None]
-) -> None:
-    if first.size >= 2:
-        by_cma(tried, first, population=population, generations=generations, seed=seed, progress=progress)
-        return
-    # CMA-ES needs two numbers: a second one that does nothing.
-    by_cma(
-        lambda points: tried(points[:, :1]),
-        np.append(first, 0.5),
-        population=population,
-        generations=generations,
-        seed=seed,
-        progress=progress,
-    )
-
-
-def _tried(tried: Generations, task: _Task, past: History, values: Numbers) -> Trial:
-    point = task.point(values)
-    tried(point[None])
-    found = past.find(point)
-    assert found is not None
-    return found
+    def _search(self, evaluator: CostEvaluator, start: Vector, seed: int, progress: Callable[[float], None]) -> None:
+        tuning = self.suite.tuning
+        budget = {"population": tuning.population, "generations": tuning.generations}
+        if start.size >= 2:
+            by_cma(evaluator, start, seed=seed, progress=progress, **budget)
+        else:  # CMA-ES needs two parameters: add one without effect
+            padded = np.append(start, 0.5)
+            by_cma(lambda points: evaluator(points[:, :1]), padded, seed=seed, progress=progress, **budget)
 
 
 def _controller(runs: Runs, controller: str, table: dict[str, Any]) -> Controller:
-    """A controller with sets of numbers, each in all runs: arrays of shape (sets * runs,) where they are."""
+    """A controller with sets of values, each in all runs: arrays of shape (sets * runs,)."""
     scenario = runs.suite.scenario(controller, next(iter(runs.suite.references)))
     if not table:
         return scenario.control()
     columns = {name: np.repeat(np.asarray(column), runs.count) for name, column in table.items()}
-    return lanes(scenario, columns).control()
+    return batched(scenario, columns).control()
 
 
 def _simulated(runs: Runs, controller: Controller, sets: int, metrics: tuple[str, ...] = Metrics._fields) -> Batch:
@@ -317,50 +288,50 @@ def _simulated(runs: Runs, controller: Controller, sets: int, metrics: tuple[str
 
 
 MAIN = ("angle_rmse", "stiffness_rmse")
-"""The errors that are set against those of the first controller."""
-_RESAMPLED = 2000
-_AT_ONCE = 2_000_000  # numbers
+"""Errors that are compared with those of the first controller."""
+_RESAMPLES = 2000
+_MAX_RESAMPLED = 2_000_000  # values at once
 _SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
 _UNIT = {metric: unit for metric, _, unit in METRICS.values()}
 
 
-def standing(contest: Contest) -> dict[str, Any]:
-    """The statistics of a contest, as JSON has them.
+def statistics(result: BenchmarkResult) -> dict[str, Any]:
+    """Statistics of a benchmark, for JSON.
 
     Parameters
     ----------
-    contest
-        What `compare` gave.
+    result
+        Result of `compare`.
 
     Returns
     -------
     numbers
-        ``suite``; ``runs``, of which ``not_begun`` no controller could begin; ``order``: controllers by their median
-        cost. ``controllers``, by name: ``lost`` runs; ``metrics`` under the names and in the units in which they are
-        shown: ``median`` and ``percentile_95`` over the runs that were not lost, and how many ``runs`` have a number;
-        ``against_first``: for both errors the ratio of the medians, and the interval in which 95 % of 2000 resamplings
-        of the runs lie; ``settled``: in how many ``runs`` the stiffness settled after its step, ``of`` how many that
-        have one and were not lost; ``by_wish`` and ``by_joint``: medians of both errors; ``depends_on``: Spearman's
-        rank correlation of both errors with each condition; ``tuned``: numbers [SI]; ``training_cost`` before and
-        after; ``at_bound``.
+        ``suite``; ``runs``, of which ``no_start`` could not start; ``order``: controllers by median cost.
+        ``controllers``, by name: ``unstable`` runs; ``metrics`` under the names and in the units of results:
+        ``median`` and ``percentile_95`` over the stable runs, and the number of ``runs`` with a value;
+        ``ratio_to_first``: for both errors the ratio of the medians to the first controller's, with its 95 % bootstrap
+        interval over the runs; ``settled``: the number of ``runs`` in which the stiffness settled after its step,
+        ``of`` those with a step; ``by_reference`` and ``by_joint``: medians of both errors; ``correlations``:
+        Spearman's rank correlation of both errors with each condition; ``tuned``: values [SI]; ``training_cost``
+        before and after; ``at_bound``.
     """
-    names = list(contest.batches)
-    median_cost = {name: float(np.median(contest.cost(name))) for name in names}
+    names = list(result.batches)
+    median_cost = {name: float(np.median(result.cost(name))) for name in names}
     return {
-        "suite": contest.suite.name,
-        "cost": contest.suite.tuning.cost,
-        "runs": contest.runs.count,
-        "not_begun": int((~contest.started).sum()),
+        "suite": result.suite.name,
+        "cost": result.suite.tuning.cost,
+        "runs": result.runs.count,
+        "no_start": int((~result.started).sum()),
         "order": sorted(names, key=lambda name: median_cost[name]),
-        "controllers": {name: _of(contest, name, median_cost[name]) for name in names},
+        "controllers": {name: _controller_statistics(result, name, median_cost[name]) for name in names},
     }
 
 
-def table_of(contest: Contest) -> xr.Dataset:
-    """All runs of all controllers, along ``controller`` and ``run``: metrics and outcomes; along ``run`` the draws."""
+def table_of(result: BenchmarkResult) -> xr.Dataset:
+    """All runs along ``controller`` and ``run``: metrics and outcomes; along ``run`` their conditions."""
     import xarray as xr
 
-    batches = contest.batches
+    batches = result.batches
     names = list(batches)
     table: dict[str, Any] = {
         name: (("controller", "run"), np.stack([batches[each].metrics[name] for each in names]))
@@ -369,55 +340,57 @@ def table_of(contest: Contest) -> xr.Dataset:
     codes = np.stack([batches[each].table["outcome"].to_numpy() for each in names])
     flags = {key: batches[names[0]].table["outcome"].attrs[key] for key in ("flag_values", "flag_meanings")}
     table["outcome"] = (("controller", "run"), codes, flags)
-    table["joint"] = ("run", np.array(contest.runs.joint, dtype=str))
-    table["wish"] = ("run", np.array(contest.runs.wish, dtype=str))
-    for name, values in contest.runs.conditions.items():
+    table["joint"] = ("run", np.array(result.runs.joint, dtype=str))
+    table["reference"] = ("run", np.array(result.runs.reference_name, dtype=str))
+    for name, values in result.runs.conditions.items():
         table[name] = ("run", values)
-    for wish, columns in contest.runs.wished.items():
-        rows = np.array([each == wish for each in contest.runs.wish])
+    for reference, columns in result.runs.reference_values.items():
+        rows = np.array([each == reference for each in result.runs.reference_name])
         for name, values in columns.items():
-            column = table.get(name, ("run", np.full(contest.runs.count, np.nan)))[1]
+            column = table.get(name, ("run", np.full(result.runs.count, np.nan)))[1]
             column[rows] = values
             table[name] = ("run", column)
-    found = xr.Dataset(table, coords={"controller": names}, attrs={"title": contest.suite.name})
-    found.attrs["tuned"] = json.dumps(contest.tuned)
+    found = xr.Dataset(table, coords={"controller": names}, attrs={"title": result.suite.name})
+    found.attrs["tuned"] = json.dumps(result.tuned)
     return found
 
 
-def keep_table(contest: Contest, path: Path) -> None:
-    """Write `table_of` to a NetCDF file, which appears whole or not at all."""
+def write_table(result: BenchmarkResult, path: Path) -> None:
+    """Write `table_of` to a NetCDF file atomically."""
     from mckibben.dataset.schema import write_netcdf
 
-    write_netcdf(table_of(contest), path)
+    write_netcdf(table_of(result), path)
 
 
-def _of(contest: Contest, name: str, median_cost: float) -> dict[str, Any]:
-    first = next(iter(contest.batches))
-    wishes, joints = (np.array(each)[contest.started] for each in (contest.runs.wish, contest.runs.joint))
-    errors = {metric: contest.metric(name, metric) for metric in MAIN}
-    cost = contest.training_cost.get(name)
-    stepped = np.isfinite(contest.metric(name, "coupling"))
-    settled = stepped & np.isfinite(contest.metric(name, "stiffness_settling"))
+def _controller_statistics(result: BenchmarkResult, name: str, median_cost: float) -> dict[str, Any]:
+    first = next(iter(result.batches))
+    references, joints = (np.array(each)[result.started] for each in (result.runs.reference_name, result.runs.joint))
+    errors = {metric: result.metric(name, metric) for metric in MAIN}
+    cost = result.training_cost.get(name)
+    stepped = np.isfinite(result.metric(name, "coupling"))
+    settled = stepped & np.isfinite(result.metric(name, "stiffness_settling"))
     return {
-        "lost": int(contest.lost(name).sum()),
+        "unstable": int(result.unstable(name).sum()),
         "median_cost": median_cost,
-        "metrics": {_SHOWN[metric]: _spread(contest.metric(name, metric), _UNIT[metric]) for metric in Metrics._fields},
+        "metrics": {
+            _SHOWN[metric]: _percentiles(result.metric(name, metric), _UNIT[metric]) for metric in Metrics._fields
+        },
         "settled": {"runs": int(settled.sum()), "of": int(stepped.sum())},
-        "against_first": {_SHOWN[metric]: _ratio(errors[metric], contest.metric(first, metric)) for metric in MAIN},
-        "by_wish": _by(wishes, errors),
-        "by_joint": _by(joints, errors),
-        "depends_on": {
-            condition: {_SHOWN[metric]: _correlation(values[contest.started], errors[metric]) for metric in MAIN}
-            for condition, values in contest.runs.conditions.items()
+        "ratio_to_first": {_SHOWN[metric]: _ratio(errors[metric], result.metric(first, metric)) for metric in MAIN},
+        "by_reference": _medians_by(references, errors),
+        "by_joint": _medians_by(joints, errors),
+        "correlations": {
+            condition: {_SHOWN[metric]: _correlation(values[result.started], errors[metric]) for metric in MAIN}
+            for condition, values in result.runs.conditions.items()
             if condition != "sensors.seed"
         },
-        "tuned": contest.tuned[name],
+        "tuned": result.tuned[name],
         "training_cost": None if cost is None else {"tuned": cost[0], "before": cost[1]},
-        "at_bound": list(contest.at_bound[name]),
+        "at_bound": list(result.at_bound[name]),
     }
 
 
-def _spread(values: NDArray[np.float64], unit: float) -> dict[str, Any] | None:
+def _percentiles(values: NDArray[np.float64], unit: float) -> dict[str, Any] | None:
     values = values[np.isfinite(values)] / unit
     if not values.size:
         return None
@@ -426,22 +399,22 @@ def _spread(values: NDArray[np.float64], unit: float) -> dict[str, Any] | None:
 
 
 def _ratio(values: NDArray[np.float64], first: NDArray[np.float64]) -> dict[str, float]:
-    """Of the medians, lost runs counting as endless errors; and what resampling the runs makes of it."""
+    """Ratio of the medians, with infinite errors in unstable runs, and its bootstrap interval."""
     values, first = (np.where(np.isfinite(each), each, np.inf) for each in (values, first))
     generator, ratios = np.random.default_rng(0), np.empty(0)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.median(values) / np.median(first)
-        while ratios.size < _RESAMPLED:  # some at once, as memory allows
-            some = min(_RESAMPLED - ratios.size, max(_AT_ONCE // values.size, 1))
+        while ratios.size < _RESAMPLES:
+            some = min(_RESAMPLES - ratios.size, max(_MAX_RESAMPLED // values.size, 1))
             rows = generator.integers(0, values.size, (some, values.size))
             found = np.median(values[rows], axis=1) / np.median(first[rows], axis=1)
             ratios = np.append(ratios, found)
-    ratios = ratios[~np.isnan(ratios)]  # of two that are endless
+    ratios = ratios[~np.isnan(ratios)]  # of two infinite medians
     low, high = np.percentile(ratios, [2.5, 97.5], method="nearest") if ratios.size else (np.nan, np.nan)
     return {"ratio": float(ratio), "low": float(low), "high": float(high)}
 
 
-def _by(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) -> dict[str, dict[str, float | None]]:
+def _medians_by(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) -> dict[str, dict[str, float | None]]:
     def median(values: NDArray[np.float64]) -> float | None:
         values = values[np.isfinite(values)]
         return float(np.median(values)) if values.size else None
@@ -454,6 +427,6 @@ def _by(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) -> dict[st
 
 
 def _correlation(condition: NDArray[Any], error: NDArray[np.float64]) -> float | None:
-    """Lost runs stand behind all others."""
+    """Rank correlation, with infinite errors in unstable runs."""
     found = spearman(condition, np.where(np.isfinite(error), error, np.inf))
     return float(found) if np.isfinite(found) else None

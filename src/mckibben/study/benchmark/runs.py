@@ -1,4 +1,4 @@
-"""The runs on which controllers are compared: drawn once, the same for all of them."""
+"""Runs of a benchmark, drawn once for all controllers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mckibben.control import Constant, Multisine, Reference, Signal, Sine, Step,
 from mckibben.errors import ParameterError
 from mckibben.plant import JointPlant
 from mckibben.study.benchmark.suite import Suite, start_of
-from mckibben.study.parameters import design, lanes, with_values
+from mckibben.study.parameters import batched, sample, with_values
 from mckibben.study.scenario import Scenario
 
 Column = NDArray[Any]
@@ -23,54 +23,53 @@ Column = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Runs of a suite, in their order.
+    """Runs of a suite.
 
     Attributes
     ----------
     suite
-        Of which.
-    joint, wish
-        By name, one a run.
+        The suite.
+    joint, reference_name
+        Names of the joint and the reference of each run.
     conditions
-        Values [SI] of the plant's numbers, by name, one a run.
-    wished
-        For each wish the values [SI] of its numbers, by name, one for each of the runs that it is wished for in, in
-        their order.
+        Values [SI] of varied plant parameters by name, one a run.
+    reference_values
+        Values [SI] of varied parameters by name, for each reference, one for each of its runs in order.
     plant, reference
-        As `simulate_many` takes them: arrays of shape (runs,) where runs differ.
+        Batches with arrays of shape (runs,) where runs differ, as for `simulate_many`.
     """
 
     suite: Suite
     joint: Sequence[str]
-    wish: Sequence[str]
+    reference_name: Sequence[str]
     conditions: dict[str, Column]
-    wished: dict[str, dict[str, Column]]
+    reference_values: dict[str, dict[str, Column]]
     plant: JointPlant
     reference: Reference
 
     @property
     def count(self) -> int:
-        """How many."""
-        return len(self.wish)
+        """Number of runs."""
+        return len(self.joint)
 
     def scenario(self, controller: str, run: int, values: dict[str, float] | None = None) -> Scenario:
-        """A run alone, as a scenario that `mckibben simulate` runs.
+        """Scenario of one run.
 
         Parameters
         ----------
         controller
-            Its name in the suite.
+            Name of the controller in the suite.
         run
-            From 0.
+            Number of the run, from 0.
         values
-            Numbers [SI] of the controller, by name: what tuning found.
+            Tuned values [SI] of the controller by name.
         """
-        wish = self.wish[run]
-        place = [at for at, name in enumerate(self.wish) if name == wish].index(run)
+        reference = self.reference_name[run]
+        place = [row for row, name in enumerate(self.reference_name) if name == reference].index(run)
         numbers = {name: column[run].item() for name, column in self.conditions.items()}
-        numbers |= {name: column[place].item() for name, column in self.wished[wish].items()}
+        numbers |= {name: column[place].item() for name, column in self.reference_values[reference].items()}
         numbers |= values or {}
-        scenario = self.suite.scenario(controller, wish, self.joint[run])
+        scenario = self.suite.scenario(controller, reference, self.joint[run])
         if numbers:
             scenario = with_values(scenario, numbers)
         return scenario.model_copy(update={"start": start_of(scenario.signals)})
@@ -79,41 +78,49 @@ class Runs:
 def draw(suite: Suite, count: int, seed: int) -> Runs:
     """Draw runs.
 
-    Joints and wishes come in their shares, in random order; numbers are scrambled Sobol points of their ranges. Where
-    the suite has sensors, each run has noise of its own.
+    Joints and references come in their shares, in random order; parameters are scrambled Sobol points of their ranges.
+    Where the suite has sensors, each run has its own noise seed.
 
     Raises
     ------
     ParameterError
-        If the conditions of a run make no valid scenario, or joints are not alike but for their numbers.
+        If the conditions of a run make no valid scenario, or joints differ in more than numbers.
     """
     shares = {name: share for name, (share, _) in suite.joints.items()}
     order = np.random.default_rng(seed).spawn(2)
     joint = _dealt(shares, count, order[0])
-    wish = _dealt({name: each.share for name, each in suite.references.items()}, count, order[1])
-    conditions = dict(design(suite.conditions_over(), samples=count, seed=seed)) if suite.conditions else {}
+    names = _dealt({name: each.share for name, each in suite.references.items()}, count, order[1])
+    conditions = dict(sample(suite.conditions_over(), samples=count, seed=seed)) if suite.conditions else {}
     if suite.sensors is not None and "sensors.seed" not in conditions:
         conditions["sensors.seed"] = np.arange(count, dtype=np.int64) + (1000 * seed) % 2**30
     first = next(iter(suite.controllers))
-    plants, references, wished = [], [], {}
+    plants, references, values = [], [], {}
     for name in dict.fromkeys(joint):
         rows = _rows(joint, name)
-        scenario = suite.scenario(first, wish[rows[0]], name)
+        scenario = suite.scenario(first, names[rows[0]], name)
         taken = {key: column[rows] for key, column in conditions.items()}
-        plants.append((rows, (lanes(scenario, taken) if taken else scenario).plant()))
+        plants.append((rows, (batched(scenario, taken) if taken else scenario).plant()))
     most = max(_sines(suite, name) for name in suite.references)
     for number, name in enumerate(suite.references):
-        rows = _rows(wish, name)
+        rows = _rows(names, name)
         if rows.size == 0:
-            wished[name] = {}
+            values[name] = {}
             continue
-        table = _wished(suite, name, rows.size, seed + 7919 * (number + 1))
-        wished[name] = table
+        table = _reference_values(suite, name, rows.size, seed + 7919 * (number + 1))
+        values[name] = table
         scenario = suite.scenario(first, name)
-        found = (lanes(scenario, table) if table else scenario).reference()
-        references.append((rows, Reference(_in_one_form(found.angle, most), _in_one_form(found.stiffness, most))))
+        found = (batched(scenario, table) if table else scenario).reference()
+        references.append(
+            (rows, Reference(_as_step_and_sines(found.angle, most), _as_step_and_sines(found.stiffness, most)))
+        )
     return Runs(
-        suite, joint, wish, conditions, wished, _merged(plants, count, "joints"), _merged(references, count, "wishes")
+        suite,
+        joint,
+        names,
+        conditions,
+        values,
+        _merged(plants, count, "joints"),
+        _merged(references, count, "references"),
     )
 
 
@@ -128,11 +135,11 @@ def _rows(names: Sequence[str], name: str) -> NDArray[np.int64]:
     return np.array([row for row, each in enumerate(names) if each == name], dtype=np.int64)
 
 
-def _wished(suite: Suite, name: str, count: int, seed: int) -> dict[str, Column]:
-    """Values of what differs in a wish; sines of the angle as large as the suite allows at most."""
+def _reference_values(suite: Suite, name: str, count: int, seed: int) -> dict[str, Column]:
+    """Values of a reference's varied parameters, with sine amplitudes of the angle within the suite's acceleration."""
     varied = suite.reference_over(name)
-    table = dict(design(varied, samples=count, seed=seed)) if varied else {}
-    sine, most = suite.references[name].reference.angle.sine, suite.fastest
+    table = dict(sample(varied, samples=count, seed=seed)) if varied else {}
+    sine, most = suite.references[name].reference.angle.sine, suite.max_angular_acceleration
     if sine is None or most is None:
         return table
     amplitude = table.get("reference.angle.amplitude", np.full(count, sine.amplitude))
@@ -147,8 +154,8 @@ def _sines(suite: Suite, name: str) -> int:
     return max([1, *(len(each.amplitudes) for each in several)])
 
 
-def _in_one_form(signal: Signal, sines: int) -> Sum:
-    """A step and so many sines: all wishes share one compiled program."""
+def _as_step_and_sines(signal: Signal, sines: int) -> Sum:
+    """A step and so many sines, so that all references share one compiled program."""
     nothing = (0.0,) * sines
 
     def form(before: Any, after: Any, at: Any, amplitudes: Any, frequencies: Any, phases: Any) -> Sum:
@@ -167,12 +174,12 @@ def _in_one_form(signal: Signal, sines: int) -> Sum:
             offset, phases = signal.offset, signal.phases or (0.0,) * len(signal.amplitudes)
             return form(offset, offset, 0.0, signal.amplitudes, signal.frequencies, phases)
     raise ParameterError(
-        f"a wish of the kind {type(signal).__name__}", remedy="give a constant, step, sine or multisine"
+        f"a reference signal of the kind {type(signal).__name__}", remedy="give a constant, step, sine or multisine"
     )
 
 
 def _merged(parts: list[tuple[NDArray[np.int64], Any]], count: int, what: str) -> Any:
-    """Trees of some runs each as one tree of all runs."""
+    """One tree of all runs from trees of some runs each."""
     trees = [tree for _, tree in parts]
     structures = {jax.tree.structure(tree) for tree in trees}
     if len(structures) > 1:

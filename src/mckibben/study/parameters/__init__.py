@@ -1,33 +1,40 @@
-"""What a study varies: numbers of a scenario by name, what they range over, tables of values, and runs in lanes."""
+"""Scenario parameters by name, their distributions, samples of them, and scenarios with other values."""
 
-from mckibben.study.parameters.addresses import Address, addresses, find, find_all
-from mckibben.study.parameters.distributions import LogUniform, Normal, Spread, Uniform, Values, Wholes
-from mckibben.study.parameters.rewriting import rewritten
-from mckibben.study.parameters.sampling import Kind, Over, Table, design, over, read_over, read_overs
-from mckibben.study.parameters.values import Known, allowed, known_names, lanes, with_values
+from mckibben.study.parameters.distributions import Distribution, IntegerRange, LogUniform, Normal, Uniform, Values
+from mckibben.study.parameters.parameter import ScenarioParameter, find_parameter, find_parameters, list_parameters
+from mckibben.study.parameters.sampling import (
+    SamplingMethod,
+    SweptParameter,
+    Table,
+    parse_sweep,
+    parse_sweeps,
+    sample,
+    sweep_parameters,
+)
+from mckibben.study.parameters.values import Known, batched, edit_scenario, known_names, valid_rows, with_values
 
 __all__ = [
-    "Address",
-    "Kind",
+    "Distribution",
+    "IntegerRange",
     "Known",
     "LogUniform",
     "Normal",
-    "Over",
-    "Spread",
+    "SamplingMethod",
+    "ScenarioParameter",
+    "SweptParameter",
     "Table",
     "Uniform",
     "Values",
-    "Wholes",
-    "addresses",
-    "allowed",
-    "design",
-    "find",
-    "find_all",
+    "batched",
+    "edit_scenario",
+    "find_parameter",
+    "find_parameters",
     "known_names",
-    "lanes",
-    "over",
-    "read_over",
-    "read_overs",
-    "rewritten",
+    "list_parameters",
+    "parse_sweep",
+    "parse_sweeps",
+    "sample",
+    "sweep_parameters",
+    "valid_rows",
     "with_values",
 ]

@@ -11,53 +11,53 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import ParameterError
 
-MOST = 10_000_000
-"""Values on one axis, and rows of a table."""
+MAX_ROWS = 10_000_000
+"""Largest number of values on one axis, and of rows of a table."""
 
-_FINEST = 2.0**-54  # a quantile of 0 or 1 stands for this far inside: a normal distribution has no ends
+_EPSILON = 2.0**-54  # quantiles of 0 and 1 stand for this far inside: a normal distribution has no ends
 
 
-class Spread(abc.ABC):
-    """What a number may be, and how often.
+class Distribution(abc.ABC):
+    """Distribution of a parameter [SI].
 
-    >>> Uniform(0.2, 1.0).at([0.0, 0.5])
+    >>> Uniform(0.2, 1.0).ppf([0.0, 0.5])
     array([0.2, 0.6])
     """
 
     @property
     @abc.abstractmethod
-    def ends(self) -> tuple[float, float]:
-        """The lowest and the highest value, in SI; of a normal distribution where it is cut off."""
+    def bounds(self) -> tuple[float, float]:
+        """Lowest and highest value."""
 
     @abc.abstractmethod
-    def at(self, quantile: ArrayLike) -> NDArray:
-        """The value at each quantile, 0 to 1: float64, or int64 for whole numbers."""
+    def ppf(self, quantile: ArrayLike) -> NDArray:
+        """Value at each quantile, 0 to 1 (percent point function): float64, or int64 for integers."""
 
     @abc.abstractmethod
     def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
-        """Where each value lies, 0 to 1: `at` leads back to it if it is one of the values, else to the nearest."""
+        """Quantile of each value, 0 to 1, the inverse of `ppf`; of the nearest value where values are discrete."""
 
     @abc.abstractmethod
     def grid(self) -> NDArray:
-        """The values on a grid.
+        """Values on a grid.
 
         Raises
         ------
         ParameterError
-            If it does not say which.
+            If the distribution does not determine them.
         """
 
 
 @dataclass(frozen=True)
-class Uniform(Spread):
-    """Evenly between two values.
+class Uniform(Distribution):
+    """Uniform distribution.
 
     Parameters
     ----------
     low, high
-        Both ends, in SI.
+        Bounds [SI].
     points
-        How many values a grid has, ends included; other designs do not look at it.
+        Number of values on a grid, bounds included.
     """
 
     low: float
@@ -68,23 +68,23 @@ class Uniform(Spread):
         _check_range(self.low, self.high, self.points)
 
     @property
-    def ends(self) -> tuple[float, float]:
+    def bounds(self) -> tuple[float, float]:
         return self.low, self.high
 
-    def at(self, quantile: ArrayLike) -> NDArray[np.float64]:
-        share = np.clip(np.asarray(quantile, float), 0.0, 1.0)
-        return np.clip(self.low + share * (self.high - self.low), self.low, self.high)
+    def ppf(self, quantile: ArrayLike) -> NDArray[np.float64]:
+        u = np.clip(np.asarray(quantile, float), 0.0, 1.0)
+        return np.clip(self.low + u * (self.high - self.low), self.low, self.high)
 
     def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
         return np.clip((np.asarray(value, float) - self.low) / (self.high - self.low), 0.0, 1.0)
 
     def grid(self) -> NDArray[np.float64]:
-        return self.at(_steps(self.points))
+        return self.ppf(_steps(self.points))
 
 
 @dataclass(frozen=True)
-class LogUniform(Spread):
-    """Evenly in the logarithm between two values of one sign.
+class LogUniform(Distribution):
+    """Log-uniform distribution, between bounds of one sign.
 
     >>> LogUniform(1.0, 100.0, points=3).grid()
     array([  1.,  10., 100.])
@@ -92,9 +92,9 @@ class LogUniform(Spread):
     Parameters
     ----------
     low, high
-        Both ends, in SI.
+        Bounds [SI].
     points
-        How many values a grid has, ends included; other designs do not look at it.
+        Number of values on a grid, bounds included.
     """
 
     low: float
@@ -110,14 +110,14 @@ class LogUniform(Spread):
             )
 
     @property
-    def ends(self) -> tuple[float, float]:
+    def bounds(self) -> tuple[float, float]:
         return self.low, self.high
 
-    def at(self, quantile: ArrayLike) -> NDArray[np.float64]:
-        share = np.clip(np.asarray(quantile, float), 0.0, 1.0)
-        size = np.exp((1 - share) * math.log(abs(self.low)) + share * math.log(abs(self.high)))
+    def ppf(self, quantile: ArrayLike) -> NDArray[np.float64]:
+        u = np.clip(np.asarray(quantile, float), 0.0, 1.0)
+        size = np.exp((1 - u) * math.log(abs(self.low)) + u * math.log(abs(self.high)))
         inside = np.clip(math.copysign(1, self.low) * size, self.low, self.high)
-        return np.where(share == 0, self.low, np.where(share == 1, self.high, inside))
+        return np.where(u == 0, self.low, np.where(u == 1, self.high, inside))
 
     def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
         inside = np.clip(np.asarray(value, float), self.low, self.high)
@@ -125,22 +125,19 @@ class LogUniform(Spread):
         return np.clip((np.log(np.abs(inside)) - low) / (high - low), 0.0, 1.0)
 
     def grid(self) -> NDArray[np.float64]:
-        return self.at(_steps(self.points))
+        return self.ppf(_steps(self.points))
 
 
 @dataclass(frozen=True)
-class Normal(Spread):
-    """A normal distribution, cut off at two values.
-
-    What is cut off is shared out among the rest in proportion (it is as if drawn again until it lies inside), so the
-    standard deviation of what is left is a little smaller.
+class Normal(Distribution):
+    """Truncated normal distribution.
 
     Parameters
     ----------
     mean, deviation
-        Of the whole distribution, in SI.
+        Mean and standard deviation before truncation [SI].
     lower, upper
-        Where it is cut off; at the ends of the field's own range unless given.
+        Bounds [SI]. Default: those of the parameter.
     """
 
     mean: float
@@ -156,44 +153,44 @@ class Normal(Spread):
             )
         if not (self.lower <= self.mean <= self.upper and self.lower < self.upper):
             raise ParameterError(
-                f"the mean {self.mean:g} is outside {self.lower:g} to {self.upper:g}, where it is cut off",
+                f"the mean {self.mean:g} is outside {self.lower:g} to {self.upper:g}",
                 remedy="choose a mean inside",
             )
 
     @property
-    def ends(self) -> tuple[float, float]:
+    def bounds(self) -> tuple[float, float]:
         return self.lower, self.upper
 
-    def at(self, quantile: ArrayLike) -> NDArray[np.float64]:
+    def ppf(self, quantile: ArrayLike) -> NDArray[np.float64]:
         from scipy.special import ndtri
 
-        low, high = self._cut
-        share = low + np.clip(np.asarray(quantile, float), 0.0, 1.0) * (high - low)
-        value = self.mean + self.deviation * ndtri(np.clip(share, _FINEST, 1 - 2 * _FINEST))
+        low, high = self._truncation
+        u = low + np.clip(np.asarray(quantile, float), 0.0, 1.0) * (high - low)
+        value = self.mean + self.deviation * ndtri(np.clip(u, _EPSILON, 1 - 2 * _EPSILON))
         return np.clip(value, self.lower, self.upper)
 
     def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
         from scipy.special import ndtr
 
-        low, high = self._cut
+        low, high = self._truncation
         return np.clip((ndtr((np.asarray(value, float) - self.mean) / self.deviation) - low) / (high - low), 0.0, 1.0)
 
     def grid(self) -> NDArray[np.float64]:
         raise ParameterError("a normal distribution has no grid", remedy="list values, or give a range `in 9`")
 
     @property
-    def _cut(self) -> tuple[float, float]:
-        """The shares of the whole distribution below both ends."""
+    def _truncation(self) -> tuple[float, float]:
+        """Cumulative probabilities of both bounds before truncation."""
         from scipy.special import ndtr
 
-        return tuple(float(ndtr((end - self.mean) / self.deviation)) for end in self.ends)  # type: ignore[return-value]
+        return tuple(float(ndtr((end - self.mean) / self.deviation)) for end in self.bounds)  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
-class Values(Spread):
-    """One of a few values, each as often; on a grid all of them, in the order given.
+class Values(Distribution):
+    """Discrete values of equal probability; a grid has all of them in the order given.
 
-    >>> Values((1.0, 2.0, 4.0)).at([0.0, 0.5, 0.9])
+    >>> Values((1.0, 2.0, 4.0)).ppf([0.0, 0.5, 0.9])
     array([1., 2., 4.])
     """
 
@@ -207,11 +204,11 @@ class Values(Spread):
             raise ParameterError(f"{twice:g} is listed twice", remedy="keep one of them")
 
     @property
-    def ends(self) -> tuple[float, float]:
+    def bounds(self) -> tuple[float, float]:
         return min(self.values), max(self.values)
 
-    def at(self, quantile: ArrayLike) -> NDArray:
-        return self.grid()[_picked(quantile, len(self.values))]
+    def ppf(self, quantile: ArrayLike) -> NDArray:
+        return self.grid()[_indices(quantile, len(self.values))]
 
     def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
         nearest = np.argmin(np.abs(np.asarray(value, float)[..., None] - np.asarray(self.values, float)), axis=-1)
@@ -222,10 +219,10 @@ class Values(Spread):
 
 
 @dataclass(frozen=True)
-class Wholes(Spread):
-    """All whole numbers from one to another, each as often.
+class IntegerRange(Distribution):
+    """Integers from one to another, of equal probability.
 
-    >>> Wholes(0, 19).at([0.0, 0.5, 0.99])
+    >>> IntegerRange(0, 19).ppf([0.0, 0.5, 0.99])
     array([ 0, 10, 19])
     """
 
@@ -239,19 +236,19 @@ class Wholes(Spread):
             )
 
     @property
-    def ends(self) -> tuple[float, float]:
+    def bounds(self) -> tuple[float, float]:
         return self.low, self.high
 
-    def at(self, quantile: ArrayLike) -> NDArray[np.int64]:
-        return self.low + _picked(quantile, self.high - self.low + 1)
+    def ppf(self, quantile: ArrayLike) -> NDArray[np.int64]:
+        return self.low + _indices(quantile, self.high - self.low + 1)
 
     def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
         inside = np.clip(np.asarray(value), self.low, self.high)
         return (inside - self.low + 0.5) / (self.high - self.low + 1)
 
     def grid(self) -> NDArray[np.int64]:
-        if self.high - self.low >= MOST:
-            raise ParameterError(f"{self.low} to {self.high} are more than {MOST} values", remedy="choose fewer")
+        if self.high - self.low >= MAX_ROWS:
+            raise ParameterError(f"{self.low} to {self.high} are more than {MAX_ROWS} values", remedy="choose fewer")
         return np.arange(self.low, self.high + 1, dtype=np.int64)
 
 
@@ -260,17 +257,17 @@ def _check_range(low: float, high: float, points: int | None) -> None:
         raise ParameterError(f"{low:g} to {high:g} is no range", remedy="give two finite numbers")
     if not low < high:
         raise ParameterError(f"the range is empty: {low:g} is not below {high:g}", remedy="write the lower end first")
-    if points is not None and not 2 <= points <= MOST:
-        raise ParameterError(f"a grid of {points} points is none", remedy=f"choose 2 to {MOST} points")
+    if points is not None and not 2 <= points <= MAX_ROWS:
+        raise ParameterError(f"a grid of {points} points is none", remedy=f"choose 2 to {MAX_ROWS} points")
 
 
 def _steps(points: int | None) -> NDArray[np.float64]:
     if points is None:
-        raise ParameterError("the range does not say how many points its grid has", remedy="write it like `... in 9`")
+        raise ParameterError("the range has no number of grid points", remedy="write it like `... in 9`")
     return np.linspace(0.0, 1.0, points)
 
 
-def _picked(quantile: ArrayLike, count: int) -> NDArray[np.int64]:
-    """Which of several values, each as often."""
-    share = np.clip(np.asarray(quantile, float), 0.0, 1.0)
-    return np.minimum((share * count).astype(np.int64), count - 1)
+def _indices(quantile: ArrayLike, count: int) -> NDArray[np.int64]:
+    """Indices of equally probable values."""
+    u = np.clip(np.asarray(quantile, float), 0.0, 1.0)
+    return np.minimum((u * count).astype(np.int64), count - 1)

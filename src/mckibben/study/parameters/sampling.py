@@ -1,146 +1,143 @@
-"""Swept parameters, their text form, for example `load.mass2=0.2 kg..1.0 kg`, and tables of their values."""
+"""Swept parameters, their text form such as `load.mass2=0.2 kg..1.0 kg`, and samples of their values."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError, RangeError, UnitError, quoted
-from mckibben.study.parameters.addresses import Address, find, find_all
-from mckibben.study.parameters.distributions import MOST, LogUniform, Normal, Spread, Uniform, Values, Wholes
+from mckibben.study.parameters.distributions import (
+    MAX_ROWS,
+    Distribution,
+    IntegerRange,
+    LogUniform,
+    Normal,
+    Uniform,
+    Values,
+)
+from mckibben.study.parameters.parameter import ScenarioParameter, find_parameter, find_parameters
 from mckibben.study.scenario import Scenario
-from mckibben.units import Quantity
+from mckibben.units import Quantity, split_range
 
 
 @dataclass(frozen=True)
-class Over:
-    """A number and its spread, which go together: values lie in the field's range, and are whole where they must be.
+class SweptParameter:
+    """A parameter and its distribution, which must lie in the parameter's range.
 
     Raises
     ------
     ParameterError
-        If they do not go together.
+        If the distribution does not fit the parameter.
     """
 
-    address: Address
-    spread: Spread
+    parameter: ScenarioParameter
+    distribution: Distribution
 
     def __post_init__(self) -> None:
-        address, spread = self.address, _of_its_kind(self.address, self.spread)
-        object.__setattr__(self, "spread", spread)
-        for end in spread.ends:
-            if not address.holds(end):
+        parameter, distribution = self.parameter, _fitted(self.parameter, self.distribution)
+        object.__setattr__(self, "distribution", distribution)
+        for bound in distribution.bounds:
+            if not parameter.holds(bound):
                 raise ParameterError(
-                    f"{address.name} reaches {address.show(end)}, which is outside {address.range}",
-                    value=end,
-                    lower=address.lower,
-                    upper=address.upper,
-                    unit=address.unit,
+                    f"{parameter.name} reaches {parameter.show(bound)}, which is outside {parameter.range}",
+                    value=bound,
+                    lower=parameter.lower,
+                    upper=parameter.upper,
+                    unit=parameter.unit,
                     remedy="choose values inside",
                 )
 
     @property
     def name(self) -> str:
-        """The canonical name of the number."""
-        return self.address.name
+        """Name of the parameter."""
+        return self.parameter.name
 
     @property
     def text(self) -> str:
-        """What `read_over` reads back to the last bit; of a `Normal` the deviation alone is written.
+        """Text from which `parse_sweep` restores it exactly; of a `Normal` only the deviation is written.
 
-        >>> from mckibben.study.parameters import read_over
+        >>> from mckibben.study.parameters import parse_sweep
         >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-        >>> read_over("load.m2 = 200 g..1.0 kg in 9", scenario).text
+        >>> parse_sweep("load.mass2 = 200 g..1.0 kg in 9", scenario).text
         'load.mass2=0.2 kg..1 kg in 9'
         """
-        write, spread = self.address.write, self.spread
-        match spread:
+        write, distribution = self.parameter.write, self.distribution
+        match distribution:
             case Uniform() | LogUniform():
-                log = " log" if isinstance(spread, LogUniform) else ""
-                points = "" if spread.points is None else f" in {spread.points}"
-                said = f"{write(spread.low)}..{write(spread.high)}{log}{points}"
-            case Wholes():
-                said = f"{spread.low}..{spread.high}"
+                log = " log" if isinstance(distribution, LogUniform) else ""
+                points = "" if distribution.points is None else f" in {distribution.points}"
+                text = f"{write(distribution.low)}..{write(distribution.high)}{log}{points}"
+            case IntegerRange():
+                text = f"{distribution.low}..{distribution.high}"
             case Values():
-                said = ", ".join(write(value) for value in spread.values)
+                text = ", ".join(write(value) for value in distribution.values)
             case Normal():
-                said = f"normal {write(spread.deviation)}"
+                text = f"normal {write(distribution.deviation)}"
             case _:
-                said = repr(spread)
-        return f"{self.name}={said}"
+                text = repr(distribution)
+        return f"{self.name}={text}"
 
 
-def over(scenario: Scenario, spreads: Mapping[str, Spread]) -> tuple[Over, ...]:
-    """What a study varies, said in Python.
-
-    Parameters
-    ----------
-    scenario
-        Whose numbers they are.
-    spreads
-        By name; values in SI.
+def sweep_parameters(scenario: Scenario, distributions: Mapping[str, Distribution]) -> tuple[SweptParameter, ...]:
+    """Swept parameters from distributions [SI] by name.
 
     Raises
     ------
     ParameterError
-        If a name is unknown or there twice, or a spread is none for its number.
+        If a name is unknown or repeated, or a distribution does not fit its parameter.
 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> [each.text for each in over(scenario, {"load.m2": Uniform(0.2, 1.0)})]
+    >>> [each.text for each in sweep_parameters(scenario, {"load.mass2": Uniform(0.2, 1.0)})]
     ['load.mass2=0.2 kg..1 kg']
     """
-    found = find_all(scenario, spreads)
-    return tuple(Over(address, spread) for address, spread in zip(found, spreads.values(), strict=True))
+    found = find_parameters(scenario, distributions)
+    return tuple(SweptParameter(*pair) for pair in zip(found, distributions.values(), strict=True))
 
 
-def _of_its_kind(address: Address, spread: Spread) -> Spread:
-    """The spread with whole numbers where they must be, and cut off at what the field may be."""
-    if isinstance(spread, Wholes) and not address.whole:
-        raise ParameterError(f"{address.name} is no whole number", remedy="give a Uniform range or Values")
-    if isinstance(spread, Values) and not address.whole:
-        return Values(tuple(float(value) for value in spread.values))
-    if isinstance(spread, Values) and all(float(value).is_integer() for value in spread.values):
-        return Values(tuple(int(value) for value in spread.values))
-    if address.whole and not isinstance(spread, Wholes):
-        raise ParameterError(f"{address.name} is a whole number", remedy="give some, like `0..19` or `0, 1, 5`")
-    return _cut_off(address, spread) if isinstance(spread, Normal) else spread
+def _fitted(parameter: ScenarioParameter, distribution: Distribution) -> Distribution:
+    """The distribution with integers for an integer parameter, and truncated at the parameter's range."""
+    if isinstance(distribution, IntegerRange) and not parameter.is_integer:
+        raise ParameterError(f"{parameter.name} is no whole number", remedy="give a Uniform range or Values")
+    if isinstance(distribution, Values) and not parameter.is_integer:
+        return Values(tuple(float(value) for value in distribution.values))
+    if isinstance(distribution, Values) and all(float(value).is_integer() for value in distribution.values):
+        return Values(tuple(int(value) for value in distribution.values))
+    if parameter.is_integer and not isinstance(distribution, IntegerRange):
+        raise ParameterError(f"{parameter.name} is a whole number", remedy="give some, like `0..19` or `0, 1, 5`")
+    return _truncated(parameter, distribution) if isinstance(distribution, Normal) else distribution
 
 
-def _cut_off(address: Address, spread: Normal) -> Normal:
-    """The distribution within what the field may be, open ends left out."""
-    lower, upper = float(address.lower), float(address.upper)
-    mark = address.mark
+def _truncated(parameter: ScenarioParameter, normal: Normal) -> Normal:
+    """The distribution truncated at the parameter's range, without open ends."""
+    lower, upper = float(parameter.lower), float(parameter.upper)
+    mark = parameter.mark
     if isinstance(mark, Quantity) and mark.open_lower:
         lower = math.nextafter(lower, math.inf)
     if isinstance(mark, Quantity) and mark.open_upper:
         upper = math.nextafter(upper, -math.inf)
-    return dataclasses.replace(spread, lower=max(spread.lower, lower), upper=min(spread.upper, upper))
+    return replace(normal, lower=max(normal.lower, lower), upper=min(normal.upper, upper))
 
 
-LONGEST = 10_000
-"""Characters of what is said about one number."""
+_MAX_TEXT = 10_000  # characters
 
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
-_PLAIN = re.compile(_NUMBER)
-_UNIT = re.compile(rf"\s*{_NUMBER}\s*(.*)", re.DOTALL)
 _POINTS = re.compile(r"(.*\S)\s+in\s+(\S+)", re.DOTALL)
 _LOG = re.compile(r"(.*\S)\s+log", re.DOTALL)
 _RELATIVE = re.compile(rf"({_NUMBER})\s*(?:%|percent)")
-_ONE = re.compile(rf"{_NUMBER}\s*(?:[A-Za-z(/1][^%\s]*(?:\s+[^0-9+.\s-]\S*)*)?")
+_QUANTITY = re.compile(rf"{_NUMBER}\s*(?:[A-Za-z(/1][^%\s]*(?:\s+[^0-9+.\s-]\S*)*)?")
 _FORMS = "a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal 10 %`"
 
 
-def read_over(text: str, scenario: Scenario) -> Over:
-    """Read what one number is varied over.
+def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
+    """Parse a parameter and its distribution.
 
     Parameters
     ----------
@@ -148,91 +145,89 @@ def read_over(text: str, scenario: Scenario) -> Over:
         A name, "=", and one of
 
         ============================  ============================================================================
-        ``0.2 kg..1.0 kg``            a range, even; the unit of its end will do for both: ``0.2..1.0 kg``
-        ``1..100 bar/rad log``        a range, even in the logarithm
-        ``0.2..1.0 kg in 9``          a range of which a grid has 9 points
-        ``1 kg, 2 kg, 4 kg``          these values
-        ``0..19``                     all of these numbers, where only whole ones make sense
-        ``+-10 %``, ``+-0.1 kg``      evenly around the nominal value; a percentage is always one of it
-        ``normal 10 %``               a normal distribution around the nominal value with this standard deviation
-                                      (or ``normal 0.05 kg``), cut off at the ends of what the number may be
+        ``0.2 kg..1.0 kg``            uniform; the unit of the upper end does for both: ``0.2..1.0 kg``
+        ``1..100 bar/rad log``        log-uniform
+        ``0.2..1.0 kg in 9``          uniform, with 9 points on a grid
+        ``1 kg, 2 kg, 4 kg``          discrete values
+        ``0..19``                     all integers of a range, for an integer parameter
+        ``+-10 %``, ``+-0.1 kg``      uniform around the nominal value; a percentage is relative to it
+        ``normal 10 %``               normal around the nominal value with this standard deviation (or
+                                      ``normal 0.05 kg``), truncated at the range of the parameter
         ============================  ============================================================================
     scenario
-        Whose numbers are meant; nominal values are its own.
+        Scenario with the parameter and its nominal value.
 
     Raises
     ------
     ParameterError
-        With the text, what is wrong with it, and what to do.
+        If the text is no such distribution of a parameter of the scenario.
 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> read_over("load.mass2=+-10 %", scenario).spread
+    >>> parse_sweep("load.mass2=+-10 %", scenario).distribution
     Uniform(low=0.45, high=0.55, points=None)
-    >>> read_over("load.mass2=1 kg..0.2 kg", scenario)
+    >>> parse_sweep("load.mass2=1 kg..0.2 kg", scenario)
     Traceback (most recent call last):
         ...
     mckibben.errors.ParameterError: 'load.mass2=1 kg..0.2 kg': the range is empty: 1 kg is not below
     0.2 kg; write the lower end first
     """
-    name, equals, said = text.partition("=")
+    name, equals, definition = text.partition("=")
     try:
-        if len(text) > LONGEST:
-            _fail(f"is longer than {LONGEST} characters", "say less")
+        if len(text) > _MAX_TEXT:
+            _fail(f"is longer than {_MAX_TEXT} characters", "shorten it")
         if not equals:
-            _fail("is no name and what it is varied over", "write it like 'load.mass2=0.2 kg..1.0 kg'")
-        address = find(scenario, name)
-        return Over(address, _spread(said.strip().replace("±", "+-"), address))
+            _fail("is no parameter and its range", "write it like 'load.mass2=0.2 kg..1.0 kg'")
+        parameter = find_parameter(scenario, name)
+        return SweptParameter(parameter, _parse_distribution(definition.strip().replace("±", "+-"), parameter))
     except ParameterError as error:
-        raise _about(text, error) from None
+        raise _prefixed(text, error) from None
 
 
-def read_overs(texts: Iterable[str], scenario: Scenario) -> tuple[Over, ...]:
-    """Read what several numbers are varied over.
+def parse_sweeps(texts: Iterable[str], scenario: Scenario) -> tuple[SweptParameter, ...]:
+    """Parse several parameters and their distributions.
 
     Raises
     ------
     ParameterError
-        As for `read_over`, and if two texts are about the same number, however it is spelt.
+        As for `parse_sweep`, and if a parameter is repeated.
     """
     found: dict[str, str] = {}
     several = []
     for text in texts:
-        one = read_over(text, scenario)
-        if one.name in found:
-            _fail(f"{quoted(found[one.name])} and {quoted(text)} are about the same number", "keep one of them")
-        found[one.name] = text
-        several.append(one)
+        swept = parse_sweep(text, scenario)
+        if swept.name in found:
+            _fail(f"{quoted(found[swept.name])} and {quoted(text)} are about the same parameter", "keep one of them")
+        found[swept.name] = text
+        several.append(swept)
     return tuple(several)
 
 
-def _spread(said: str, address: Address) -> Spread:
-    if not said:
+def _parse_distribution(text: str, parameter: ScenarioParameter) -> Distribution:
+    if not text:
         _fail("says nothing after '='", f"give {_FORMS}")
-    if said.startswith("+-"):
-        amount, nominal = _amount(said[2:], address), address.nominal
-        assert nominal is not None  # an amount has looked at it
+    if text.startswith("+-"):
+        amount, nominal = _parse_amount(text[2:], parameter)
         return Uniform(nominal - amount, nominal + amount)
-    if re.match(r"normal\b", said):
-        amount, nominal = _amount(said[len("normal") :], address), address.nominal
-        assert nominal is not None
+    if re.match(r"normal\b", text):
+        amount, nominal = _parse_amount(text[len("normal") :], parameter)
         return Normal(nominal, amount)
-    return _range(said, address) if ".." in said else _values(said, address)
+    return _parse_range(text, parameter) if ".." in text else _parse_values(text, parameter)
 
 
-def _range(said: str, address: Address) -> Spread:
-    said, points = _without(_POINTS, said)
-    said, log = _without(_LOG, said)
-    low_text, _, high_text = said.partition("..")
-    high = _number(high_text, address)
-    low = _number(_with_unit_of(low_text, high_text), address)
+def _parse_range(text: str, parameter: ScenarioParameter) -> Distribution:
+    text, points = _split_ending(_POINTS, text)
+    text, log = _split_ending(_LOG, text)
+    low_text, high_text = split_range(text)
+    high, low = _read(parameter.mark, high_text), _read(parameter.mark, low_text)
     if not low < high:
-        _fail(f"the range is empty: {address.show(low)} is not below {address.show(high)}", "write the lower end first")
-    if address.whole:
+        message = f"the range is empty: {parameter.show(low)} is not below {parameter.show(high)}"
+        _fail(message, "write the lower end first")
+    if parameter.is_integer:
         if log is not None or points is not None:
             _fail("a range of whole numbers is all of them", "leave `log` and `in ...` out, or list values")
-        return Wholes(int(low), int(high))
+        return IntegerRange(int(low), int(high))
     if points is not None and not re.fullmatch(r"[0-9]{1,9}", points):
         _fail(f"{quoted(points)} is no number of points", "write it like `in 9`")
     count = None if points is None else int(points)
@@ -240,109 +235,99 @@ def _range(said: str, address: Address) -> Spread:
         return Uniform(low, high, count)
     if low <= 0 <= high:
         _fail(
-            f"a range from {address.show(low)} to {address.show(high)} has no even logarithm",
+            f"a range from {parameter.show(low)} to {parameter.show(high)} has no logarithm",
             "give two ends of one sign, neither of them zero, or leave `log` out",
         )
     return LogUniform(low, high, count)
 
 
-def _values(said: str, address: Address) -> Values:
-    if not address.whole and re.search(r"[0-9],[0-9]", said):
-        _fail(f"{quoted(said)} has a comma between digits", "write decimals with a point, and lists like `1 kg, 2 kg`")
-    return Values(tuple(_number(each, address) for each in said.split(",")))
+def _parse_values(text: str, parameter: ScenarioParameter) -> Values:
+    if not parameter.is_integer and re.search(r"[0-9],[0-9]", text):
+        _fail(f"{quoted(text)} has a comma between digits", "write decimals with a point, and lists like `1 kg, 2 kg`")
+    return Values(tuple(_read(parameter.mark, each) for each in text.split(",")))
 
 
-def _amount(said: str, address: Address) -> float:
-    """How far from the nominal value, in SI."""
-    said = said.strip()
-    if address.whole or not isinstance(address.mark, Quantity):
-        _fail(f"{address.name} is a whole number", "give whole numbers, like `0..19` or `0, 1, 5`")
-    if address.nominal is None:
-        _fail(f"{address.name} has no nominal value in the scenario", "give a range, like `12..18 N*m/rad`")
-    relative = _RELATIVE.fullmatch(said)
+def _parse_amount(text: str, parameter: ScenarioParameter) -> tuple[float, float]:
+    """Deviation from the nominal value, and that value [SI]."""
+    text, mark, nominal = text.strip(), parameter.mark, parameter.nominal
+    if parameter.is_integer or not isinstance(mark, Quantity):
+        _fail(f"{parameter.name} is a whole number", "give whole numbers, like `0..19` or `0, 1, 5`")
+    if nominal is None:
+        _fail(f"{parameter.name} has no nominal value in the scenario", "give a range, like `12..18 N*m/rad`")
+    relative = _RELATIVE.fullmatch(text)
     if not relative:
-        amount = _read(
-            dataclasses.replace(address.mark, lower=0.0, upper=1e12, open_lower=True, open_upper=False), said
-        )
-    elif address.nominal == 0:
+        amount = _read(replace(mark, lower=0.0, upper=1e12, open_lower=True, open_upper=False), text)
+    elif nominal == 0:
         _fail(
-            f"{said} of a nominal value of {address.show(0.0)} is nothing",
-            f"give an amount in {address.shown}" if address.unit != "1" else "give an amount",
+            f"{text} of a nominal value of {parameter.show(0.0)} is nothing",
+            f"give an amount in {parameter.shown}" if parameter.unit != "1" else "give an amount",
         )
     else:
-        amount = float(relative[1]) / 100 * abs(address.nominal)
+        amount = float(relative[1]) / 100 * abs(nominal)
     if not amount > 0 or amount > 1e300:
-        _fail(f"{quoted(said)} is no amount", "give one above zero")
-    return amount
+        _fail(f"{quoted(text)} is no amount", "give one above zero")
+    return amount, nominal
 
 
-def _number(said: str, address: Address) -> Any:
-    """A number of the field, in SI, with all that the field itself says of it."""
-    return _read(address.mark, said.strip())
-
-
-def _read(mark: Any, said: str) -> Any:
-    if not said:
+def _read(mark: Any, text: str) -> Any:
+    """Value [SI] of a field from text, with the errors of the field."""
+    text = text.strip()
+    if not text:
         _fail("a value is missing", f"give {_FORMS}")
     try:
-        return mark.read(said)
+        return mark.read(text)
     except (UnitError, RangeError) as error:
         remedy = error.remedy
-        if not _ONE.fullmatch(said):  # more, or less, than a number and a unit: a range that is written otherwise?
+        if not _QUANTITY.fullmatch(text):  # perhaps another form of range
             remedy = f"give {_FORMS}"
         _fail(error.message, remedy or "give a finite one")
 
 
-def _with_unit_of(low: str, high: str) -> str:
-    """The lower end, with the unit of the upper one if it has none."""
-    unit = _UNIT.fullmatch(high)
-    return f"{low.strip()} {unit[1]}" if unit and _PLAIN.fullmatch(low.strip()) else low
-
-
-def _without(ending: re.Pattern[str], said: str) -> tuple[str, str | None]:
-    """A text without an ending, and what the ending says."""
-    found = ending.fullmatch(said)
-    return (found[1], found[found.lastindex or 1]) if found else (said, None)
+def _split_ending(ending: re.Pattern[str], text: str) -> tuple[str, str | None]:
+    """Text without an ending, and the last group of the ending."""
+    found = ending.fullmatch(text)
+    return (found[1], found[found.lastindex or 1]) if found else (text, None)
 
 
 def _fail(message: str, remedy: str) -> NoReturn:
     raise ParameterError(message, remedy=remedy)
 
 
-def _about(text: str, error: ParameterError) -> ParameterError:
-    """The same error, with the text that it is about."""
-    message = error.message
-    about = {"value": error.value, "lower": error.lower, "upper": error.upper, "unit": error.unit}
-    return ParameterError(f"{quoted(text)}: {message}", remedy=error.remedy, **about)  # type: ignore[arg-type]
+def _prefixed(text: str, error: ParameterError) -> ParameterError:
+    """The same error with its text in front."""
+    fields = {"value": error.value, "lower": error.lower, "upper": error.upper, "unit": error.unit}
+    return ParameterError(f"{quoted(text)}: {error.message}", remedy=error.remedy, **fields)  # type: ignore[arg-type]
 
 
 Table = dict[str, NDArray]
-"""Values in SI by canonical name, float64 or int64, one row a run."""
+"""Values [SI] by name, float64 or int64, one row a run."""
 
-Kind = Literal["sobol", "random", "grid"]
-"""How combinations are chosen."""
+SamplingMethod = Literal["sobol", "random", "grid"]
+"""Method by which combinations of values are chosen."""
 
 
-def design(over: Sequence[Over], kind: Kind = "sobol", samples: int = 1024, seed: int = 0) -> Table:
-    """Choose combinations of values.
+def sample(
+    swept: Sequence[SweptParameter], method: SamplingMethod = "sobol", samples: int = 1024, seed: int = 0
+) -> Table:
+    """Sample combinations of values.
 
     Parameters
     ----------
-    over
-        What is varied.
-    kind
-        "sobol": a scrambled Sobol sequence, which fills the space evenly; the first rows of a longer table are the
-        shorter one. "random": independent draws, with the same property. "grid": every combination of listed values,
-        of ranges `in` so many points, and of whole numbers; the last of `over` runs fastest.
+    swept
+        Parameters and their distributions.
+    method
+        "sobol": scrambled Sobol sequence; "random": independent draws; of both, the first rows of a longer table are
+        the shorter one. "grid": all combinations of values, of ranges with a number of points, and of integers; the
+        last parameter runs fastest.
     samples
-        The number of rows; a grid has its own.
+        Number of rows, except for a grid.
     seed
-        Of the scrambling or the draws; with it a table is the same to the last bit.
+        Seed of the scrambling or the draws.
 
     Raises
     ------
     ParameterError
-        If nothing is varied, a number is varied twice, or a grid does not know its points.
+        If there is no parameter, one is repeated, or a grid has no number of points.
 
     References
     ----------
@@ -350,47 +335,46 @@ def design(over: Sequence[Over], kind: Kind = "sobol", samples: int = 1024, seed
 
     Examples
     --------
-    >>> from mckibben.study.parameters import read_overs
+    >>> from mckibben.study.parameters import parse_sweeps
     >>> from mckibben.study.scenario import Scenario
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> over = read_overs(["load.mass2=1..2 kg in 2", "load.mass1=0.1 kg, 0.2 kg, 0.4 kg"], scenario)
-    >>> for name, column in design(over, "grid").items():
+    >>> over = parse_sweeps(["load.mass2=1..2 kg in 2", "load.mass1=0.1 kg, 0.2 kg, 0.4 kg"], scenario)
+    >>> for name, column in sample(over, "grid").items():
     ...     print(name, column)
     load.mass2 [1. 1. 1. 2. 2. 2.]
     load.mass1 [0.1 0.2 0.4 0.1 0.2 0.4]
     """
-    names = [each.name for each in over]
+    names = [each.name for each in swept]
     if not names:
         raise ParameterError("nothing is varied", remedy="say what, like 'load.mass2=0.2 kg..1.0 kg'")
     for name in names:
         if names.count(name) > 1:
             raise ParameterError(f"{name} is varied twice", remedy="keep one of them")
-    if kind == "grid":
-        return _grid(over)
-    _check_count("samples", samples, 1, MOST)
+    if method == "grid":
+        return _grid(swept)
+    _check_count("samples", samples, 1, MAX_ROWS)
     _check_count("seed", seed, 0, 2**63 - 1)
-    if kind == "sobol":
-        quantiles = _sobol(len(over), samples, seed)
-    elif kind == "random":
-        quantiles = _generator(seed).random((samples, len(over)))
+    if method == "sobol":
+        quantiles = _sobol(len(swept), samples, seed)
+    elif method == "random":
+        quantiles = _generator(seed).random((samples, len(swept)))
     else:
-        raise ParameterError(f"there is no design {kind!r}", remedy="choose sobol, random or grid")
-    return {each.name: each.spread.at(quantiles[:, i]) for i, each in enumerate(over)}
+        raise ParameterError(f"there is no design {method!r}", remedy="choose sobol, random or grid")
+    return {each.name: each.distribution.ppf(quantiles[:, i]) for i, each in enumerate(swept)}
 
 
-def _grid(over: Sequence[Over]) -> Table:
+def _grid(swept: Sequence[SweptParameter]) -> Table:
     axes = []
-    for each in over:
+    for each in swept:
         try:
-            axes.append(each.spread.grid())
+            axes.append(each.distribution.grid())
         except ParameterError as error:
-            message = error.message
-            raise ParameterError(f"{each.text}: {message}", remedy=error.remedy) from None
+            raise ParameterError(f"{each.text}: {error.message}", remedy=error.remedy) from None
     rows = math.prod(len(axis) for axis in axes)
-    if rows > MOST:
-        raise ParameterError(f"the grid has {rows} combinations, more than {MOST}", remedy="choose fewer points")
+    if rows > MAX_ROWS:
+        raise ParameterError(f"the grid has {rows} combinations, more than {MAX_ROWS}", remedy="choose fewer points")
     columns = np.meshgrid(*axes, indexing="ij")
-    return {each.name: column.ravel() for each, column in zip(over, columns, strict=True)}
+    return {each.name: column.ravel() for each, column in zip(swept, columns, strict=True)}
 
 
 def _sobol(dimensions: int, samples: int, seed: int) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -11,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
-from mckibben.config.document import dotted
+from mckibben.config.document import dotted, edit_yaml
 from mckibben.config.model import ConfigModel
-from mckibben.errors import ParameterError, RangeError
-from mckibben.study.parameters.addresses import Address, Place, fields_of, find_all
+from mckibben.errors import ParameterError, RangeError, ScenarioError
+from mckibben.study.parameters.parameter import Place, ScenarioParameter, fields_of, find_parameters
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.controller import ModelBasedSpec
 
@@ -22,22 +23,7 @@ P = TypeVar("P", bound=ConfigModel)
 
 
 def validated(part: P, values: Mapping[Place, Any], place: Place = ()) -> P:
-    """The part with values in it, checked as if it were read; parts within it that keep their numbers are not.
-
-    Parameters
-    ----------
-    part
-        Of a scenario, or all of it.
-    values
-        Plain numbers in SI, by their keys within the part.
-    place
-        Of the part in the file, for errors.
-
-    Raises
-    ------
-    ParameterError
-        If the part does not allow the values; it says which and why.
-    """
+    """The part of a scenario with other values [SI], by their keys within it, validated as if it were read."""
     if not values:
         return part
     fields = {key: value for key, _, value in fields_of(part)}
@@ -49,20 +35,20 @@ def validated(part: P, values: Mapping[Place, Any], place: Place = ()) -> P:
         raise _explained(error, place) from None
 
 
-def replaced(part: P, values: Mapping[Place, Any]) -> P:
-    """The part with values in it, whatever they are."""
+def update(part: P, values: Mapping[Place, Any]) -> P:
+    """The part with other values, not validated."""
     if not values:
         return part
     names = {info.alias or name: name for name, info in type(part).model_fields.items()}
-    update = {}
+    changed = {}
     for key, inner in _by_first_key(values).items():
         name = names[key]
-        update[name] = inner[()] if () in inner else replaced(getattr(part, name), inner)
-    return part.model_copy(update=update)
+        changed[name] = inner[()] if () in inner else update(getattr(part, name), inner)
+    return part.model_copy(update=changed)
 
 
 def part_at(part: ConfigModel, place: Place) -> ConfigModel:
-    """The part at a place within a part."""
+    """The part at a place within another."""
     for key in place:
         part = next(value for name, _, value in fields_of(part) if name == key)
     return part
@@ -86,45 +72,37 @@ def _explained(error: ValidationError, place: Place) -> ParameterError:
 
 
 _Attempt = Callable[[Sequence[Any]], str | None]
-"""Says of values, one for each number, why they are not allowed."""
+"""Function of values that returns why they are invalid."""
 
 
-class Refusal(NamedTuple):
-    """Why a row is not allowed, and the numbers whose values it is about."""
+class Violation(NamedTuple):
+    """Parameters whose combined values are invalid, and why."""
 
-    addresses: tuple[Address, ...]
+    parameters: tuple[ScenarioParameter, ...]
     reason: str
 
 
-def refusals(scenario: Scenario, columns: Mapping[Address, NDArray]) -> dict[int, Refusal]:
-    """Why rows of a table are not allowed: by row, in order.
-
-    Parameters
-    ----------
-    scenario
-        Into which the values are to be put.
-    columns
-        Of one length, each in the range of its field.
-    """
-    groups: dict[Place, list[Address]] = {}
-    for address in columns:
-        groups.setdefault(_part_of(address.place), []).append(address)
-    found: dict[int, Refusal] = {}
+def violations(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray]) -> dict[int, Violation]:
+    """Invalid rows of a table whose columns are each in range, in order."""
+    groups: dict[Place, list[ScenarioParameter]] = {}
+    for parameter in columns:
+        groups.setdefault(_part_of(parameter.place), []).append(parameter)
+    found: dict[int, Violation] = {}
     for place, group in groups.items():
-        attempt = _attempt(scenario, place, [address.place[len(place) :] for address in group])
-        table = [columns[address] for address in group]
+        attempt = _attempt(scenario, place, [parameter.place[len(place) :] for parameter in group])
+        table = [columns[parameter] for parameter in group]
         for row, reason in _search(attempt, table, np.arange(len(table[0]))).items():
-            found.setdefault(row, Refusal(tuple(group), reason))
+            found.setdefault(row, Violation(tuple(group), reason))
     return dict(sorted(found.items()))
 
 
 def _part_of(place: Place) -> Place:
-    """The part within which a number has to do with others."""
+    """The part within which the validity of a parameter depends on others."""
     return place[:2] if len(place) > 2 and place[0] in ("controller", "reference") else place[:1]
 
 
 def _attempt(scenario: Scenario, place: Place, keys: list[Place]) -> _Attempt:
-    """What says of values why the part does not allow them; None where it does."""
+    """Validator of values within a part."""
     part = part_at(scenario, place)
     build = _builder(place)
 
@@ -139,16 +117,16 @@ def _attempt(scenario: Scenario, place: Place, keys: list[Place]) -> _Attempt:
 
 
 def _builder(place: Place) -> Callable[[Any], object]:
-    """What makes of a part the object whose constructor has rules of its own."""
+    """Function that builds a part, whose constructor may raise."""
     from mckibben.study.scenario import building
 
     match place:
         case ("joint",) | ("controller", "model"):
             return lambda spec: (building.build_geometry(spec), spec.spring and spec.spring.build())
         case ("controller", "decoupling"):
-            return lambda spec: (building.decoupling_parts(spec), _beliefs(spec))
+            return lambda spec: (building.decoupling_parts(spec), _load_and_adaptation(spec))
         case ("controller", "predictive"):
-            return lambda spec: (building.observers(spec), _beliefs(spec))
+            return lambda spec: (building.observers(spec), _load_and_adaptation(spec))
         case ("controller", "inverse_model"):
             return lambda spec: spec.load and spec.load.build()
         case ("load",) | ("valve",) | ("controller", _) | ("reference", _):
@@ -157,21 +135,20 @@ def _builder(place: Place) -> Callable[[Any], object]:
             return _nothing
 
 
-def _beliefs(spec: ModelBasedSpec) -> tuple[object, ...]:
-    """What a controller by a model believes, and what corrects it."""
+def _load_and_adaptation(spec: ModelBasedSpec) -> tuple[object, ...]:
+    """Load and adaptation of a model-based controller."""
     return spec.load and spec.load.build(), spec.adaptation and spec.adaptation.build()
 
 
 def _nothing(_: ConfigModel) -> None:
-    """A start is made by the plant."""
+    """A start has no rules of its own."""
 
 
 def _search(attempt: _Attempt, table: Sequence[NDArray], rows: NDArray[np.int64]) -> dict[int, str]:
-    """The rows that are refused, and why, without a look at each of them.
+    """Invalid rows by bisection.
 
-    Each rule compares sums and products of numbers, or their signs: away from zero it is the stricter the further a
-    number goes one way. So where all corners of the box around some rows are allowed, its inside is, too; where not,
-    the rows are halved.
+    Each rule compares sums, products or signs of values, monotonic on either side of zero. So where all corners of the
+    box around some rows are valid, its inside is, too; else the rows are halved.
     """
     ends = [_ends(column[rows]) for column in table]
     corners = math.prod(len(each) for each in ends)
@@ -193,81 +170,78 @@ def _search(attempt: _Attempt, table: Sequence[NDArray], rows: NDArray[np.int64]
 
 
 def _ends(column: NDArray) -> list[Any]:
-    """The lowest and highest of the numbers below, at and above zero."""
+    """Lowest and highest of the values below, at and above zero."""
     signs = [column[column < 0], column[column == 0], column[column > 0]]
     return sorted({end.item() for part in signs if part.size for end in (part.min(), part.max())})
 
 
 Known = Collection[str] | Literal["all"]
-"""Numbers of the plant, by name, that the controller's model follows when they vary."""
+"""Plant parameters that the controller's model follows when they vary."""
 
 _PLANT = ("joint", "load", "valve")
 
 
 def with_values(scenario: Scenario, values: Mapping[str, float | int], *, known: Known = "all") -> Scenario:
-    """The scenario with other numbers, checked as if they stood in its file.
+    """The scenario with other values, validated as if they were in its file.
 
     Parameters
     ----------
     scenario
-        Which stays as it is.
+        Scenario; it is not changed.
     values
-        In SI, by name.
+        Values [SI] by name.
     known
-        As for `lanes`; all unless given, as in a file.
+        As for `batched`. Default: all, as in a file.
 
     Raises
     ------
     ParameterError
-        If a name is unknown or there twice, or a value is none for its number.
+        If a name is unknown or repeated, or a value is invalid.
 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> with_values(scenario, {"load.m2": 0.8}).plant().load.mass2
+    >>> with_values(scenario, {"load.mass2": 0.8}).plant().load.mass2
     0.8
     """
-    columns = {address: _column(address, [value]) for address, value in zip(*_named(scenario, values), strict=True)}
+    columns = {
+        parameter: _column(parameter, [value]) for parameter, value in zip(*_named(scenario, values), strict=True)
+    }
     _check_rules(scenario, columns)
-    numbers = {address: column[0].item() for address, column in columns.items()}
+    numbers = {parameter: column[0].item() for parameter, column in columns.items()}
     fixed = _with_fixed_model(scenario, numbers, known)
-    return validated(fixed, {address.place: value for address, value in numbers.items()})
+    return validated(fixed, {parameter.place: value for parameter, value in numbers.items()})
 
 
-def lanes(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known = ()) -> Scenario:
-    """Many scenarios in one: arrays stand in place of some of its numbers, one element a lane.
+def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known = ()) -> Scenario:
+    """A batch of scenarios, with arrays of shape (n,) for the varied parameters.
 
-    What is built from it (`plant`, `control`, `reference`) has NumPy arrays of shape (n,) among its leaves where a
-    number is varied, and what it always has where it is not. Such a scenario can be neither written nor compared.
-
-    Where the controller takes its model of joint, load and valves from the plant, it is that of `scenario` in all
-    lanes, whatever numbers of the plant vary.
+    The objects built from it (`plant`, `control`, `reference`) have these arrays among their leaves. Such a scenario
+    can be neither written nor compared. A controller's model that is taken from the plant stays the nominal one.
 
     Parameters
     ----------
     scenario
-        Which stays as it is.
+        Scenario; it is not changed.
     table
-        Values in SI by name, columns of one length n.
+        Values [SI] by name, columns of one length n.
     known
-        Names of numbers of the plant whose values the controller knows, "all" for all of them: its model varies with
-        them wherever it takes them from the plant.
+        Plant parameters that the controller's model follows, "all" for all of them.
 
     Raises
     ------
     ParameterError
-        If a name is unknown or there twice, or a row has a value, or a combination of values, that the scenario does
-        not allow; it names the first such row.
+        If a name is unknown or repeated, or a row is invalid; it names the first such row.
 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> load = lanes(scenario, {"load.mass2": [0.5, 0.8]}).plant().load
+    >>> load = batched(scenario, {"load.mass2": [0.5, 0.8]}).plant().load
     >>> load.mass2, load.mass1
     (array([0.5, 0.8]), 0.5)
     >>> load.total_inertia.round(6)
     array([0.045, 0.057])
-    >>> lanes(scenario, {"joint.connector_length": [0.2, 0.38]})
+    >>> batched(scenario, {"joint.connector_length": [0.2, 0.38]})
     Traceback (most recent call last):
         ...
     mckibben.errors.ParameterError: row 1: with joint.connector_length 380 mm: ...
@@ -275,36 +249,36 @@ def lanes(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known = 
     columns = _columns(scenario, table)
     _check_rules(scenario, columns)
     fixed = _with_fixed_model(scenario, columns, known)
-    return replaced(fixed, {address.place: column for address, column in columns.items()})
+    return update(fixed, {parameter.place: column for parameter, column in columns.items()})
 
 
 def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tuple[str, ...]:
-    """Canonical names of the numbers that vary in the plant and in the controller's model alike.
+    """Names of the parameters that vary in the plant and in the controller's model alike.
 
     Parameters
     ----------
     scenario
-        Whose controller it is.
+        Scenario with the controller.
     known
-        As for `lanes`.
+        As for `batched`.
     varied
-        Names of all numbers that vary.
+        Names of all varied parameters.
 
     Raises
     ------
     ParameterError
-        If a known number does not vary, or the controller does not take it from the plant.
+        If a known parameter is not varied, or the controller does not take it from the plant.
 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> known_names(scenario, "all", ["load.m2", "joint.connector_length"])
+    >>> known_names(scenario, "all", ["load.mass2", "joint.connector_length"])
     ('joint.connector_length',)
     """
-    followed = {address.name: _follows(scenario, address) for address in find_all(scenario, varied)}
+    followed = {parameter.name: _follows(scenario, parameter) for parameter in find_parameters(scenario, varied)}
     if known == "all":
         return tuple(name for name, follows in followed.items() if follows)
-    names = tuple(address.name for address in find_all(scenario, known))
+    names = tuple(parameter.name for parameter in find_parameters(scenario, known))
     for name in names:
         if name not in followed:
             raise ParameterError(
@@ -316,89 +290,141 @@ def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tupl
     return names
 
 
-def allowed(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
-    """Which rows of a table `lanes` would take: those whose values keep to the rules among themselves.
+def valid_rows(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
+    """Mask of the rows of a table that make a valid scenario.
 
     Raises
     ------
     ParameterError
-        If a name is unknown or there twice, or a value is outside the range of its field.
+        If a name is unknown or repeated, or a value is outside the range of its field.
 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> allowed(scenario, {"joint.connector_length": [0.2, 0.38]})
+    >>> valid_rows(scenario, {"joint.connector_length": [0.2, 0.38]})
     array([ True, False])
     """
     columns = _columns(scenario, table)
     mask = np.ones(len(next(iter(columns.values()))), dtype=bool)
-    mask[list(refusals(scenario, columns))] = False
+    mask[list(violations(scenario, columns))] = False
     return mask
 
 
-def _with_fixed_model(scenario: Scenario, values: Mapping[Address, Any], known: Known) -> Scenario:
-    """The scenario with the controller's model fixed, at these values where they are known and else at its own."""
-    plant = {address: value for address, value in values.items() if address.place[0] in _PLANT}
-    names = [address.name for address in (plant if known == "all" else find_all(scenario, known))]
-    follows = {address.place: value for address, value in plant.items() if address.name in names}
+def _with_fixed_model(scenario: Scenario, values: Mapping[ScenarioParameter, Any], known: Known) -> Scenario:
+    """The scenario with the controller's model fixed, at the given values of known parameters and else at its own."""
+    plant = {parameter: value for parameter, value in values.items() if parameter.place[0] in _PLANT}
+    names = [parameter.name for parameter in (plant if known == "all" else find_parameters(scenario, known))]
+    follows = {parameter.place: value for parameter, value in plant.items() if parameter.name in names}
     if len(follows) == len(plant):
         return scenario
-    return replaced(scenario, follows).with_fixed_model()
+    return update(scenario, follows).with_fixed_model()
 
 
-def _follows(scenario: Scenario, address: Address) -> bool:
-    """Whether the controller takes a number from the plant."""
-    if address.place[0] not in _PLANT:
+def _follows(scenario: Scenario, parameter: ScenarioParameter) -> bool:
+    """Whether the controller takes a parameter from the plant."""
+    if parameter.place[0] not in _PLANT:
         return False
-    marked = replaced(scenario, {address.place: math.nan})
+    marked = update(scenario, {parameter.place: math.nan})
     return marked.with_fixed_model().controller != scenario.with_fixed_model().controller
 
 
-def _named(scenario: Scenario, values: Mapping[str, object]) -> tuple[list[Address], list]:
+def _named(scenario: Scenario, values: Mapping[str, object]) -> tuple[list[ScenarioParameter], list]:
     if not values:
-        raise ParameterError("no values are given", remedy="give one for each number that is to change")
-    return find_all(scenario, values), list(values.values())
+        raise ParameterError("no values are given", remedy="give one for each parameter that is to change")
+    return find_parameters(scenario, values), list(values.values())
 
 
-def _columns(scenario: Scenario, table: Mapping[str, ArrayLike]) -> dict[Address, NDArray]:
-    columns = {address: _column(address, values) for address, values in zip(*_named(scenario, table), strict=True)}
-    lengths = {address.name: len(column) for address, column in columns.items()}
+def _columns(scenario: Scenario, table: Mapping[str, ArrayLike]) -> dict[ScenarioParameter, NDArray]:
+    columns = {
+        parameter: _column(parameter, values) for parameter, values in zip(*_named(scenario, table), strict=True)
+    }
+    lengths = {parameter.name: len(column) for parameter, column in columns.items()}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise ParameterError(f"columns differ in length: {told}", remedy="give one value a row in each")
+        given = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise ParameterError(f"columns differ in length: {given}", remedy="give one value a row in each")
     return columns
 
 
-def _column(address: Address, values: ArrayLike) -> NDArray:
-    """The values of one number: one axis, float64 or int64, in the range of the field."""
+def _column(parameter: ScenarioParameter, values: ArrayLike) -> NDArray:
+    """Column of one parameter: float64 or int64, in range."""
     try:
         given = np.asarray(values)
     except ValueError:  # ragged
         given = np.empty(0)
     if given.ndim != 1 or given.size == 0 or given.dtype.kind not in "fiu":
         raise ParameterError(
-            f"the values of {address.name} are no column of numbers", value=values, remedy="give one number a row"
+            f"the values of {parameter.name} are no column of numbers", value=values, remedy="give one number a row"
         )
-    bad = np.flatnonzero(~np.asarray(address.holds(given)))
+    bad = np.flatnonzero(~np.asarray(parameter.holds(given)))
     if bad.size:
         value = given[bad[0]].item()
-        shown = f"{value:g}, no whole number of" if address.whole else f"{address.show(value)}, outside"
+        shown = f"{value:g}, no whole number of" if parameter.is_integer else f"{parameter.show(value)}, outside"
         raise ParameterError(
-            f"{_row(bad[0], len(given))}{address.name} is {shown} {address.range}",
+            f"{_row(bad[0], len(given))}{parameter.name} is {shown} {parameter.range}",
             value=value,
-            lower=address.lower,
-            upper=address.upper,
-            unit=address.unit,
+            lower=parameter.lower,
+            upper=parameter.upper,
+            unit=parameter.unit,
             remedy="choose a value inside",
         )
-    return given.astype(np.int64 if address.whole else float)
+    return given.astype(np.int64 if parameter.is_integer else float)
 
 
-def _check_rules(scenario: Scenario, columns: Mapping[Address, NDArray]) -> None:
-    for row, (addresses, reason) in refusals(scenario, columns).items():
-        values = ", ".join(f"{address.name} {address.show(columns[address][row])}" for address in addresses)
-        raise ParameterError(f"{_row(row, len(columns[addresses[0]]))}with {values}: {reason}")
+def _check_rules(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray]) -> None:
+    for row, (parameters, reason) in violations(scenario, columns).items():
+        values = ", ".join(f"{parameter.name} {parameter.show(columns[parameter][row])}" for parameter in parameters)
+        raise ParameterError(f"{_row(row, len(columns[parameters[0]]))}with {values}: {reason}")
 
 
 def _row(row: int, rows: int) -> str:
     return f"row {row}: " if rows > 1 else ""
+
+
+def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str | os.PathLike[str] = ".") -> str:
+    """The text of a scenario with other values; comments, order and layout stay.
+
+    Values that are not in the text are added to it, in the units of `Scenario.dumps` and with all digits.
+
+    Parameters
+    ----------
+    text
+        YAML of a scenario.
+    values
+        Values [SI] by name.
+    folder
+        Folder to which paths in the text are relative.
+
+    Returns
+    -------
+    text
+        YAML that reads as `with_values` of the scenario. Where unusual YAML prevents an edit in place, it is written
+        anew without comments.
+
+    Raises
+    ------
+    ScenarioError
+        If the text is no scenario.
+    ParameterError
+        As for `with_values`.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> text = Path("examples/pre-contracted-step-pid.yaml").read_text()
+    >>> changed = edit_scenario(text, {"load.damping": 0.1, "valve.time_constant": 0.03})
+    >>> for before, after in zip(text.splitlines(), changed.splitlines()):
+    ...     if before != after:
+    ...         print(after)
+    load: {from: knee-table-2, damping: 0.1 N*m*s/rad}            # or, with a heavier weight, ...
+    valve: {time_constant: 30 ms}   # or ideal: the pressure is what is commanded, at once
+    """
+    scenario = Scenario.parse(text, folder=folder)
+    wanted = with_values(scenario, values)
+    pairs = zip(find_parameters(scenario, values), values.values(), strict=True)
+    changed = edit_yaml(text, {parameter.place: parameter.write(value) for parameter, value in pairs})
+    try:
+        if Scenario.parse(changed, folder=folder) == wanted:
+            return changed
+    except ScenarioError:
+        pass
+    return wanted.dumps(folder=folder)

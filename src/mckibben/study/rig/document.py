@@ -13,7 +13,7 @@ from mckibben.config.fields import Flag, OneOf, Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.config.schema import model_of
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.study.rig.steps import Address, JsonPath, ProtocolSpec
 from mckibben.study.scenario.plant import CatalogName, CreepSpec, FrictionSpec, Law
 from mckibben.units import (
@@ -191,7 +191,7 @@ class RigTest(ConfigModel):
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write the test to a file that `read` reads back to the last bit."""
-        with whole(path) as part:
+        with atomic_write(path, overwrite=True) as part:
             part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
 
 

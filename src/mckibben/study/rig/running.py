@@ -26,9 +26,8 @@ from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.session import VENTED, ProgressCallback
 from mckibben.rig.steps import Step, describe_steps
-from mckibben.storage.files import alone, check_free
-from mckibben.storage.files import folder as made
-from mckibben.storage.interruption import heeded
+from mckibben.storage.files import check_free, file_lock, make_folder
+from mckibben.storage.interruption import handle_signals
 from mckibben.study.rig.building import Setup, build_setup, build_steps
 from mckibben.study.rig.document import RigTest
 from mckibben.units import bar, mm, percent
@@ -285,8 +284,8 @@ def run_test(
             remedy = "resume it (--resume), or choose another folder"
             raise FileError(str(folder), [Problem("holds a record already", remedy=remedy)])
         check_free(folder, [PROTOCOL, data_name(checked.test)])
-    made(folder)
-    with alone(folder / "lock", "running a test here"):
+    make_folder(folder)
+    with file_lock(folder / "lock", "running a test here"):
         if resume:
             _check_same(checked.test, folder)
         past = _past(folder) if resume else _PastSessions()
@@ -316,7 +315,7 @@ def gather(folder: str | os.PathLike[str]) -> IsobaricDataset:
     if not (folder / PROTOCOL).exists():
         raise FileError(str(folder), [Problem("holds no test", remedy="give the folder of `rig run --out`")])
     checked = check(RigTest.read(folder / PROTOCOL))
-    with alone(folder / "lock", "running a test here"):
+    with file_lock(folder / "lock", "running a test here"):
         return _save_dataset(checked, folder)
 
 
@@ -350,7 +349,7 @@ def _run_session(
     begin = Recorder.resume if segments(folder) else Recorder.create
     with begin(folder, _header(checked), columns) as recorder:
         runner = Runner(backend, bench, recorder, done=past.done, origin=origin, since=past.since, report=report)
-        with heeded(lambda number: runner.interrupt(number, signal.Signals(number).name)):
+        with handle_signals(lambda number: runner.interrupt(number, signal.Signals(number).name)):
             runner.run(checked.steps)
 
 

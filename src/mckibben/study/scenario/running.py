@@ -8,14 +8,14 @@ from contextlib import contextmanager
 
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
-from mckibben.study.parameters import Known, Table, lanes
+from mckibben.study.parameters import Known, Table, batched
 from mckibben.study.scenario import Scenario
 
 
-def rest(scenario: Scenario) -> AtRest:
-    """The rest to start from; its numbers may be arrays with one value a run.
+def initial_state(scenario: Scenario) -> AtRest:
+    """Initial state of a scenario, at rest; of a batch with one value a run.
 
-    >>> rest(Scenario.read("examples/pre-contracted-step-pid.yaml"))
+    >>> initial_state(Scenario.read("examples/pre-contracted-step-pid.yaml"))
     AtRest(angle=0.0, stiffness=12.0)
     """
     stiffness = scenario.start.stiffness
@@ -28,19 +28,19 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
     Parameters
     ----------
     scenario
-        What to run.
+        Scenario.
     source
-        The file that it came from, for messages; its name unless given.
+        File of the scenario, for errors. Default: its name.
 
     Returns
     -------
     CheckedRun
-        The result, which carries the scenario's text, and the reach of its reference.
+        Result, with the scenario's text, and the feasibility of its reference.
 
     Raises
     ------
     ScenarioError
-        If its parts make no sense together; it names the part.
+        If its parts do not fit together.
     """
 
     @contextmanager
@@ -48,7 +48,7 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
         try:
             yield
         except FileError:
-            raise  # names a file and a place itself
+            raise  # has its own file and line
         except McKibbenError as error:
             raise ScenarioError(source or scenario.name, [Problem.of(error, field=field)]) from error
 
@@ -64,7 +64,7 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
             duration=scenario.duration,
             control_period=scenario.control_period,
             substeps=scenario.substeps,
-            initial=rest(scenario),
+            initial=initial_state(scenario),
             scenario=scenario.dumps(),
         )
 
@@ -85,18 +85,18 @@ def run_many(
     Parameters
     ----------
     scenario
-        What all runs share.
+        Scenario with the nominal values.
     table
-        Arrays of one length by the names of the scenario's fields, SI; see `mckibben.study.parameters.sampling`.
+        Values [SI] by parameter name, columns of one length; see `mckibben.study.parameters.sample`.
     known
-        Numbers of the plant that the controller's model follows; see `mckibben.study.parameters.values`.
+        Plant parameters that the controller's model follows; see `mckibben.study.parameters.batched`.
     metrics, precision, chunk, workers, progress
         As for `simulate_many`.
 
     Raises
     ------
     ParameterError
-        If a row of the table makes no valid scenario; it names the first.
+        If a row makes no valid scenario; it names the first such row.
 
     Examples
     --------
@@ -104,7 +104,7 @@ def run_many(
     >>> run_many(scenario, {"load.mass2": [0.4, 0.5]}, metrics=["angle_rmse"]).count
     2
     """
-    many = lanes(scenario, table, known=known)
+    many = batched(scenario, table, known=known)
     return simulate_many(
         many.plant(),
         many.control(),
@@ -112,7 +112,7 @@ def run_many(
         duration=scenario.duration,
         control_period=scenario.control_period,
         substeps=scenario.substeps,
-        initial=rest(many),
+        initial=initial_state(many),
         metrics=metrics,
         precision=precision,
         chunk=chunk,

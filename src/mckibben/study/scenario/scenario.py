@@ -12,7 +12,7 @@ from mckibben.config.document import to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.numerics.checks import whole_periods
-from mckibben.storage.files import whole
+from mckibben.storage.files import atomic_write
 from mckibben.study.scenario.controller import AnyController, ControllerSpec
 from mckibben.study.scenario.plant import AnyDisturbance, AnyLoad, AnySensors, AnyValve, JointSpec, StartSpec
 from mckibben.study.scenario.reference import ReferenceSpec
@@ -158,7 +158,7 @@ class Scenario(ConfigModel):
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write the scenario to a file that `read` reads back to the last bit."""
-        with whole(path) as part:
+        with atomic_write(path, overwrite=True) as part:
             part.write_text(self.dumps(folder=Path(path).parent), encoding="utf-8")
 
     def plant(self) -> JointPlant:

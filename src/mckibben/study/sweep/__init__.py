@@ -1,8 +1,6 @@
-"""Sweeps: many runs of a scenario over ranges of its numbers, kept block by block: nothing that is finished is lost."""
+"""Sweeps: many runs of a scenario over ranges of its parameters."""
 
-from mckibben.study.sweep.plan import MANIFEST, Plan
-from mckibben.study.sweep.result import MAIN, Sweep, summary
-from mckibben.study.sweep.store import BLOCKS, TABLE
-from mckibben.study.sweep.sweeping import InterruptedSweep, sweep
+from mckibben.study.sweep.result import SweepResult, summary
+from mckibben.study.sweep.sweep import InterruptedSweep, sweep
 
-__all__ = ["BLOCKS", "MAIN", "MANIFEST", "TABLE", "InterruptedSweep", "Plan", "Sweep", "summary", "sweep"]
+__all__ = ["InterruptedSweep", "SweepResult", "summary", "sweep"]

@@ -12,15 +12,16 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.dataset.schema import html_table
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES, attributes
-from mckibben.storage.files import whole
-from mckibben.study.parameters import addresses, with_values
+from mckibben.storage.files import atomic_write
+from mckibben.study.parameters import list_parameters, with_values
 from mckibben.study.scenario import Scenario
-from mckibben.study.sweep.blocks import REACH, Columns
-from mckibben.study.sweep.plan import Plan
+from mckibben.study.sweep.compute import FEASIBILITY, Columns
+from mckibben.study.sweep.plan import SweepPlan
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -30,88 +31,98 @@ _KIND = "mckibben sweep"
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
-    """The answers of a sweep.
+class SweepResult:
+    """Results of a sweep.
 
     Attributes
     ----------
     table
-        Along ``run``, all in SI: the inputs by their names in the scenario (attribute ``shown_units``: the unit they
-        are written in), the metrics, ``outcome`` (a code; ``flag_meanings`` lists the words), ``shortfall_max`` and
-        ``unheld``, of which `mckibben.study.sweep.blocks` tells. Its attributes say what made it.
+        Along ``run``, all in SI: the inputs by their names in the scenario (attribute ``shown_units``: their unit in
+        files), the metrics, ``outcome`` (a code; ``flag_meanings`` lists the words), ``shortfall_max`` and
+        ``infeasible_time`` (see `mckibben.study.sweep.compute.feasibility`). Its attributes identify the sweep.
     computed
-        How many runs were computed when it was asked for; the others were kept from before.
+        Number of runs that were computed by this call; the others were stored before.
     """
 
     table: xr.Dataset
     computed: int = 0
 
     @classmethod
-    def of(cls, plan: Plan, columns: Columns, computed: int = 0) -> Self:
-        """From a plan and the answers of all its blocks."""
+    def of(cls, plan: SweepPlan, columns: Columns, computed: int = 0) -> Self:
+        """From a plan and the results of all its blocks."""
         import xarray as xr
 
         variables: dict[str, Any] = {}
-        for over in plan.over:
-            address = over.address
-            about = {"units": address.unit, "shown_units": address.shown, "long_name": address.name, "over": over.text}
-            variables[over.name] = ("run", plan.table[over.name], {**about, "role": "input"})
+        for swept in plan.swept:
+            parameter = swept.parameter
+            units = {"units": parameter.unit, "shown_units": parameter.shown}
+            about = {**units, "long_name": parameter.name, "over": swept.text, "role": "input"}
+            variables[swept.name] = ("run", plan.table[swept.name], about)
         flags = {
             "flag_values": np.arange(len(OUTCOMES), dtype=np.int8),
             "flag_meanings": " ".join(outcome.name for outcome in OUTCOMES),
         }
-        for name in plan.job.metrics:
+        for name in plan.task.metrics:
             variables[name] = ("run", columns[name], attributes(name))
-        variables["outcome"] = ("run", columns["outcome"], {"long_name": "how the run ended", **flags})
-        for name, (unit, meaning) in REACH.items():
+        variables["outcome"] = ("run", columns["outcome"], {"long_name": "outcome of the run", **flags})
+        for name, (unit, meaning) in FEASIBILITY.items():
             variables[name] = ("run", columns[name], {"units": unit, "long_name": meaning})
         manifest = plan.manifest
         attrs = {
             "kind": _KIND,
-            "title": plan.job.scenario.name,
+            "title": plan.task.scenario.name,
             "source": manifest["source"],
             "scenario": manifest["scenario"],
             "manifest": json.dumps(manifest, sort_keys=True),
             "identity": plan.identity,
-            "mckibben_version": plan.job.software["mckibben"],
-            "jax_version": plan.job.software["jax"],
+            "mckibben_version": plan.task.software["mckibben"],
+            "jax_version": plan.task.software["jax"],
         }
         return cls(xr.Dataset(variables, attrs=attrs), computed)
 
+    def __repr__(self) -> str:
+        failed = f", {count} failed" if (count := int(self.failed.sum())) else ""
+        return f"<SweepResult: {self.count} runs{failed}, over {', '.join(self.inputs)}>"
+
+    def _repr_html_(self) -> str:
+        numbers = summary(self)
+        rows = metric_rows(numbers)
+        return html_table(repr(self), ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", ""), rows)
+
     @property
     def count(self) -> int:
-        """The number of runs."""
+        """Number of runs."""
         return self.table.sizes["run"]
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The names of what was varied."""
+        """Names of the varied parameters."""
         return tuple(str(name) for name in self.table if self.table[name].attrs.get("role") == "input")
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """The names of the metrics that were computed."""
+        """Names of the computed metrics."""
         return tuple(name for name in Metrics._fields if name in self.table)
 
     @property
     def outcomes(self) -> list[Outcome]:
-        """How each run ended."""
+        """Outcome of each run."""
         return [OUTCOMES[code] for code in self.table["outcome"].to_numpy()]
 
     @property
-    def lost(self) -> NDArray[np.bool_]:
-        """Which runs came to no end that is of use."""
+    def failed(self) -> NDArray[np.bool_]:
+        """Mask of the runs that were unstable, diverged or could not start."""
         return np.array([outcome.failed for outcome in OUTCOMES])[self.table["outcome"].to_numpy()]
 
     def scenario(self, run: int, *, folder: str | os.PathLike[str] = ".") -> Scenario:
-        """The scenario of one run, to look at it alone; its controller's model is written out if the plant varied.
+        """Scenario of one run; its controller's model is written out if the plant varied.
 
         Parameters
         ----------
         run
-            Its number, from 0.
+            Number of the run, from 0.
         folder
-            That of the sweep, for a scenario that names files.
+            Output folder of the sweep, for a scenario that names files.
 
         Raises
         ------
@@ -125,85 +136,80 @@ class Sweep:
         return with_values(nominal, values, known=json.loads(self.table.attrs["manifest"])["known"])
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write everything to a NetCDF file, the same bytes for the same sweep; it appears whole or not at all."""
+        """Write a NetCDF file atomically, replacing an existing one; the same sweep gives the same bytes."""
         floats = [name for name, values in self.table.variables.items() if values.dtype.kind == "f"]
-        with whole(path) as part:
+        with atomic_write(path, overwrite=True) as part:
             self.table.to_netcdf(part, engine="h5netcdf", encoding={name: {"_FillValue": None} for name in floats})
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read what `to_netcdf` wrote.
+        """Read a file that `to_netcdf` wrote.
 
         Raises
         ------
         FileError
             If the file is missing, damaged, or no sweep.
         """
-        import xarray as xr
+        from mckibben.dataset.schema import load_netcdf
 
         source = str(path)
-        if not Path(path).is_file():
-            raise FileError(source, [Problem("there is no such file")])
-        try:
-            table = xr.load_dataset(path, engine="h5netcdf")
-        except Exception as error:  # HDF5 has many ways to say that a file is damaged
-            raise FileError(source, [Problem(f"it cannot be read as NetCDF: {error}")]) from error
-        missing = [name for name in ("outcome", *REACH) if name not in table or table[name].dims != ("run",)]
+        table = load_netcdf(Path(path))
+        missing = [name for name in ("outcome", *FEASIBILITY) if name not in table or table[name].dims != ("run",)]
         if table.attrs.get("kind") != _KIND or missing:
             raise FileError(source, [Problem("it is no sweep", remedy="give the sweep.nc of `mckibben sweep`")])
         codes = table["outcome"].to_numpy()
         if codes.dtype.kind not in "iu" or np.any((codes < 0) | (codes >= len(OUTCOMES))):
-            raise FileError(source, [Problem("its outcomes are none of ours", field="outcome")])
+            raise FileError(source, [Problem("it has unknown outcomes", field="outcome")])
         return cls(table)
 
 
 MAIN = ("angle_rmse", "stiffness_rmse", "coupling")
-"""The metrics of which correlations are computed and figures are drawn, as far as they are there."""
+"""Metrics of correlations and figures, where they were computed."""
 
-_FEWEST = 3  # runs: with fewer every order is a perfect one
+_MIN_RUNS = 3  # of a rank correlation: with fewer, every order is a perfect one
 _SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
 
 
-def summary(sweep: Sweep) -> dict[str, Any]:
-    """The statistics of a sweep, as JSON has them.
+def summary(sweep: SweepResult) -> dict[str, Any]:
+    """Statistics of a sweep, for JSON.
 
     Parameters
     ----------
     sweep
-        What has been computed.
+        Result of `sweep`.
 
     Returns
     -------
     numbers
-        ``scenario``, ``runs``, ``lost``; ``outcomes``: counts. ``metrics``, under the names and in the units in which
-        they are shown, over the runs that are not lost: ``median``, ``percentile_5``, ``percentile_95``, ``worst`` with
-        its ``worst_run`` (from 0), and how many ``runs`` have a number at all; None where none has.
-        ``correlations``: Spearman's rank correlation of each input with each main metric, and with being lost, the
-        strongest first. ``reach``: how many runs wish for what the joint cannot hold.
+        ``scenario``, ``runs``, ``failed``; ``outcomes``: counts. ``metrics``, under the names and in the units of
+        results, over the runs that did not fail: ``median``, ``percentile_5``, ``percentile_95``, ``worst``,
+        ``worst_run`` (from 0), and the number of ``runs`` with a value; None where there is none. ``correlations``:
+        Spearman's rank correlation of each input with each main metric and with failing, the strongest first.
+        ``feasibility``: numbers of runs with references that the joint cannot hold.
     """
-    lost = sweep.lost
+    failed = sweep.failed
     codes = sweep.table["outcome"].to_numpy()
     counts = {outcome.name.lower(): int(np.sum(codes == code)) for code, outcome in enumerate(OUTCOMES)}
     return {
         "scenario": sweep.table.attrs.get("title", ""),
         "runs": sweep.count,
-        "lost": int(lost.sum()),
+        "failed": int(failed.sum()),
         "outcomes": {name: count for name, count in counts.items() if count},
-        "metrics": {_SHOWN[name]: _spread(sweep, name, ~lost) for name in sweep.metrics},
-        "correlations": _correlations(sweep, lost),
-        "reach": _reach(sweep),
+        "metrics": {_SHOWN[name]: _percentiles(sweep, name, ~failed) for name in sweep.metrics},
+        "correlations": _correlations(sweep, failed),
+        "feasibility": _infeasible_runs(sweep),
     }
 
 
-def main_metrics(sweep: Sweep) -> tuple[str, ...]:
-    """Up to three metrics that have numbers: the main ones, and others where there is none of these."""
-    alive = [name for name in sweep.metrics if np.isfinite(sweep.table[name].to_numpy()[~sweep.lost]).any()]
-    main = [name for name in MAIN if name in alive]
-    return tuple(main or alive[:3])
+def main_metrics(sweep: SweepResult) -> tuple[str, ...]:
+    """Up to three metrics that have values: the main ones, or else others."""
+    finite = [name for name in sweep.metrics if np.isfinite(sweep.table[name].to_numpy()[~sweep.failed]).any()]
+    main = [name for name in MAIN if name in finite]
+    return tuple(main or finite[:3])
 
 
 def spearman(x: ArrayLike, y: ArrayLike) -> float:
-    """Spearman's rank correlation of two columns; ties share their mean rank. NaN where one of them is constant.
+    """Spearman's rank correlation of two columns, with mean ranks for ties; NaN where a column is constant.
 
     >>> round(spearman([1, 2, 3, 4], [1, 10, 100, 50]), 6)
     0.8
@@ -216,59 +222,59 @@ def spearman(x: ArrayLike, y: ArrayLike) -> float:
     return float(np.sum(centred[0] * centred[1]) / size) if size > 0 else float("nan")
 
 
-def _spread(sweep: Sweep, name: str, of_use: NDArray[np.bool_]) -> dict[str, Any]:
+def _percentiles(sweep: SweepResult, name: str, valid: NDArray[np.bool_]) -> dict[str, Any]:
     values = sweep.table[name].to_numpy().astype(float) / METRICS[_SHOWN[name]][2]
-    there = of_use & np.isfinite(values)
-    if not there.any():
-        nothing = dict.fromkeys(("median", "percentile_5", "percentile_95", "worst", "worst_run"))
-        return {**nothing, "runs": 0}
-    low, median, high = np.percentile(values[there], [5, 50, 95])
-    worst = int(np.argmax(np.where(there, values, -np.inf)))
+    valid = valid & np.isfinite(values)
+    if not valid.any():
+        return {**dict.fromkeys(("median", "percentile_5", "percentile_95", "worst", "worst_run")), "runs": 0}
+    low, median, high = np.percentile(values[valid], [5, 50, 95])
+    worst = int(np.argmax(np.where(valid, values, -np.inf)))
     return {
         "median": float(median),
         "percentile_5": float(low),
         "percentile_95": float(high),
         "worst": float(values[worst]),
         "worst_run": worst,
-        "runs": int(there.sum()),
+        "runs": int(valid.sum()),
     }
 
 
-def _correlations(sweep: Sweep, lost: NDArray[np.bool_]) -> list[dict[str, Any]]:
-    answers = {_SHOWN[name]: sweep.table[name].to_numpy() for name in main_metrics(sweep)}
+def _correlations(sweep: SweepResult, failed: NDArray[np.bool_]) -> list[dict[str, Any]]:
+    metrics = {_SHOWN[name]: sweep.table[name].to_numpy() for name in main_metrics(sweep)}
     found = []
     for name in sweep.inputs:
         column = sweep.table[name].to_numpy()
-        for metric, values in answers.items():
-            there = ~lost & np.isfinite(values)
-            if there.sum() >= _FEWEST:
-                found.append({"input": name, "with": metric, "spearman": spearman(column[there], values[there])})
-        if len(column) >= _FEWEST:
-            found.append({"input": name, "with": "lost", "spearman": spearman(column, lost)})
+        for metric, values in metrics.items():
+            valid = ~failed & np.isfinite(values)
+            if valid.sum() >= _MIN_RUNS:
+                found.append({"input": name, "with": metric, "spearman": spearman(column[valid], values[valid])})
+        if len(column) >= _MIN_RUNS:
+            found.append({"input": name, "with": "failed", "spearman": spearman(column, failed)})
     found = [each for each in found if np.isfinite(each["spearman"])]
     return sorted(found, key=lambda each: -abs(each["spearman"]))
 
 
-def _reach(sweep: Sweep) -> dict[str, Any]:
-    short, unheld = sweep.table["shortfall_max"].to_numpy(), sweep.table["unheld"].to_numpy()
-    out_of_reach = np.nan_to_num(short) > 0
-    worst = int(np.argmax(np.nan_to_num(short)))
+def _infeasible_runs(sweep: SweepResult) -> dict[str, Any]:
+    short = np.nan_to_num(sweep.table["shortfall_max"].to_numpy())
+    angle = sweep.table["infeasible_time"].to_numpy() > 0
+    stiffness = short > 0
+    worst = int(np.argmax(short))
     return {
-        "runs_stiffness_out_of_reach": int(out_of_reach.sum()),
-        "shortfall_max": float(short[worst]) if out_of_reach.any() else 0.0,
-        "shortfall_max_run": worst if out_of_reach.any() else None,
-        "runs_angle_unheld": int(np.sum(unheld > 0)),
-        "runs_out_of_reach": int(np.sum(out_of_reach | (unheld > 0))),
+        "runs_stiffness_infeasible": int(stiffness.sum()),
+        "shortfall_max": float(short[worst]),
+        "shortfall_max_run": worst if stiffness.any() else None,
+        "runs_angle_infeasible": int(angle.sum()),
+        "runs_infeasible": int(np.sum(stiffness | angle)),
     }
 
 
 Row = tuple[str, ...]
-_MOST_CORRELATIONS = 10
+_MAX_CORRELATIONS = 10
 _WEAK = 0.05
 
 
-def listed(scenario: Scenario) -> list[dict[str, Any]]:
-    """All that can be varied: name, nominal value as text, what it may be, and the unit it is written in."""
+def parameter_rows(scenario: Scenario) -> list[dict[str, Any]]:
+    """Name, nominal value, range and unit of each parameter that can be varied."""
     return [
         {
             "name": each.name,
@@ -278,7 +284,7 @@ def listed(scenario: Scenario) -> list[dict[str, Any]]:
             "nominal_SI": each.nominal,
             "unit_SI": each.unit,
         }
-        for each in addresses(scenario)
+        for each in list_parameters(scenario)
     ]
 
 
@@ -291,42 +297,42 @@ def outcome_rows(numbers: Mapping[str, Any]) -> list[Row]:
 
 
 def metric_rows(numbers: Mapping[str, Any]) -> list[Row]:
-    """Name, unit, and what the runs that are not lost have of each metric; a metric that no run has is left out."""
+    """Name, unit and statistics of each metric that has values."""
     rows = []
-    of_use = numbers["runs"] - numbers["lost"]
-    for name, spread in numbers["metrics"].items():
-        metric, unit, _ = METRICS[name]
-        if not spread["runs"]:
+    valid = numbers["runs"] - numbers["failed"]
+    for name, found in numbers["metrics"].items():
+        if not found["runs"]:
             continue
-        values = [f"{spread[key]:.4g}" for key in ("median", "percentile_5", "percentile_95", "worst")]
-        none = of_use - spread["runs"]
-        never = f"{none} never" if metric == "stiffness_settling" and none else f"{none} without" if none else ""
-        rows.append((metric.replace("_", " "), unit, *values, str(spread["worst_run"]), never))
+        metric, unit, _ = METRICS[name]
+        values = [f"{found[key]:.4g}" for key in ("median", "percentile_5", "percentile_95", "worst")]
+        missing = valid - found["runs"]
+        note = f"{missing} {'never' if metric == 'stiffness_settling' else 'without'}" if missing else ""
+        rows.append((metric.replace("_", " "), unit, *values, str(found["worst_run"]), note))
     return rows
 
 
 def correlation_rows(numbers: Mapping[str, Any]) -> list[Row]:
     """Input, metric and rank correlation, the strongest few."""
     return [
-        (each["input"], _words(each["with"]), f"{each['spearman']:+.2f}")
-        for each in numbers["correlations"][:_MOST_CORRELATIONS]
+        (each["input"], _label(each["with"]), f"{each['spearman']:+.2f}")
+        for each in numbers["correlations"][:_MAX_CORRELATIONS]
         if abs(each["spearman"]) >= _WEAK
     ]
 
 
-def reach_sentence(numbers: Mapping[str, Any]) -> str:
-    """What the joint cannot hold, in words."""
-    reach, runs = numbers["reach"], numbers["runs"]
+def feasibility_sentence(numbers: Mapping[str, Any]) -> str:
+    """Sentence on the references that the joint cannot hold."""
+    found, runs = numbers["feasibility"], numbers["runs"]
     parts = []
-    if count := reach["runs_stiffness_out_of_reach"]:
+    if count := found["runs_stiffness_infeasible"]:
         parts.append(
-            f"{count} of {runs} runs ask at times for a stiffness that the joint cannot hold, by up to "
-            f"{reach['shortfall_max']:.3g} N*m/rad (run {reach['shortfall_max_run']})"
+            f"{count} of {runs} runs have a stiffness reference that the joint cannot hold, short by up to "
+            f"{found['shortfall_max']:.3g} N*m/rad (run {found['shortfall_max_run']})"
         )
-    if count := reach["runs_angle_unheld"]:
-        parts.append(f"{count} of {runs} runs ask at times for an angle that no pressures within limits hold")
-    return "; ".join(parts) if parts else "all references are within static reach throughout"
+    if count := found["runs_angle_infeasible"]:
+        parts.append(f"{count} of {runs} runs have an angle reference that no pressures within limits hold")
+    return "; ".join(parts) if parts else "all references are statically feasible"
 
 
-def _words(name: str) -> str:
-    return METRICS[name][0].replace("_", " ") if name in METRICS else "being lost"
+def _label(name: str) -> str:
+    return METRICS[name][0].replace("_", " ") if name in METRICS else name

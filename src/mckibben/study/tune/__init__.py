@@ -1,7 +1,19 @@
-"""Tuning: the numbers of scenarios that cost least, by gradient, by evolution, or by CMA-ES."""
+"""Tuning: scenario parameters of least cost, by gradient, differential evolution or CMA-ES."""
 
-from mckibben.study.tune.cost import Cost, Term, around_gains, read_cost, read_ranges
+from mckibben.study.tune.objective import Cost, Term, parse_cost
 from mckibben.study.tune.search import Method
-from mckibben.study.tune.tune import Tuned, tune
+from mckibben.study.tune.space import SearchSpace, gain_ranges, parse_ranges
+from mckibben.study.tune.tune import TuningResult, read_trials, tune
 
-__all__ = ["Cost", "Method", "Term", "Tuned", "around_gains", "read_cost", "read_ranges", "tune"]
+__all__ = [
+    "Cost",
+    "Method",
+    "SearchSpace",
+    "Term",
+    "TuningResult",
+    "gain_ranges",
+    "parse_cost",
+    "parse_ranges",
+    "read_trials",
+    "tune",
+]

@@ -1,4 +1,4 @@
-"""The ways to look for the least cost in the unit cube; each repeats itself exactly for the same seed."""
+"""Search methods on the unit cube; each is deterministic for a seed."""
 
 from __future__ import annotations
 
@@ -18,20 +18,19 @@ Costs = Callable[[Points], NDArray[np.float64]]
 CostsAndGradients = Callable[[Points], tuple[NDArray[np.float64], Points]]
 Progress = Callable[[float], None]
 
-_LINE_SEARCH = 8  # points along a direction: where a loop chatters the slope is huge, and more would find no end
+_LINE_SEARCH = 8  # evaluations along a direction: a chattering loop has huge slopes, on which it would not end
 _STEP = 0.25
-"""The first step of CMA-ES, as a part of each range."""
+"""Initial step of CMA-ES, relative to each range."""
 
 
 class Method(enum.Enum):
-    """How to search.
+    """Search method.
 
-    GRADIENT: L-BFGS-B from several starts. Few runs, and the exact end of a valley; finds the nearest valley of each
-    start.
+    GRADIENT: L-BFGS-B from several starts; few runs, local.
 
-    EVOLUTION: differential evolution. Looks everywhere, needs many runs.
+    EVOLUTION: differential evolution; global, many runs.
 
-    CMA: the covariance matrix adaptation evolution strategy. Between the two; needs the package cmaes
+    CMA: covariance matrix adaptation evolution strategy, between the two; needs the package cmaes
     (``pip install mckibben[tune]``).
     """
 
@@ -40,23 +39,22 @@ class Method(enum.Enum):
     CMA = "cma"
 
 
-_LEAST = {Method.EVOLUTION: 5, Method.CMA: 4}
-"""Points a generation."""
+_MIN_POPULATION = {Method.EVOLUTION: 5, Method.CMA: 4}
 
 
 def check_method(method: Method, *, numbers: int, population: int) -> None:
-    """Look whether a method can search, before anything is kept of its search.
+    """Check that a method can be used.
 
     Raises
     ------
     ParameterError
-        If its package is missing, or it needs more numbers to search, or more points a generation.
+        If its package is missing, or there are too few parameters or points of a generation.
     """
     if method is Method.CMA and importlib.util.find_spec("cmaes") is None:
         raise ParameterError("CMA-ES needs the package cmaes", remedy="pip install 'mckibben[tune]'")
     if method is Method.CMA and numbers < 2:
-        raise ParameterError("CMA-ES needs at least two numbers to search", remedy="use gradient or evolution")
-    least = _LEAST.get(method, 1)
+        raise ParameterError("CMA-ES needs at least two parameters", remedy="use gradient or evolution")
+    least = _MIN_POPULATION.get(method, 1)
     if population < least:
         raise ParameterError(
             f"{method.value} with {population} points a generation", value=population, remedy=f"give at least {least}"
@@ -66,7 +64,7 @@ def check_method(method: Method, *, numbers: int, population: int) -> None:
 def by_gradient(
     function: CostsAndGradients, first: Points, *, starts: int, iterations: int, seed: int, progress: Progress
 ) -> None:
-    """L-BFGS-B from the first point, and from points spread over the cube; all descend side by side.
+    """L-BFGS-B from the first point and from Sobol points, side by side.
 
     References
     ----------
@@ -77,12 +75,12 @@ def by_gradient(
     from scipy.stats import qmc
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the balance of a power of two does not matter here
+        warnings.simplefilter("ignore")  # Sobol points need not be a power of two here
         others = qmc.Sobol(first.size, rng=seed).random(starts - 1) if starts > 1 else []
     steps, counting = [0] * starts, threading.Lock()
 
     def count(number: int, reached: int) -> None:
-        with counting:  # else a search may report less than another just has
+        with counting:  # so that progress never decreases
             steps[number] = reached
             progress(sum(steps) / (starts * iterations))
 
@@ -104,19 +102,19 @@ def by_gradient(
 def side_by_side(
     function: CostsAndGradients, searches: list[Callable[[Callable[[Points], tuple[float, Points]]], None]]
 ) -> None:
-    """Run searches that each ask for one point at a time; what all of them wait for is computed together.
+    """Run searches in threads and evaluate the points that all of them wait for together.
 
     Parameters
     ----------
     function
-        Costs and gradients of points of shape (n, numbers).
+        Costs and gradients of points of shape (n, parameters).
     searches
-        Each is called with a function that answers for one point.
+        Each is called with a function that evaluates one point.
 
     Raises
     ------
     BaseException
-        What the function or a search raised, or an interruption; all searches have ended then.
+        Exception of the function or a search, or an interruption, after all searches have ended.
     """
     meeting = threading.Condition()
     asked: dict[int, Points] = {}
@@ -136,7 +134,7 @@ def side_by_side(
     def search(number: int) -> None:
         try:
             searches[number](lambda point: ask(number, point))
-        except BaseException as error:  # handed on to the caller
+        except BaseException as error:  # raised again by the caller
             failures.append(error)
         finally:
             with meeting:
@@ -159,7 +157,7 @@ def side_by_side(
             with meeting:
                 answers.update(zip(numbers, found, strict=True))
                 meeting.notify_all()
-    except BaseException as error:  # every search has to end, at an interruption too
+    except BaseException as error:  # end every search, also at an interruption
         failures.insert(0, error)
     with meeting:
         meeting.notify_all()
@@ -172,7 +170,7 @@ def side_by_side(
 def by_evolution(
     function: Costs, first: Points, *, population: int, generations: int, seed: int, progress: Progress
 ) -> None:
-    """Differential evolution from points spread over the cube, the first among them.
+    """Differential evolution from random points and the first one.
 
     References
     ----------
@@ -201,17 +199,17 @@ def by_evolution(
         rng=seed,
         callback=stepped,
     )
-    if done < generations:  # all points cost the same
+    if done < generations:  # ended early: all costs are equal
         progress(1.0)
 
 
 def by_cma(function: Costs, first: Points, *, population: int, generations: int, seed: int, progress: Progress) -> None:
-    """CMA-ES from the first point, which is tried itself in place of the first draw.
+    """CMA-ES from the first point, which replaces the first draw.
 
     References
     ----------
     N. Hansen, "The CMA evolution strategy: a tutorial", arXiv:1604.00772 (2016); the implementation is the package
-    cmaes, which optuna's sampler stands on as well. (That one no longer lets a search begin at chosen numbers.)
+    cmaes.
     """
     from cmaes import CMA
 

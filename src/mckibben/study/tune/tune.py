@@ -1,225 +1,174 @@
-"""Tuning of scenario parameters."""
+"""Tuning of scenario parameters: search for the least cost, with a history from which a search can be continued."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
-import os
-import threading
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, NamedTuple, Protocol, Self
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.storage.files import alone, folder, whole
-from mckibben.study.parameters import Known, Over, Spread, with_values
-from mckibben.study.parameters import over as overs_of
+from mckibben.dataset.schema import html_table
+from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
+from mckibben.storage.files import file_lock, make_folder
+from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_json, read_header
+from mckibben.study.parameters import Distribution, Known, SweptParameter, sweep_parameters, with_values
 from mckibben.study.scenario import Scenario
-from mckibben.study.tune.cost import Cost, as_written, at_bound
-from mckibben.study.tune.problem import LOST, TuningProblem, problem
+from mckibben.study.tune.objective import FAILED_COST, Cost, TuningProblem
 from mckibben.study.tune.search import Method, by_cma, by_evolution, by_gradient, check_method
+from mckibben.study.tune.space import SearchSpace, Vector
+
+FORMAT, VERSION = "mckibben tuning history", 2
+_TRIAL = b"T"
+_MAX_SEED = 2**32 - 1  # what all methods accept
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A point that was tried: its place, its cost, and the derivative of the cost there, if it was asked for."""
+class Trial(NamedTuple):
+    """A tried point of the unit cube, its cost, and the derivative of the cost, if it was computed."""
 
     point: tuple[float, ...]
     cost: float
     gradient: tuple[float, ...] | None = None
 
 
-class History:
-    """Trials in the order in which they were made; with a path, in a file too, one line of JSON each.
+class TuningHistory:
+    """Trials in the order in which they were made, also in a journal if there is one.
 
-    A line is on disk before the search goes on. A search repeats itself exactly, so one that was interrupted is started
-    again: what it asks for is answered from the file until something is new.
-
-    Parameters
-    ----------
-    path
-        The file; None keeps trials in memory alone.
-    about
-        All that makes the trials what they are; the file's first line.
-    numbers
-        How many numbers are searched.
-    slopes
-        Whether trials have derivatives.
-    resume
-        Whether to take up the file of an interrupted search.
-
-    Raises
-    ------
-    FileError
-        If there is such a file and it is not to be taken up, or there is none, or it is about something else, or its
-        lines are no trials of this search.
+    A trial is on the disk before the search continues. Searches are deterministic, so an interrupted one is repeated:
+    its points are answered from the history until one is new.
     """
 
-    def __init__(
-        self, path: Path | None, about: Mapping[str, Any], *, numbers: int, slopes: bool, resume: bool = False
-    ) -> None:
-        self._path, self._lock, self._numbers, self._slopes = path, threading.Lock(), numbers, slopes
-        self._known: dict[tuple[float, ...], Trial] = {}
-        if path is None:
-            return
-        if resume:
-            self._read(path, about)
-        elif path.exists():
-            remedy = "go on with it (--resume), or choose another folder"
-            raise FileError(str(path), [Problem("there is the history of a search already", remedy=remedy)])
-        else:
-            with whole(path) as part:
-                part.write_text(json.dumps(about) + "\n", encoding="utf-8")
+    def __init__(self, trials: Sequence[Trial] = (), journal: Journal | None = None) -> None:
+        self._by_point = {trial.point: trial for trial in trials}
+        self._journal = journal
 
     @classmethod
     @contextmanager
-    def kept(
-        cls, path: Path | None, about: Mapping[str, Any], *, numbers: int, slopes: bool, resume: bool = False
-    ) -> Iterator[Self]:
-        """A history that no other process writes to; its folder is made if need be.
+    def open(cls, path: Path | None, about: Mapping[str, Any], *, resume: bool = False) -> Iterator[Self]:
+        """Open the history of a search for one process.
+
+        Parameters
+        ----------
+        path
+            Journal, whose folder is made if need be; None keeps trials in memory only.
+        about
+            Everything that determines the trials, as JSON.
+        resume
+            Continue an existing history.
 
         Raises
         ------
         FileError
-            As for the class, and if another process is at it.
+            If there is a history and `resume` is not set; with `resume`, if there is none, or that of another search;
+            if another process has it.
+
+        Warns
+        -----
+        McKibbenWarning
+            Of damaged trials, which are computed again.
         """
         if path is None:
-            yield cls(None, about, numbers=numbers, slopes=slopes)
+            yield cls()
             return
-        if resume:
-            _check_there(path)
-        else:
-            folder(path.parent)
-        with alone(path.with_name(f".{path.name}.lock"), "going on with this search"):
-            yield cls(path, about, numbers=numbers, slopes=slopes, resume=resume)
+        if resume and not path.is_file():
+            problem = Problem("there is no search to continue", remedy="start it without --resume")
+            raise FileError(str(path), [problem])
+        make_folder(path.parent)
+        begin = cls._resumed if resume else cls._created
+        with file_lock(path.with_name(f".{path.name}.lock"), "continuing this search"), begin(path, about) as history:
+            yield history
+
+    @classmethod
+    @contextmanager
+    def _created(cls, path: Path, about: Mapping[str, Any]) -> Iterator[Self]:
+        if path.exists():
+            remedy = "continue it (--resume), or choose another folder"
+            raise FileError(str(path), [Problem("there is the history of a search already", remedy=remedy)])
+        with Journal.create(path, {"format": FORMAT, "version": VERSION, **about}) as journal:
+            yield cls((), journal)
+
+    @classmethod
+    @contextmanager
+    def _resumed(cls, path: Path, about: Mapping[str, Any]) -> Iterator[Self]:
+        wanted = json.loads(json.dumps({"format": FORMAT, "version": VERSION, **about}))
+        remedy = "give the same again, or choose another folder; nothing was changed"
+        if found := header_differences(read_header(path, FORMAT, VERSION), wanted, "the search", remedy=remedy):
+            raise FileError(str(path), found)
+        reader = JournalReader(path)
+        trials = _trials(reader)
+        if reader.damaged:
+            message = f"{path}: {reader.damaged} damaged trials are computed again"
+            warnings.warn(message, McKibbenWarning, stacklevel=5)
+        with Journal.resume(reader) as journal:
+            yield cls(trials, journal)
 
     @property
     def trials(self) -> list[Trial]:
-        """All of them."""
-        return list(self._known.values())
+        """All trials."""
+        return list(self._by_point.values())
 
     @property
     def best(self) -> Trial:
-        """The trial that costs least; of equals the first by place, so that it does not matter who came first."""
-        return min(self._known.values(), key=lambda trial: (trial.cost, trial.point))
+        """Trial of the least cost; among equals the first by its point, whatever their order."""
+        return min(self._by_point.values(), key=lambda trial: (trial.cost, trial.point))
 
-    def find(self, point: NDArray[np.float64]) -> Trial | None:
-        """The trial at exactly this point."""
-        return self._known.get(tuple(point.tolist()))
+    def find(self, point: Vector) -> Trial | None:
+        """Trial at exactly this point."""
+        return self._by_point.get(tuple(point.tolist()))
 
-    def add(self, trials: list[Trial]) -> None:
-        """Keep trials."""
-        with self._lock:
-            new = [trial for trial in trials if trial.point not in self._known]
-            for trial in new:
-                self._known[trial.point] = trial
-            if self._path is None or not new:
-                return
-            lines = [json.dumps({"point": t.point, "cost": t.cost, "gradient": t.gradient}) + "\n" for t in new]
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write("".join(lines))
-                file.flush()
-                os.fsync(file.fileno())
-
-    def _read(self, path: Path, about: Mapping[str, Any]) -> None:
-        _check_there(path)
-        content = path.read_bytes()
-        complete = content[: content.rfind(b"\n") + 1]  # a line that was cut off is tried again
-        first, *rest = complete.decode("utf-8", "replace").split("\n")
-        try:
-            found = dict(json.loads(first))
-        except (ValueError, TypeError) as error:
-            problem = Problem(f"it is no history of a search: {error}", line=1, remedy="choose another folder")
-            raise FileError(str(path), [problem]) from None
-        wanted = json.loads(json.dumps(about))
-        differing = sorted(name for name in {*wanted, *found} if wanted.get(name) != found.get(name))
-        if differing:
-            problems = [Problem(_difference(name, found.get(name), wanted.get(name))) for name in differing]
-            raise FileError(str(path), problems)
-        problems = []
-        for number, line in enumerate(rest[:-1], start=2):
-            try:
-                trial = self._trial(line)
-            except ValueError as error:
-                remedy = "remove the line: what it said is tried again"
-                problems.append(Problem(f"it is no trial of this search: {error}", line=number, remedy=remedy))
-            else:
-                self._known[trial.point] = trial
-        if problems:
-            raise FileError(str(path), problems)
-        if complete != content:
-            with path.open("rb+") as file:
-                file.truncate(len(complete))
-
-    def _trial(self, line: str) -> Trial:
-        """The trial of a line; a ValueError if it is none of this search."""
-        said = json.loads(line)
-        if not isinstance(said, dict) or {*said} != {"point", "cost", "gradient"}:
-            raise ValueError("it has no point, cost and gradient")
-        point = self._floats("point", said["point"])
-        if not all(0 <= place <= 1 for place in point):
-            raise ValueError("its point is outside the ranges")
-        if not (_is_number(said["cost"]) and math.isfinite(said["cost"])):
-            raise ValueError("its cost is no number")
-        if not self._slopes:
-            if said["gradient"] is not None:
-                raise ValueError("it has a gradient")
-            return Trial(point, float(said["cost"]))
-        return Trial(point, float(said["cost"]), self._floats("gradient", said["gradient"]))
-
-    def _floats(self, what: str, values: Any) -> tuple[float, ...]:
-        if not (isinstance(values, list) and all(_is_number(value) for value in values)):
-            raise ValueError(f"its {what} is no list of numbers")
-        if len(values) != self._numbers:
-            raise ValueError(f"its {what} has {len(values)} numbers, not {self._numbers}")
-        return tuple(float(value) for value in values)
+    def add(self, trials: Sequence[Trial]) -> None:
+        """Add trials; known points are ignored."""
+        new = [trial for trial in trials if trial.point not in self._by_point]
+        if self._journal is not None and new:
+            first = len(self._by_point)
+            records = [pack_json(_TRIAL, first + i, trial._asdict()) for i, trial in enumerate(new)]
+            self._journal.append(b"".join(records))
+        self._by_point.update((trial.point, trial) for trial in new)
 
 
-def _check_there(path: Path) -> None:
-    if not path.is_file():
-        raise FileError(str(path), [Problem("there is no search to go on with", remedy="start it without --resume")])
+def _trials(reader: JournalReader) -> list[Trial]:
+    contents = [json.loads(record.payload) for record in reader if record.kind == _TRIAL]
+    return [Trial(tuple(c["point"]), c["cost"], c["gradient"] and tuple(c["gradient"])) for c in contents]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def read_trials(path: Path) -> list[Trial]:
+    """Intact trials of a tuning history.
+
+    Raises
+    ------
+    FileError
+        If the file is no tuning history.
+    """
+    read_header(path, FORMAT, VERSION)
+    return _trials(JournalReader(path))
 
 
-def _difference(name: str, kept: Any, asked: Any) -> str:
-    if len(str(kept)) + len(str(asked)) > 160:
-        return f"it is a search that differs in {name}; nothing was changed"
-    return f"it is a search with {name} {kept}, not {asked}; nothing was changed"
-
-
-_MOST_SEED = 2**32 - 1  # what all methods take
-
-
-@dataclass(frozen=True)
-class Tuned:
-    """The outcome of a tuning.
+@dataclass(frozen=True, repr=False)
+class TuningResult:
+    """Result of a tuning.
 
     Attributes
     ----------
     values
-        The numbers that were found, SI, by name; rounded to six digits in the unit in which they are written, unless
-        that costs more.
+        Tuned values [SI] by name, rounded to six digits in the unit of files unless that costs more.
     scenarios
-        The scenarios with these numbers.
+        Scenarios with these values.
     cost, cost_before
-        Of these, and of the first scenario's numbers in all scenarios (NaN where they were no allowed ones).
+        Cost of these values, and of those of the first scenario in all scenarios (NaN where they are not valid).
     evaluated
-        How many points were tried.
+        Number of points that were tried.
     at_bound
-        The names of numbers within 1 % of an end of their range: a wider range may hold better ones.
+        Names of parameters within 1 % of an end of their range: a wider range may have better values.
     trials
-        All that was tried, in order.
+        All trials in order.
     """
 
     values: dict[str, float]
@@ -230,10 +179,20 @@ class Tuned:
     at_bound: tuple[str, ...]
     trials: tuple[Trial, ...]
 
+    def __repr__(self) -> str:
+        count = f"{len(self.values)} parameter{'s' if len(self.values) != 1 else ''}"
+        return f"<TuningResult: cost {self.cost_before:.4g} -> {self.cost:.4g}, {count}, {self.evaluated} trials>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, f"{value:.6g}", "at bound" if name in self.at_bound else "") for name, value in self.values.items()
+        ]
+        return html_table(repr(self), ("parameter", "value [SI]", ""), rows)
+
 
 def tune(
     scenarios: Sequence[Scenario] | Scenario,
-    over: Sequence[Over] | Mapping[str, Spread],
+    over: Sequence[SweptParameter] | Mapping[str, Distribution],
     cost: Cost,
     *,
     method: Method = Method.GRADIENT,
@@ -246,201 +205,185 @@ def tune(
     known: Known = (),
     progress: Callable[[float], None] | None = None,
     least: Callable[[float], None] | None = None,
-) -> Tuned:
-    """Search numbers of scenarios, within ranges, for the least cost.
+) -> TuningResult:
+    """Search scenario parameters within ranges for the least cost.
 
     Parameters
     ----------
     scenarios
-        The runs that count, all at once; the search begins at the numbers of the first.
+        Scenarios whose runs count together; the search starts at the values of the first.
     over
-        The numbers and their ranges, `Uniform` or `LogUniform`.
+        Parameters and their ranges, `Uniform` or `LogUniform`.
     cost
-        Of the runs.
+        Cost of the runs.
     method
-        See `Method`.
+        Search method.
     starts
-        From how many points the gradient is followed; the first are the scenario's own numbers.
+        Starting points of the gradient method; the first is the scenario's own.
     iterations
         Steps of each descent, or generations.
     population
-        Points a generation.
+        Points of a generation.
     seed
-        Of the search; the same seed finds the same.
+        Seed of the search.
     history
-        A file to keep every trial in; see `History`.
+        File in which every trial is stored; see `TuningHistory`.
     resume
-        Go on with the search in that file.
+        Continue the search in that file.
     known
-        Tuned numbers of the plant that the controllers' models follow, "all" for all of them; none unless given.
+        Tuned plant parameters that the controllers' models follow, "all" for all of them. Default: none.
     progress
-        Called with the part that is done, 0 to 1; first when all that was asked for has been checked.
+        Called with the finished share, 0 to 1; first when all arguments have been checked.
     least
         Called before `progress` with the least cost so far, once there is one.
 
     Raises
     ------
     ParameterError
-        If a number is not in every scenario or has no range, the method cannot search so, the cost has no gradient to
-        follow, or nothing that was tried has a cost.
+        If a parameter is not in every scenario or has no range, the method cannot search the space, the cost is not
+        differentiable, or no trial succeeded.
     FileError
-        If the history is there already, or is that of another search, is damaged, or another process goes on with it.
+        As for `TuningHistory.open`.
     """
     for name, count in (("starts", starts), ("iterations", iterations), ("population", population)):
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise ParameterError(f"{name} is {count}", value=count, remedy="give a whole number from 1 up")
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _MOST_SEED:
-        raise ParameterError(f"seed is {seed}", value=seed, remedy=f"give a whole number, 0 to {_MOST_SEED}")
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _MAX_SEED:
+        raise ParameterError(f"seed is {seed}", value=seed, remedy=f"give a whole number, 0 to {_MAX_SEED}")
     several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
-    ranges = overs_of(several[0], over) if isinstance(over, Mapping) and several else list(over)  # type: ignore[arg-type]
-    task = problem(several, ranges, cost, known)  # type: ignore[arg-type]
-    check_method(method, numbers=len(task.over), population=population)
+    swept = sweep_parameters(several[0], over) if isinstance(over, Mapping) and several else list(over)  # type: ignore[arg-type]
+    problem = TuningProblem.of(several, swept, cost, known)  # type: ignore[arg-type]
+    check_method(method, numbers=len(problem.space), population=population)
     if method is Method.GRADIENT:
-        task.check_smooth()
+        problem.check_smooth()
     folder = Path() if history is None else history.parent
     about = {
-        "kind": "tuning",
-        "version": version("mckibben"),
-        "scenarios or what they name": [(scenario.dumps(folder=folder), _digest(scenario)) for scenario in several],
-        "parameters": [each.text for each in task.over],
+        "mckibben": version("mckibben"),
+        "scenarios": [scenario.dumps(folder=folder) for scenario in several],
+        "models": [_digest(scenario) for scenario in several],
+        "parameters": [each.text for each in problem.space.swept],
         "known": known if known == "all" else sorted(known),
         "cost": cost.text,
-        "gain margin": cost.gain_margin,
+        "gain_margin": cost.gain_margin,
         "worst": cost.worst,
         "method": method.value,
         "seed": seed,
         **({} if method is Method.GRADIENT else {"population": population}),
     }
-    slopes = method is Method.GRADIENT
-    with History.kept(history, about, numbers=len(task.over), slopes=slopes, resume=resume) as past:
+    with TuningHistory.open(history, about, resume=resume) as past:
 
         def report(part: float) -> None:
-            if least and past.trials and past.best.cost < LOST:
+            if least and past.trials and past.best.cost < FAILED_COST:
                 least(past.best.cost)
             if progress:
                 progress(part)
 
-        exact = _searched(task, past, method, starts, iterations, population, seed, report)
-        return _tuned(task, past, exact)
+        report(0.0)
+        first = problem.space.point(problem.space.nominal)
+        if method is Method.GRADIENT:
+            evaluator = GradientEvaluator(problem, past, starts)
+            by_gradient(evaluator, first, starts=starts, iterations=iterations, seed=seed, progress=report)
+        else:
+            evaluator = CostEvaluator(problem, past, population)
+            search = by_cma if method is Method.CMA else by_evolution
+            search(evaluator, first, population=population, generations=iterations, seed=seed, progress=report)
+        return _result(problem, past, evaluator.cost)
 
 
-def _searched(
-    task: TuningProblem,
-    past: History,
-    method: Method,
-    starts: int,
-    iterations: int,
-    population: int,
-    seed: int,
-    report: Callable[[float], None],
-) -> Callable[[NDArray[np.float64]], float]:
-    """Search; the answer gives the cost of any numbers [SI]."""
-    report(0.0)
-    if method is Method.GRADIENT:
-        found = _Descents(task, past, starts)
-        first = task.point(task.nominal)
-        by_gradient(found, first, starts=starts, iterations=iterations, seed=seed, progress=report)
-        return found.exact
-    tried = Generations(task, past, population)
-    first = task.point(task.nominal)
-    search = by_cma if method is Method.CMA else by_evolution
-    search(tried, first, population=population, generations=iterations, seed=seed, progress=report)
-    return tried.exact
-
-
-def _tuned(task: TuningProblem, past: History, exact: Callable[[NDArray[np.float64]], float]) -> Tuned:
-    """The best of what was tried, in numbers that can be written down."""
-    if past.best.cost >= LOST:
+def _result(problem: TuningProblem, past: TuningHistory, cost: Callable[[Vector], float]) -> TuningResult:
+    """The best trial, with values that can be written to a file."""
+    if past.best.cost >= FAILED_COST:
         raise ParameterError(
-            f"none of the {len(past.trials)} points that were tried has a cost: their numbers are not allowed "
-            "together, their runs did not stay finite, or a metric is not defined for them",
+            f"none of the {len(past.trials)} points that were tried has a cost: their values are not valid together, "
+            "their runs fail, or a metric is not defined for them",
             remedy="search other ranges, from more starts, by another method or with another cost",
         )
-    best = np.array(past.best.point)
-    values = task.values(best[None])[0]
-    rounded = as_written(task.over, values)
-    before = exact(task.nominal)
-    most = past.best.cost * (1 + 1e-3)
-    if before > past.best.cost * (1 - 1e-9):  # rounding is not to make worse what was good
-        most = min(most, max(before, past.best.cost))
-    cost_after = exact(rounded)
-    if cost_after > most:  # where six digits are too few, all are kept
+    space = problem.space
+    point = np.array(past.best.point)
+    values = space.values(point[None])[0]
+    rounded = space.rounded(values)
+    before = cost(space.nominal)
+    limit = past.best.cost * (1 + 1e-3)
+    if before > past.best.cost * (1 - 1e-9):  # rounding must not give more than the cost before
+        limit = min(limit, max(before, past.best.cost))
+    cost_after = cost(rounded)
+    if cost_after > limit:  # six digits are too few
         rounded, cost_after = values, past.best.cost
-    named = dict(zip(task.names, rounded.tolist(), strict=True))
-    return Tuned(
+    named = dict(zip(space.names, rounded.tolist(), strict=True))
+    return TuningResult(
         values=named,
-        scenarios=tuple(with_values(scenario, named, known=task.known) for scenario in task.scenarios),
+        scenarios=tuple(with_values(scenario, named, known=problem.known) for scenario in problem.scenarios),
         cost=cost_after,
-        cost_before=before if before < LOST else float("nan"),
+        cost_before=before if before < FAILED_COST else float("nan"),
         evaluated=len(past.trials),
-        at_bound=at_bound(task.over, best),
+        at_bound=space.at_bound(point),
         trials=tuple(past.trials),
     )
 
 
 def _digest(scenario: Scenario) -> str:
-    """Of all numbers that runs are made of: files that the scenario names, and the catalog, are in it."""
+    """Digest of all numbers of a run, so also of the files and catalog entries that the scenario names."""
     leaves = jax.tree.leaves((scenario.plant(), scenario.control(), scenario.reference()))
     return hashlib.sha256(repr([np.asarray(leaf).tolist() for leaf in leaves]).encode()).hexdigest()
 
 
-class _Descents:
-    """Costs and gradients at points, from the history or from runs; always as many runs at once."""
+class GradientEvaluator:
+    """Costs and gradients at points, from the history or from runs of a fixed number of points at once."""
 
-    def __init__(self, task: TuningProblem, past: History, starts: int) -> None:
-        self._task, self._past, self._starts = task, past, starts
+    def __init__(self, problem: TuningProblem, past: TuningHistory, starts: int) -> None:
+        self._problem, self._past, self._starts = problem, past, starts
 
-    def __call__(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def __call__(self, points: Vector) -> tuple[Vector, Vector]:
         new = np.array([point for point in points if self._past.find(point) is None])
         if new.size:
-            values = _padded(self._task.values(new), self._starts)
-            costs, slopes = self._task.costs_and_gradients(values)
-            gradients = self._task.to_unit(values, slopes)
-            found = zip(new, costs.tolist(), gradients.tolist(), strict=False)
+            space = self._problem.space
+            values = _padded(space.values(new), self._starts)
+            costs, gradients = self._problem.costs_and_gradients(values)
+            found = zip(new, costs.tolist(), (gradients * space.slopes(values)).tolist(), strict=False)
             self._past.add([Trial(tuple(point.tolist()), cost, tuple(slope)) for point, cost, slope in found])
         known = [self._past.find(point) for point in points]
         return np.array([t.cost for t in known]), np.array([t.gradient for t in known])  # type: ignore[union-attr]
 
-    def exact(self, values: NDArray[np.float64]) -> float:
-        """The cost of numbers [SI], which may lie outside their ranges."""
-        return float(self._task.costs_and_gradients(_padded(values[None], self._starts))[0][0])
+    def cost(self, values: Vector) -> float:
+        """Cost of values [SI], which may lie outside their ranges."""
+        return float(self._problem.costs_and_gradients(_padded(values[None], self._starts))[0][0])
 
 
-class Costed(Protocol):
-    """What is searched in generations."""
+class Objective(Protocol):
+    """A cost on a search space."""
 
-    def values(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The numbers [SI] at points, both of shape (n, numbers)."""
+    @property
+    def space(self) -> SearchSpace:
+        """Parameters and ranges."""
         ...
 
     def costs(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The cost of each row of numbers [SI]."""
+        """Cost of each row of values [SI]."""
         ...
 
 
-class Generations:
-    """The costs of points, from the history or from runs; always as many runs at once, for one compiled program."""
+class CostEvaluator:
+    """Costs at points, from the history or from runs of a fixed number of points at once."""
 
-    def __init__(self, task: Costed, past: History, population: int) -> None:
-        self._task, self._past, self._population = task, past, population
+    def __init__(self, problem: Objective, past: TuningHistory, population: int) -> None:
+        self._problem, self._past, self._population = problem, past, population
 
-    def __call__(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        known = [self._past.find(point) for point in points]
-        new = np.array([point for point, trial in zip(points, known, strict=True) if trial is None])
+    def __call__(self, points: Vector) -> Vector:
+        new = np.array([point for point in points if self._past.find(point) is None])
         for start in range(0, len(new), self._population):
             some = new[start : start + self._population]
-            costs = self._costs(self._task.values(some))
+            costs = self._costs(self._problem.space.values(some))
             self._past.add([Trial(tuple(p.tolist()), float(c)) for p, c in zip(some, costs, strict=True)])
         return np.array([self._past.find(point).cost for point in points])  # type: ignore[union-attr]
 
-    def exact(self, values: NDArray[np.float64]) -> float:
-        """The cost of numbers [SI], which may lie outside their ranges."""
+    def cost(self, values: Vector) -> float:
+        """Cost of values [SI], which may lie outside their ranges."""
         return float(self._costs(values[None])[0])
 
-    def _costs(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return self._task.costs(_padded(values, self._population))[: len(values)]
+    def _costs(self, values: Vector) -> Vector:
+        return self._problem.costs(_padded(values, self._population))[: len(values)]
 
 
-def _padded(rows: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """The rows, and the last of them again up to a count: programs are compiled for one number of runs."""
+def _padded(rows: Vector, count: int) -> Vector:
+    """Rows with the last one repeated up to a count, for one compiled program."""
     return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])

@@ -1,4 +1,4 @@
-"""Scalar parameters of a scenario by their address in the file, for example `load.mass2`."""
+"""Scalar parameters of a scenario by name, for example `load.mass2`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mckibben.config.fields import OneOf
 from mckibben.config.model import ConfigModel, model_in
 from mckibben.config.schema import ComponentModel
 from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
-from mckibben.study.scenario import GeometrySpec, JointSpec, LoadSpec, LoopSpec, Scenario, SignalSpec
+from mckibben.study.scenario import GeometrySpec, JointSpec, LoopSpec, Scenario, SignalSpec
 from mckibben.study.scenario.plant import CatalogName
 from mckibben.units import BoundedInt, Quantity, show
 
@@ -38,20 +38,17 @@ def effective_value(scenario: Scenario, part: ConfigModel, place: tuple[str, ...
 
 
 Place = tuple[str, ...]
-"""Keys of the file, from the top."""
+"""Keys of a field in the file, from the top."""
 
 Mark = Quantity | BoundedInt
-"""A field that is a number."""
+"""Annotation of a numeric field."""
 
-SYMBOLS = {"mass1": "m1", "mass2": "m2", "distance1": "l1", "distance2": "l2"}
-"""What the paper calls numbers of the load."""
-
-_LOOKUP = "a study varies numbers; write one scenario for each"
+_NOT_NUMERIC = "a study varies numbers; write one scenario for each"
 _TIMING = "it is one number for all runs of a study"
 _OTHER_FORM = "write the other form in the file"
 _COMPILED = "it sets the size of what is compiled"
 _FIXED = {
-    "name": ("it is a text", _LOOKUP),
+    "name": ("it is a text", _NOT_NUMERIC),
     "duration": (_TIMING, "change it in the file"),
     "control_period": (_TIMING, "change it in the file"),
     "substeps": (_TIMING, "change it in the file"),
@@ -83,48 +80,36 @@ _ABSENT = {
 
 
 @dataclass
-class Survey:
-    """What can be varied.
-
-    Attributes
-    ----------
-    numbers
-        By canonical name: where it stands, its kind and its nominal value.
-    spellings
-        The canonical name of each spelling, itself among them.
-    refused
-        Why a name cannot be varied, and what to do.
-    """
+class _Parameters:
+    """Parameters by name, names that stand for them, and the reasons why others cannot be varied."""
 
     numbers: dict[str, tuple[Place, Mark, float | int | None]] = field(default_factory=dict)
     spellings: dict[str, str] = field(default_factory=dict)
     refused: dict[str, tuple[str, str]] = field(default_factory=dict)
 
     def add(self, names: list[Place], place: Place, mark: Mark, nominal: float | int | None) -> None:
-        """Take in a number; the first of its names is the canonical one."""
+        """Add a parameter; the first of its names is the canonical one."""
         canonical = ".".join(names[0])
         self.numbers[canonical] = (place, mark, nominal)
         self.spellings.update({".".join(name): canonical for name in names})
 
     def refuse(self, names: list[Place], reason: tuple[str, str]) -> None:
-        """Say why something cannot be varied."""
+        """Add a reason, and a remedy."""
         self.refused.update({".".join(name): reason for name in names})
 
 
-def survey(scenario: Scenario) -> Survey:
-    """Go through a scenario."""
-    found = Survey()
+def _parameters(scenario: Scenario) -> _Parameters:
+    """Walk the fields of a scenario."""
+    found = _Parameters()
     _walk(scenario, scenario, (), [()], found)
     found.refused = {name: why for name, why in found.refused.items() if name not in found.spellings}
     return found
 
 
-def _walk(scenario: Scenario, part: ConfigModel, place: Place, names: list[Place], found: Survey) -> None:
+def _walk(scenario: Scenario, part: ConfigModel, place: Place, names: list[Place], found: _Parameters) -> None:
     for key, info, value in fields_of(part):
         here = (*place, key)
         called = [(*name, key) for name in names]
-        if key in SYMBOLS and isinstance(part, LoadSpec):
-            called += [(*name, SYMBOLS[key]) for name in names]
         mark = mark_of(info)
         if key in _FIXED:
             found.refuse(called, _FIXED[key])
@@ -136,7 +121,7 @@ def _walk(scenario: Scenario, part: ConfigModel, place: Place, names: list[Place
         elif model_in(info.annotation) is not None:
             _refuse_absent(part, key, info, called, here, names, found)
         else:
-            found.refuse(called, (_what_it_is(info), _LOOKUP))
+            found.refuse(called, (_what_it_is(info), _NOT_NUMERIC))
 
 
 def _add_number(
@@ -146,7 +131,7 @@ def _add_number(
     here: Place,
     mark: Mark,
     nominal: float | int | None,
-    found: Survey,
+    found: _Parameters,
 ) -> None:
     if isinstance(part, SignalSpec):  # a constant; other forms are parts of their own
         if part.constant is None:
@@ -156,7 +141,7 @@ def _add_number(
     if key != "connector_length":
         found.add(called, here, mark, nominal)
         return
-    # One number in two places: the joint's own stands in for the geometry's. It is set where the file has it.
+    # One parameter in two places: the joint's stands in for the geometry's. It is set where the file has it.
     joint_wide = isinstance(part, JointSpec)
     geometry = part.geometry if joint_wide else part
     if not isinstance(geometry, GeometrySpec):  # a class of one's own
@@ -169,7 +154,13 @@ def _add_number(
 
 
 def _refuse_absent(
-    part: ConfigModel, key: str, info: FieldInfo, called: list[Place], here: Place, names: list[Place], found: Survey
+    part: ConfigModel,
+    key: str,
+    info: FieldInfo,
+    called: list[Place],
+    here: Place,
+    names: list[Place],
+    found: _Parameters,
 ) -> None:
     if not isinstance(part, LoopSpec | SignalSpec):
         found.refuse(called, _ABSENT.get(here, ("the scenario has none", "write it in the file")))
@@ -182,7 +173,7 @@ def _refuse_absent(
 
 
 def _is_number_of(part: ConfigModel, key: str) -> bool:
-    """Whether the form that is given has a field of that name."""
+    """Whether the form in the file has a field of that name."""
     return any(key in type(value).model_fields for _, _, value in fields_of(part) if isinstance(value, ConfigModel))
 
 
@@ -200,18 +191,18 @@ def _what_it_is(info: FieldInfo) -> str:
 
 
 def fields_of(part: ConfigModel) -> Iterator[tuple[str, FieldInfo, Any]]:
-    """Key in the file, field and value of each field."""
+    """Key in the file, field info and value of each field."""
     for name, info in type(part).model_fields.items():
         yield info.alias or name, info, getattr(part, name)
 
 
 def mark_of(info: FieldInfo) -> Mark | None:
-    """The kind of a field that is one number; None for others."""
+    """Numeric annotation of a field; None for others."""
     return next((mark for mark in _marks(info) if isinstance(mark, Quantity | BoundedInt)), None)
 
 
 def _marks(info: FieldInfo) -> Iterator[Any]:
-    """What a field is annotated with, also where it is optional; not what the items of a list are."""
+    """Annotations of a field, also of an optional one; not of the items of a list."""
     yield from info.metadata
     if get_origin(info.annotation) in (Union, UnionType):
         for choice in get_args(info.annotation):
@@ -219,24 +210,23 @@ def _marks(info: FieldInfo) -> Iterator[Any]:
 
 
 LISTING = "`mckibben sweep SCENARIO.yaml --list` shows all"
-"""How a user sees what there is."""
+"""Hint at the list of parameters."""
 
 
 @dataclass(frozen=True)
-class Address:
-    """One number of a scenario, and what it may be.
+class ScenarioParameter:
+    """A scalar parameter of a scenario.
 
     Attributes
     ----------
     name
-        As it is listed, such as "controller.position.kp".
+        Name, such as "controller.position.kp".
     place
-        All keys on the way to it in the file, such as ("controller", "position", "pid", "kp").
+        Keys in the file, such as ("controller", "position", "pid", "kp").
     mark
-        The kind of field: it reads text, and knows units and range.
+        Annotation of the field, with unit, range and text form.
     nominal
-        What it is in the scenario: a float in SI, or an int. None for a starting stiffness or a minimum tension that is
-        not given.
+        Value in the scenario, a float [SI] or an int; None for a starting stiffness or a minimum tension that is unset.
     """
 
     name: str
@@ -245,126 +235,126 @@ class Address:
     nominal: float | int | None
 
     @property
-    def whole(self) -> bool:
-        """Whether it is a whole number."""
+    def is_integer(self) -> bool:
+        """Whether it is an integer."""
         return isinstance(self.mark, BoundedInt)
 
     @property
     def unit(self) -> str:
-        """The SI unit; "1" for a plain number."""
+        """SI unit; "1" for a plain number."""
         return self.mark.unit if isinstance(self.mark, Quantity) else "1"
 
     @property
     def shown(self) -> str:
-        """The unit in which it is written."""
+        """Unit in files."""
         return self.mark.shown if isinstance(self.mark, Quantity) else "1"
 
     @property
     def lower(self) -> float | int:
-        """The lower end of what it may be, in SI; a length of 0 is not in its range, nor below."""
+        """Lower bound [SI]."""
         return self.mark.limits[0] if isinstance(self.mark, Quantity) else self.mark.lower
 
     @property
     def upper(self) -> float | int:
-        """The upper end, in SI."""
+        """Upper bound [SI]."""
         return self.mark.limits[1] if isinstance(self.mark, Quantity) else self.mark.upper
 
     @property
     def range(self) -> str:
-        """What it may be, in words."""
+        """Range as text."""
         return self.mark.range if isinstance(self.mark, Quantity) else f"{self.mark.lower} to {self.mark.upper}"
 
     def holds(self, value: Any) -> Any:
-        """Whether a number in SI, or each of an array, is in the range."""
+        """Whether a value [SI], or each of an array, is in the range."""
         if isinstance(self.mark, Quantity):
             return self.mark.holds(value)
         return (value >= self.mark.lower) & (value <= self.mark.upper) & (value % 1 == 0)
 
     def show(self, value: float | int, digits: int = 6) -> str:
-        """A value in SI as people read it."""
-        return f"{value:.0f}" if self.whole else show(float(value), self.shown, digits)
+        """Format a value [SI] in the unit of files."""
+        return f"{value:.0f}" if self.is_integer else show(float(value), self.shown, digits)
 
     def write(self, value: float | int) -> str:
-        """Text that a scenario reads back to the last bit."""
+        """Format a value [SI] so that a scenario restores it exactly."""
         return self.mark.write(float(value)) if isinstance(self.mark, Quantity) else str(int(value))
 
 
-def addresses(scenario: Scenario) -> list[Address]:
-    """All numbers of a scenario that a study can vary, in the order of the file.
+def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
+    """All parameters of a scenario that a study can vary, in the order of the file.
 
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> for address in addresses(scenario)[:3]:
-    ...     print(address.name, address.show(address.nominal), address.range, sep=", ")
+    >>> for each in list_parameters(scenario)[:3]:
+    ...     print(each.name, each.show(each.nominal), each.range, sep=", ")
     joint.geometry.joint_length, 370 mm, above 0 to 100000 mm
     joint.geometry.joint_radius, 30 mm, above 0 to 100000 mm
     joint.connector_length, 208 mm, 0 to 100000 mm
     """
-    found = survey(scenario)
-    return [Address(name, *found.numbers[name]) for name in found.numbers]
+    found = _parameters(scenario)
+    return [ScenarioParameter(name, *found.numbers[name]) for name in found.numbers]
 
 
-def find(scenario: Scenario, name: str) -> Address:
-    """The number of a name, in any of its spellings.
+def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
+    """Parameter of a scenario by name.
 
     Parameters
     ----------
     scenario
-        Which one.
+        Scenario.
     name
-        Such as "load.mass2" or "load.m2"; the level `pid`, `backprop`, `sine`, ... may be left out.
+        Name, such as "load.mass2"; the level `pid`, `backprop`, `sine`, ... is optional.
 
     Raises
     ------
     ParameterError
-        If there is none, or it is nothing that a study can vary; it says why.
+        If there is none, or a study cannot vary it.
 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> find(scenario, "controller.position.pid.kp").name
+    >>> find_parameter(scenario, "controller.position.pid.kp").name
     'controller.position.kp'
-    >>> find(scenario, "load.mass3")
+    >>> find_parameter(scenario, "load.mass3")
     Traceback (most recent call last):
         ...
-    mckibben.errors.ParameterError: the scenario has no number 'load.mass3'; did you mean ...
+    mckibben.errors.ParameterError: the scenario has no parameter 'load.mass3'; did you mean ...
     """
-    return find_all(scenario, [name])[0]
+    return find_parameters(scenario, [name])[0]
 
 
-def find_all(scenario: Scenario, names: Iterable[str]) -> list[Address]:
-    """The numbers of several names, no two of which may be the same number.
+def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioParameter]:
+    """Parameters of a scenario by their names, which must be different.
 
     Raises
     ------
     ParameterError
-        As for `find`, and if a number is named twice.
+        As for `find_parameter`, and if one is named twice.
 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> find_all(scenario, ["load.m2", "load.mass2"])
+    >>> find_parameters(scenario, ["load.mass2", "load.mass2"])
     Traceback (most recent call last):
         ...
-    mckibben.errors.ParameterError: 'load.m2' and 'load.mass2' are the same number; keep one of them
+    mckibben.errors.ParameterError: 'load.mass2' and 'load.mass2' are the same parameter; keep one of them
     """
-    found = survey(scenario)
+    found = _parameters(scenario)
     spelt: dict[str, str] = {}
     several = []
     for name in names:
-        address = _resolve(found, name)
-        if address.name in spelt:
-            both = f"{quoted(spelt[address.name])} and {quoted(name)} are the same number"
+        parameter = _resolve(found, name)
+        if parameter.name in spelt:
+            both = f"{quoted(spelt[parameter.name])} and {quoted(name)} are the same parameter"
             raise ParameterError(both, value=name, remedy="keep one of them")
-        spelt[address.name] = name
-        several.append(address)
+        spelt[parameter.name] = name
+        several.append(parameter)
     return several
 
 
-def _resolve(found: Survey, name: str) -> Address:
+def _resolve(found: _Parameters, name: str) -> ScenarioParameter:
     spelling = name.strip()
     canonical = found.spellings.get(spelling)
     if canonical is not None:
-        return Address(canonical, *found.numbers[canonical])
+        return ScenarioParameter(canonical, *found.numbers[canonical])
     keys = spelling.split(".")
     for depth in range(len(keys), 0, -1):
         reason = found.refused.get(".".join(keys[:depth]))
@@ -373,14 +363,16 @@ def _resolve(found: Survey, name: str) -> Address:
     below = [known for known in found.numbers if known.startswith(f"{spelling}.")]
     if below and spelling:
         raise ParameterError(
-            f"{quoted(spelling)} is a group of numbers", value=name, remedy=f"choose one, such as {below[0]}; {LISTING}"
+            f"{quoted(spelling)} is a group of parameters",
+            value=name,
+            remedy=f"choose one, such as {below[0]}; {LISTING}",
         )
     close = _close(spelling, list(found.spellings))
     remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
-    raise ParameterError(f"the scenario has no number {quoted(spelling)}", value=name, remedy=remedy)
+    raise ParameterError(f"the scenario has no parameter {quoted(spelling)}", value=name, remedy=remedy)
 
 
 def _close(name: str, known: list[str]) -> list[str]:
-    """What a name may stand for: those that end with it, or one that is spelt like it."""
+    """Names that end with a name, or the one closest to it."""
     ending = [each for each in known if each.endswith(f".{name}")]
     return ending[:2] if ending else difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)

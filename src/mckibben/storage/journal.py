@@ -1,0 +1,263 @@
+"""Append-only journals: a header that identifies the job, then records with a checksum each."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import threading
+import zlib
+from collections.abc import Iterator, Mapping
+from itertools import zip_longest
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, NamedTuple, Self
+
+from mckibben.errors import FileError, Problem
+from mckibben.storage.files import atomic_write
+
+HEADER = b"H"
+"""Kind of the first record: JSON that identifies what made the journal."""
+
+_MAGIC = b"MCKCHUNK"
+_FRONT = struct.Struct("<8s1s3xIQQ")  # magic, kind, CRC-32 of the rest, length of the payload [bytes], number
+_MAX_PAYLOAD = 1 << 31
+_WINDOW = 1 << 20
+
+
+class JournalRecord(NamedTuple):
+    """One record: its kind (one byte), a number that its writer chose, and its content."""
+
+    kind: bytes
+    number: int
+    payload: bytes
+
+
+def pack(kind: bytes, number: int, payload: bytes) -> bytes:
+    """Bytes of a record.
+
+    >>> pack(b"E", 7, b"{}")[:8], len(pack(b"E", 7, b"{}"))
+    (b'MCKCHUNK', 34)
+    """
+    front = _FRONT.pack(_MAGIC, kind, 0, len(payload), number)
+    return _FRONT.pack(_MAGIC, kind, zlib.crc32(payload, zlib.crc32(front)), len(payload), number) + payload
+
+
+def pack_json(kind: bytes, number: int, content: Mapping[str, Any]) -> bytes:
+    """Bytes of a record that holds JSON."""
+    return pack(kind, number, json.dumps(content, ensure_ascii=False, allow_nan=False).encode())
+
+
+class JournalReader:
+    """Iterates over the intact records of a journal, its header included.
+
+    A damaged record is skipped. An incomplete or damaged end, which a process leaves that was killed while it wrote, is
+    not counted as damage.
+
+    Attributes
+    ----------
+    damaged
+        Number of damaged records that were skipped so far.
+    end
+        Position after the last intact record so far [bytes].
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.damaged = 0
+        self.end = 0
+
+    def __iter__(self) -> Iterator[JournalRecord]:
+        position = skipped = 0
+        with self.path.open("rb") as file:
+            while True:
+                record = _read(file, position)
+                if record is not None:
+                    self.damaged += skipped
+                    position, skipped = file.tell(), 0
+                    self.end = position
+                    yield record
+                    continue
+                skipped += 1
+                found = _find_magic(file, position + 1)
+                if found is None:
+                    return
+                position = found
+
+    def header(self) -> dict[str, Any] | None:
+        """Content of the header; None if the file begins with none."""
+        record = next(iter(self), None)
+        if record is None or record.kind != HEADER or self.damaged:
+            return None
+        content = json.loads(record.payload)
+        return content if isinstance(content, dict) else None
+
+
+def _read(file: BinaryIO, position: int) -> JournalRecord | None:
+    """The record at a position; None if it is incomplete or damaged."""
+    file.seek(position)
+    front = file.read(_FRONT.size)
+    if len(front) < _FRONT.size:
+        return None
+    magic, kind, checksum, length, number = _FRONT.unpack(front)
+    if magic != _MAGIC or length > _MAX_PAYLOAD:
+        return None
+    payload = file.read(length)
+    blank = _FRONT.pack(magic, kind, 0, length, number)
+    if len(payload) < length or zlib.crc32(payload, zlib.crc32(blank)) != checksum:
+        return None
+    return JournalRecord(kind, number, payload)
+
+
+def _find_magic(file: BinaryIO, start: int) -> int | None:
+    """Position of the next start of a record; None at the end of the file."""
+    overlap = len(_MAGIC) - 1
+    while True:
+        file.seek(start)
+        window = file.read(_WINDOW)
+        found = window.find(_MAGIC)
+        if found >= 0:
+            return start + found
+        if len(window) < _WINDOW:
+            return None
+        start += len(window) - overlap
+
+
+class Journal:
+    """Appends records to a journal; each append is on the disk (``fsync``) when it returns.
+
+    Use `create` or `resume`. Threads may append at once; processes need a `file_lock`.
+    """
+
+    def __init__(self, path: Path, end: int) -> None:
+        self.path = path
+        self._end = end
+        self._lock = threading.Lock()
+        self._file = os.open(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
+
+    @classmethod
+    def create(cls, path: Path, header: Mapping[str, Any], *, number: int = 0) -> Self:
+        """Begin a journal; the file appears with its header.
+
+        Raises
+        ------
+        FileError
+            If the file exists.
+        """
+        content = pack_json(HEADER, number, header)
+        with atomic_write(path) as temporary:
+            temporary.write_bytes(content)
+        return cls(path, len(content))
+
+    @classmethod
+    def resume(cls, reader: JournalReader) -> Self:
+        """Continue a journal that has been read to its end; an incomplete last record is cut off."""
+        journal = cls(reader.path, reader.end)
+        os.ftruncate(journal._file, reader.end)
+        return journal
+
+    def append(self, content: bytes) -> None:
+        """Append packed records, all or none.
+
+        Raises
+        ------
+        OSError
+            If they cannot be written; the journal then ends as before.
+        """
+        with self._lock:
+            try:
+                _write_at(self._file, self._end, content)
+            except OSError:
+                os.ftruncate(self._file, self._end)
+                raise
+            self._end += len(content)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the file is closed."""
+        return self._file < 0
+
+    def close(self) -> None:
+        """Close the file; may be called again."""
+        if not self.closed:
+            os.close(self._file)
+            self._file = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        self.close()
+
+
+def _write_at(file: int, position: int, content: bytes) -> None:
+    os.lseek(file, position, os.SEEK_SET)
+    view = memoryview(content)
+    while view:
+        view = view[os.write(file, view) :]
+    os.fsync(file)
+
+
+def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
+    """Header of a journal of a kind ("format") and version.
+
+    Raises
+    ------
+    FileError
+        If the file is missing, or is another one.
+    """
+    try:
+        header = JournalReader(path).header()
+    except (OSError, ValueError) as error:
+        raise FileError(str(path), [Problem(f"it cannot be read: {error}")]) from None
+    if header is None or header.get("format") != kind:
+        raise FileError(str(path), [Problem(f"it is no {kind}", remedy="choose another folder, or remove the file")])
+    if header.get("version") != version:
+        message = f"it has format version {header.get('version')}, and this mckibben reads {version}"
+        raise FileError(str(path), [Problem(message, remedy="choose another folder, or another version of mckibben")])
+    return header
+
+
+def header_differences(
+    kept: Mapping[str, Any], wanted: Mapping[str, Any], job: str, *, remedy: str, ignore: tuple[str, ...] = ()
+) -> list[Problem]:
+    """Differences between a journal's header and the job that is to continue it.
+
+    Lists are compared by item, mappings by key and texts of several lines by line.
+
+    >>> for problem in header_differences({"seed": 1, "method": "sobol"}, {"seed": 2, "method": "sobol"}, "the sweep",
+    ...                                   remedy="choose another folder"):
+    ...     print(problem.field, problem.message, sep=": ")
+    seed: the sweep was begun with 1, not 2
+    """
+    found = []
+    for name in dict.fromkeys([*wanted, *kept]):
+        before, now = kept.get(name), wanted.get(name)
+        if name in ignore or before == now:
+            continue
+        for field, old, new in _details(name, before, now):
+            found.append(Problem(_begun_with(job, old, new), field=field, remedy=remedy))
+    return found
+
+
+def _details(name: str, before: Any, now: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Field, old and new value of each difference between two values."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        yield from (
+            (key, before.get(key), now.get(key)) for key in {**before, **now} if before.get(key) != now.get(key)
+        )
+    elif isinstance(before, list) and isinstance(now, list):
+        yield from ((name, old, new) for old, new in zip_longest(before, now) if old != new)
+    elif isinstance(before, str) and isinstance(now, str) and "\n" in before + now:
+        pairs = zip_longest(before.splitlines(), now.splitlines())
+        old, new = next(pair for pair in pairs if pair[0] != pair[1])
+        yield name, old and repr(old.strip()), new and repr(new.strip())
+    else:
+        yield name, before, now
+
+
+def _begun_with(job: str, before: Any, now: Any) -> str:
+    old, new = (text if len(text := str(value)) <= 160 else f"{text[:156]}..." for value in (before, now))
+    if before is None:
+        return f"{job} was begun without {new}"
+    return f"{job} was begun with {old} too" if now is None else f"{job} was begun with {old}, not {new}"

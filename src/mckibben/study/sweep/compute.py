@@ -1,0 +1,376 @@
+"""Computation of a sweep's blocks, on threads of this process or on a dask cluster."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import uuid
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
+
+import mckibben
+from mckibben.control.base import Reference
+from mckibben.errors import McKibbenError, ParameterError, SimulationError
+from mckibben.joint.attainable import is_affine
+from mckibben.numerics.batching import cores, lanes_of, map_chunks, pad_chunk
+from mckibben.numerics.compiled import compiled_batch, numeric
+from mckibben.plant import JointPlant
+from mckibben.simulation.feasibility import attainable_band
+from mckibben.simulation.problem import sample_reference, sampling_times
+from mckibben.study.parameters import Table, batched
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.running import run_many
+
+FEASIBILITY = {
+    "shortfall_max": ("N*m/rad", "largest distance of the stiffness reference from the attainable stiffness"),
+    "infeasible_time": ("1", "share of the time with an angle reference that no pressures within limits hold"),
+}
+"""Unit and meaning of the variables that `feasibility` returns."""
+
+_INSTANTS = 200
+_INSTANTS_WITH_SPRINGS = 50  # each costs as much as 100 with rigid tendons
+_ROUNDING = 1e-6  # N*m/rad
+
+
+class _Case(NamedTuple):
+    """A plant and the reference that it is to follow."""
+
+    plant: JointPlant
+    reference: Reference
+
+
+def feasibility(scenario: Scenario, table: Table, size: int) -> dict[str, NDArray[np.float64]]:
+    """Static feasibility of each run's reference, checked at 200 instants (50 with springs in series).
+
+    Parameters
+    ----------
+    scenario, table
+        As for `run_many`.
+    size
+        Runs that are computed together.
+
+    Returns
+    -------
+    columns
+        ``shortfall_max`` [N*m/rad]: largest distance of the stiffness reference from the attainable stiffness, where
+        the angle can be held; NaN where it never can. ``infeasible_time``: share of the time at which the angle cannot
+        be held.
+    """
+    many = batched(scenario, table)
+    case = numeric(_Case(many.plant(), many.reference()))
+    times = sampling_times(scenario.duration, scenario.control_period)
+    count = _INSTANTS if is_affine(case.plant.joint) else _INSTANTS_WITH_SPRINGS
+    instants = times[np.unique(np.linspace(0, times.size - 1, count).round().astype(int))]
+    rows = len(next(iter(table.values())))
+    varied_rows, varying = lanes_of(case)
+    if varied_rows is None:  # only the controller differs from run to run
+        nothing = _Case(None, None)  # type: ignore[arg-type]
+        found = {name: np.asarray(value) for name, value in _feasibility(nothing, case, instants, 1).items()}
+        return {name: np.broadcast_to(value, rows).copy() for name, value in found.items()}
+    varied, shared = eqx.partition(case, varying)
+    parts = []
+    for start in range(0, rows, size):
+        piece = slice(start, min(start + size, rows))
+        found = _feasibility(pad_chunk(varied, piece, size), shared, instants, size)
+        parts.append({name: np.asarray(value)[: piece.stop - start] for name, value in found.items()})
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+@compiled_batch
+def _feasibility(varied: _Case, shared: _Case, instants: ArrayLike, size: int) -> dict[str, Array]:
+    """Scan over instants, all runs at once: a joint with springs needs much memory an instant."""
+
+    def shortfall(lane: _Case, instant: Array) -> Array:
+        plant, reference = eqx.combine(lane, shared)
+        setpoint = sample_reference(reference, instant)
+        low, high = attainable_band(plant, setpoint.angle)
+        return jnp.maximum(low - setpoint.stiffness, setpoint.stiffness - high)
+
+    def step(carry: tuple[Array, Array], instant: Array) -> tuple[tuple[Array, Array], None]:
+        largest, infeasible = carry
+        short = jax.vmap(shortfall, in_axes=(0, None), axis_size=size)(varied, instant)
+        return (jnp.fmax(largest, short), infeasible + jnp.isnan(short)), None
+
+    initial = jnp.full(size, jnp.nan), jnp.zeros(size)
+    (largest, infeasible), _ = lax.scan(step, initial, jnp.asarray(instants))
+    largest = jnp.where(largest > _ROUNDING, largest, jnp.where(jnp.isnan(largest), jnp.nan, 0.0))
+    return {"shortfall_max": largest, "infeasible_time": infeasible / jnp.size(instants)}
+
+
+Columns = dict[str, NDArray]
+"""Results by name, one value a run."""
+
+
+def software() -> dict[str, str]:
+    """Versions and platform, on which the last bits depend."""
+    return {"mckibben": mckibben.__version__, "jax": jax.__version__, "platform": jax.default_backend()}
+
+
+@dataclass(frozen=True)
+class BatchTask:
+    """Computation of the rows of a table; picklable.
+
+    Attributes
+    ----------
+    scenario
+        With its nominal values.
+    metrics
+        Metrics to compute.
+    precision
+        64 or 32 bits.
+    batch_size
+        Runs computed together. A table is padded to a multiple of it, so that there is one compiled program and the
+        numbers of a run do not depend on the others.
+    software
+        Versions that the process must have; see `software`.
+    known
+        Plant parameters that the controller's model follows.
+    """
+
+    scenario: Scenario
+    metrics: tuple[str, ...]
+    precision: int
+    batch_size: int
+    software: dict[str, str]
+    known: tuple[str, ...] = ()
+
+    def __call__(self, table: Table) -> Columns:
+        """Return the results of some rows.
+
+        Raises
+        ------
+        SimulationError
+            If this process has other software versions than the one that planned the sweep.
+        """
+        here = software()
+        if here != self.software:
+            raise SimulationError(
+                f"a worker has {_listed(here)}, the sweep {_listed(self.software)}",
+                remedy="start workers in the same environment",
+            )
+        rows = len(next(iter(table.values())))
+        padding = -rows % self.batch_size
+        full = {name: np.concatenate([column, np.repeat(column[-1:], padding)]) for name, column in table.items()}
+        batch = run_many(
+            self.scenario,
+            full,
+            known=self.known,
+            metrics=self.metrics,
+            precision=jnp.float32 if self.precision == 32 else jnp.float64,
+            chunk=self.batch_size,
+            workers=1,
+        )
+        results = {name: batch.table[name].to_numpy() for name in (*self.metrics, "outcome")}
+        results |= feasibility(self.scenario, full, self.batch_size)
+        return {name: column[:rows] for name, column in results.items()}
+
+
+def _listed(software: dict[str, str]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in software.items())
+
+
+LOCAL = "local"
+_DEATHS = 5  # workers that may die over one block before the scheduler gives it up
+_RETRIES = 2  # resubmissions of a block whose workers died
+_WAIT = 60  # s for the first worker
+_SCHEMES = ("tcp://", "tls://", "ws://", "wss://", "ucx://")
+
+Blocks = Iterable[tuple[int, Table]]
+"""Block numbers and their tables."""
+
+
+def compute_on_threads(
+    task: BatchTask, blocks: Blocks, keep: Callable[[int, Columns], None], workers: int | None = None
+) -> Iterator[int]:
+    """Compute blocks on threads, which call `keep` with each result; yields finished blocks in order.
+
+    When the iterator is closed early, blocks under way are finished and kept first.
+    """
+    listed = list(blocks)
+
+    def compute(piece: slice) -> int:
+        block, table = listed[piece.start]
+        keep(block, task(table))
+        return block
+
+    finished = map_chunks(compute, len(listed), 1, workers)
+    with closing(finished):  # type: ignore[arg-type]  # it is a generator
+        for _, block in finished:
+            yield block
+
+
+def check_cluster(address: str) -> None:
+    """Check the address of a dask cluster, and that dask is installed.
+
+    Raises
+    ------
+    ParameterError
+        If the address is none that `compute_on_cluster` takes, or dask is missing.
+    """
+    if address != LOCAL and not address.startswith(_SCHEMES):
+        raise ParameterError(
+            f"{address!r} is no dask cluster", value=address, remedy="give local, or an address like tcp://host:8786"
+        )
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        raise ParameterError(
+            "dask's package `distributed` is not installed", remedy="pip install 'mckibben[sweep]'"
+        ) from None
+
+
+def compute_on_cluster(
+    task: BatchTask,
+    blocks: Blocks,
+    keep: Callable[[int, Columns], None],
+    address: str,
+    workers: int | None = None,
+) -> Iterator[int]:
+    """Compute blocks on a dask cluster and call `keep` here with each result; yields finished blocks.
+
+    Blocks of a worker that dies are computed by others.
+
+    Parameters
+    ----------
+    task, blocks, keep
+        As for `compute_on_threads`.
+    address
+        "local" for one process a core on this machine, or the address of a scheduler.
+    workers
+        Local processes.
+
+    Raises
+    ------
+    SimulationError
+        If the cluster does not answer, or a block keeps killing its workers.
+    """
+    from distributed import CancelledError, as_completed
+    from distributed.comm.core import CommClosedError
+    from distributed.scheduler import KilledWorker
+
+    tables = dict(blocks)
+    waiting = iter(tables)
+    deaths: Counter[int] = Counter()
+    with _quiet(), _client(address, workers or cores(), len(tables)) as client:
+        pending: dict[Any, int] = {}
+
+        def submit(block: int) -> Any:
+            # A unique key: what a scheduler remembers of an earlier one may come of other software.
+            future = client.submit(task, tables[block], key=f"mckibben-sweep-{block}-{uuid.uuid4().hex}")
+            pending[future] = block
+            return future
+
+        def collect(future: Any) -> int:
+            columns = future.result()
+            block = pending.pop(future)
+            keep(block, columns)
+            return block
+
+        def more() -> Iterator[Any]:
+            """Submit enough to keep all workers busy while results travel."""
+            limit = 2 * max(sum(client.nthreads().values()), 1)
+            while len(pending) < limit and (block := next(waiting, None)) is not None:
+                yield submit(block)
+
+        finished = as_completed(more(), loop=client.loop)
+        try:
+            for future in finished:
+                try:
+                    yield collect(future)
+                except (KilledWorker, CancelledError):
+                    block = pending.pop(future)
+                    if deaths[block] >= _RETRIES or client.status != "running":
+                        raise
+                    deaths[block] += 1
+                    finished.add(submit(block))
+                for another in more():
+                    finished.add(another)
+        except (KeyboardInterrupt, GeneratorExit):
+            for future in [future for future in pending if future.status == "finished"]:
+                collect(future)
+            raise
+        except (CommClosedError, CancelledError, TimeoutError):
+            raise SimulationError(
+                f"the connection to {address} is lost; finished blocks are kept",
+                remedy="continue with --resume (resume=True)",
+            ) from None
+        except KilledWorker as error:
+            raise SimulationError(f"workers die again and again: {error}", remedy="see their logs") from None
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence dask's tracebacks about lost connections, which become errors of ours."""
+    loggers = [
+        logging.getLogger(name) for name in ("distributed", "distributed.client", "tornado.application", "asyncio")
+    ]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+@contextmanager
+def _client(address: str, workers: int, blocks: int) -> Iterator[Any]:
+    """Client of a scheduler, or of a temporary cluster on this machine."""
+    from dask import config
+    from distributed import Client, LocalCluster
+
+    if address != LOCAL:
+        try:
+            client = Client(address, timeout="10s", set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise _unanswered(address, error) from None
+        with client:
+            try:
+                client.wait_for_workers(1, timeout=_WAIT)
+            except TimeoutError as error:
+                raise _unanswered(f"{address} has no workers", error) from None
+            yield client
+        return
+    quiet = {"distributed.scheduler.allowed-failures": _DEATHS, "distributed.logging.distributed": "critical"}
+    with config.set(quiet):
+        cluster = LocalCluster(
+            n_workers=min(workers, blocks),
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,  # type: ignore[arg-type]  # none
+            memory_limit=0,  # a share of the memory says nothing about what a block needs
+            silence_logs=logging.CRITICAL,
+        )
+        with cluster, Client(cluster, set_as_default=False) as client:
+            client.register_plugin(_ignore_interrupts())
+            yield client
+
+
+def _unanswered(what: str, error: BaseException) -> McKibbenError:
+    return SimulationError(f"no answer: {what} ({error})", remedy="is the scheduler running, and has it workers?")
+
+
+def _ignore_interrupts() -> Any:
+    """Plugin of local workers: Ctrl-C reaches all processes of the terminal, and only the client handles it."""
+    from distributed import WorkerPlugin
+
+    class IgnoreInterrupts(WorkerPlugin):
+        def setup(self, worker: Any) -> None:
+            try:
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
+            except ValueError:  # not in the main thread
+                return
+
+    return IgnoreInterrupts()

@@ -1,0 +1,324 @@
+"""Sweeps: run a plan, store its blocks in a journal, and continue an interrupted sweep."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import io
+import os
+import shutil
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
+from mckibben.storage.files import check_free, file_lock, make_folder
+from mckibben.storage.journal import Journal, JournalReader, pack, read_header
+from mckibben.study.parameters import Known
+from mckibben.study.scenario import Scenario
+from mckibben.study.sweep.compute import Columns, check_cluster, compute_on_cluster, compute_on_threads
+from mckibben.study.sweep.plan import FORMAT, VERSION, Sweepable, SweepOptions, SweepPlan, manifest_differences
+from mckibben.study.sweep.result import SweepResult
+
+JOURNAL = "sweep.journal"
+TABLE = "sweep.nc"
+_BLOCK, _TABLE = b"B", b"T"  # kinds of records; that of the table holds the digest of its file
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+class SweepStore:
+    """Blocks of a sweep in a journal, whose header is the manifest.
+
+    Use `begin` or `resume`, inside of `lock`.
+    """
+
+    def __init__(self, folder: Path, plan: SweepPlan) -> None:
+        self.folder = folder
+        self.plan = plan
+        self.kept: set[int] = set()
+        self._journal: Journal | None = None
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep other processes out; the folder is made if need be."""
+        with self.explain_full_disk():
+            make_folder(self.folder)
+        with file_lock(self.folder / ".lock", "computing this sweep"):
+            try:
+                yield
+            finally:
+                if self._journal is not None:
+                    self._journal.close()
+
+    def begin(self) -> None:
+        """Create the journal."""
+        check_unused(self.folder)
+        with self.explain_full_disk():
+            self._journal = Journal.create(self.folder / JOURNAL, self.plan.manifest)
+
+    def resume(self) -> None:
+        """Open the journal and find the intact blocks.
+
+        Warns
+        -----
+        McKibbenWarning
+            Of damaged blocks, which count as missing.
+        """
+        reader = JournalReader(self.folder / JOURNAL)
+        self.kept = {record.number for record in reader if record.kind == _BLOCK}
+        self._journal = Journal.resume(reader)
+        if reader.damaged:
+            message = f"{reader.path}: {reader.damaged} damaged blocks are computed again"
+            warnings.warn(message, McKibbenWarning, stacklevel=4)
+
+    @property
+    def missing(self) -> list[int]:
+        """Blocks that are not stored."""
+        return [block for block in range(self.plan.blocks) if block not in self.kept]
+
+    @property
+    def runs(self) -> int:
+        """Number of stored runs."""
+        spans = [self.plan.block_rows(block) for block in self.kept]
+        return sum(span.stop - span.start for span in spans)
+
+    def keep(self, block: int, columns: Columns) -> None:
+        """Append the results of a block; thread-safe.
+
+        Raises
+        ------
+        FileError
+            If the disk is full.
+        """
+        content = io.BytesIO()
+        np.savez(content, **columns)  # type: ignore[arg-type]  # names of ours, none of savez's own
+        assert self._journal is not None
+        with self.explain_full_disk():
+            self._journal.append(pack(_BLOCK, block, content.getvalue()))
+        self.kept.add(block)
+
+    def columns(self) -> Columns:
+        """Results of all runs.
+
+        Raises
+        ------
+        FileError
+            If a block was damaged after it was written.
+        """
+        parts: dict[int, Columns] = {}
+        for record in JournalReader(self.folder / JOURNAL):
+            if record.kind == _BLOCK:
+                with np.load(io.BytesIO(record.payload), allow_pickle=False) as file:
+                    parts[record.number] = dict(file.items())
+        if len(parts) < self.plan.blocks:
+            problem = Problem("blocks are damaged", remedy="compute them again with --resume (resume=True)")
+            raise FileError(str(self.folder / JOURNAL), [problem])
+        ordered = [parts[block] for block in range(self.plan.blocks)]
+        return {name: np.concatenate([part[name] for part in ordered]) for name in ordered[0]}
+
+    def write_table(self, swept: SweepResult) -> None:
+        """Write the table.
+
+        Raises
+        ------
+        FileError
+            If the disk is full.
+        """
+        with self.explain_full_disk():
+            if shutil.disk_usage(self.folder).free < 1.2 * swept.table.nbytes + 200_000:  # HDF5 fails badly then
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            swept.to_netcdf(self.folder / TABLE)
+            assert self._journal is not None
+            self._journal.append(pack(_TABLE, 0, self._digest()))
+
+    def read_table(self) -> SweepResult | None:
+        """The table, if it is the file that was written."""
+        digests = [record.payload for record in JournalReader(self.folder / JOURNAL) if record.kind == _TABLE]
+        try:
+            return SweepResult.from_netcdf(self.folder / TABLE) if digests[-1:] == [self._digest()] else None
+        except OSError:  # missing
+            return None
+
+    def _digest(self) -> bytes:
+        with (self.folder / TABLE).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
+
+    @contextmanager
+    def explain_full_disk(self) -> Iterator[None]:
+        """Raise a FileError on a full disk that says what is stored."""
+        try:
+            yield
+        except OSError as error:
+            if error.errno not in _FULL and "No space left" not in str(error):
+                raise
+            kept = f"; {self.runs} of {self.plan.rows} runs are kept" if self._journal is not None else ""
+            remedy = "make room, and continue with --resume (resume=True)"
+            raise FileError(str(self.folder), [Problem(f"the disk is full{kept}", remedy=remedy)]) from None
+
+
+def check_unused(folder: Path) -> None:
+    """Raise if a folder has a sweep, or files of the same names."""
+    if (folder / JOURNAL).exists():
+        remedy = "continue it with --resume (resume=True), or choose another folder"
+        raise FileError(str(folder), [Problem("there is a sweep already", remedy=remedy)])
+    check_free(folder, [JOURNAL, TABLE])
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Manifest of the sweep in a folder.
+
+    Raises
+    ------
+    FileError
+        If there is none, or the file is no sweep.
+    """
+    if not (folder / JOURNAL).exists():
+        problem = Problem(f"there is no sweep to continue ({JOURNAL})", remedy="leave --resume (resume=True) out")
+        raise FileError(str(folder), [problem])
+    return read_header(folder / JOURNAL, FORMAT, VERSION)
+
+
+class InterruptedSweep(KeyboardInterrupt):
+    """Ctrl-C during a sweep; its text says how many runs are stored, and where."""
+
+
+def sweep(
+    scenario: Scenario,
+    over: Sweepable | None = None,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    design: str | None = None,
+    samples: int | None = None,
+    seed: int | None = None,
+    metrics: Sequence[str] | None = None,
+    precision: int | None = None,
+    resume: bool = False,
+    dask: str | None = None,
+    workers: int | None = None,
+    block: int | None = None,
+    known: Known | None = None,
+    source: str = "",
+    progress: Callable[[int, int], None] | None = None,
+) -> SweepResult:
+    """Simulate a scenario many times with some of its parameters varied.
+
+    The runs are computed in blocks, each stored when it is finished. The numbers are the same to the last bit however
+    many threads or processes compute them, and however often the sweep was interrupted.
+
+    Parameters
+    ----------
+    scenario
+        Scenario with the nominal values.
+    over
+        Varied parameters: texts such as "load.mass2=0.2 kg..1.0 kg" (see `parse_sweep`), or distributions [SI] by name.
+    out
+        Output folder; without one nothing is stored.
+    design, samples, seed
+        Sampling as for `mckibben.study.parameters.sample`. Defaults: "sobol", 1024 and 0.
+    metrics
+        Metrics to compute. Default: all.
+    precision
+        64 or 32 bits; 32 takes half the time and leaves some 6 digits. Default: 64.
+    resume
+        Continue the sweep in `out`. Options left out are taken from there; others must be the same.
+    dask
+        "local" for processes on this machine, or the address of a dask scheduler. Default: threads.
+    workers
+        Threads or local processes. Default: one a core.
+    block
+        Runs of a block. Default: chosen by the number of runs.
+    known
+        Varied plant parameters that the controller's model follows, "all" for all of them. Default: none, the
+        controller's model is that of the scenario in all runs.
+    source
+        Origin of the scenario, for the record.
+    progress
+        Called with the numbers of finished and of all runs.
+
+    Raises
+    ------
+    ParameterError
+        If an option is invalid, or a row of values makes no valid scenario.
+    FileError
+        If `out` has a sweep or other files of these names and `resume` is not set; with `resume`, if it has none or
+        another one; if another process is computing it; or if the disk is full.
+    InterruptedSweep
+        On Ctrl-C; finished blocks are stored.
+
+    Examples
+    --------
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"duration": 0.2})
+    >>> swept = sweep(scenario, ["load.mass2=0.4 kg..0.6 kg"], samples=4, metrics=["angle_rmse"])
+    >>> swept.table["load.mass2"].to_numpy().round(3)
+    array([0.482, 0.551, 0.512, 0.431])
+    """
+    options = SweepOptions(over, design, samples, seed, metrics, precision, block, known)
+    if dask is not None:
+        check_cluster(dask)
+    engine = (dask, workers, progress)
+    if out is None:
+        if resume:
+            raise ParameterError("there is no sweep to continue", remedy="say in which folder it is")
+        with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
+            store = SweepStore(Path(folder), SweepPlan.of(scenario, options, source=source))
+            with store.lock():
+                store.begin()
+                return _computed(store, *engine)
+    folder = Path(out)
+    if resume:
+        manifest = read_manifest(folder)
+        source = manifest.get("source", "")
+        plan = SweepPlan.of(scenario, options.completed(manifest), folder=os.fspath(out), source=source)
+        if found := manifest_differences(manifest, plan.manifest):
+            raise FileError(str(folder), found)
+        store = SweepStore(folder, plan)
+        if (finished := store.read_table()) is not None:
+            return finished
+        with store.lock():
+            if (finished := store.read_table()) is not None:  # by another process meanwhile
+                return finished
+            store.resume()
+            return _stored(store, *engine)
+    check_unused(folder)
+    store = SweepStore(folder, SweepPlan.of(scenario, options, folder=os.fspath(out), source=source))
+    with store.lock():
+        store.begin()
+        return _stored(store, *engine)
+
+
+def _stored(store: SweepStore, *engine: Any) -> SweepResult:
+    """Compute the missing blocks and write the table."""
+    try:
+        swept = _computed(store, *engine)
+        store.write_table(swept)
+    except KeyboardInterrupt:
+        text = f"{store.runs} of {store.plan.rows} runs are kept in {store.folder}; continue with --resume"
+        raise InterruptedSweep(text) from None
+    return swept
+
+
+def _computed(
+    store: SweepStore, dask: str | None, workers: int | None, progress: Callable[[int, int], None] | None
+) -> SweepResult:
+    plan, before = store.plan, store.runs
+    done = before
+    if progress:
+        progress(done, plan.rows)
+    if store.missing:
+        blocks = ((block, plan.block_table(block)) for block in store.missing)
+        if dask is None:
+            finished = compute_on_threads(plan.task, blocks, store.keep, workers)
+        else:
+            finished = compute_on_cluster(plan.task, blocks, store.keep, dask, workers)
+        with closing(finished):  # type: ignore[arg-type]  # they are generators
+            for block in finished:
+                rows = plan.block_rows(block)
+                done += rows.stop - rows.start
+                if progress:
+                    progress(done, plan.rows)
+    return SweepResult.of(plan, store.columns(), plan.rows - before)

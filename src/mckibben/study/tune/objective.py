@@ -1,0 +1,360 @@
+"""Objective of a tuning: a cost of metrics, its values for many sets of parameters, and its gradient."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import ParameterError, UnitError, suggest
+from mckibben.numerics.batching import cores, named_leaves
+from mckibben.simulation import Metrics, differentiate
+from mckibben.simulation.problem import split_problem
+from mckibben.simulation.result import attributes
+from mckibben.study.parameters import (
+    Known,
+    SweptParameter,
+    Table,
+    batched,
+    find_parameters,
+    known_names,
+    valid_rows,
+)
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.running import initial_state, run_many
+from mckibben.study.tune.space import SearchSpace, Vector, is_gain
+from mckibben.units import quantity
+
+SMOOTH = (
+    "angle_rmse",
+    "angle_max",
+    "stiffness_rmse",
+    "stiffness_max",
+    "stiffness_ripple",
+    "coupling",
+    "estimate_rmse",
+    "excursion_max",
+    "force_max",
+    "air",
+)
+"""Metrics that are differentiable almost everywhere; the others count control periods."""
+
+_PLUS = re.compile(r"(?<![0-9.][eE])\+")  # not that of 1e+3
+_TERM = re.compile(r"(?:(?P<weight>[0-9.eE+-]+)\s*\*\s*)?(?P<metric>[a-z_]+)\s*(?:/\s*(?P<scale>.+))?")
+
+
+@dataclass(frozen=True)
+class Term:
+    """A metric, its scale [SI] and its weight in a cost."""
+
+    metric: str
+    scale: float
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.metric not in Metrics._fields:
+            raise ParameterError(
+                f"{self.metric!r} is no metric", value=self.metric, remedy=suggest(self.metric, Metrics._fields)
+            )
+        for name, value in (("scale", self.scale), ("weight", self.weight)):
+            if not (np.isfinite(value) and value > 0):
+                raise ParameterError(
+                    f"the {name} of {self.metric} is {value:g}", value=value, remedy="give one above 0"
+                )
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Weighted sum of metrics over their scales.
+
+    Errors alone would drive gains to the stability limit. With a gain margin the cost is the larger of that of the
+    parameters, and of that with all tuned controller gains multiplied by the margin.
+
+    Parameters
+    ----------
+    terms
+        Summands.
+    gain_margin
+        Factor by which the gains may rise; 1 for no margin.
+    worst
+        Of several scenarios, count the worst instead of the mean.
+
+    Examples
+    --------
+    >>> from mckibben.units import deg
+    >>> cost = Cost.of({"angle_rmse": 0.1 * deg, "stiffness_rmse": 0.5})
+    >>> round(float(cost({"angle_rmse": 0.2 * deg, "stiffness_rmse": 1.0})), 9)
+    4.0
+    """
+
+    terms: tuple[Term, ...]
+    gain_margin: float = 1.0
+    worst: bool = False
+
+    def __post_init__(self) -> None:
+        names = [term.metric for term in self.terms]
+        twice = [name for name in names if names.count(name) > 1]
+        if not names or twice:
+            raise ParameterError(
+                f"{twice[0]} is there twice" if twice else "the cost has no term", remedy="name each metric once"
+            )
+        if not (np.isfinite(self.gain_margin) and self.gain_margin >= 1):
+            raise ParameterError(
+                f"the gain margin is {self.gain_margin:g}", value=self.gain_margin, remedy="give 1 (none) or more"
+            )
+
+    @classmethod
+    def of(cls, scales: Mapping[str, float], *, gain_margin: float = 1.0, worst: bool = False) -> Self:
+        """From metrics and their scales [SI]."""
+        return cls(tuple(Term(name, scale) for name, scale in scales.items()), gain_margin, worst)
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Metrics that the cost needs."""
+        return tuple(term.metric for term in self.terms)
+
+    def __call__(self, values: Mapping[str, Any]) -> NDArray[np.float64]:
+        """Return the cost of metrics [SI], elementwise."""
+        return np.asarray(sum(term.weight * np.asarray(values[term.metric]) / term.scale for term in self.terms))
+
+    @property
+    def text(self) -> str:
+        """Text from which `parse_cost` restores the cost exactly."""
+        return " + ".join(_written(term) for term in self.terms)
+
+
+def parse_cost(text: str, *, gain_margin: float = 1.0, worst: bool = False) -> Cost:
+    """Parse a cost such as ``angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad``.
+
+    A single metric needs no scale; of several each does, since their units differ.
+
+    Raises
+    ------
+    ParameterError
+        If a term is invalid, or its unit does not fit its metric.
+
+    Examples
+    --------
+    >>> parse_cost("angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad").terms[1]
+    Term(metric='stiffness_rmse', scale=0.5, weight=2.0)
+    """
+    parts = [part.strip() for part in _PLUS.split(text)]
+    terms = []
+    for part in parts:
+        found = _TERM.fullmatch(part)
+        if found is None:
+            raise ParameterError(
+                f"{part!r} is no term of a cost", value=part, remedy="write it like angle_rmse/0.1 deg"
+            )
+        metric, scale = found["metric"], found["scale"]
+        Term(metric, 1.0)  # raises for an unknown metric
+        if scale is None and len(parts) > 1:
+            unit = _unit(metric).replace("ratio", "%")
+            unit = "deg" if unit == "rad" else unit
+            raise ParameterError(
+                f"{metric} has no scale, and cannot be added to other metrics",
+                remedy=f"write it like {metric}/0.1 {unit}",
+            )
+        try:
+            weight = float(found["weight"] or 1.0)
+            size = 1.0 if scale is None else quantity(scale, _unit(metric))
+        except UnitError as error:
+            raise ParameterError(f"{part!r}: {error}", value=part) from None
+        except ValueError:
+            raise ParameterError(f"{found['weight']!r} is no number", value=part, remedy="write 2*metric") from None
+        terms.append(Term(metric, size, weight))
+    return Cost(tuple(terms), gain_margin, worst)
+
+
+def _written(term: Term) -> str:
+    weight = "" if term.weight == 1 else f"{term.weight!r}*"
+    return f"{weight}{term.metric}/{term.scale!r} {_unit(term.metric)}".replace("+", "")
+
+
+def _unit(metric: str) -> str:
+    """SI unit of a metric; "ratio" for a plain number."""
+    unit = attributes(metric)["units"]
+    return "ratio" if unit == "1" else unit
+
+
+FAILED_COST = 1e6
+"""Cost of parameters that are not valid, or whose runs fail."""
+
+
+@dataclass(frozen=True)
+class TuningProblem:
+    """Parameters of scenarios to tune, and the cost of their values.
+
+    Parameters
+    ----------
+    scenarios
+        Scenarios whose runs count; all have the parameters.
+    space
+        Parameters and ranges.
+    cost
+        Cost of the runs.
+    known
+        Plant parameters that the controllers' models follow; see `mckibben.study.parameters.batched`.
+    """
+
+    scenarios: tuple[Scenario, ...]
+    space: SearchSpace
+    cost: Cost
+    known: Known = ()
+    _leaf_names: dict[tuple[int, str], list[str]] = field(default_factory=dict, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for scenario in self.scenarios:
+            try:
+                known_names(scenario, self.known, self.space.names)
+            except ParameterError as error:
+                if len(self.scenarios) == 1:
+                    raise
+                raise ParameterError(f"{scenario.name}: {error}", value=error.value) from None
+            if "coupling" in self.cost.metrics:
+                _check_steps(scenario)
+
+    @classmethod
+    def of(
+        cls, scenarios: Sequence[Scenario], swept: Sequence[SweptParameter], cost: Cost, known: Known = ()
+    ) -> TuningProblem:
+        """Problem with the nominal values of the first scenario."""
+        if not scenarios:
+            raise ParameterError("nothing to tune", remedy="give a scenario")
+        parameters = find_parameters(scenarios[0], [each.name for each in swept])
+        space = SearchSpace(tuple(replace(each, parameter=p) for each, p in zip(swept, parameters, strict=True)))
+        return cls(tuple(scenarios), space, cost, known)
+
+    def costs(self, values: Vector) -> Vector:
+        """Cost of each row of values [SI], shape (n, parameters)."""
+        rows = self._with_margin(values)
+        share = max(cores() // len(self.scenarios), 1)
+        with ThreadPoolExecutor(cores()) as pool:
+            measured = pool.map(lambda scenario: self._metrics(scenario, rows, share), self.scenarios)
+            return self._combine(np.stack([self.cost(each) for each in measured]))[0]
+
+    def costs_and_gradients(self, values: Vector) -> tuple[Vector, Vector]:
+        """Costs of rows of values [SI], shape (n, parameters), and their derivatives by the values."""
+        rows = self._with_margin(values)
+        found = [self._derivatives(scenario, rows) for scenario in self.scenarios]
+        total, shares = self._combine(np.stack([cost for cost, _ in found]))
+        slopes = shares[..., None] * np.stack([slope for _, slope in found])
+        slopes = np.sum(slopes, axis=0).reshape(-1, *values.shape)
+        # The rows with the margin hold the values multiplied by it.
+        gradient = slopes[0] + (slopes[1] * self._gain_factors() if len(slopes) > 1 else 0.0)
+        return total, np.where(total[:, None] < FAILED_COST, gradient, 0.0)
+
+    def check_smooth(self) -> None:
+        """Raise if the cost is not differentiable by the parameters."""
+        rough = [name for name in self.cost.metrics if name not in SMOOTH]
+        if rough:
+            raise ParameterError(
+                f"{', '.join(rough)} counts control periods and has no gradient", remedy="use cma or evolution for it"
+            )
+        for scenario in self.scenarios:
+            for each in self.space.swept:
+                self._leaves(scenario, each)
+
+    def _gain_factors(self) -> Vector:
+        """Factor on each value in the rows with the margin."""
+        return np.where([is_gain(name) for name in self.space.names], self.cost.gain_margin, 1.0)
+
+    def _with_margin(self, values: Vector) -> Vector:
+        if self.cost.gain_margin == 1.0:
+            return values
+        lower, upper = np.array([(each.parameter.lower, each.parameter.upper) for each in self.space.swept]).T
+        return np.concatenate([values, np.clip(values * self._gain_factors(), lower, upper)])
+
+    def _combine(self, costs: Vector) -> tuple[Vector, Vector]:
+        """Combine costs, shape (scenarios, rows), to one for each set of values; also the weight of each in it."""
+        count, rows = costs.shape
+        sets = rows if self.cost.gain_margin == 1.0 else rows // 2
+        costs = np.where(np.isfinite(costs), np.minimum(costs, FAILED_COST), FAILED_COST)
+        shares = np.zeros_like(costs)
+        if self.cost.worst:
+            shares[np.argmax(costs, axis=0), np.arange(rows)] = 1.0
+        else:
+            shares[:] = 1.0 / count
+        total = np.where(np.any(costs >= FAILED_COST, axis=0), FAILED_COST, np.sum(shares * costs, axis=0)).reshape(
+            -1, sets
+        )
+        worse = np.argmax(total, axis=0)
+        chosen = np.arange(total.shape[0])[:, None] == worse
+        return total[worse, np.arange(sets)], shares * chosen.reshape(-1)
+
+    def _table(self, rows: Vector) -> Table:
+        return {name: rows[:, i] for i, name in enumerate(self.space.names)}
+
+    def _valid(self, scenario: Scenario, rows: Vector) -> tuple[NDArray[np.bool_], Vector]:
+        """Mask of the valid rows, and the rows with invalid ones replaced by a valid one."""
+        good = valid_rows(scenario, self._table(rows))
+        return good, rows if good.all() else np.where(good[:, None], rows, rows[np.argmax(good)])
+
+    def _metrics(self, scenario: Scenario, rows: Vector, workers: int) -> dict[str, Vector]:
+        good, rows = self._valid(scenario, rows)
+        if not good.any():
+            return {name: np.full(len(rows), np.nan) for name in self.cost.metrics}
+        table = self._table(rows)
+        found = run_many(scenario, table, known=self.known, metrics=self.cost.metrics, workers=workers).metrics
+        return {name: np.where(good, values, np.nan) for name, values in found.items()}
+
+    def _derivatives(self, scenario: Scenario, rows: Vector) -> tuple[Vector, Vector]:
+        """Cost of each row, and its derivatives of shape (rows, parameters)."""
+        good, rows = self._valid(scenario, rows)
+        if not good.any():
+            return np.full(len(rows), np.nan), np.zeros_like(rows)
+        many = batched(scenario, self._table(rows), known=self.known)
+        leaves = [self._leaves(scenario, each) for each in self.space.swept]
+        found = differentiate(
+            many.plant(),
+            many.control(),
+            many.reference(),
+            [leaf for some in leaves for leaf in some],
+            metrics=self.cost.metrics,
+            duration=scenario.duration,
+            control_period=scenario.control_period,
+            substeps=scenario.substeps,
+            initial=initial_state(many),
+        )
+        slopes = [
+            sum(
+                term.weight / term.scale * found.gradients[term.metric][leaf]
+                for term in self.cost.terms
+                for leaf in some
+            )
+            for some in leaves
+        ]
+        return np.where(good, self.cost(found.values), np.nan), np.stack(slopes, axis=1)
+
+    def _leaves(self, scenario: Scenario, each: SweptParameter) -> list[str]:
+        """Tree paths of the leaves of plant, controller, reference and start that hold a parameter."""
+        key = (id(scenario), each.name)
+        if key not in self._leaf_names:
+            self._leaf_names[key] = self._find_leaves(scenario, each)
+        return self._leaf_names[key]
+
+    def _find_leaves(self, scenario: Scenario, each: SweptParameter) -> list[str]:
+        for low, high in ((0.4, 0.6), (0.1, 0.2), (0.8, 0.9)):
+            pair = each.distribution.ppf([low, high])
+            if valid_rows(scenario, {each.name: pair}).all():
+                break
+        many = batched(scenario, {each.name: pair}, known=self.known)
+        varying, _, _ = split_problem(many.plant(), many.control(), many.reference(), initial_state(many), {})
+        leaves = named_leaves(varying._asdict()) if varying else {}
+        if not leaves or not all(np.array_equal(leaf, pair) for leaf in leaves.values()):
+            raise ParameterError(f"{each.name} has no gradient", remedy="use cma or evolution for it")
+        return list(leaves)
+
+
+def _check_steps(scenario: Scenario) -> None:
+    stiffness = scenario.signals.stiffness
+    if stiffness.step is None and stiffness.samples is None:
+        raise ParameterError(
+            f"coupling is not defined for {scenario.name!r}: its desired stiffness never steps",
+            remedy="leave it out of the cost, or give the stiffness a step",
+        )

@@ -1,0 +1,158 @@
+"""Journals: appended records survive a kill, a torn end and damage in the middle."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mckibben.errors import FileError
+from mckibben.storage import journal as module
+from mckibben.storage.journal import HEADER, Journal, JournalReader, header_differences, pack, pack_json, read_header
+
+ITEM = b"I"
+ABOUT = {"format": "test journal", "version": 1, "seed": 3}
+
+
+def content_of(number):
+    return np.random.default_rng(number).bytes(50 + 13 * number)
+
+
+@pytest.fixture
+def filled(tmp_path):
+    path = tmp_path / "a.journal"
+    with Journal.create(path, ABOUT) as journal:
+        for number in range(20):
+            journal.append(pack(ITEM, number, content_of(number)))
+    return path
+
+
+def numbers(path):
+    records = [record for record in JournalReader(path) if record.kind == ITEM]
+    assert all(record.payload == content_of(record.number) for record in records)
+    return [record.number for record in records]
+
+
+def test_what_is_appended_is_read_back(filled):
+    assert numbers(filled) == list(range(20))
+    assert JournalReader(filled).header() == read_header(filled, "test journal", 1) == ABOUT
+
+
+def test_a_journal_cut_anywhere_keeps_its_complete_records_and_goes_on(filled):
+    content = filled.read_bytes()
+    ends = np.cumsum([len(pack_json(HEADER, 0, ABOUT)), *(32 + len(content_of(number)) for number in range(20))])
+    for cut in np.random.default_rng(0).integers(ends[0], len(content), 40).tolist():
+        filled.write_bytes(content[:cut])
+        kept = list(range(int(np.searchsorted(ends, cut, side="right")) - 1))
+        assert numbers(filled) == kept
+        reader = JournalReader(filled)
+        assert ([record.number for record in reader if record.kind == ITEM], reader.damaged) == (kept, 0)
+        journal = Journal.resume(reader)
+        journal.append(pack(ITEM, 99, content_of(99)))
+        journal.close()
+        assert numbers(filled) == [*kept, 99]
+
+
+def test_damage_costs_the_records_that_it_hits_and_is_counted(filled):
+    content = filled.read_bytes()
+    for place in np.random.default_rng(1).integers(len(pack_json(HEADER, 0, ABOUT)), len(content) - 400, 40).tolist():
+        changed = bytearray(content)
+        changed[place] ^= 0x20
+        filled.write_bytes(bytes(changed))
+        reader = JournalReader(filled)
+        found = [record.number for record in reader if record.kind == ITEM]
+        assert len(found) == 19 and reader.damaged == 1 and reader.end == len(content)
+
+
+def test_a_window_without_a_record_is_searched_in_parts(tmp_path, monkeypatch):
+    path = tmp_path / "a"
+    for length in range(60, 80):
+        path.write_bytes(bytes(length) + pack(ITEM, 5, content_of(5)))
+        monkeypatch.setattr(module, "_WINDOW", 64)
+        assert numbers(path) == [5]
+
+
+def test_a_failed_append_leaves_nothing(filled, monkeypatch):
+    size, write = filled.stat().st_size, module._write_at
+
+    def full(file, position, content):
+        write(file, position, content[:20])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    reader = JournalReader(filled)
+    list(reader)
+    with Journal.resume(reader) as journal:
+        monkeypatch.setattr(module, "_write_at", full)
+        with pytest.raises(OSError, match="No space left"):
+            journal.append(pack(ITEM, 20, content_of(20)))
+        assert filled.stat().st_size == size
+        monkeypatch.undo()
+        journal.append(pack(ITEM, 20, content_of(20)))
+    assert numbers(filled) == list(range(21))
+
+
+def test_an_existing_file_is_not_taken(filled):
+    with pytest.raises(FileError):
+        Journal.create(filled, ABOUT)
+    assert numbers(filled) == list(range(20))
+
+
+@pytest.mark.parametrize("content", [b"", b"text", pack(ITEM, 0, b"{}"), pack_json(HEADER, 0, {"format": "other"})])
+def test_another_file_has_no_header_of_ours(tmp_path, content):
+    (tmp_path / "a").write_bytes(content)
+    with pytest.raises(FileError) as refused:
+        read_header(tmp_path / "a", "test journal", 1)
+    assert "it is no test journal" in refused.value.problems[0].message
+    (tmp_path / "a").write_bytes(pack_json(HEADER, 0, {**ABOUT, "version": 2}))
+    with pytest.raises(FileError) as refused:
+        read_header(tmp_path / "a", "test journal", 1)
+    assert "version 2" in refused.value.problems[0].message
+
+
+def test_differences_name_the_item_that_differs():
+    kept = {"seed": 1, "over": ["a", "b"], "software": {"jax": "1", "numpy": "2"}, "text": "a: 1\nb: 2\n", "same": 0}
+    wanted = {"seed": 2, "over": ["a"], "software": {"jax": "1", "numpy": "3"}, "text": "a: 1\nb: 3\n", "same": 0}
+    found = header_differences(kept, wanted, "the job", remedy="start anew")
+    assert [(problem.field, problem.message) for problem in found] == [
+        ("seed", "the job was begun with 1, not 2"),
+        ("over", "the job was begun with b too"),
+        ("numpy", "the job was begun with 2, not 3"),
+        ("text", "the job was begun with 'b: 2', not 'b: 3'"),
+    ]
+    assert not header_differences(kept, kept, "the job", remedy="")
+
+
+JOB = """
+import sys
+from pathlib import Path
+import numpy as np
+from mckibben.storage.journal import Journal, JournalReader, pack
+path = Path(sys.argv[1])
+if path.exists():
+    reader = JournalReader(path)
+    kept = len(list(reader)) - 1
+    journal = Journal.resume(reader)
+else:
+    kept = 0
+    journal = Journal.create(path, {"format": "test journal", "version": 1, "seed": 3})
+for number in range(kept, 400):
+    if number == kept + 60:
+        print("under way", flush=True)
+    journal.append(pack(b"I", number, np.random.default_rng(number).bytes(50 + 13 * number)))
+"""
+
+
+def test_a_job_killed_again_and_again_ends_with_the_same_bytes(tmp_path):
+    for name, kills in (("calm", 0), ("killed", 3)):
+        for _ in range(kills):
+            job = subprocess.Popen([sys.executable, "-c", JOB, str(tmp_path / name)], stdout=subprocess.PIPE)
+            with job:
+                job.stdout.readline()
+                job.send_signal(signal.SIGKILL)
+            assert 0 < len(numbers(tmp_path / name)) < 400
+        subprocess.run([sys.executable, "-c", JOB, str(tmp_path / name)], check=True, stdout=subprocess.DEVNULL)
+    assert (tmp_path / "killed").read_bytes() == (tmp_path / "calm").read_bytes()
+    assert numbers(tmp_path / "killed") == list(range(400))
