@@ -93,16 +93,16 @@ def test_sensors_without_faults_and_pushes_of_nothing_change_nothing(heard, plan
         np.testing.assert_allclose(getattr(plain[0].state, name), getattr(ours[0].state, name), rtol=1e-12, atol=1e-14)
     np.testing.assert_array_equal(plain[1], np.stack([plain[0].state.angle, *plain[0].state.pressures], axis=1))
     np.testing.assert_allclose(plain[1], ours[1], rtol=1e-12)
-    sheltered = JointPlant(plant.joint, plant.load, plant.valve)
-    state, told = sheltered.sample(START, PERIOD)
-    assert sheltered.complete_state(START) == state == START
+    ideal = JointPlant(plant.joint, plant.load, plant.valve)
+    state, told = ideal.sample(START, PERIOD)
+    assert ideal.complete_state(START) == state == START
     assert told == (START.angle, START.pressures)
 
 
 def test_a_run_that_goes_on_hears_and_feels_what_comes_next(heard, alone):
     _, _, final = alone
     record, seen, _ = heard(start=final)
-    assert np.asarray(record.state.io.index).tolist() == list(range(PERIODS + 1, 2 * PERIODS + 1))
+    assert np.asarray(record.state.io.sample).tolist() == list(range(PERIODS + 1, 2 * PERIODS + 1))
     np.testing.assert_array_equal(seen[0], np.stack(jax.tree.leaves(final.io.sensors)))
     off = seen[1:, 1] - np.asarray(record.state.pressures[0])[:-1]
     before = alone[1][1:, 1] - np.asarray(alone[0].state.pressures[0])[:-1]

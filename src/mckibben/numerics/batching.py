@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
@@ -24,6 +24,7 @@ from mckibben.errors import ParameterError
 
 Tree = TypeVar("Tree")
 R = TypeVar("R")
+P = ParamSpec("P")
 
 RANK = "rank"
 """Metadata key of a field that holds arrays in a single run, such as samples over time: their number of axes."""
@@ -232,7 +233,6 @@ def _descend(tree: Any, steps: tuple[str, ...]) -> Any:
 
 _BATCHED: ContextVar[bool] = ContextVar("batched program", default=False)
 _ROLLED: ContextVar[bool] = ContextVar("rolled integration stages", default=False)
-_GUARD: ContextVar[Any] = ContextVar("positive traced number", default=None)
 
 
 @contextmanager
@@ -246,38 +246,45 @@ def batched_program(*, rolled: bool = True) -> Iterator[None]:
         _ROLLED.reset(tokens[1])
 
 
-@contextmanager
-def guarded(positive: ArrayLike) -> Iterator[None]:
-    """Set the condition of the branches of `compute_once`: a positive traced number, the same for all runs."""
-    token = _GUARD.set(positive)
-    try:
-        yield
-    finally:
-        _GUARD.reset(token)
-
-
 def trace_mode() -> tuple[bool, bool]:
     """The context that makes another program of the same function: whether batched, and whether stages are rolled."""
     return _BATCHED.get(), _ROLLED.get()
 
 
 def compute_once(function: Callable[..., R], *args: object) -> R:
-    """`function(*args)`; in a batched program in a branch, so that XLA does not compute it anew in every use.
+    """`function(*args)`; in a program for many runs in a branch, so that XLA does not repeat it in each use.
 
-    The function is pure and its answers are arrays. XLA cannot know the condition, and so cannot remove the branch.
+    The function is pure and its results are arrays. A constant behind a barrier is the condition, so that XLA cannot
+    remove the branch.
 
     Examples
     --------
-    >>> with batched_program(), guarded(0.001):
+    >>> with batched_program():
     ...     float(compute_once(lambda x: 2 * x, jnp.asarray(3.0)))
     6.0
     """
-    guard = _GUARD.get()
-    if not _BATCHED.get() or guard is None:
+    if not _BATCHED.get():
         return function(*args)
-    shapes = jax.eval_shape(function, *args)
-    zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
-    return lax.cond(jnp.asarray(guard) > 0, lambda *given: function(*given), lambda *_: zeros, *args)
+
+    def call() -> R:
+        token = _BATCHED.set(False)  # one branch is enough
+        try:
+            return function(*args)
+        finally:
+            _BATCHED.reset(token)
+
+    zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(call))
+    return lax.cond(lax.optimization_barrier(jnp.asarray(1.0)) > 0, call, lambda: zeros)
+
+
+def computed_once(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator for functions and methods that are always called by `compute_once`."""
+
+    @functools.wraps(function)
+    def once(*args: P.args, **kwargs: P.kwargs) -> R:
+        return compute_once(lambda: function(*args, **kwargs))
+
+    return once
 
 
 def apart(function: Callable[..., R], *args: object, witness: ArrayLike) -> R:

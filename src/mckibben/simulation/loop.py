@@ -13,7 +13,6 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Controller, Setpoint
-from mckibben.numerics.batching import guarded
 from mckibben.numerics.compiled import compiled_as_given
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.metrics import (
@@ -95,8 +94,7 @@ def episode(
     def next_period(state: LoopState, setpoint: Setpoint) -> tuple[LoopState, Record]:
         return control_period(plant, controller, state, setpoint, period, substeps)
 
-    with guarded(period):
-        (final, _), record = lax.scan(next_period, initial_loop(plant, controller, initial), setpoints)
+    (final, _), record = lax.scan(next_period, initial_loop(plant, controller, initial), setpoints)
     return final, record
 
 
@@ -193,15 +191,14 @@ def streaming_episode(
         return carry, {name: values[0] for name, values in kept.items()}
 
     rows = jnp.arange(periods), setpoints
-    with guarded(period):
-        loop = initial_loop(plant, controller, initial)
-        zero = jnp.zeros_like(jnp.asarray(initial.angle))
-        carry = _Carry(loop, loop, MetricAccumulator.empty(zero), zero, (zero, zero))
-        if every == 1 or not keep:
-            carry, kept = lax.scan(next_period, carry, rows)
-        else:
-            blocks = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), rows)
-            carry, kept = lax.scan(block, carry, blocks)
+    loop = initial_loop(plant, controller, initial)
+    zero = jnp.zeros_like(jnp.asarray(initial.angle))
+    carry = _Carry(loop, loop, MetricAccumulator.empty(zero), zero, (zero, zero))
+    if every == 1 or not keep:
+        carry, kept = lax.scan(next_period, carry, rows)
+    else:
+        blocks = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), rows)
+        carry, kept = lax.scan(block, carry, blocks)
     metrics = carry.total.metrics(change, periods, period)
     if split is None:
         metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))
