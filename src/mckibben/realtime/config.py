@@ -124,7 +124,7 @@ class Connected:
         """Volts of angle and pressures, of those of all inputs."""
         return [volts[line.column] for line in self._lines]
 
-    def seen(self, volts: Sequence[float]) -> JointReading:
+    def reading(self, volts: Sequence[float]) -> JointReading:
         """Reading of one sample; NaN for a lost sensor."""
         return JointReading(
             *(

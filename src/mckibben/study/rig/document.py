@@ -27,7 +27,7 @@ from mckibben.units import (
 )
 
 
-class MuscleSpec(ConfigModel):
+class TestedMuscleSpec(ConfigModel):
     """Specimen under test.
 
     With a `law` the boundaries of the test follow from it; without one the test finds them.
@@ -144,7 +144,7 @@ class RigTest(ConfigModel):
     """
 
     name: Title = Field(examples=["isobaric test of a new muscle"])
-    muscle: MuscleSpec
+    muscle: TestedMuscleSpec
     rig: RigSpec
     limits: LimitsSpec
     recording: RecordingSpec = RecordingSpec()
