@@ -14,7 +14,7 @@ from mckibben.units import deg
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "tests" / "small-suite.yaml").read_text(encoding="utf-8")
-WISHES = ("sine and step", "angle step", "both move")
+REFERENCES = ("sine and step", "angle step", "both move")
 WITHOUT_LAG = (("  - valve.time_constant=10..50 ms\n", ""),)
 
 
@@ -52,8 +52,8 @@ def test_what_a_suite_says_comes_back(suite, tmp_path):
     assert Suite.parse(changed(("valve: {time_constant: 20 ms}", "valve: ideal"), *WITHOUT_LAG)).valve is None
 
 
-def test_a_run_starts_at_rest_where_its_wish_begins(suite):
-    starts = {wish: suite.scenario("PID 3", wish).start for wish in WISHES}
+def test_a_run_starts_at_rest_where_its_reference_begins(suite):
+    starts = {name: suite.scenario("PID 3", name).start for name in REFERENCES}
     assert [start.angle for start in starts.values()] == pytest.approx([5 * deg, 0.0, 1 * deg], abs=1e-15)
     assert {start.stiffness for start in starts.values()} == {None}
 
@@ -108,7 +108,7 @@ MISTAKES = {
         ("conditions[0]", "load.mass2", "not a parameter of the plant"),
     ),
     "condition unknown": (("load.mass2=+-50 %", "load.mas2=+-50 %"), ("conditions[0]", "load.mass2", "load.mas2")),
-    "condition of the wish": (
+    "condition of the reference": (
         ("load.mass2=+-50 %", "reference.angle.before=1..2 deg"),
         ("conditions[0]", "load.mass2", ""),
     ),
@@ -116,11 +116,11 @@ MISTAKES = {
         ("sensors.delay=0, 1", "load.m2=1..2 kg"),
         ("conditions", "conditions:", "about the same number"),
     ),
-    "wish over": (
+    "reference over": (
         ("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]"),
         ("references.both move.over[0]", "2..6 Hz", "not a parameter of the reference"),
     ),
-    "wish over twice": (
+    "reference over twice": (
         (
             "[reference.stiffness.frequency=2..6 Hz log]",
             "[reference.stiffness.frequency=2..6 Hz log, reference.stiffness.frequency=2..3 Hz]",
