@@ -85,11 +85,11 @@ class BenchmarkResult:
     def metric(self, controller: str, name: str) -> Vector:
         """A metric [SI] of each run that started; NaN where the controller was unstable."""
         batch = self.batches[controller]
-        return np.where(batch.lost, np.nan, batch.metrics[name])[self.started]
+        return np.where(batch.failed, np.nan, batch.metrics[name])[self.started]
 
     def unstable(self, controller: str) -> NDArray[np.bool_]:
         """Mask of the runs that started and in which the controller was unstable."""
-        return self.batches[controller].lost[self.started]
+        return self.batches[controller].failed[self.started]
 
     def cost(self, controller: str) -> Vector:
         """Cost of each run that started; 1e6 where the controller was unstable."""
@@ -194,7 +194,7 @@ class ControllerTuning:
         control = _controller(self.runs, self.controller, table)
         batch = _simulated(self.runs, control, len(values), self.suite.cost.metrics)
         found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
-        found = np.where(np.isfinite(found) & ~batch.lost, np.minimum(found, FAILED_COST), FAILED_COST)
+        found = np.where(np.isfinite(found) & ~batch.failed, np.minimum(found, FAILED_COST), FAILED_COST)
         started = _started(batch)
         if not started.any():
             raise _none_starts("training")

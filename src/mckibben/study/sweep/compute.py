@@ -23,11 +23,11 @@ import mckibben
 from mckibben.control.base import Reference
 from mckibben.errors import McKibbenError, ParameterError, SimulationError
 from mckibben.joint.attainable import is_affine
-from mckibben.numerics.batching import cores, lanes_of, padded, worked_off
+from mckibben.numerics.batching import cores, lanes_of, map_chunks, pad_chunk
 from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant
 from mckibben.simulation.feasibility import attainable_band
-from mckibben.simulation.loop import sampling_times, wishes_at
+from mckibben.simulation.problem import sample_reference, sampling_times
 from mckibben.study.parameters import Table, batched
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_many
@@ -82,7 +82,7 @@ def feasibility(scenario: Scenario, table: Table, size: int) -> dict[str, NDArra
     parts = []
     for start in range(0, rows, size):
         piece = slice(start, min(start + size, rows))
-        found = _feasibility(padded(varied, piece, size), shared, instants, size)
+        found = _feasibility(pad_chunk(varied, piece, size), shared, instants, size)
         parts.append({name: np.asarray(value)[: piece.stop - start] for name, value in found.items()})
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
@@ -93,7 +93,7 @@ def _feasibility(varied: _Case, shared: _Case, instants: ArrayLike, size: int) -
 
     def shortfall(lane: _Case, instant: Array) -> Array:
         plant, reference = eqx.combine(lane, shared)
-        setpoint = wishes_at(reference, instant)
+        setpoint = sample_reference(reference, instant)
         low, high = attainable_band(plant, setpoint.angle)
         return jnp.maximum(low - setpoint.stiffness, setpoint.stiffness - high)
 
@@ -167,7 +167,7 @@ class BatchTask:
             full,
             known=self.known,
             metrics=self.metrics,
-            precision=jnp.float32 if self.precision == 32 else jnp.float64,
+            precision=self.precision,
             chunk=self.batch_size,
             workers=1,
         )
@@ -204,7 +204,7 @@ def compute_on_threads(
         keep(block, task(table))
         return block
 
-    finished = worked_off(compute, len(listed), 1, workers)
+    finished = map_chunks(compute, len(listed), 1, workers)
     with closing(finished):  # type: ignore[arg-type]  # it is a generator
         for _, block in finished:
             yield block

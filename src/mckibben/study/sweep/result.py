@@ -112,7 +112,7 @@ class SweepResult:
     @property
     def failed(self) -> NDArray[np.bool_]:
         """Mask of the runs that were unstable, diverged or could not start."""
-        return np.array([outcome.lost for outcome in OUTCOMES])[self.table["outcome"].to_numpy()]
+        return np.array([outcome.failed for outcome in OUTCOMES])[self.table["outcome"].to_numpy()]
 
     def scenario(self, run: int, *, folder: str | os.PathLike[str] = ".") -> Scenario:
         """Scenario of one run; its controller's model is written out if the plant varied.

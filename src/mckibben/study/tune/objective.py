@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError, UnitError, suggest
-from mckibben.numerics.batching import by_name, cores
+from mckibben.numerics.batching import cores, named_leaves
 from mckibben.simulation import Metrics, differentiate
-from mckibben.simulation.loop import described
+from mckibben.simulation.problem import split_problem
 from mckibben.simulation.result import attributes
 from mckibben.study.parameters import (
     Known,
@@ -344,8 +344,8 @@ class TuningProblem:
             if valid_rows(scenario, {each.name: pair}).all():
                 break
         many = batched(scenario, {each.name: pair}, known=self.known)
-        varying, _, _ = described(many.plant(), many.control(), many.reference(), initial_state(many), {})
-        leaves = by_name(varying._asdict())
+        varying, _, _ = split_problem(many.plant(), many.control(), many.reference(), initial_state(many), {})
+        leaves = named_leaves(varying._asdict()) if varying else {}
         if not leaves or not all(np.array_equal(leaf, pair) for leaf in leaves.values()):
             raise ParameterError(f"{each.name} has no gradient", remedy="use cma or evolution for it")
         return list(leaves)
