@@ -174,7 +174,7 @@ FORBIDDEN = [
         PID,
         {"joint.geometry.joint_length": [0.37, 0.4], "joint.connector_length": [0.39, 0.39]},
         0,
-        "connector_length 390 mm.* leaves no room",
+        "connector_length 390 mm.* leaves no",
     ),
     (PID, {"joint.geometry.joint_length": [0.37, 20.0]}, 1, "joint_length is 20"),
     (PID, {"controller.position.kp": [1e5, -1e5, 2e5]}, 1, "differ in sign"),

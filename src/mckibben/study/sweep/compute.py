@@ -167,7 +167,7 @@ class BatchTask:
             full,
             known=self.known,
             metrics=self.metrics,
-            precision=jnp.float32 if self.precision == 32 else jnp.float64,
+            precision=self.precision,
             chunk=self.batch_size,
             workers=1,
         )
