@@ -246,8 +246,8 @@ def test_on_unseen_conditions_it_is_far_better_than_a_tuned_pid(knee, load, plan
             substeps=2,
             metrics=("angle_rmse", "stiffness_rmse"),
         )
-        angle = np.where(batch.lost, np.inf, batch.metrics["angle_rmse"] / deg)
-        return angle, np.where(batch.lost, np.inf, batch.metrics["stiffness_rmse"])
+        angle = np.where(batch.failed, np.inf, batch.metrics["angle_rmse"] / deg)
+        return angle, np.where(batch.failed, np.inf, batch.metrics["stiffness_rmse"])
 
     (before, stiffness_before), (after, stiffness_after) = metrics(pid), metrics(eso(knee, load, 80.0, 250.0))
     assert np.isfinite(after).all()

@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 RANK_TOLERANCE = 1e-10
-"""Of the largest singular value: below it, a combination of parameters changes no force that can be measured."""
+"""Relative to the largest singular value; combinations of parameters below it change no measurable force."""
 
 
 @dataclass(frozen=True, eq=False)

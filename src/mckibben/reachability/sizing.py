@@ -25,14 +25,8 @@ from mckibben.plant import JointPlant
 from mckibben.reachability.static import AttainableRange, StaticEnvelope, Values, static_envelope
 from mckibben.units import deg, mm, percent
 
-DESIGN_LENGTHS = (
-    "connector_length",
-    "joint_radius",
-    "joint_length",
-    "muscle_length",
-    "muscle1_length",
-    "muscle2_length",
-)
+_GEOMETRY, _MUSCLES = ("connector_length", "joint_radius", "joint_length"), ("muscle1_length", "muscle2_length")
+DESIGN_LENGTHS = (*_GEOMETRY, "muscle_length", *_MUSCLES)
 """Design variables by name; `muscle_length` is the initial length of both muscles."""
 
 CONSTRAINTS = (
@@ -76,15 +70,12 @@ class DesignTarget:
 
     def __post_init__(self) -> None:
         for name, (low, high) in (("stiffness", self.stiffness), ("angles", self.angles)):
-            if not (np.isfinite(low) and np.isfinite(high) and low <= high):
-                raise ParameterError(
-                    f"{name} from {low:g} to {high:g}",
-                    value=(low, high),
-                    remedy="give two finite numbers, the lower first",
-                )
-        if max(map(abs, self.angles)) > 80 * deg:
+            if not -np.inf < low <= high < np.inf:
+                remedy = "give two finite numbers, the lower first"
+                raise ParameterError(f"{name} from {low:g} to {high:g}", value=(low, high), remedy=remedy)
+        if (largest := max(map(abs, self.angles))) > 80 * deg:
             raise ParameterError(
-                f"angles reach {max(map(abs, self.angles)) / deg:.4g} deg",
+                f"angles reach {largest / deg:.4g} deg",
                 lower=-80.0,
                 upper=80.0,
                 unit="deg",
@@ -96,11 +87,7 @@ class DesignTarget:
             )
 
     def describe(self) -> str:
-        """The target as text.
-
-        >>> DesignTarget((12.0, 18.0), (-20 * deg, 20 * deg)).describe()
-        'stiffness 12..18 N*m/rad over -20..20 deg'
-        """
+        """The target as text."""
         (low, high), (first, last) = self.stiffness, self.angles
         reserve = f", torque reserve {self.torque_reserve:g} N*m" if self.torque_reserve else ""
         return f"stiffness {low:g}..{high:g} N*m/rad over {first / deg:g}..{last / deg:g} deg{reserve}"
@@ -109,12 +96,7 @@ class DesignTarget:
 def parse_target(text: str, *, torque_reserve: float = 0.0) -> DesignTarget:
     """Parse a target such as "stiffness 12..18 N*m/rad over -20..20 deg"; a single value is a range of no width.
 
-    Raises
-    ------
-    ParameterError
-        If the text has another form.
-    UnitError
-        If a range has another unit.
+    Raises ParameterError for another form, UnitError for another unit.
     """
     found = _TARGET.fullmatch(text.strip())
     if not found:
@@ -166,12 +148,7 @@ def parse_variable(text: str) -> DesignVariable:
     >>> parse_variable("joint_radius=20..40 mm")
     DesignVariable(name='joint_radius', lower=0.02, upper=0.04)
 
-    Raises
-    ------
-    ParameterError
-        If the text has another form or names no length.
-    UnitError
-        If the range has another unit.
+    Raises ParameterError for another form or name, UnitError for another unit.
     """
     name, equals, bounds = (part.strip() for part in text.partition("="))
     if not equals or ".." not in bounds:
@@ -199,11 +176,10 @@ def with_lengths(plant: JointPlant, lengths: Mapping[str, ArrayLike]) -> JointPl
 
 
 def _leaves(plant: JointPlant, name: str) -> list[object]:
-    joint = plant.joint
-    if not name.startswith("muscle"):
-        return [getattr(joint.geometry, name)]
-    one = {"muscle1_length": [joint.muscle1], "muscle2_length": [joint.muscle2]}
-    return [muscle.specimen.initial_length for muscle in one.get(name, [joint.muscle1, joint.muscle2])]
+    if name in _GEOMETRY:
+        return [getattr(plant.joint.geometry, name)]
+    lengths: list[object] = [m.specimen.initial_length for m in (plant.joint.muscle1, plant.joint.muscle2)]
+    return [lengths[_MUSCLES.index(name)]] if name in _MUSCLES else lengths
 
 
 def constraint_margins(
@@ -214,21 +190,7 @@ def constraint_margins(
     torque_reserve: ArrayLike,
     minimum_tension: ArrayLike,
 ) -> Array:
-    """Scaled margins of `CONSTRAINTS`, shape (7, 2 torques, angles); negative where violated.
-
-    Parameters
-    ----------
-    plant
-        Joint and load; laws affine in pressure, rigid tendons.
-    lengths
-        Replace those of the plant [m], by name.
-    angle
-        Shape (angles,) [rad].
-    stiffness
-        Lowest and highest target [N*m/rad].
-    torque_reserve, minimum_tension
-        [N*m], [N].
-    """
+    """Scaled margins of `CONSTRAINTS`, shape (7, 2 torques, angles); negative where violated."""
     angle, stiffness, torque_reserve = floating(angle), floating(stiffness), floating(torque_reserve)
     plant = with_lengths(plant, lengths)
     joint = plant.joint
@@ -306,12 +268,10 @@ class Design:
 
     Attributes
     ----------
-    target
-        The target.
+    target, plant
+        The target, and the plant with the optimised lengths.
     lengths, initial
         Optimised and initial lengths [m], by name.
-    plant
-        The plant with these lengths.
     margin
         Smallest of the `constraint_margins`; the target is attained if it is not negative.
     active

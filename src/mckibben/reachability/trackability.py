@@ -27,7 +27,7 @@ from mckibben.reachability.trajectory import (
     smoothed,
 )
 from mckibben.simulation.feasibility import attainable_band
-from mckibben.simulation.loop import sampling_times
+from mckibben.simulation.problem import sampling_times
 from mckibben.units import deg
 
 MAX_SMOOTHING = 0.25
