@@ -37,7 +37,7 @@ CYCLES = (1, 2, 3, 5, 8)
 
 
 def looking_ahead():
-    """How far beyond the wish a joint goes after a step of the angle."""
+    """How far beyond the reference a joint goes after a step of the angle."""
     print("| | inverse | predictive | and 120 ms ahead |\n|---|---|---|---|")
     for step, lag in ((20, 100), (40, 100), (40, 20)):
         plant = JointPlant(KNEE, LOAD, FirstOrderValve(lag * ms))
@@ -49,12 +49,12 @@ def looking_ahead():
             PredictiveControl(*parts, bandwidth=80.0, horizon=120 * ms, **believed),
         )
         half = step / 2 * deg
-        wish = Reference(angle=Step(-half, half, 0.5), stiffness=16.5)
+        reference = Reference(angle=Step(-half, half, 0.5), stiffness=16.5)
         cells = []
         for control in controllers:
-            angle = simulate(plant, control, wish, duration=1.5).columns["angle"]
+            angle = simulate(plant, control, reference, duration=1.5).columns["angle"]
             cells.append(f"{(angle[500:].max() - half) / deg:.2g} deg")
-        print(f"| step of {step} deg, valves of {lag} ms: beyond the wish by | " + " | ".join(cells) + " |", flush=True)
+        print(f"| step of {step} deg, valves of {lag} ms: overshoot | " + " | ".join(cells) + " |", flush=True)
 
 
 def learning():
@@ -68,15 +68,15 @@ def learning():
         "the model's inverse, no learning": InverseModelControl(loops, LOAD, learning_rate=0.0),
         "the same, 10 1/s": InverseModelControl(loops, LOAD, learning_rate=10.0),
     }
-    wish = Reference(angle=Sine(10 * deg, 0.5, 0.0, np.pi / 2), stiffness=15.0)
+    reference = Reference(angle=Sine(10 * deg, 0.5, 0.0, np.pi / 2), stiffness=15.0)
     print("| cycle | " + " | ".join(map(str, CYCLES)) + " |\n|---|" + "---|" * len(CYCLES))
     for name, control in controllers.items():
         asked = {"metrics": ("angle_rmse",), "keep": ("angle",), "every": 10 * ms, "substeps": 2}
-        batch = simulate_many(runs.plant, control, wish, duration=16.0, **asked)
-        error = batch.table["angle"].to_numpy() - np.asarray(wish.angle(batch.table["time"].to_numpy()))
+        batch = simulate_many(runs.plant, control, reference, duration=16.0, **asked)
+        error = batch.table["angle"].to_numpy() - np.asarray(reference.angle(batch.table["time"].to_numpy()))
         by_cycle = np.sqrt(np.mean(error.reshape(len(error), -1, 200) ** 2, axis=2))
         cells = [f"{np.median(by_cycle[:, cycle - 1]) / deg:.2f}" for cycle in CYCLES]
-        assert not batch.lost.any(), f"{name} lost {batch.lost.sum()} runs"
+        assert not batch.failed.any(), f"{name} lost {batch.failed.sum()} runs"
         print(f"| {name} | " + " | ".join(cells) + " deg |", flush=True)
 
 

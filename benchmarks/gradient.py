@@ -38,7 +38,7 @@ def gradient(problem: Problem, folder: Path, *, quick: bool) -> Table:
     truth: list[NDArray[np.float64]] = []
 
     def own() -> Candidate:
-        traced = jax.device_put(numeric((problem.plant, problem.pid, problem.wishes, problem.start, PERIOD)))
+        traced = jax.device_put(numeric((problem.plant, problem.pid, problem.setpoints, problem.start, PERIOD)))
 
         def run() -> object:
             return jax.block_until_ready(compiled_episode(*traced, SUBSTEPS))

@@ -18,7 +18,7 @@ from mckibben import catalog
 from mckibben.control import PID, BackpropPID, Controller, PositionStiffnessControl, Reference, Setpoint, Sine, Step
 from mckibben.joint import AntagonisticJoint, KneeGeometry
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState
-from mckibben.simulation.loop import sampled
+from mckibben.simulation import sampled
 from mckibben.units import bar, deg, mm, ms
 
 PERIODS, PERIOD, SUBSTEPS = 10_000, 1 * ms, 4
@@ -65,28 +65,28 @@ class Numbers(NamedTuple):
 
 @dataclass(frozen=True)
 class Problem:
-    """A plant, its controllers and wishes, and the state it starts from."""
+    """A plant, its controllers and setpoints, and the state it starts from."""
 
     plant: JointPlant
     pid: PositionStiffnessControl
     bp: PositionStiffnessControl
-    wishes: Setpoint
+    setpoints: Setpoint
     start: PlantState
 
     @property
     def periods(self) -> int:
         """How many control periods it lasts."""
-        return len(self.wishes.angle)
+        return len(self.setpoints.angle)
 
     @property
     def wanted(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The desired angle and stiffness at the start of each period."""
-        return np.array(self.wishes.angle, float), np.array(self.wishes.stiffness, float)
+        return np.array(self.setpoints.angle, float), np.array(self.setpoints.stiffness, float)
 
     @property
     def first(self) -> NDArray[np.float64]:
         """The state at the start: angle, velocity, p1, p2."""
-        return np.array([float(value) for value in self.start[:4]])
+        return np.array([float(value) for value in (self.start.angle, self.start.velocity, *self.start.pressures)])
 
     @property
     def numbers(self) -> Numbers:
@@ -95,8 +95,8 @@ class Problem:
 
     def shortened(self, periods: int) -> Problem:
         """The first so many control periods."""
-        wishes = Setpoint(self.wishes.angle[:periods], self.wishes.stiffness[:periods])
-        return Problem(self.plant, self.pid, self.bp, wishes, self.start)
+        setpoints = Setpoint(self.setpoints.angle[:periods], self.setpoints.stiffness[:periods])
+        return Problem(self.plant, self.pid, self.bp, setpoints, self.start)
 
 
 def reference_problem() -> Problem:
@@ -105,12 +105,12 @@ def reference_problem() -> Problem:
     geometry = KneeGeometry(printed.geometry.joint_length, printed.geometry.joint_radius, 208 * mm)
     joint = AntagonisticJoint(geometry, printed.muscle1, printed.muscle2)
     plant = JointPlant(joint, catalog.load("knee-table-2"), FirstOrderValve(20 * ms))
-    _, wishes = sampled(REFERENCE, PERIODS * PERIOD, PERIOD)
+    _, setpoints = sampled(REFERENCE, PERIODS * PERIOD, PERIOD)
     return Problem(
         plant,
         PositionStiffnessControl(POSITION, STIFFNESS, model=joint),
         PositionStiffnessControl(POSITION_BP, STIFFNESS_BP, model=joint),
-        wishes,
+        setpoints,
         plant.equilibrium(0.0, stiffness=12.0),
     )
 

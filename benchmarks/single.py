@@ -55,11 +55,19 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
 
     def simulated(controller: Controller, base: str) -> Candidate:
         def run() -> Angles:
-            table = simulate(problem.plant, controller, REFERENCE, initial=problem.start).table
-            return table["angle"].to_numpy()
+            return simulate(problem.plant, controller, REFERENCE, initial=problem.start)["angle"]
 
-        note = "with the check of the reference, a second episode without its step of stiffness, and the whole table"
+        note = "with the feasibility of the reference; torques and forces are computed when asked for"
         return candidate(f"ours, mk.simulate, {_loops(base)}", run, base=base, note=note)
+
+    def measured(controller: Controller, base: str) -> Candidate:
+        def run() -> Angles:
+            result = simulate(problem.plant, controller, REFERENCE, initial=problem.start)
+            assert result.metrics["coupling"] >= 0
+            return result["angle"]
+
+        note = "and all metrics: torques, forces, and a second episode without the step of the stiffness"
+        return candidate(f"ours, mk.simulate and metrics, {_loops(base)}", run, base=base, note=note)
 
     def python() -> Candidate:
         from engines import plain_python
@@ -110,6 +118,7 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
     bench.add("plain C", plain_c)
     bench.add("ours, compiled loop, PID", lambda: compiled(problem.pid, PID_BASE))
     bench.add("ours, mk.simulate, PID", lambda: simulated(problem.pid, PID_BASE))
+    bench.add("ours, mk.simulate and metrics, PID", lambda: measured(problem.pid, PID_BASE))
     bench.add("ours, compiled loop, BP", lambda: compiled(problem.bp, BP_BASE))
     bench.add("ours, mk.simulate, BP", lambda: simulated(problem.bp, BP_BASE))
     bench.add("CasADi, generated C", casadi_c, install="casadi")
@@ -135,7 +144,7 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
 
 
 def _loop(problem: Problem, controller: Controller) -> Callable[[], object]:
-    traced = jax.device_put(numeric((problem.plant, controller, problem.wishes, problem.start, PERIOD)))
+    traced = jax.device_put(numeric((problem.plant, controller, problem.setpoints, problem.start, PERIOD)))
     return lambda: jax.block_until_ready(compiled_episode(*traced, SUBSTEPS))
 
 

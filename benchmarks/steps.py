@@ -27,11 +27,11 @@ def main():
     parser = argparse.ArgumentParser(description="How long a step of each controller takes.")
     parser.add_argument("suite", nargs="?", type=Path, default=SUITE)
     suite = Suite.read(parser.parse_args().suite)
-    wish = next(iter(suite.wishes))
+    reference = next(iter(suite.setpoints))
     moved = None
     print("| controller | median | slowest |\n|---|---|---|")
     for name in suite.controllers:
-        scenario = suite.scenario(name, wish)
+        scenario = suite.scenario(name, reference)
         plant, control = scenario.plant(), scenario.control()
         if moved is None:
             moved = simulate(
@@ -43,8 +43,8 @@ def main():
         @jax.jit
         def replayed(state, angle, stiffness, measured, pressures, control=control):
             def step(state, at):
-                wish, told = Setpoint(*at[:2]), Measurement(*at[2:])
-                return control.step(state, wish, told, suite.control_period)
+                reference, told = Setpoint(*at[:2]), Measurement(*at[2:])
+                return control.step(state, reference, told, suite.control_period)
 
             return lax.scan(step, state, (angle, stiffness, measured, pressures))
 

@@ -5,7 +5,7 @@
 A knee at 0.25 to 0.5 Hz and 3 to 6 deg, 8 s each, whose stiffness steps; encoder of 0.022 deg, pressure noise of 4 kPa,
 each muscle +-10 % against the law that the controller believes, friction of 0 to 15 N in each, mass +-50 %, valves of
 10 to 50 ms (20 believed). Errors are those of the plant's true stiffness over the last 4 s, medians over the runs,
-against a controller that believes its law. "Excited" adds a sine of 1 deg at 4 Hz to the wish for the angle. How wrong
+against a controller that believes its law. "Excited" adds a sine of 1 deg at 4 Hz to the reference angle. How wrong
 the adaptation takes its equation to be is chosen for each row on other runs.
 """
 
@@ -74,7 +74,7 @@ def plants(runs, seed):
     return plant, mass, length
 
 
-def wish(runs, seed, excited):
+def reference(runs, seed, excited):
     draw = np.random.default_rng([seed, 1])
     amplitude, frequency = draw.uniform(3 * deg, 6 * deg, runs), draw.uniform(0.25, 0.5, runs)
     before, after = draw.uniform(13.5, 17.0, (2, runs))
@@ -118,14 +118,14 @@ def errors(seed, runs, name, excited, torque_error):
     batch = simulate_many(
         plant,
         control,
-        wish(runs, seed, excited),
+        reference(runs, seed, excited),
         duration=DURATION,
         metrics=("angle_rmse",),
         keep=("stiffness", "desired_stiffness"),
         every=10 * ms,
         substeps=2,
     )
-    assert not batch.lost.any()
+    assert not batch.failed.any()
     late = batch.table["time"].to_numpy() >= DURATION - SEEN
     error = (batch.table["stiffness"] - batch.table["desired_stiffness"]).to_numpy()[:, late]
     return np.sqrt(np.mean(error**2, axis=1))

@@ -42,25 +42,25 @@ def generated(problem: Problem, folder: Path) -> Callable[[], NDArray[np.float64
 
 
 def _period(problem: Problem) -> Any:
-    """(state and memory, wishes) to (the next of both, the angle now)."""
+    """(state and memory, setpoints) to (the next of both, the angle now)."""
     functions = knee(SYMBOLS, problem.numbers)
-    now, wishes = ca.SX.sym("now", 10), ca.SX.sym("wishes", 2)
+    now, setpoints = ca.SX.sym("now", 10), ca.SX.sym("setpoints", 2)
     values = ca.vertsplit(now)
     x, memory = tuple(values[:4]), tuple(values[4:])
     angle = x[0]
-    memory, u1, u2, _ = functions.control(memory, wishes[0], wishes[1], x)
+    memory, u1, u2, _ = functions.control(memory, setpoints[0], setpoints[1], x)
     for _ in range(SUBSTEPS):
         x = functions.rk4(x, u1, u2)
-    return ca.Function("period", [now, wishes], [ca.vertcat(*x, *memory), angle], {"cse": True})
+    return ca.Function("period", [now, setpoints], [ca.vertcat(*x, *memory), angle], {"cse": True})
 
 
 def _bound(problem: Problem, period: Any) -> Callable[[], NDArray[np.float64]]:
     functions = knee(SYMBOLS, problem.numbers)
     first = [float(value) for value in (*problem.first, *functions.init(ca.DM(problem.first).elements()))]
-    wishes = ca.DM(np.array(problem.wanted))
+    setpoints = ca.DM(np.array(problem.wanted))
     whole = period.mapaccum("episode", problem.periods)
 
     def run() -> NDArray[np.float64]:
-        return np.asarray(whole(first, wishes)[1]).ravel()
+        return np.asarray(whole(first, setpoints)[1]).ravel()
 
     return run

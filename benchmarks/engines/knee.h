@@ -109,7 +109,7 @@ static inline void realised(const Parameters *k, int i, Pid *m, real output, rea
     m->integral += (share < 1 ? share : 1) * (value - output);
 }
 
-/* The wishes and the clock of an episode. */
+/* The setpoints and the clock of an episode. */
 typedef struct {
     const real *wanted_angle, *wanted_stiffness;
     real start[4];

@@ -43,7 +43,7 @@ class Knee(NamedTuple):
     rate: Callable[[Any, Any, Any], tuple[Any, ...]]  # state, u1, u2
     rk4: Callable[[Any, Any, Any], tuple[Any, ...]]  # state, u1, u2: one substep
     init: Callable[[Any], tuple[Any, ...]]  # of both loops, from the state
-    control: Callable[..., tuple[tuple[Any, ...], Any, Any, Any]]  # memory, wishes, state: memory, u1, u2, estimate
+    control: Callable[..., tuple[tuple[Any, ...], Any, Any, Any]]  # memory, setpoints, state: memory, u1, u2, estimate
 
 
 def knee(maths: Maths, k: Numbers) -> Knee:

@@ -100,7 +100,7 @@ def _episode(
         return float(data.qpos[0]), float(data.qvel[0]), float(p1) * bar, float(p2) * bar
 
     memory, record = init(state()), []
-    for wanted_angle, wanted_stiffness in zip(*(wish.tolist() for wish in problem.wanted), strict=True):
+    for wanted_angle, wanted_stiffness in zip(*(reference.tolist() for reference in problem.wanted), strict=True):
         x = state()
         memory, u1, u2, _ = control(memory, wanted_angle, wanted_stiffness, x)
         record.append(x[0])

@@ -86,7 +86,7 @@ def run_of(problem: Problem, dtype: np.dtype[Any]) -> ctypes.Structure:
             ("period", real),
         )
 
-    angle, stiffness = (np.ascontiguousarray(wish, dtype) for wish in problem.wanted)
+    angle, stiffness = (np.ascontiguousarray(reference, dtype) for reference in problem.wanted)
     run = Run(
         angle.ctypes.data, stiffness.ctypes.data, (real * 4)(*problem.first), problem.periods, SUBSTEPS, float(PERIOD)
     )

@@ -14,13 +14,13 @@ from engines.knee import ARRAYS, FLOATS, knee
 def angles(problem: Problem) -> Callable[[], NDArray[np.float64]]:
     """One episode over Python's floats and its `math`; what it returns runs it and gives the angle of each period."""
     functions = knee(FLOATS, problem.numbers)
-    wishes = list(zip(*(wish.tolist() for wish in problem.wanted), strict=True))
+    setpoints = list(zip(*(reference.tolist() for reference in problem.wanted), strict=True))
     start = tuple(problem.first.tolist())
 
     def run() -> NDArray[np.float64]:
         rk4, control = functions.rk4, functions.control
         x, memory, record = start, functions.init(start), []
-        for wanted_angle, wanted_stiffness in wishes:
+        for wanted_angle, wanted_stiffness in setpoints:
             memory, u1, u2, _ = control(memory, wanted_angle, wanted_stiffness, x)
             record.append(x[0])
             for _ in range(SUBSTEPS):
@@ -42,12 +42,12 @@ def metrics(problem: Problem, lanes: NDArray[np.float64], dtype: DTypeLike) -> C
     )
     functions = knee(ARRAYS, varied)
     start = tuple(np.full(len(lanes), value, dtype) for value in problem.first)
-    wishes = list(zip(*(wish.tolist() for wish in problem.wanted), strict=True))
+    setpoints = list(zip(*(reference.tolist() for reference in problem.wanted), strict=True))
 
     def run() -> NDArray[np.floating]:
         x, memory = start, functions.init(start)
         angle_sum, stiffness_sum = np.zeros(len(lanes), dtype), np.zeros(len(lanes), dtype)
-        for wanted_angle, wanted_stiffness in wishes:
+        for wanted_angle, wanted_stiffness in setpoints:
             memory, u1, u2, estimate = functions.control(memory, wanted_angle, wanted_stiffness, x)
             angle_sum += (wanted_angle - x[0]) ** 2
             stiffness_sum += (wanted_stiffness - estimate) ** 2

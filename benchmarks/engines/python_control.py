@@ -20,23 +20,25 @@ def angles(problem: Problem) -> Callable[[], NDArray[np.float64]]:
     """One episode; what it returns runs it and gives the angle of each period."""
     functions = knee(FLOATS, problem.numbers)
 
-    def update(_t: float, now: NDArray[np.float64], wishes: NDArray[np.float64], _params: dict) -> tuple[float, ...]:
+    def update(_t: float, now: NDArray[np.float64], setpoints: NDArray[np.float64], _params: dict) -> tuple[float, ...]:
         values = now.tolist()
         x = tuple(values[:4])
-        memory, u1, u2, _ = functions.control(tuple(values[4:]), *wishes.tolist(), x)
+        memory, u1, u2, _ = functions.control(tuple(values[4:]), *setpoints.tolist(), x)
         for _ in range(SUBSTEPS):
             x = functions.rk4(x, u1, u2)
         return *x, *memory
 
-    def output(_t: float, now: NDArray[np.float64], _wishes: NDArray[np.float64], _params: dict) -> NDArray[np.float64]:
+    def output(
+        _t: float, now: NDArray[np.float64], _setpoints: NDArray[np.float64], _params: dict
+    ) -> NDArray[np.float64]:
         return now[:1]
 
     system = ct.nlsys(update, output, inputs=2, outputs=1, states=10, dt=PERIOD)
     start = tuple(problem.first.tolist())
     first = [*start, *functions.init(start)]
-    times, wishes = np.arange(problem.periods) * PERIOD, np.array(problem.wanted)
+    times, setpoints = np.arange(problem.periods) * PERIOD, np.array(problem.wanted)
 
     def run() -> NDArray[np.float64]:
-        return ct.input_output_response(system, times, wishes, first).outputs
+        return ct.input_output_response(system, times, setpoints, first).outputs
 
     return run

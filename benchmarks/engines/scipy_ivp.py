@@ -18,12 +18,12 @@ ABSOLUTE = [1e-10, 1e-8, 1e-3, 1e-3]
 def angles(problem: Problem) -> Callable[[], NDArray[np.float64]]:
     """One episode; what it returns runs it and gives the angle of each period."""
     functions = knee(FLOATS, problem.numbers)
-    wishes = list(zip(*(wish.tolist() for wish in problem.wanted), strict=True))
+    setpoints = list(zip(*(reference.tolist() for reference in problem.wanted), strict=True))
     start = tuple(problem.first.tolist())
 
     def run() -> NDArray[np.float64]:
         x, memory, record = start, functions.init(start), []
-        for wanted_angle, wanted_stiffness in wishes:
+        for wanted_angle, wanted_stiffness in setpoints:
             memory, u1, u2, _ = functions.control(memory, wanted_angle, wanted_stiffness, x)
             record.append(x[0])
             solution = solve_ivp(

@@ -374,6 +374,33 @@ class BoundedInt:
 SIGNAL_UNIT = "signal"
 """Stands for the unit of the quantity that a signal is of."""
 
+
+class Percent(Quantity):
+    """Range of a ratio that is written in percent."""
+
+    def read(self, value: Any) -> float:
+        """The ratio, checked; a number without a unit is a ratio."""
+        if isinstance(value, str) and NUMBER.fullmatch(value.strip()) and not self.holds(float(value)):
+            message = f"{quoted(value)} has no unit, and as a ratio is outside {self.range}"
+            self._fail(message, value, f"write '{value.strip()} %'")
+        return super().read(value)
+
+    def write(self, value: float) -> str:
+        """Text that `read` takes back to the same float, in percent wherever that is possible."""
+        texts = (show(value, "%", digits) for digits in (15, 16, 17))
+        return next((text for text in texts if quantity(text, "1") == value), super().write(value))
+
+    @property
+    def example(self) -> str:
+        """A value as it is written."""
+        return "'10 %'"
+
+    @property
+    def range(self) -> str:
+        """The range as text."""
+        return f"{self.lower:g} to {'below ' if self.open_upper else ''}{self.upper:g} %"
+
+
 # Types of fields, for runtime classes and configuration files.
 Duration = Annotated[float, Quantity("s", "s", 0, 1e6, open_lower=True)]
 Instant = Annotated[float, Quantity("s", "s", -1e6, 1e6)]
@@ -428,3 +455,13 @@ StiffnessGain = Annotated[float, Quantity("Pa/(N*m/rad)", "bar/(N*m/rad)", -1e6,
 StiffnessIntegralGain = Annotated[float, Quantity("Pa/(N*m*s/rad)", "bar/(N*m*s/rad)", -1e6, 1e6)]
 StiffnessDerivativeGain = Annotated[float, Quantity("Pa*s/(N*m/rad)", "bar*s/(N*m/rad)", -1e6, 1e6)]
 SignalValue = Annotated[float, Quantity(SIGNAL_UNIT)]
+Contraction = Annotated[float, Percent("1", "%", -50, 80)]
+ForceReserve = Annotated[float, Percent("1", "%", 0, 100, open_upper=True)]
+Speed = Annotated[float, Quantity("m/s", "mm/s", 0, 1e3, open_lower=True)]
+Travel = Annotated[float, Quantity("m", "mm", 0, 1e4, open_lower=True)]
+WaitTime = Annotated[float, Quantity("s", "s", 0, 1e6)]
+SampleRate = Annotated[float, Quantity("1/s", "Hz", 0.001, 1e6)]
+Factor = Annotated[float, Quantity("1", "1", 0, 1e6, open_lower=True)]
+Samples = Annotated[int, BoundedInt(1, 1_000_000)]
+Repeats = Annotated[int, BoundedInt(1, 10_000)]
+AngularRate = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e5, open_lower=True)]

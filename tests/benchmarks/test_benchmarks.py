@@ -80,7 +80,7 @@ def test_every_engine_stands_in_every_form(bench, table):
 def test_plain_python_runs_our_episode(bench):
     reference = bench.reference
     problem = reference.reference_problem().shortened(200)
-    traced = numeric((problem.plant, problem.pid, problem.wishes, problem.start, reference.PERIOD))
+    traced = numeric((problem.plant, problem.pid, problem.setpoints, problem.start, reference.PERIOD))
     _, record = jax.block_until_ready(compiled_episode(*traced, reference.SUBSTEPS))
     angles = bench.plain_python.angles(problem)()
     assert np.abs(angles - np.asarray(record.state.angle)).max() < 1e-12

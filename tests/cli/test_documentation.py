@@ -25,7 +25,7 @@ def test_the_python_of_the_readme_runs_and_gives_the_numbers_in_its_comments(mon
     assert names["fit"].estimates["decay"] / 100 == pytest.approx(0.400, abs=5e-4)
     low, high = names["knee"].attainable_stiffness(0.0, -names["load"].gravity_torque(0.0))
     assert (float(low), float(high)) == pytest.approx((10.0, 19.5), abs=0.05)
-    assert names["result"].metrics()["angle_rmse"] / deg == pytest.approx(1.48, abs=5e-3)
+    assert names["result"].metrics["angle_rmse"] / deg == pytest.approx(1.48, abs=5e-3)
     assert (tmp_path / "run.png").stat().st_size > 10_000
 
 

@@ -31,7 +31,7 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     )
     numbers = json.loads(found.out)
     simulated = run_scenario(Scenario.read(tmp_path / "short.yaml")).result
-    expected = in_shown_units(simulated.metrics())
+    expected = in_shown_units(simulated.metrics)
     assert (numbers["ended"], numbers["outcome"], numbers["timing"]) == ("completed", "completed", None)
     assert numbers["vented_after_s"] < 0.1
     for name, value in numbers["metrics"].items():

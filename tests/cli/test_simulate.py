@@ -33,7 +33,7 @@ def test_every_example_runs_and_its_numbers_are_those_of_the_run(cli, tmp_path, 
     found = cli("simulate", "short.yaml")
     assert (found.code, found.err) == (0, "")
     result = run_scenario(Scenario.read(tmp_path / "short.yaml")).result
-    for metric, value in result.metrics().items():
+    for metric, value in result.metrics.items():
         _, unit, factor = next(m for m in METRICS.values() if m[0] == metric)
         none = "never" if metric == "stiffness_settling" else "-"
         shown = none if value != value else f"{value / factor:.4g}"
@@ -54,8 +54,8 @@ def test_out_keeps_a_run_that_can_be_had_again(cli, tmp_path, shortened, option)
     assert Scenario.read(kept / "scenario.yaml") == Scenario.read(tmp_path / "short.yaml")
     result = Result.from_netcdf(kept / "result.nc")
     again = run_scenario(Scenario.read(kept / "scenario.yaml")).result
-    assert again.table.drop_attrs().identical(result.table.drop_attrs())
-    assert result.metrics()["stiffness_rmse"] == numbers["metrics"]["stiffness_rmse"]
+    assert again.to_xarray().drop_attrs().identical(result.to_xarray().drop_attrs())
+    assert result.metrics["stiffness_rmse"] == numbers["metrics"]["stiffness_rmse"]
 
 
 def test_three_mistakes_are_three_errors_with_their_lines(cli, tmp_path, shortened):
@@ -103,7 +103,7 @@ def test_what_is_infeasible_is_a_warning_beside_the_result(cli, tmp_path, shorte
     (tmp_path / "far.yaml").write_text(text, encoding="utf-8")
     found = cli("simulate", "far.yaml")
     assert found.code == 0
-    assert re.fullmatch(r"warning: the desired stiffness is out of reach for 50% of the run, between .*\n", found.err)
+    assert re.fullmatch(r"warning: the desired stiffness is not attainable for 50% of the run, between .*\n", found.err)
     assert "stiffness settling" in found.out
     as_json = cli("simulate", "far.yaml", "--json")
     assert as_json.err == ""

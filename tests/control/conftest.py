@@ -3,7 +3,7 @@
 import equinox as eqx
 import pytest
 
-from mckibben.numerics.batching import many_runs
+from mckibben.numerics.batching import batched_program
 from mckibben.simulation.loop import episode
 
 
@@ -15,7 +15,7 @@ def barely_compiled():
         program = eqx.filter_jit(function, compiler_options={"xla_backend_optimization_level": 0})
 
         def call(*args):
-            with many_runs():
+            with batched_program():
                 return program(*args)
 
         return call

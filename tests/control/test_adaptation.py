@@ -12,7 +12,7 @@ from jax import lax
 from scipy.signal import lfilter
 
 from mckibben.control import DecouplingControl, ExtendedStateObserver, LawAdaptation, PolePlacement
-from mckibben.control.adaptation import strengthened
+from mckibben.control.adaptation import with_strengths
 from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.batching import cast
@@ -59,10 +59,10 @@ def records(paper_precontracted):
     make = functools.partial(moved, paper_precontracted)
     true = make((0.92, 1.07))
     return {
-        "as believed": make(),
+        "as estimated": make(),
         "other muscles": true,
         "noisy": noisy(true, 1),
-        "noisy, as believed": noisy(make(), 2),
+        "noisy, as estimated": noisy(make(), 2),
         "still": make((0.92, 1.07), still=0.1, pressure1=3.6e5),
         "nothing hangs": make((0.9, 0.9), still=np.pi / 6, pressure1=np.full(PERIODS, 1.2e5)),
         "heavier": make(heavier=0.2),
@@ -72,7 +72,7 @@ def records(paper_precontracted):
 
 @pytest.fixture(scope="module")
 def listened(load):
-    """What is believed, over time and in the end, of many records; one program for all adaptations of a model."""
+    """What is estimated, over time and in the end, of many records; one program for all adaptations of a model."""
 
     @eqx.filter_jit
     def program(adaptations, records, model, load, period):
@@ -103,7 +103,7 @@ def cases(records):
 
 
 @pytest.fixture(scope="module")
-def believed(listened, cases, knee):
+def estimated(listened, cases, knee):
     """By record, and whether the load is held for uncertain: what it is in the end, and the course."""
     final, course = listened(*zip(*cases.values(), strict=True), knee)
     deviations = np.stack(final.deviations, axis=1)
@@ -139,69 +139,69 @@ def at_once(paper, adaptation, record):
     return np.linalg.lstsq(rows, right, rcond=None)[0]
 
 
-def test_period_by_period_it_is_least_squares_over_the_whole_record(believed, cases, paper_precontracted):
+def test_period_by_period_it_is_least_squares_over_the_whole_record(estimated, cases, paper_precontracted):
     found = {case: at_once(paper_precontracted, *cases[case]) for case in cases}
-    for case, (deviations, _, _) in believed.items():
+    for case, (deviations, _, _) in estimated.items():
         np.testing.assert_allclose(deviations, found[case], rtol=1e-6, atol=1e-8, err_msg=str(case))
     assert max(np.abs(each).max() for each in found.values()) > 1
 
 
 @pytest.mark.parametrize("held", [False, True])
-def test_it_finds_muscles_that_are_not_as_believed(believed, held):
-    _, (strength1, strength2, mass, _), _ = believed["other muscles", held]
+def test_it_finds_muscles_that_are_not_as_believed(estimated, held):
+    _, (strength1, strength2, mass, _), _ = estimated["other muscles", held]
     assert (strength1, strength2) == pytest.approx((0.92, 1.07), abs=0.003)
     assert mass == pytest.approx(0.0, abs=0.002)
 
 
-def test_real_sensors_cost_it_little(believed):
-    for name, truth in (("noisy", (0.92, 1.07)), ("noisy, as believed", (1.0, 1.0))):
+def test_real_sensors_cost_it_little(estimated):
+    for name, truth in (("noisy", (0.92, 1.07)), ("noisy, as estimated", (1.0, 1.0))):
         for held in (False, True):
-            assert believed[name, held][1][:2] == pytest.approx(truth, abs=0.012), (name, held)
+            assert estimated[name, held][1][:2] == pytest.approx(truth, abs=0.012), (name, held)
 
 
-def test_it_stays_with_a_model_that_is_right(believed):
+def test_it_stays_with_a_model_that_is_right(estimated):
     for held in (False, True):
-        _, _, course = believed["as believed", held]
+        _, _, course = estimated["as estimated", held]
         np.testing.assert_allclose(course[:2], 1.0, atol=0.002)
         np.testing.assert_array_equal(course[3], 1.0)
 
 
-def test_without_evidence_it_stays_with_the_model(believed):
+def test_without_evidence_it_stays_with_the_model(estimated):
     """At rest where nothing hangs muscles that are both weaker pull with the same torques: none."""
     for held in (False, True):
-        _, (*strengths, mass, _), _ = believed["nothing hangs", held]
+        _, (*strengths, mass, _), _ = estimated["nothing hangs", held]
         assert (*strengths, mass) == pytest.approx((1.0, 1.0, 0.0), abs=1e-6)
 
 
-def test_before_the_filter_has_forgotten_its_start_it_says_nothing(believed):
-    for _, _, course in believed.values():
+def test_before_the_filter_has_forgotten_its_start_it_says_nothing(estimated):
+    for _, _, course in estimated.values():
         heard = np.ceil(8 / 30 / PERIOD).astype(int)
         assert np.ptp(course[:2, : heard - 1]) == 0.0
-    assert abs(believed["other muscles", False][2][0, heard] - 1) > 0
+    assert abs(estimated["other muscles", False][2][0, heard] - 1) > 0
 
 
-def test_a_balance_says_one_thing_and_is_shared_as_the_prior_has_it(believed, paper_precontracted):
+def test_a_balance_says_one_thing_and_is_shared_as_the_prior_has_it(estimated, paper_precontracted):
     """Held still, a weaker muscle 1 and a stronger muscle 2 are told by one sum alone: both take their share."""
     angle, pressures = 0.1, (3.6e5, moved(paper_precontracted, (0.92, 1.07), still=0.1, pressure1=3.6e5)[2, 0])
     eps, arms = paper_precontracted.contractions(angle), paper_precontracted.eq5(angle)
     torque1, torque2 = (paper_precontracted.eq3(eps[i], pressures[i]) * arms[i] for i in (0, 1))
     off = 0.07 * torque2 + 0.08 * torque1
     share = off / (torque1**2 + torque2**2)
-    strengths = believed["still", False][1][:2]
+    strengths = estimated["still", False][1][:2]
     assert strengths == pytest.approx((1 - share * torque1, 1 + share * torque2), abs=1e-3)
     assert np.abs(np.subtract(strengths, (0.92, 1.07))).max() > 5e-3
 
 
-def test_a_heavier_load_is_known_from_stronger_muscles_while_it_moves(believed):
-    """An unknown mass is found; where the load is held for known, muscles are blamed for it that are as believed."""
-    _, (*strengths, mass, _), _ = believed["heavier", True]
+def test_a_heavier_load_is_known_from_stronger_muscles_while_it_moves(estimated):
+    """An unknown mass is found; where the load is held for known, muscles are blamed for it that are as estimated."""
+    _, (*strengths, mass, _), _ = estimated["heavier", True]
     assert mass == pytest.approx(0.2, rel=0.1)
     assert strengths == pytest.approx((1.0, 1.0), abs=0.02)
-    assert max(believed["heavier", False][1][:2]) < 0.85
+    assert max(estimated["heavier", False][1][:2]) < 0.85
 
 
-def test_it_takes_no_estimate_further_off_than_three_deviations(believed):
-    deviations, (*strengths, _, _), _ = believed["far off", False]
+def test_it_takes_no_estimate_further_off_than_three_deviations(estimated):
+    deviations, (*strengths, _, _), _ = estimated["far off", False]
     assert deviations.min() < -3.5
     assert strengths == pytest.approx((0.82, 0.82), rel=1e-12)
 
@@ -225,7 +225,7 @@ def test_in_32_bits_it_finds_the_friction_beside_the_strengths(listened, knee, p
 
 
 def test_the_model_has_so_strong_muscles(knee):
-    other = strengthened(knee, (0.9, 1.1))
+    other = with_strengths(knee, (0.9, 1.1))
     assert (other.muscle1.law.strength, other.muscle2.law.strength) == (0.9, 1.1)
     assert (other.muscle1.law.law, other.muscle2.law.law) == (knee.muscle1.law, knee.muscle2.law)
 

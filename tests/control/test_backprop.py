@@ -18,29 +18,29 @@ SCALES = {"signal_scale": 2.0, "error_scale": 0.5, "output_scale": 10.0}
 
 
 @jax.jit
-def run(loop, desired, measured, low=-1e9, high=1e9):
+def run(loop, setpoint, measured, low=-1e9, high=1e9):
     """Outputs, telemetry and the last state, with measurements given."""
 
     def period(state, sample):
         state, output = loop.step(state, sample[0], sample[1], 1.0, PERIOD)
-        state = loop.realised(state, output, jnp.clip(output, low, high), PERIOD)
+        state = loop.track(state, output, jnp.clip(output, low, high), PERIOD)
         return state, (output, loop.telemetry(state))
 
-    state, (output, telemetry) = lax.scan(period, loop.init(desired[0], measured[0], 0.7), (desired, measured))
+    state, (output, telemetry) = lax.scan(period, loop.init(setpoint[0], measured[0], 0.7), (setpoint, measured))
     return output, telemetry, state
 
 
 @jax.jit
-def closed(loop, desired, gain):
+def closed(loop, setpoint, gain):
     """The loop around y' = (gain u - y) / 0.5; errors and telemetry."""
 
-    def period(carry, wish):
+    def period(carry, setpoint):
         state, y = carry
-        state, output = loop.step(state, wish, y, gain, PERIOD)
+        state, output = loop.step(state, setpoint, y, gain, PERIOD)
         y = y + PERIOD * (gain * output - y) / 0.5
-        return (state, y), (wish - y, loop.telemetry(state))
+        return (state, y), (setpoint - y, loop.telemetry(state))
 
-    return lax.scan(period, (loop.init(0.0, 0.0, 0.0), jnp.asarray(0.0)), desired)[1]
+    return lax.scan(period, (loop.init(0.0, 0.0, 0.0), jnp.asarray(0.0)), setpoint)[1]
 
 
 def signals(count=400):
@@ -56,13 +56,13 @@ def backprop(base=BASE, **more):
 @pytest.mark.parametrize("on_error", [False, True])
 def test_without_learning_it_is_the_pid_with_its_base_gains(limits, on_error):
     base = numeric(dataclasses.replace(BASE, derivative_on_error=on_error))
-    desired, measured = signals()
-    learner, telemetry, _ = run(backprop(base, learning_rate=0.0), desired, measured, *limits)
-    state, expected = base.init(desired[0], measured[0], 0.7), []
+    setpoint, measured = signals()
+    learner, telemetry, _ = run(backprop(base, learning_rate=0.0), setpoint, measured, *limits)
+    state, expected = base.init(setpoint[0], measured[0], 0.7), []
     step = jax.jit(lambda s, d, m: base.step(s, d, m, 1.0, PERIOD))
-    for d, m in zip(desired, measured, strict=True):
+    for d, m in zip(setpoint, measured, strict=True):
         state, output = step(state, d, m)
-        state = base.realised(state, output, min(max(float(output), limits[0]), limits[1]), PERIOD)
+        state = base.track(state, output, min(max(float(output), limits[0]), limits[1]), PERIOD)
         expected.append(float(output))
     np.testing.assert_allclose(learner, expected, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(telemetry["kp"], 3.0, rtol=1e-15)
@@ -92,15 +92,15 @@ def test_the_seed_decides():
 
 
 def test_many_seeds_run_side_by_side_as_they_do_alone():
-    desired, measured = signals(50)
-    many = jax.vmap(lambda seed: run(eqx.tree_at(lambda b: b.seed, backprop(), seed), desired, measured)[0])
+    setpoint, measured = signals(50)
+    many = jax.vmap(lambda seed: run(eqx.tree_at(lambda b: b.seed, backprop(), seed), setpoint, measured)[0])
     together = many(jnp.arange(3))
-    np.testing.assert_allclose(together[2], run(backprop(seed=2), desired, measured)[0], rtol=1e-12)
+    np.testing.assert_allclose(together[2], run(backprop(seed=2), setpoint, measured)[0], rtol=1e-12)
 
 
-def increment_by_hand(loop, network, state, desired, measured):
+def increment_by_hand(loop, network, state, setpoint, measured):
     """The change of output for a network, from the paper's scheme in plain NumPy."""
-    error = desired - measured
+    error = setpoint - measured
     derivative = (0.005 * float(state.pid.derivative) + (-measured - float(state.pid.differentiated))) / (
         0.005 + PERIOD
     )
@@ -109,7 +109,7 @@ def increment_by_hand(loop, network, state, desired, measured):
         4.0 * PERIOD * error,
         0.2 * (derivative - float(state.pid.derivative)),
     ]
-    inputs = np.array([desired / 2.0, measured / 2.0, error / 0.5, 1.0])
+    inputs = np.array([setpoint / 2.0, measured / 2.0, error / 0.5, 1.0])
     hidden = np.append(np.tanh(np.asarray(network.hidden) @ inputs), 1.0)
     factors = 5.0 ** np.tanh(np.asarray(network.output) @ hidden)
     return float(factors @ parts)
@@ -119,8 +119,8 @@ def increment_by_hand(loop, network, state, desired, measured):
 def stepped():
     """A learner after 20 periods, its state, and the state and output one period later."""
     loop = backprop(learning_rate=7.0, momentum=0.3)
-    desired, measured = signals(20)
-    state = run(loop, desired, measured)[2]
+    setpoint, measured = signals(20)
+    state = run(loop, setpoint, measured)[2]
     following, output = jax.jit(lambda s: loop.step(s, 0.9, 0.4, 1.0, PERIOD))(state)
     return loop, state, following, output
 
@@ -154,33 +154,33 @@ def test_the_weights_move_down_the_gradient_of_finite_differences_with_momentum(
 @pytest.mark.parametrize("jacobian", list(Jacobian), ids=lambda j: j.name)
 @pytest.mark.parametrize("gain", [2.0, -2.0])
 def test_learning_lowers_the_error_of_direct_and_reverse_acting_loops_alike(gain, jacobian):
-    desired = np.sin(2 * np.pi * 0.5 * PERIOD * np.arange(1500))
+    setpoint = np.sin(2 * np.pi * 0.5 * PERIOD * np.arange(1500))
     sign = math.copysign(1, gain)
     base = PID(sign * 0.5, sign * 1.0, 0.0)
     loop = lambda rate: backprop(base, learning_rate=rate, jacobian=jacobian, output_scale=1.0)  # noqa: E731
-    frozen, learning = closed(loop(0.0), desired, gain)[0], closed(loop(10.0), desired, gain)[0]
+    frozen, learning = closed(loop(0.0), setpoint, gain)[0], closed(loop(10.0), setpoint, gain)[0]
     late = slice(1000, None)
     assert float(jnp.mean(learning[late] ** 2)) < 0.8 * float(jnp.mean(frozen[late] ** 2))
 
 
 def test_a_reverse_acting_loop_is_the_mirror_of_a_direct_one():
-    desired = np.sin(2 * np.pi * 0.5 * PERIOD * np.arange(500))
-    direct, first = closed(backprop(PID(0.5, 1.0, 0.1)), desired, 2.0)
-    reverse, second = closed(backprop(PID(-0.5, -1.0, -0.1)), desired, -2.0)
+    setpoint = np.sin(2 * np.pi * 0.5 * PERIOD * np.arange(500))
+    direct, first = closed(backprop(PID(0.5, 1.0, 0.1)), setpoint, 2.0)
+    reverse, second = closed(backprop(PID(-0.5, -1.0, -0.1)), setpoint, -2.0)
     np.testing.assert_allclose(direct, reverse, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(first["kp"], -second["kp"], rtol=1e-10)
 
 
 def test_a_loop_without_integral_gain_learns_too():
-    desired, measured = signals(100)
-    _, telemetry, _ = run(backprop(PID(3.0, 0.0, 0.2)), desired, measured)
+    setpoint, measured = signals(100)
+    _, telemetry, _ = run(backprop(PID(3.0, 0.0, 0.2)), setpoint, measured)
     assert np.ptp(np.asarray(telemetry["kp"])) > 1e-3
 
 
 def test_the_models_jacobian_scales_the_learning():
-    desired, measured = signals(3)
+    setpoint, measured = signals(3)
     loop = backprop(jacobian=Jacobian.MODEL)
-    state = loop.init(desired[0], measured[0], 0.0)
+    state = loop.init(setpoint[0], measured[0], 0.0)
     step = jax.jit(lambda sensitivity: loop.step(state, 1.0, 0.2, sensitivity, PERIOD)[0].change.output)
     changes = [step(sensitivity) for sensitivity in (1.0, 2.0, -1.0)]
     np.testing.assert_allclose(changes[1], 2 * changes[0], rtol=1e-13)

@@ -6,49 +6,61 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from mckibben.control.ddp import Bent, Outlook, planned, steady
+from mckibben.control.ddp import HorizonProblem, Quadratic, constant, solve
 
 STAGES = 6
 
 
-def outlook(
-    *, bend=1.0, stage=0.4, early=(0.52, 0.35), share=0.22, lowest=0.3, highest=5.0, wish=(0.0, 0.0, 0.0, 0.0), sign=1
+def joint_problem(
+    *,
+    bend=1.0,
+    stage=0.4,
+    hold_weights=(0.52, 0.35),
+    valve_fraction=0.22,
+    lowest=0.3,
+    highest=5.0,
+    reference=(0.0, 0.0, 0.0, 0.0),
+    sign=1,
 ):
     """Near what the knee at 80 rad/s has; 0.1 deg and 0.5 N*m/rad weigh the same."""
-    return Outlook(
+    return HorizonProblem(
         stage=stage,
-        early=early,
-        share=share,
+        hold_weights=hold_weights,
+        valve_fraction=valve_fraction,
         damping=2.25,
-        slowness=1.5,
+        bandwidth_ratio_sq=1.5,
         acceleration=(
-            Bent(0.3, -0.4 * bend, 0.01 * bend),
-            Bent(-4.8, -0.02 * bend, 0.001 * bend),
-            Bent(4.9, -0.02 * bend, -0.001 * bend),
+            Quadratic(0.3, -0.4 * bend, 0.01 * bend),
+            Quadratic(-4.8, -0.02 * bend, 0.001 * bend),
+            Quadratic(4.9, -0.02 * bend, -0.001 * bend),
         ),
-        stiffness=(Bent(-30.0 * sign, 0.1 * bend), Bent(5.0 * sign, 0.05 * bend), Bent(5.2 * sign, -0.05 * bend)),
+        stiffness=(
+            Quadratic(-30.0 * sign, 0.1 * bend),
+            Quadratic(5.0 * sign, 0.05 * bend),
+            Quadratic(5.2 * sign, -0.05 * bend),
+        ),
         drag=0.005,
-        wish=wish,
-        swing=0.1,
-        lowest=(Bent(lowest, 0.01 * bend), Bent(lowest + 0.1, -0.01 * bend)),
-        highest=(Bent(highest, -0.01 * bend), Bent(highest + 0.2, 0.01 * bend)),
-        least=(0.0, 0.0),
-        most=(6.0, 6.0),
+        reference=reference,
+        reference_frequency_sq=0.1,
+        pressure_lower=(Quadratic(lowest, 0.01 * bend), Quadratic(lowest + 0.1, -0.01 * bend)),
+        pressure_upper=(Quadratic(highest, -0.01 * bend), Quadratic(highest + 0.2, 0.01 * bend)),
+        command_lower=(0.0, 0.0),
+        command_upper=(6.0, 6.0),
     )
 
 
-def value(bent, angle):
-    return bent.value + angle * bent.slope + angle**2 * bent.curvature / 2
+def value(quadratic, angle):
+    return quadratic.value + angle * quadratic.slope + angle**2 * quadratic.curvature / 2
 
 
 def given(parts, angle, pressures):
     return sum(value(part, angle) * p for part, p in zip(parts, (1.0, *pressures), strict=True))
 
 
-def wish_at(ahead, time):
-    """Angle, velocity and acceleration of the wish, its acceleration a sine with an offset of none."""
-    angle, velocity, acceleration, jerk = ahead.wish
-    w = np.sqrt(ahead.swing)
+def reference_at(problem, time):
+    """Angle, velocity and acceleration of the reference, its acceleration a sine with an offset of none."""
+    angle, velocity, acceleration, jerk = problem.reference
+    w = np.sqrt(problem.reference_frequency_sq)
     return (
         angle
         + velocity * time
@@ -59,46 +71,56 @@ def wish_at(ahead, time):
     )
 
 
-def start_of(ahead, error, rate, pressures):
-    angle = ahead.wish[0] + error
-    acceleration = given(ahead.acceleration, angle, pressures) - ahead.drag * (ahead.wish[1] + rate) - ahead.wish[2]
-    return error, rate, acceleration, given(ahead.stiffness, angle, pressures)
+def start_of(problem, error, rate, pressures):
+    angle = problem.reference[0] + error
+    acceleration = (
+        given(problem.acceleration, angle, pressures)
+        - problem.drag * (problem.reference[1] + rate)
+        - problem.reference[2]
+    )
+    return error, rate, acceleration, given(problem.stiffness, angle, pressures)
 
 
-def cost_and_room(ahead, start, pressures, plan):
+def cost_and_margins(problem, start, pressures, plan):
     """What a plan costs, and how far each pressure is from its limits (below zero: beyond)."""
-    h, (mu1, mu2), d = ahead.stage, ahead.early, ahead.damping
+    h, (mu1, mu2), d = problem.stage, problem.hold_weights, problem.damping
     c, x, before = d * (d - 2), np.array(start), pressures
-    cost, room = 0.0, []
+    cost, margins = 0.0, []
     for k, chosen in enumerate(plan.reshape(-1, 2)):
-        r0, v0, a0 = wish_at(ahead, k * h)
-        r1, v1, a1 = wish_at(ahead, (k + 1) * h)
+        r0, v0, a0 = reference_at(problem, k * h)
+        r1, v1, a1 = reference_at(problem, (k + 1) * h)
         angle = r1 + x[0] + h * x[1] + h**2 / 2 * x[2]
         for i in range(2):
-            slowest, fastest = (before[i] + ahead.share * (u[i] - before[i]) for u in (ahead.least, ahead.most))
-            upper = max(min(value(ahead.highest[i], angle), fastest), slowest)
-            room += [chosen[i] - min(max(value(ahead.lowest[i], angle), slowest), upper), upper - chosen[i]]
-        acceleration = given(ahead.acceleration, angle, chosen) - ahead.drag * (v1 + x[1] + h * x[2])
-        # The joint itself, not its error: the acceleration goes from one to the next, mu_1 and mu_2 early.
+            slowest, fastest = (
+                before[i] + problem.valve_fraction * (u[i] - before[i])
+                for u in (problem.command_lower, problem.command_upper)
+            )
+            upper = max(min(value(problem.pressure_upper[i], angle), fastest), slowest)
+            margins += [
+                chosen[i] - min(max(value(problem.pressure_lower[i], angle), slowest), upper),
+                upper - chosen[i],
+            ]
+        acceleration = given(problem.acceleration, angle, chosen) - problem.drag * (v1 + x[1] + h * x[2])
+        # The joint itself, not its error: the acceleration goes from one to the next, by the hold weights.
         mine, turned, speed = x[2] + a0, r0 + x[0], v0 + x[1]
         turned += h * speed + h**2 / 2 * (mine + mu2 * (acceleration - mine))
         speed += h * (mine + mu1 * (acceleration - mine))
-        new = np.array([turned - r1, speed - v1, acceleration - a1, given(ahead.stiffness, angle, chosen)])
+        new = np.array([turned - r1, speed - v1, acceleration - a1, given(problem.stiffness, angle, chosen)])
         rates = (new - x)[2:] / h
-        cost += h / 2 * (new**2 @ [1, c, c, 1] + rates**2 @ [1, ahead.slowness])
+        cost += h / 2 * (new**2 @ [1, c, c, 1] + rates**2 @ [1, problem.bandwidth_ratio_sq])
         x, before = new, chosen
     final = np.array([[d, d, 1], [d, d**2 - 1, d], [1, d, d]])
-    return cost + x[:3] @ final @ x[:3] / 2 + np.sqrt(ahead.slowness) * x[3] ** 2 / 2, np.array(room)
+    return cost + x[:3] @ final @ x[:3] / 2 + np.sqrt(problem.bandwidth_ratio_sq) * x[3] ** 2 / 2, np.array(margins)
 
 
 @jax.jit
-def improved(ahead, start, pressures, iterations):
-    return planned(ahead, start, pressures, steady(pressures, STAGES), iterations)
+def improved(problem, start, pressures, iterations):
+    return solve(problem, start, pressures, constant(pressures, STAGES), iterations)
 
 
-def move_after(iterations, ahead, start, pressures):
+def first_command(iterations, problem, start, pressures):
     """From a plan to stand still."""
-    return improved(*floats((ahead, start, pressures)), iterations)[1]
+    return improved(*floats((problem, start, pressures)), iterations)[1]
 
 
 def floats(tree):
@@ -106,53 +128,57 @@ def floats(tree):
 
 
 @pytest.mark.parametrize(
-    ("ahead", "error", "rate", "pressures", "held", "near"),
+    ("problem", "error", "rate", "pressures", "saturated", "near"),
     [
-        pytest.param(outlook(), 2.5, 1.2, (3.0, 3.0), False, 1e-6, id="free"),
-        pytest.param(outlook(wish=(3.0, 2.0, -0.3, 0.1)), -3.0, -3.2, (2.3, 3.3), False, 1e-6, id="along a wish"),
-        pytest.param(outlook(highest=2.5), 0.5, 0.2, (2.4, 2.4), True, 1e-6, id="stiffness above the attainable"),
-        pytest.param(outlook(lowest=3.2), 4.0, 1.2, (3.3, 3.3), True, 1e-6, id="stiffness below the attainable"),
-        pytest.param(outlook(highest=2.5, lowest=2.2), -6.0, 1.0, (2.4, 2.4), True, 1e-6, id="in a corner"),
+        pytest.param(joint_problem(), 2.5, 1.2, (3.0, 3.0), False, 1e-6, id="free"),
         pytest.param(
-            outlook(sign=-1, highest=3.1), 2.5, 1.2, (3.0, 3.0), True, 1e-6, id="springs: softer with pressure"
+            joint_problem(reference=(3.0, 2.0, -0.3, 0.1)), -3.0, -3.2, (2.3, 3.3), False, 1e-6, id="along a reference"
+        ),
+        pytest.param(joint_problem(highest=2.5), 0.5, 0.2, (2.4, 2.4), True, 1e-6, id="stiffness above the attainable"),
+        pytest.param(joint_problem(lowest=3.2), 4.0, 1.2, (3.3, 3.3), True, 1e-6, id="stiffness below the attainable"),
+        pytest.param(joint_problem(highest=2.5, lowest=2.2), -6.0, 1.0, (2.4, 2.4), True, 1e-6, id="in a corner"),
+        pytest.param(
+            joint_problem(sign=-1, highest=3.1), 2.5, 1.2, (3.0, 3.0), True, 1e-6, id="springs: softer with pressure"
         ),
         # What a valve can do hangs on the pressure before, which is told from the state but for a part in a thousand.
-        pytest.param(outlook(), -40.0, 1.2, (3.0, 3.0), True, 5e-3, id="as fast as valves can"),
-        pytest.param(outlook(highest=2.5), 0.5, 0.2, (4.0, 4.0), True, 1e-6, id="back within limits, as valves can"),
+        pytest.param(joint_problem(), -40.0, 1.2, (3.0, 3.0), True, 5e-3, id="as fast as valves can"),
+        pytest.param(
+            joint_problem(highest=2.5), 0.5, 0.2, (4.0, 4.0), True, 1e-6, id="back within limits, as valves can"
+        ),
     ],
 )
-def test_the_move_is_that_of_the_optimum(ahead, error, rate, pressures, held, near):
-    start = start_of(ahead, error, rate, pressures)
-    move = move_after(8, ahead, start, pressures)
+def test_the_move_is_that_of_the_optimum(problem, error, rate, pressures, saturated, near):
+    start = start_of(problem, error, rate, pressures)
+    command = first_command(8, problem, start, pressures)
     found = minimize(
-        lambda plan: cost_and_room(ahead, start, pressures, plan)[0],
+        lambda plan: cost_and_margins(problem, start, pressures, plan)[0],
         np.tile(pressures, STAGES),
-        constraints={"type": "ineq", "fun": lambda plan: cost_and_room(ahead, start, pressures, plan)[1]},
+        constraints={"type": "ineq", "fun": lambda plan: cost_and_margins(problem, start, pressures, plan)[1]},
         method="SLSQP",
         options={"ftol": 1e-13, "maxiter": 200},
     )
-    np.testing.assert_allclose(move.pressures, found.x[:2], atol=near)
-    assert bool(move.held) == held
-    assert (cost_and_room(ahead, start, pressures, found.x)[1][:4].min() < 1e-9) == held
+    np.testing.assert_allclose(command.pressures, found.x[:2], atol=near)
+    assert bool(command.saturated) == saturated
+    assert (cost_and_margins(problem, start, pressures, found.x)[1][:4].min() < 1e-9) == saturated
 
 
 def test_one_step_is_next_to_it():
     """From a plan to stand still, at that; in a loop it begins with the plan of the last period."""
-    ahead = outlook(highest=2.5)
-    start = start_of(ahead, 0.5, 0.2, (2.4, 2.4))
-    once, often = (move_after(iterations, ahead, start, (2.4, 2.4)) for iterations in (1, 8))
+    problem = joint_problem(highest=2.5)
+    start = start_of(problem, 0.5, 0.2, (2.4, 2.4))
+    once, often = (first_command(iterations, problem, start, (2.4, 2.4)) for iterations in (1, 8))
     np.testing.assert_allclose(once.pressures, often.pressures, atol=2e-3)
 
 
 def test_without_limits_it_is_the_linear_loop_however_short_the_horizon():
     """With d = 2.25 the jerk is -(e + d de/dt + d dde/dtt), and the stiffness falls with its own pole."""
-    ahead = outlook(bend=0.0, stage=0.01, early=(0.5, 1 / 3), share=1.0)
+    problem = joint_problem(bend=0.0, stage=0.01, hold_weights=(0.5, 1 / 3), valve_fraction=1.0)
     start = (1.0, -0.4, 0.3, 0.8)
-    torque, stiff = ahead.acceleration, ahead.stiffness
+    torque, stiff = problem.acceleration, problem.stiffness
     matrix = np.array([[torque[1].value, torque[2].value], [stiff[1].value, stiff[2].value]])
-    drag = ahead.drag * (start[1] + 0.01 * start[2])
+    drag = problem.drag * (start[1] + 0.01 * start[2])
     before = np.linalg.solve(matrix, [start[2] - torque[0].value + drag, start[3] - stiff[0].value])
-    move = move_after(1, ahead, start, tuple(before))
-    acceleration, stiffness = matrix @ move.pressures + [torque[0].value - drag, stiff[0].value]
+    command = first_command(1, problem, start, tuple(before))
+    acceleration, stiffness = matrix @ command.pressures + [torque[0].value - drag, stiff[0].value]
     assert (acceleration - start[2]) / 0.01 == pytest.approx(-(1.0 - 2.25 * 0.4 + 2.25 * 0.3), rel=0.03)
     assert (stiffness - start[3]) / 0.01 == pytest.approx(-0.8 / np.sqrt(1.5), rel=0.03)

@@ -45,20 +45,20 @@ def rubbing(knee, load, plant):
 
 @pytest.fixture(scope="module")
 def run(rubbing):
-    """Four seconds of the wish; one program for a controller."""
-    wishes = sampled(SLOW, 4.0, 1e-3)[1]
+    """Four seconds of the setpoint; one program for a controller."""
+    setpoints = sampled(SLOW, 4.0, 1e-3)[1]
     start = numeric(rubbing.equilibrium(0.0))
 
     def run(chosen, control):
         chosen, control = numeric((chosen, control))
-        return compiled_episode(chosen, control, wishes, start, jnp.asarray(1e-3), 4)[1], wishes
+        return compiled_episode(chosen, control, setpoints, start, jnp.asarray(1e-3), 4)[1], setpoints
 
     return run
 
 
 @pytest.fixture(scope="module")
 def runs(run, rubbing, inner, knee):
-    """The same wish without friction, with it, and with it made up for by a model that is right or 30 % off."""
+    """The same setpoint without friction, with it, and with it made up for by a model that is right or 30 % off."""
     trace = MaxwellSlip(1e-6, 0.5 * mm, elements=1)  # next to none, in the same program
     off = with_friction(knee, MaxwellSlip(15.6, 0.7 * mm, elements=1))
     return {
@@ -69,9 +69,9 @@ def runs(run, rubbing, inner, knee):
     }
 
 
-def rmse(record, wishes, after=0):
+def rmse(record, setpoints, after=0):
     """Of the angle [rad]."""
-    return float(np.sqrt(np.mean((np.asarray(record.state.angle) - wishes.angle)[after:] ** 2)))
+    return float(np.sqrt(np.mean((np.asarray(record.state.angle) - setpoints.angle)[after:] ** 2)))
 
 
 def test_the_error_that_friction_makes_is_all_but_gone(runs):
@@ -122,14 +122,14 @@ def test_a_batch_is_what_single_runs_are(run, rubbing, inner):
 
 @pytest.fixture(scope="module")
 def shifted(inner, rubbing):
-    """From rest at 0 rad and two pressures, what steps towards wishes [rad] command, compensated and not; compiled."""
+    """Steps towards setpoints [rad] from rest at 0 rad and two pressures, compensated and not."""
     control = FrictionCompensation(inner, model=rubbing.joint)
 
     @jax.jit
-    def steps(pressures, wishes):
+    def steps(pressures, setpoints):
         here = Measurement(jnp.zeros(()), pressures)
         state = control.init(here)
-        setpoints = [Setpoint(wish, jnp.asarray(15.0)) for wish in wishes]
+        setpoints = [Setpoint(setpoint, jnp.asarray(15.0)) for setpoint in setpoints]
         plain = control.controller.step(state.inner, setpoints[0], here, 1e-3)[1]
         first, commands = control.step(state, setpoints[0], here, 1e-3)
         second, _ = control.step(first, setpoints[1], here, 1e-3)
@@ -137,7 +137,7 @@ def shifted(inner, rubbing):
         won = won - rubbing.joint.torque(0.0, pressures)
         return plain, commands, [control.telemetry(s) for s in (state, first, second)], won
 
-    return lambda pressures, wishes: steps(tuple(map(jnp.asarray, pressures)), tuple(map(jnp.asarray, wishes)))
+    return lambda pressures, setpoints: steps(tuple(map(jnp.asarray, pressures)), tuple(map(jnp.asarray, setpoints)))
 
 
 def test_it_shifts_the_differential_pressure_by_the_torque_of_friction(shifted):
@@ -147,7 +147,7 @@ def test_it_shifts_the_differential_pressure_by_the_torque_of_friction(shifted):
     before, after, back = (float(each["friction_compensation"]) for each in told)
     assert before == 0.0
     assert float(won) == pytest.approx(-after, rel=1e-6)
-    assert after < -0.3 < 0.3 < back  # at the turn it changes sides with the wish, though the joint has not moved
+    assert after < -0.3 < 0.3 < back  # at the turn it changes sides with the setpoint, though the joint has not moved
     assert not told[1]["saturated"]
 
 

@@ -22,7 +22,7 @@ from mckibben.control import (
     inverse_model,
 )
 from mckibben.control.backprop import Network
-from mckibben.control.inverse_model import Moved, Smoothed, Start
+from mckibben.control.inverse_model import FilteredSignal, InitialOffset, MeasuredMotion
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
@@ -51,21 +51,21 @@ def modelled(knee, load):
 
 @pytest.fixture(scope="module")
 def run(short_episode):
-    """Some seconds of a wish from rest at its start; one program for each structure of a controller."""
+    """Some seconds of a setpoint from rest at its start; one program for each structure of a controller."""
 
     def run(plant, control, angle=SINE, stiffness=15.0, start=15.0):
-        wishes = sampled(Reference(angle=angle, stiffness=stiffness), SECONDS, PERIOD)[1]
-        start = numeric(plant.at_rest(float(wishes.angle[0]), stiffness=start))
+        setpoints = sampled(Reference(angle=angle, stiffness=stiffness), SECONDS, PERIOD)[1]
+        start = numeric(plant.equilibrium(float(setpoints.angle[0]), stiffness=start))
         plant, control = numeric((plant, control))
-        return short_episode(plant, control, wishes, start, jnp.asarray(PERIOD), 2)[1], wishes
+        return short_episode(plant, control, setpoints, start, jnp.asarray(PERIOD), 2)[1], setpoints
 
     return run
 
 
 def by_cycle(answer):
     """The RMSE of the angle in each cycle of the sine [deg]."""
-    record, wishes = answer
-    off = (np.asarray(record.state.angle) - np.asarray(wishes.angle)) / deg
+    record, setpoints = answer
+    off = (np.asarray(record.state.angle) - np.asarray(setpoints.angle)) / deg
     return np.sqrt(np.mean(off.reshape(-1, CYCLE) ** 2, axis=1))
 
 
@@ -123,10 +123,10 @@ def test_no_rate_makes_it_run_away_where_nothing_is_as_believed(run, plant, load
         wrong = other(plant, load, rng.uniform(0.9, 1.1, 2), rng.uniform(0.25, 0.75), rng.uniform(0.01, 0.05))
         without = by_cycle(run(wrong, rated(modelled, 0.0)))
         for rate in (3.0, 1000.0):
-            record, wishes = run(wrong, rated(modelled, rate))
-            assert by_cycle((record, wishes)).max() < 1.1 * without.max()
+            record, setpoints = run(wrong, rated(modelled, rate))
+            assert by_cycle((record, setpoints)).max() < 1.1 * without.max()
             assert tensions(wrong.joint, record).min() > 0.0
-            assert float(jnp.abs(record.telemetry["forward_differential"]).max()) < 3e5
+            assert float(jnp.abs(record.telemetry["feedforward_differential"]).max()) < 3e5
 
 
 @pytest.fixture(scope="module")
@@ -134,24 +134,24 @@ def replayed(barely_compiled):
     """The commands to measurements as they were, without the plant that they came from."""
 
     @barely_compiled
-    def told(control, wishes, seen, period):
+    def told(control, setpoints, seen, period):
         def one(state, at):
             return control.step(state, *at, period)
 
-        return lax.scan(one, control.init(jax.tree.map(lambda x: x[0], seen)), (wishes, seen))[1]
+        return lax.scan(one, control.init(jax.tree.map(lambda x: x[0], seen)), (setpoints, seen))[1]
 
     def replayed(control, answer, kind=jnp.float64):
-        record, wishes = answer
+        record, setpoints = answer
         seen = Measurement(record.state.angle, record.state.pressures)
-        return told(*cast((numeric(control), wishes, seen, np.asarray(PERIOD)), kind))
+        return told(*cast((numeric(control), setpoints, seen, np.asarray(PERIOD)), kind))
 
     return replayed
 
 
 def test_without_learning_and_load_it_is_the_loops_alone(run, replayed, plant, alone):
-    """But for rounding, where the wish stands or jumps."""
-    record, wishes = run(plant, rated(alone, 0.0), Step(0.05, 0.1, 0.5), Step(14.0, 16.0, 1.0))
-    expected = replayed(alone.loops, (record, wishes))
+    """But for rounding, where the setpoint stands or jumps."""
+    record, setpoints = run(plant, rated(alone, 0.0), Step(0.05, 0.1, 0.5), Step(14.0, 16.0, 1.0))
+    expected = replayed(alone.loops, (record, setpoints))
     np.testing.assert_allclose(record.command1, expected[0], rtol=1e-9)
     np.testing.assert_allclose(record.command2, expected[1], rtol=1e-9)
     assert np.ptp(np.asarray(record.command1)) > 1e4
@@ -164,8 +164,8 @@ def test_the_commands_follow_from_the_measurements_alone(run, replayed, plant, m
     """
     numbers, rest = eqx.partition(plant, eqx.is_array_like)
     differing = eqx.combine(jax.tree.map(lambda x: 0.98 * x, numbers), rest)
-    record, wishes = run(differing, modelled)
-    again = replayed(modelled, (record, wishes), jnp.float32)
+    record, setpoints = run(differing, modelled)
+    again = replayed(modelled, (record, setpoints), jnp.float32)
     assert again[0].dtype == jnp.float32
     for mine, true in zip(again, (record.command1, record.command2), strict=True):
         assert float(np.sqrt(np.mean((np.asarray(mine) - true) ** 2))) < 200.0  # Pa
@@ -176,15 +176,15 @@ def test_it_takes_over_the_pressures_as_they_are(run, plant, load, modelled):
     """Also where the model would have others: a plant at rest stays so."""
     wrong = other(plant, load)
     rest = run(wrong, modelled, 0.1, 15.0)[0]
-    believed = tensions(modelled.loops.model, rest)[:, 0] / tensions(wrong.joint, rest)[:, 0]
-    assert np.abs(believed - 1.0).min() > 0.05
+    estimated = tensions(modelled.loops.model, rest)[:, 0] / tensions(wrong.joint, rest)[:, 0]
+    assert np.abs(estimated - 1.0).min() > 0.05
     record, _ = run(wrong, modelled, 0.1, float(rest.telemetry["stiffness_estimate"][0]))
     for command, pressure in zip((record.command1, record.command2), rest.state.pressures, strict=True):
         np.testing.assert_allclose(command, float(pressure[0]), rtol=1e-6)
 
 
 def test_with_a_minimum_tension_no_muscle_goes_slack_where_one_did(run, plant, knee, alone, modelled):
-    """Where a stiffness is wished for that the joint cannot have: the loops alone, and with 5 N."""
+    """Where a stiffness is setpoints_of for that the joint cannot have: the loops alone, and with 5 N."""
 
     def least(control):
         record, _ = run(plant, rated(control, 0.0), Sine(10 * deg, 0.5, 0.0, np.pi / 2), 5.0)
@@ -194,11 +194,13 @@ def test_with_a_minimum_tension_no_muscle_goes_slack_where_one_did(run, plant, k
     assert least(modelled) > 2.5  # the joint moves on while a valve follows
 
 
-START = Start(*map(jnp.asarray, (14.0, 0.1e5, 1e5)))
+START = InitialOffset(*map(jnp.asarray, (14.0, 0.1e5, 1e5)))
 
 
 def moved(angle=0.05, stiffness=15.0, pressures=(4.0e5, 4.4e5), velocity=0.4):
-    return Moved(*(Smoothed(jnp.asarray(x), None) for x in (angle, stiffness, *pressures)), jnp.asarray(velocity))
+    return MeasuredMotion(
+        *(FilteredSignal(jnp.asarray(x), None) for x in (angle, stiffness, *pressures)), jnp.asarray(velocity)
+    )
 
 
 def network(seed=0, hidden=8):
@@ -208,7 +210,7 @@ def network(seed=0, hidden=8):
 
 @jax.jit
 def taught(control, network, moved, acceleration):
-    return numeric(control)._taught(network, moved, acceleration, START, PERIOD)
+    return numeric(control)._train(network, moved, acceleration, START, PERIOD)
 
 
 def test_it_steps_down_the_gradient_by_no_more_than_it_may(alone):
@@ -253,14 +255,14 @@ def test_motion_and_pressures_are_of_one_moment(alone):
     def angle(k):
         return 0.5 * 2.0 * (PERIOD * k) ** 2 - 0.05
 
-    still = [Smoothed(jnp.asarray(x), jnp.asarray(x)) for x in (angle(0), 14.95, 2e5, 3e5)]
+    still = [FilteredSignal(jnp.asarray(x), jnp.asarray(x)) for x in (angle(0), 14.95, 2e5, 3e5)]
 
     def one(state, k):
         now = Measurement(angle(k), (2e5 + 1e5 * angle(k), 3e5 - 1e5 * angle(k)))
-        return alone._moved(state, now, 15.0 + angle(k), PERIOD)
+        return alone._filter(state, now, 15.0 + angle(k), PERIOD)
 
     state, acceleration = jax.jit(lambda state: lax.scan(one, state, jnp.arange(1.0, 501.0)))(
-        Moved(*still, jnp.asarray(0.0))
+        MeasuredMotion(*still, jnp.asarray(0.0))
     )
     assert float(acceleration[-1]) == pytest.approx(2.0, rel=1e-6)
     delay = 2 / 60.0  # of two filters, but for half a period each

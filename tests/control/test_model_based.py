@@ -1,4 +1,4 @@
-"""What controllers by a model share: what they believe of the muscles goes into all that they do."""
+"""Estimation shared by the model-based controllers: adapted strengths act like a model that has them."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from mckibben.control import (
     PredictiveControl,
     Setpoint,
 )
-from mckibben.control.adaptation import strengthened
+from mckibben.control.adaptation import with_strengths
 from mckibben.errors import RangeError
 from mckibben.numerics.compiled import numeric
 
@@ -35,23 +35,26 @@ def predictive(load):
 
 @pytest.mark.parametrize("kind", ["decoupling", "predictive"])
 def test_strengths_that_were_learned_are_as_good_as_a_model_that_has_them(kind, request, barely_compiled, knee):
-    """All that the model is asked for: what it expects of motion and stiffness, and what is commanded for a wish."""
+    """In motion, stiffness estimate and commands."""
     make = request.getfixturevalue(kind)
     seen = Measurement(jnp.asarray(0.1), (jnp.asarray(4.2e5), jnp.asarray(4.6e5)))
-    wish = Setpoint(jnp.asarray(0.105), jnp.asarray(15.5))
+    setpoint = Setpoint(jnp.asarray(0.105), jnp.asarray(15.5))
 
     @barely_compiled
     def stepped(control, deviations):
         state = control.init(seen)
-        before = state.beliefs
-        adapted, motion = before.adapted._replace(deviations=deviations), before.motion._replace(known=jnp.asarray(0.0))
-        state = state._replace(beliefs=before._replace(adapted=adapted, motion=motion))
-        state, commands = control.step(state, wish, seen, PERIOD)
-        return commands, state.beliefs.motion, control.telemetry(state)
+        before = state.estimates
+        adaptation, motion = (
+            before.adaptation._replace(deviations=deviations),
+            before.motion._replace(known=jnp.asarray(0.0)),
+        )
+        state = state._replace(estimates=before._replace(adaptation=adaptation, motion=motion))
+        state, commands = control.step(state, setpoint, seen, PERIOD)
+        return commands, state.estimates.motion, control.telemetry(state)
 
     def answer(strengths, *, learned):
         """Commands [Pa], what is expected of the motion, and the estimate."""
-        model = jax.tree.map(np.asarray, strengthened(knee, (1.0, 1.0) if learned else strengths))
+        model = jax.tree.map(np.asarray, with_strengths(knee, (1.0, 1.0) if learned else strengths))
         off = (*((s - 1) / SPREAD for s in strengths), 0.0) if learned else (0.0, 0.0, 0.0)
         commands, motion, told = stepped(numeric(make(model)), tuple(map(np.asarray, off)))
         assert float(told["strength1_estimate"]) == pytest.approx(strengths[0] if learned else 1.0)

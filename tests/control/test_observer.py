@@ -21,7 +21,7 @@ def test_all_poles_of_the_error_lie_where_the_bandwidth_says(kind):
 
 
 def watched(observer, missing, periods=400):
-    """What is believed of an angle that moves by a known acceleration and one that the model misses; and the truth."""
+    """What is estimated of an angle that moves by a known acceleration and one that the model misses; and the truth."""
     times = PERIOD * np.arange(periods)
     angle, velocity = (
         0.1 - 0.02 * np.cos(10 * times) + missing * times**2 / 2,
@@ -50,23 +50,23 @@ def test_without_disturbance_it_reads_the_velocity_wrong_by_what_it_says():
 def test_pressures_lose_their_noise_and_nothing_else():
     observer, rng = PressureObserver(bandwidth=200.0), np.random.default_rng(1)
     share = 1 - np.exp(-PERIOD / 0.02)
-    pressure, believed, off = np.array([1e5, 2e5]), (1e5, 2e5), []
+    pressure, estimated, off = np.array([1e5, 2e5]), (1e5, 2e5), []
     for k in range(2000):
         command = np.array([3e5, 1e5]) if (k // 100) % 2 else np.array([1e5, 2e5])
         pressure = pressure + share * (command - pressure)
         sensed = pressure + rng.normal(size=2) * 4e3
-        believed = observer.step(believed, tuple(command), tuple(sensed), share, PERIOD)
-        off.append(np.asarray(believed) - pressure)
+        estimated = observer.step(estimated, tuple(command), tuple(sensed), share, PERIOD)
+        off.append(np.asarray(estimated) - pressure)
     trust = 1 - np.exp(-0.2)
     assert np.std(off[100:]) == pytest.approx(4e3 * np.sqrt(trust / (2 - trust)), rel=0.1)
 
 
 def test_a_wrong_valve_is_forgotten_with_the_bandwidth():
-    observer, believed = PressureObserver(bandwidth=200.0), (2e5, 2e5)
-    for _ in range(50):  # the valve is stuck; it is believed to follow
-        believed = observer.step(believed, (3e5, 1e5), (2e5, 2e5), 0.05, PERIOD)
+    observer, estimated = PressureObserver(bandwidth=200.0), (2e5, 2e5)
+    for _ in range(50):  # the valve is stuck; it is estimated to follow
+        estimated = observer.step(estimated, (3e5, 1e5), (2e5, 2e5), 0.05, PERIOD)
     pull = 0.05 * np.exp(-0.2)
-    assert float(believed[0]) == pytest.approx(2e5 + 1e5 * pull / (1 - np.exp(-0.2) * 0.95), rel=1e-6)
+    assert float(estimated[0]) == pytest.approx(2e5 + 1e5 * pull / (1 - np.exp(-0.2) * 0.95), rel=1e-6)
 
 
 def test_a_sensor_may_be_taken_at_its_word():

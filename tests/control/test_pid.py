@@ -18,31 +18,31 @@ class Textbook:
         self.kp, self.ki, self.kd, self.tf, self.tt, self.on_error = kp, ki, kd, tf, tt, on_error
         self.i, self.d, self.last = output, 0.0, None
 
-    def start(self, desired, measured):
-        self.last = desired - measured if self.on_error else -measured
+    def start(self, setpoint, measured):
+        self.last = setpoint - measured if self.on_error else -measured
 
-    def __call__(self, desired, measured, low, high):
-        e = desired - measured
-        x = desired - measured if self.on_error else -measured
+    def __call__(self, setpoint, measured, low, high):
+        e = setpoint - measured
+        x = setpoint - measured if self.on_error else -measured
         self.d = (self.tf * self.d + (x - self.last)) / (self.tf + PERIOD)
         self.last = x
         self.i += self.ki * e * PERIOD
         u = self.kp * e + self.i + self.kd * self.d
-        realised = min(max(u, low), high)
-        self.i += min(PERIOD / self.tt, 1.0) * (realised - u) if self.tt > 0 else realised - u
-        return u, realised
+        achieved = min(max(u, low), high)
+        self.i += min(PERIOD / self.tt, 1.0) * (achieved - u) if self.tt > 0 else achieved - u
+        return u, achieved
 
 
 @jax.jit
-def run(pid, desired, measured, start, low, high):
-    """All outputs, and what was realised of them."""
+def run(pid, setpoint, measured, start, low, high):
+    """All outputs, and what was achieved of them."""
 
     def period(state, sample):
         state, output = pid.step(state, sample[0], sample[1], 1.0, PERIOD)
-        realised = jnp.clip(output, low, high)
-        return pid.realised(state, output, realised, PERIOD), (output, realised)
+        achieved = jnp.clip(output, low, high)
+        return pid.track(state, output, achieved, PERIOD), (output, achieved)
 
-    return lax.scan(period, pid.init(desired[0], measured[0], start), (desired, measured))[1]
+    return lax.scan(period, pid.init(setpoint[0], measured[0], start), (setpoint, measured))[1]
 
 
 def signals(seed=0, count=300):
@@ -62,12 +62,12 @@ def signals(seed=0, count=300):
     ],
 )
 def test_it_is_the_textbooks_pid(gains, limits, on_error):
-    desired, measured = signals()
+    setpoint, measured = signals()
     book = Textbook(*gains, on_error, 0.7)
-    book.start(desired[0], measured[0])
-    expected = [book(float(d), float(m), *limits) for d, m in zip(desired, measured, strict=True)]
+    book.start(setpoint[0], measured[0])
+    expected = [book(float(d), float(m), *limits) for d, m in zip(setpoint, measured, strict=True)]
     pid = PID(*(jnp.asarray(g) for g in gains), derivative_on_error=on_error)
-    got = run(pid, desired, measured, 0.7, *limits)
+    got = run(pid, setpoint, measured, 0.7, *limits)
     np.testing.assert_allclose(np.array(got).T, expected, rtol=1e-11, atol=1e-11)
 
 
@@ -78,10 +78,10 @@ def test_without_an_error_it_goes_on_with_the_output_it_took_over():
 
 
 def test_a_step_of_the_wish_does_not_kick_unless_the_derivative_sees_it():
-    desired, measured = np.where(np.arange(20) < 10, 0.0, 1.0), np.zeros(20)
-    calm, _ = run(PID(1.0, 0.0, 5.0), desired, measured, 0.0, -1e9, 1e9)
-    kicked, _ = run(PID(1.0, 0.0, 5.0, derivative_on_error=True), desired, measured, 0.0, -1e9, 1e9)
-    np.testing.assert_allclose(calm, desired)
+    setpoint, measured = np.where(np.arange(20) < 10, 0.0, 1.0), np.zeros(20)
+    calm, _ = run(PID(1.0, 0.0, 5.0), setpoint, measured, 0.0, -1e9, 1e9)
+    kicked, _ = run(PID(1.0, 0.0, 5.0, derivative_on_error=True), setpoint, measured, 0.0, -1e9, 1e9)
+    np.testing.assert_allclose(calm, setpoint)
     assert float(kicked[10]) == pytest.approx(1.0 + 5.0 * 1.0 / (0.005 + PERIOD))
     assert abs(float(kicked[-1]) - 1.0) < 0.1
 
@@ -93,13 +93,13 @@ def test_the_derivative_opposes_a_moving_measurement():
 
 
 def test_anti_windup_leaves_the_limit_sooner():
-    desired = np.where(np.arange(400) < 200, 5.0, -0.5)
+    setpoint = np.where(np.arange(400) < 200, 5.0, -0.5)
     measured = np.zeros(400)
     times = []
     for tracking in (0.02, 1e9):  # with, and practically without
-        _, realised = run(PID(0.5, 2.0, 0.0, tracking_time=tracking), desired, measured, 0.0, -1.0, 1.0)
-        assert float(realised[199]) == 1.0
-        below = np.flatnonzero(np.asarray(realised[200:]) < 1.0)
+        _, achieved = run(PID(0.5, 2.0, 0.0, tracking_time=tracking), setpoint, measured, 0.0, -1.0, 1.0)
+        assert float(achieved[199]) == 1.0
+        below = np.flatnonzero(np.asarray(achieved[200:]) < 1.0)
         times.append(below[0] if below.size else 200)
     assert times[0] <= 5 < 100 < times[1]
 
@@ -111,7 +111,7 @@ def test_the_integral_does_not_run_away_at_the_limit():
         state = pid.init(0.0, 0.0, 0.0)
         for _ in range(50):
             state, output = pid.step(state, 10.0, 0.0, 1.0, PERIOD)
-            state = pid.realised(state, output, jnp.minimum(output, 1.0), PERIOD)
+            state = pid.track(state, output, jnp.minimum(output, 1.0), PERIOD)
         state_after.append(float(state.integral))
     assert state_after[1] == pytest.approx(25.0, rel=1e-6)
     assert state_after[0] < 0.0  # close to limit minus kp e
@@ -120,20 +120,20 @@ def test_the_integral_does_not_run_away_at_the_limit():
 @pytest.mark.parametrize("tracking", [0.0, 0.05])
 @pytest.mark.parametrize("learning", [False, True])
 def test_without_integral_action_saturation_leaves_no_bias(tracking, learning):
-    desired, measured = np.where(np.arange(60) < 30, 5.0, 0.0), np.zeros(60)
+    setpoint, measured = np.where(np.arange(60) < 30, 5.0, 0.0), np.zeros(60)
     pid = PID(2.0, 0.0, 0.0, tracking_time=tracking)
     scales = {"signal_scale": 1.0, "error_scale": 1.0, "output_scale": 1.0, "learning_rate": 0.0}
-    output, realised = run(BackpropPID(pid, **scales) if learning else pid, desired, measured, 0.3, -1.0, 1.0)
-    assert np.all(np.asarray(realised[:30]) == 1.0)
+    output, achieved = run(BackpropPID(pid, **scales) if learning else pid, setpoint, measured, 0.3, -1.0, 1.0)
+    assert np.all(np.asarray(achieved[:30]) == 1.0)
     # The initial output stays; the velocity form of BP starts from no error, so its first step is one of the error.
-    np.testing.assert_allclose(output, 0.3 + 2.0 * desired, rtol=1e-12)
+    np.testing.assert_allclose(output, 0.3 + 2.0 * setpoint, rtol=1e-12)
 
 
 def test_in_a_batch_only_loops_with_integral_action_track():
     def after_saturation(ki):
         pid = PID(1.0, ki, 0.0)
         state, output = pid.step(pid.init(0.0, 0.0, 0.3), 10.0, 0.0, 1.0, PERIOD)
-        return pid.realised(state, output, 1.0, PERIOD).integral
+        return pid.track(state, output, 1.0, PERIOD).integral
 
     without, with_integral = jax.vmap(after_saturation)(jnp.array([0.0, 2.0]))
     assert float(without) == pytest.approx(0.3, rel=1e-12)

@@ -16,7 +16,7 @@ from mckibben.control import (
     PositionStiffnessControl,
     Setpoint,
 )
-from mckibben.control.position_stiffness import Forward
+from mckibben.control.position_stiffness import Feedforward
 from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.compiled import numeric
@@ -31,14 +31,14 @@ class Spy(Loop):
 
     output: float
 
-    def init(self, desired, measured, output):
-        return {"started": (desired, measured, output)}
+    def init(self, setpoint, measured, output):
+        return {"started": (setpoint, measured, output)}
 
-    def step(self, state, desired, measured, sensitivity, period):
-        return {"asked": (desired, measured, sensitivity, period)}, jnp.asarray(self.output)
+    def step(self, state, setpoint, measured, sensitivity, period):
+        return {"asked": (setpoint, measured, sensitivity, period)}, jnp.asarray(self.output)
 
-    def realised(self, state, output, realised, period):
-        return state | {"told": (output, realised, period)}
+    def track(self, state, output, achieved, period):
+        return state | {"tracked": (output, achieved, period)}
 
     def telemetry(self, state):
         return {}
@@ -53,7 +53,7 @@ def seen(angle=0.1, p1=4e5, p2=4.4e5):
     return Measurement(jnp.asarray(angle), (jnp.asarray(p1), jnp.asarray(p2)))
 
 
-def wish(angle=0.1, stiffness=15.0):
+def setpoint(angle=0.1, stiffness=15.0):
     return Setpoint(jnp.asarray(angle), jnp.asarray(stiffness))
 
 
@@ -67,7 +67,9 @@ def once(control, setpoint, measurement):
 def spied(knee):
     def run(differential, cocontraction, measurement):
         control = PositionStiffnessControl(Spy(differential), Spy(cocontraction), model=knee)
-        return control.step(control.init(measurement), wish(0.2, 16.0), measurement, PERIOD), control.init(measurement)
+        return control.step(control.init(measurement), setpoint(0.2, 16.0), measurement, PERIOD), control.init(
+            measurement
+        )
 
     return run
 
@@ -92,16 +94,16 @@ def test_each_loop_sees_its_own_quantity_and_the_models_sensitivity(spied, knee)
     assert float(state.estimate) == pytest.approx(estimate)
     assert [float(x) for x in start.position["started"]] == pytest.approx([0.1, 0.1, 0.2e5])
     assert [float(x) for x in start.stiffness["started"]] == pytest.approx([estimate, estimate, 4.2e5])
-    desired, measured, by_differential, period = (float(x) for x in state.position["asked"])
-    assert (desired, measured, period) == pytest.approx((0.2, 0.1, PERIOD))
+    setpoint, measured, by_differential, period = (float(x) for x in state.position["asked"])
+    assert (setpoint, measured, period) == pytest.approx((0.2, 0.1, PERIOD))
     step = 10.0
     more = float(
         knee.torque(0.1, (held[0] - step, held[1] + step)) - knee.torque(0.1, (held[0] + step, held[1] - step))
     )
     assert by_differential == pytest.approx(more / (2 * step) / estimate, rel=1e-6)
     assert by_differential > 0
-    desired, measured, by_cocontraction, _ = (float(x) for x in state.stiffness["asked"])
-    assert (desired, measured) == pytest.approx((16.0, estimate))
+    setpoint, measured, by_cocontraction, _ = (float(x) for x in state.stiffness["asked"])
+    assert (setpoint, measured) == pytest.approx((16.0, estimate))
     stiffer = float(
         knee.stiffness(0.1, (held[0] + step, held[1] + step)) - knee.stiffness(0.1, (held[0] - step, held[1] - step))
     )
@@ -111,37 +113,37 @@ def test_each_loop_sees_its_own_quantity_and_the_models_sensitivity(spied, knee)
 def test_both_loops_are_told_what_was_realised(spied):
     (state, commands), _ = spied(4e5, 4e5, seen())  # wants 0 and 8 bar; there are 6
     assert [float(c) for c in commands] == [0.0, 6e5]
-    assert [float(x) for x in state.position["told"]] == pytest.approx([4e5, 3e5, PERIOD])
-    assert [float(x) for x in state.stiffness["told"]] == pytest.approx([4e5, 3e5, PERIOD])
+    assert [float(x) for x in state.position["tracked"]] == pytest.approx([4e5, 3e5, PERIOD])
+    assert [float(x) for x in state.stiffness["tracked"]] == pytest.approx([4e5, 3e5, PERIOD])
 
 
 @pytest.mark.parametrize("stiffness", [-1e6, 0.0, 15.0, 1e6])
 @pytest.mark.parametrize("angle", [-50.0, 0.0, 50.0])
 def test_commands_stay_within_the_limits_of_the_muscles(control, angle, stiffness):
-    _, commands = once(control, wish(angle, stiffness), seen())
+    _, commands = once(control, setpoint(angle, stiffness), seen())
     assert all(0.0 <= float(c) <= 6e5 for c in commands)
 
 
 def test_the_limits_are_each_muscles_own(knee):
     weaker = eqx.tree_at(lambda j: j.muscle2.law.domain.pressure_max, knee, 3e5)
     control = PositionStiffnessControl(Spy(5e5), Spy(5e5), model=weaker)
-    _, commands = control.step(control.init(seen()), wish(), seen(), PERIOD)
+    _, commands = control.step(control.init(seen()), setpoint(), seen(), PERIOD)
     assert [float(c) for c in commands] == [0.0, 3e5]
 
 
 def test_the_estimate_is_the_models_and_no_one_elses(control, knee):
     measurement = seen()
-    state, _ = once(control, wish(), measurement)
+    state, _ = once(control, setpoint(), measurement)
     assert float(state.estimate) == pytest.approx(float(knee.stiffness(0.1, (4e5, 4.4e5))), rel=1e-12)
     stronger = eqx.tree_at(lambda c: c.model.muscle1.law.a2, control, replace_fn=lambda a: 1.2 * a)
-    other, _ = once(stronger, wish(), measurement)
+    other, _ = once(stronger, setpoint(), measurement)
     assert float(other.estimate) != pytest.approx(float(state.estimate), rel=1e-3)
 
 
 def test_telemetry_names_the_estimate_and_the_gains_of_learning_loops(knee):
     learner = BackpropPID(POSITION, signal_scale=0.2, error_scale=0.02, output_scale=1e5)
     control = numeric(PositionStiffnessControl(learner, STIFFNESS, model=knee))
-    state, _ = once(control, wish(), seen())
+    state, _ = once(control, setpoint(), seen())
     telemetry = control.telemetry(state)
     assert set(telemetry) == {"stiffness_estimate", "saturated", "position_kp", "position_ki", "position_kd"}
     assert float(telemetry["position_kp"]) == pytest.approx(1.5e5)
@@ -164,7 +166,7 @@ def test_a_model_with_a_series_spring_works_as_well(as_printed):
 
     springy = dataclasses.replace(as_printed, tendon=SeriesSpring(2e4, 20.0, 0.02))
     control = numeric(PositionStiffnessControl(POSITION, STIFFNESS, model=springy))
-    state, commands = once(control, wish(0.05, 20.0), seen(0.03, 1e5, 1.3e5))
+    state, commands = once(control, setpoint(0.05, 20.0), seen(0.03, 1e5, 1.3e5))
     assert np.isfinite([float(state.estimate), *map(float, commands)]).all()
 
 
@@ -173,7 +175,7 @@ def test_a_learner_with_the_models_jacobian_survives_two_slack_muscles(knee):
     control = numeric(PositionStiffnessControl(learner, STIFFNESS, model=knee))
     slack = seen(0.0, 0.0, 0.0)
     assert float(knee.stiffness(0.0, slack.pressures)) == 0.0
-    step = jax.jit(lambda state, measurement: control.step(state, wish(0.1), measurement, PERIOD))
+    step = jax.jit(lambda state, measurement: control.step(state, setpoint(0.1), measurement, PERIOD))
     state, _ = step(control.init(slack), slack)
     _, commands = step(state, seen())
     assert np.isfinite([float(c) for c in commands]).all()
@@ -181,13 +183,13 @@ def test_a_learner_with_the_models_jacobian_survives_two_slack_muscles(knee):
 
 def test_what_is_given_beside_the_loops_is_added_and_the_loops_are_told_of_their_own_part(knee):
     control = PositionStiffnessControl(Spy(0.5e5), Spy(1e5), model=knee)
-    forward = Forward(*map(jnp.asarray, (0.25e5, 2e5, 0.04)))
-    state, commands = control.step_beside(forward, control.init(seen()), wish(0.2, 16.0), seen(), PERIOD)
+    forward = Feedforward(*map(jnp.asarray, (0.25e5, 2e5, 0.04)))
+    state, commands = control.step_with(forward, control.init(seen()), setpoint(0.2, 16.0), seen(), PERIOD)
     assert [float(c) for c in commands] == [2.25e5, 3.75e5]
     assert [float(x) for x in state.position["asked"][:2]] == pytest.approx([0.16, 0.06])
-    assert [float(x) for x in state.position["told"][:2]] == [0.5e5, 0.5e5]
-    assert [float(x) for x in state.stiffness["told"][:2]] == [1e5, 1e5]
-    start = control.init_beside(forward, seen())
+    assert [float(x) for x in state.position["tracked"][:2]] == [0.5e5, 0.5e5]
+    assert [float(x) for x in state.stiffness["tracked"][:2]] == [1e5, 1e5]
+    start = control.init_with(forward, seen())
     assert [float(x) for x in start.position["started"]] == pytest.approx([0.06, 0.06, -0.05e5])
     assert float(start.stiffness["started"][2]) == pytest.approx(2.2e5)
 
@@ -195,15 +197,15 @@ def test_what_is_given_beside_the_loops_is_added_and_the_loops_are_told_of_their
 def test_the_differential_pressure_goes_before_the_cocontraction(knee):
     """At a minimum tension each muscle has a lowest pressure; the loops are told what came of it."""
     control = numeric(PositionStiffnessControl(Spy(0.3e5), Spy(1e5), model=knee, minimum_tension=8.0))
-    state, (command1, command2) = once(control, wish(), seen())
+    state, (command1, command2) = once(control, setpoint(), seen())
     assert float(command2 - command1) / 2 == pytest.approx(0.3e5)
     tensions = [float(t) for t in knee.tensions(0.1, (command1, command2))]
     assert min(tensions) == pytest.approx(8.0, rel=1e-6) and bool(state.saturated)
-    assert float(state.position["told"][1]) == pytest.approx(0.3e5)
-    assert float(state.stiffness["told"][1]) == pytest.approx(float(command1 + command2) / 2)
+    assert float(state.position["tracked"][1]) == pytest.approx(0.3e5)
+    assert float(state.stiffness["tracked"][1]) == pytest.approx(float(command1 + command2) / 2)
     assert float(command1 + command2) / 2 > 1e5
     far = numeric(PositionStiffnessControl(Spy(9e5), Spy(3e5), model=knee, minimum_tension=8.0))
-    _, commands = once(far, wish(), seen())
+    _, commands = once(far, setpoint(), seen())
     taut = [float(t) for t in knee.tensions(0.1, commands)]
     assert taut[0] == pytest.approx(8.0, rel=1e-6) and taut[1] <= knee.muscle2.specimen.rated_force * (1 + 1e-9)
     with pytest.raises(RangeError, match="minimum_tension is 0 N"):
@@ -217,7 +219,7 @@ def test_friction_compensation_keeps_the_tension_too(knee):
     control = FrictionCompensation(inner, model=model)
     least = []
     for towards in (0.2, 0.0):
-        state, commands = control.step(control.init(seen(0.1)), wish(towards), seen(0.1), PERIOD)
+        state, commands = control.step(control.init(seen(0.1)), setpoint(towards), seen(0.1), PERIOD)
         assert abs(float(state.torque)) > 0.5
         least.append(min(float(t) for t in knee.tensions(0.1, commands)))
     assert min(least) == pytest.approx(8.0, rel=1e-6)

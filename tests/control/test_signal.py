@@ -90,13 +90,13 @@ def test_every_signal_is_a_float_in_the_shape_of_time(signal):
 
 
 def test_a_reference_wants_both_at_once():
-    wish = Reference(angle=Sine(0.2, 0.5), stiffness=Step(13.0, 17.0, 5.0))(TIMES)
-    np.testing.assert_allclose(wish.angle, 0.2 * np.sin(np.pi * TIMES), atol=1e-13)
-    np.testing.assert_array_equal(wish.stiffness, [13, 13, 13, 13, 17, 17])
+    setpoint = Reference(angle=Sine(0.2, 0.5), stiffness=Step(13.0, 17.0, 5.0))(TIMES)
+    np.testing.assert_allclose(setpoint.angle, 0.2 * np.sin(np.pi * TIMES), atol=1e-13)
+    np.testing.assert_array_equal(setpoint.stiffness, [13, 13, 13, 13, 17, 17])
 
 
 @pytest.mark.parametrize("number", [15, np.int64(15), np.float32(15), np.float64(15)], ids=lambda x: type(x).__name__)
 def test_any_number_is_a_constant(number):
-    wish = jax.jit(lambda r, t: r(t))(numeric(Reference(angle=number, stiffness=number)), TIMES)
-    np.testing.assert_array_equal(wish, np.full((2, TIMES.size), 15.0))
-    assert wish.stiffness.dtype == TIMES.dtype
+    setpoint = jax.jit(lambda r, t: r(t))(numeric(Reference(angle=number, stiffness=number)), TIMES)
+    np.testing.assert_array_equal(setpoint, np.full((2, TIMES.size), 15.0))
+    assert setpoint.stiffness.dtype == TIMES.dtype

@@ -188,10 +188,7 @@ def test_two_sheets_or_groups_are_never_mixed(put):
     book.save(stream)
     path = put(stream.getvalue(), "a.xlsx")
     assert "'run 2/force_N': gives" not in said_of(path)[0]
-    assert (
-        "run 2/force_N: gives force again, after 'run 1/force_N'; keep one of them, or assign it by columns"
-        in "".join(said_of(path))
-    )
+    assert any("run 2/force_N: gives force again, after 'run 1/force_N'" in text for text in said_of(path))
     names = ("pressure_bar", "contraction_percent", "force_N")
     assert read_dataset(path, columns={f"run 2/{name}": name for name in names}).force.tolist() == [7]
 

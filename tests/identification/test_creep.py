@@ -129,7 +129,7 @@ def test_a_time_constant_that_the_plateaus_do_not_show_is_said_not_to_be_known()
     short = dataclasses.replace(late, pressures=[4 * bar], repeats=1)
     found = identify_creep(measured(MaxwellCreep(1500.0, 800.0), 1, short, force_noise=0.05), **times)
     assert found.is_significant and found.time_constant_interval[1] == math.inf and "is too short" in found.warnings[0]
-    ratio = float(found.warnings[0].split("time constant is ")[1].split(" N/mm/s")[0])
+    ratio = float(found.warnings[0].split("per time constant is ")[1].split(" N/mm/s")[0])
     assert ratio == pytest.approx(1.5 / 800, rel=0.4)
 
 

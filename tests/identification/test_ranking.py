@@ -281,3 +281,23 @@ def test_all_parameters_at_their_bounds_are_an_error_of_units():
     bars_for_pascals = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=1.0)
     with pytest.raises(IdentificationError, match="look for wrong units in the data"):
         identify(ChouLaw, bars_for_pascals)
+
+
+def test_a_contraction_beyond_the_validity_of_a_law_by_noise_counts_as_its_limit():
+    data = catalog.dataset(MAP)
+    contraction = data.contraction.copy()
+    first = np.flatnonzero(~data.slack & (contraction == 0))[0]
+    contraction[first] = -0.0004
+    noisy = IsobaricDataset(data.table.assign(contraction=("point", contraction)))
+    assert identify(HuntLaw, noisy).rmse == pytest.approx(identify(HuntLaw, data).rmse)
+    contraction[first] = -0.002
+    with pytest.raises(IdentificationError, match="HuntLaw is not valid at 1 of the 40"):
+        identify(HuntLaw, IsobaricDataset(data.table.assign(contraction=("point", contraction))))
+
+
+def test_a_notebook_shows_a_line_and_a_table(rankings):
+    ranking = rankings[MAP]
+    fit = ranking.of("ExponentialLaw").fit
+    assert len(repr(ranking)) < 120 and len(repr(fit)) < 120
+    assert fit._repr_html_().count("<tr>") == 1 + len(fit.estimates)
+    assert ranking._repr_html_().count("<tr>") == 1 + len(ranking.entries)

@@ -192,7 +192,7 @@ def test_the_rule_looks_at_where_was_measured(map_of_martens, chart, fit):
     )
     assert alone.robust is None
     assert any("independent points: the 119 points are at 119 pressures, hardly two" in w for w in alone.warnings)
-    assert "classical, as if" in alone.report()
+    assert "classical, for independent points" in alone.report()
     few = identify(ExponentialLaw, measured(EQ_3, np.array([3, 4, 5, 6]) * bar, np.linspace(0, 0.1, 9), 1.0))
     assert few.robust is None
     assert any("independent points: 4 pressures are too few" in warning for warning in few.warnings)

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben import catalog
+from mckibben.errors import DomainWarning
 from mckibben.joint import AntagonisticJoint, SeriesSpring
 from mckibben.muscle import ChouLaw, Muscle
 
@@ -128,3 +129,19 @@ def test_the_work_of_the_muscles_is_that_of_the_torque(angle, p1, p2):
     work = -(float(force1) * float(ahead1 - behind1) + float(force2) * float(ahead2 - behind2))
     scale = 0.03 * (float(force1) + float(force2))
     assert work / (2 * step) == pytest.approx(float(torque), abs=1e-8 * scale + 1e-9)
+
+
+@pytest.mark.parametrize("method", ["torque", "stiffness", "torque_and_stiffness", "tensions", "forces"])
+def test_outside_a_muscles_domain_a_direct_call_warns_once(as_printed, method):
+    asked = getattr(as_printed, method)
+    given = ((0.0,) if method == "forces" else ()) + ((3e5, 7e5),)
+    with pytest.warns(DomainWarning, match=r"^MAS-10\S+: contraction -.* 3 bar .*; MAS-10.* 7 bar") as said:
+        asked(0.3, *given)
+    assert len(said) == 1 and said[0].filename == __file__
+    jax.jit(asked)(0.3, *given)  # traced: nothing to look at
+
+
+def test_a_joint_prints_in_one_line(knee):
+    muscle = "Muscle(MAS-10-180N-AA-MC-O, ExponentialLaw)"
+    assert repr(knee) == f"AntagonisticJoint({muscle}, {muscle}, RigidTendon)"
+    assert repr(knee.muscle1.specimen) == "Specimen(MAS-10-180N-AA-MC-O)"

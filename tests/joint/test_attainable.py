@@ -12,6 +12,7 @@ from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import SeriesSpring
 from mckibben.joint.attainable import solve_static, solve_static_and_range
 from mckibben.numerics.compiled import numeric
+from mckibben.units import bar, deg
 
 
 @pytest.fixture(scope="module")
@@ -213,3 +214,50 @@ def test_one_pass_holds_the_first_of_many_angles_and_gives_the_range_at_all(knee
     if alone.exists:
         np.testing.assert_allclose(found.pressures, alone.pressures, rtol=1e-9)
     np.testing.assert_allclose(band, attainable(numeric(joint), angles, torques), rtol=1e-12)
+
+
+def test_pressures_for_broadcast(knee):
+    angles, torques = np.array([0.0, 0.05, 0.1]), np.array([[-0.5], [0.3]])
+    pressures = knee.pressures_for(angles, torques, 14.0)
+    assert [pressure.shape for pressure in pressures] == [(2, 3), (2, 3)]
+    np.testing.assert_allclose(knee.torque(angles, pressures), np.broadcast_to(torques, (2, 3)), atol=1e-9)
+    np.testing.assert_allclose(knee.stiffness(angles, pressures), 14.0, rtol=1e-9)
+    with pytest.raises(UnreachableError) as caught:
+        knee.pressures_for(angles, 0.0, np.array([14.0, 99.0, 98.0]))
+    assert caught.value.value == 99.0
+    with pytest.raises(RangeError, match="the angle is"):
+        knee.pressures_for(np.array([0.0, np.nan]), 0.0)
+
+
+def test_the_torque_ends_where_a_tension_reaches_its_rating(as_printed):
+    angle = -8 * deg  # muscle 2 is stretched: at 6 bar Eq. 3 gives more than its 630 N
+    tension = float(as_printed.tensions(angle, (0.0, 6 * bar))[1])
+    assert tension > 630
+    arm1, arm2 = (float(arm) for arm in as_printed.geometry.moment_arms(angle))
+    slackest = float(as_printed.tensions(angle, (0.0, 0.0))[0])
+    _, highest = as_printed.attainable_torque(angle)
+    assert float(highest) == pytest.approx(630 * arm2 - slackest * arm1, rel=1e-12)
+
+
+def test_every_attainable_state_is_below_the_rating(as_printed):
+    angles = np.linspace(-10, 10, 9) * deg
+    lowest, highest = as_printed.attainable_torque(angles)
+    attainable, tensions = jax.jit(as_printed.attainable_stiffness), jax.jit(as_printed.tensions)
+    for angle, low, high in zip(angles, np.asarray(lowest), np.asarray(highest), strict=True):
+        for torque in np.linspace(low, high, 5)[1:-1]:
+            low_stiffness, high_stiffness = (float(k) for k in attainable(angle, torque))
+            for part in (0.001, 0.5, 0.999):
+                wanted = low_stiffness + part * (high_stiffness - low_stiffness)
+                pressures = as_printed.pressures_for(float(angle), float(torque), wanted)
+                assert max(float(t) for t in tensions(angle, pressures)) <= 630 * (1 + 1e-9)
+
+
+def test_a_stronger_specimen_attains_more(as_printed):
+    def rated(muscle, force):
+        return dataclasses.replace(muscle, specimen=dataclasses.replace(muscle.specimen, rated_force=force))
+
+    strong = dataclasses.replace(
+        as_printed, muscle1=rated(as_printed.muscle1, 2e3), muscle2=rated(as_printed.muscle2, 2e3)
+    )
+    assert float(strong.attainable_torque(-8 * deg)[1]) > float(as_printed.attainable_torque(-8 * deg)[1])
+    assert float(strong.attainable_torque(0.0)[1]) == float(as_printed.attainable_torque(0.0)[1])  # 585 N there

@@ -1,4 +1,4 @@
-"""Creep of a muscle, against closed forms and small steps in plain Python, and what holds for any way."""
+"""Creep of a muscle, against closed forms and small steps in plain Python, and properties for any path."""
 
 import math
 
@@ -84,25 +84,25 @@ def test_moves_may_be_cut_in_two(course):
 
 @given(courses(), st.sampled_from([CREEP, DECADES]))
 def test_energy_is_only_lost_whatever_length_and_tension_do(course, creep):
-    """Drawn in small steps of a time and settled, as the plant has it; the way is closed."""
+    """Small steps in time, each projected, along a closed path."""
     length, tension, moving, _ = (np.append(column, column[0]) for column in course)
     arms, stiffness = creep.arms, creep.stiffness / creep.arms
     taus = creep.time_constants
-    held, put_in, stored = [0.0] * arms, 0.0, [0.0]
+    forces, put_in, stored = [0.0] * arms, 0.0, [0.0]
     for k in range(1, len(length)):
         travel, step = (length[k] - length[k - 1]) / CUT, moving[k] / CUT
         for n in range(1, CUT + 1):
             bound = (tension[k - 1] + (tension[k] - tension[k - 1]) * n / CUT) / (2 * arms)
             work = 0.0
             for i, tau in enumerate(taus):
-                before, speed = held[i], stiffness * travel / step * tau
+                before, speed = forces[i], stiffness * travel / step * tau
                 decay = math.exp(-step / tau)
                 after = before * decay + speed * (1 - decay)
                 # the exact work of the arm over the step, against what its spring then stores
                 work += travel / step * ((before - speed) * tau * (1 - decay) + speed * step)
-                held[i] = min(max(after, -bound), bound)
+                forces[i] = min(max(after, -bound), bound)
             put_in += work
-            stored.append(sum(x * x for x in held) / (2 * stiffness))
+            stored.append(sum(x * x for x in forces) / (2 * stiffness))
             assert work >= stored[-1] - stored[-2] - 1e-9 * (1 + abs(work))
     assert put_in >= -1e-9
 
@@ -116,8 +116,8 @@ def test_it_holds_at_most_half_of_the_tension(course, creep):
         assert np.all(np.abs(force[:, 1]) <= np.abs(force[:, 0]) + 1e-12)
 
 
-def test_what_is_simulated_is_what_the_rig_feels():
-    """Small steps of the rate, settled after each, end where `path_response` does exactly."""
+def test_the_rate_in_small_steps_is_the_response_of_a_path():
+    """Small steps of the rate, projected after each, end where `path_response` does exactly."""
     generator = np.random.default_rng(2)
     length = 0.2 + np.cumsum(generator.normal(0, 4e-3, 8))
     tension, steps, step = np.array([90.0, 60, 5, 0, 30, 80, 12, 70]), 400, 1e-3
@@ -155,15 +155,15 @@ def test_the_muscle_never_pushes(specimen, law):
         assert np.all(np.asarray(whole)[np.asarray(muscle.tension(contraction, 3 * bar)) == 0] == 0)
 
 
-def test_a_gripped_muscle_is_law_friction_and_creep(specimen, law):
+def test_the_force_of_a_muscle_with_a_state_is_law_friction_and_creep(specimen, law):
     slip = MaxwellSlip(12.0, 0.5 * mm)
     muscle = Muscle(specimen, law, slip, CREEP)
-    memory = slip.initial(specimen.length_at(0.10))
+    state = slip.initial(specimen.length_at(0.10))
     tension = float(muscle.force(0.095, 4 * bar))
-    rubbing = float(muscle.force(0.095, 4 * bar, MuscleState(memory))) - tension
-    whole = float(muscle.force(0.095, 4 * bar, MuscleState(memory, (jnp.asarray(7.0),))))
-    assert whole == pytest.approx(tension + rubbing + 7.0, abs=1e-9)
-    assert 3 < rubbing < 12
+    friction = float(muscle.force(0.095, 4 * bar, MuscleState(state))) - tension
+    whole = float(muscle.force(0.095, 4 * bar, MuscleState(state, (jnp.asarray(7.0),))))
+    assert whole == pytest.approx(tension + friction + 7.0, abs=1e-9)
+    assert 3 < friction < 12
 
 
 def test_none_is_none(specimen, law):

@@ -1,4 +1,4 @@
-"""Friction of a muscle, against play operators in plain Python, and what holds for any way."""
+"""Friction of a muscle, against play operators in plain Python, and properties for any path."""
 
 import dataclasses
 
@@ -20,8 +20,8 @@ FAR = 1e9  # N: a tension at which nothing fades
 
 
 @st.composite
-def ways(draw, closed=False):
-    """Lengths [m], tensions [N] and pressures [Pa]: none has to do with the others."""
+def paths(draw, closed=False):
+    """Independent lengths [m], tensions [N] and pressures [Pa]."""
     count = draw(st.integers(2, 30))
     length = 0.2 + 1e-3 * np.array(draw(st.lists(st.floats(-5, 5), min_size=count, max_size=count)))
     tension = np.array(draw(st.lists(st.floats(0, 600), min_size=count, max_size=count)))
@@ -31,11 +31,11 @@ def ways(draw, closed=False):
     return length, tension, pressure
 
 
-def played(way, friction):
-    """The force along a way at a constant band: each element is the way less what its play lets through."""
+def reference_force(path, friction):
+    """The force along a path at a constant band: each element is the length minus that of its play operator."""
     forces = []
-    plays = [way[0]] * friction.elements
-    for x in way:
+    plays = [path[0]] * friction.elements
+    for x in path:
         total = 0.0
         for i, (k, w) in enumerate(zip(friction.stiffnesses, friction.shares, strict=True)):
             r = w * friction.half_width / k
@@ -48,8 +48,9 @@ def played(way, friction):
 @given(st.lists(st.floats(-5, 5), min_size=2, max_size=40), st.integers(1, 8))
 def test_it_is_a_sum_of_stops(millimetres, elements):
     friction = MaxwellSlip(12.0, 0.5 * mm, elements=elements)
-    way = 0.2 + 1e-3 * np.array(millimetres)
-    np.testing.assert_allclose(friction.path_response(way, FAR, 0.0), played(way.tolist(), friction), atol=1e-9)
+    path = 0.2 + 1e-3 * np.array(millimetres)
+    expected = reference_force(path.tolist(), friction)
+    np.testing.assert_allclose(friction.path_response(path, FAR, 0.0), expected, atol=1e-9)
 
 
 def test_what_is_simulated_is_what_the_rig_feels():
@@ -58,44 +59,44 @@ def test_what_is_simulated_is_what_the_rig_feels():
     tension, pressure = generator.uniform(0, 100, 60), generator.uniform(0, 6 * bar, 60)
 
     @jax.jit
-    def step(memory, at):
-        force = FRICTION.force(memory, *at)
-        memory = FRICTION.project(memory, *at)
-        return memory, (force, FRICTION.force(memory, *at))
+    def step(state, at):
+        force = FRICTION.force(state, *at)
+        state = FRICTION.project(state, *at)
+        return state, (force, FRICTION.force(state, *at))
 
     start = FRICTION.initial(length[0])
     _, (before, after) = jax.lax.scan(step, start, tuple(map(jnp.asarray, (length, tension, pressure))))
     np.testing.assert_allclose(before, FRICTION.path_response(length, tension, pressure), atol=1e-9)
-    np.testing.assert_allclose(after, before, atol=1e-9)  # settling changes no force
+    np.testing.assert_allclose(after, before, atol=1e-9)  # a projection changes no force
 
 
-@given(ways(closed=True))
-def test_energy_is_only_lost_whatever_length_tension_and_pressure_do(way):
-    length, tension, pressure = way
+@given(paths(closed=True))
+def test_energy_is_only_lost_whatever_length_tension_and_pressure_do(path):
+    length, tension, pressure = path
     limit = smooth_limit(np.maximum(12 + (pressure - 3 * bar) / bar, 0), tension, np)
     travel = np.diff(length, prepend=length[:1])
     stiffness = FRICTION.stiffnesses
     deflection = play_response(travel, limit, stiffness, FRICTION.shares)
-    np.testing.assert_allclose(deflection @ stiffness, FRICTION.path_response(*way), atol=1e-12)
+    np.testing.assert_allclose(deflection @ stiffness, FRICTION.path_response(*path), atol=1e-12)
     stored = (deflection**2 / 2) @ stiffness
     put_in = (deflection @ stiffness) * travel
     assert np.all(put_in[1:] >= np.diff(stored) - 1e-12)  # at each move: what is not stored is lost
-    assert put_in.sum() >= -1e-12  # and so over the closed way
+    assert put_in.sum() >= -1e-12  # and so over the closed path
 
 
 def test_a_large_loop_loses_its_area():
-    way = np.concatenate([np.linspace(0.2, 0.22, 4001), np.linspace(0.22, 0.2, 4001), np.linspace(0.2, 0.22, 4001)])
-    force = PLAIN.path_response(way, FAR, 0.0)
+    path = np.concatenate([np.linspace(0.2, 0.22, 4001), np.linspace(0.22, 0.2, 4001), np.linspace(0.2, 0.22, 4001)])
+    force = PLAIN.path_response(path, FAR, 0.0)
     second = slice(4001, 12003)
-    lost = np.trapezoid(force[second], way[second])
-    # +-12 N over 20 mm each way, less what the two turns leave out: on each the force is late by s0 on average
+    lost = np.trapezoid(force[second], path[second])
+    # +-12 N over 20 mm each path, less what the two turns leave out: on each the force is late by s0 on average
     assert lost == pytest.approx(2 * 12 * 0.02 - 2 * 24 * 0.5e-3, rel=5e-3)
 
 
-@given(ways())
-def test_the_muscle_never_pushes_and_stays_in_its_band(way):
-    _, tension, pressure = way
-    force = FRICTION.path_response(*way, side=1.0)
+@given(paths())
+def test_the_muscle_never_pushes_and_stays_in_its_band(path):
+    _, tension, pressure = path
+    force = FRICTION.path_response(*path, side=1.0)
     band = smooth_limit(12 + (pressure - 3 * bar) / bar, tension, np)
     assert np.all(np.abs(force) <= band * (1 + 1e-9) + 1e-12)
     assert np.all(band <= tension / 2 + 1e-12)
@@ -103,23 +104,23 @@ def test_the_muscle_never_pushes_and_stays_in_its_band(way):
 
 
 @given(st.lists(st.floats(-5, 5), min_size=2, max_size=20), st.floats(0, 1))
-def test_it_knows_the_way_and_not_the_steps(millimetres, cut):
-    """Along the way the tension rises with the length, as a muscle's does; moves cut in two end in the same forces."""
-    way = 0.2 + 1e-3 * np.array(millimetres)
-    middles = way[:-1] + cut * np.diff(way)
-    finer = np.append(np.stack([way[:-1], middles], axis=1).ravel(), way[-1])
+def test_the_response_does_not_depend_on_how_a_path_is_divided(millimetres, cut):
+    """Along the path the tension rises with the length, as a muscle's does; moves cut in two end in the same forces."""
+    path = 0.2 + 1e-3 * np.array(millimetres)
+    middles = path[:-1] + cut * np.diff(path)
+    finer = np.append(np.stack([path[:-1], middles], axis=1).ravel(), path[-1])
 
     def tension(x):
         return np.maximum(60 + 5000 * (x - 0.2), 0.0)
 
     np.testing.assert_allclose(
-        PLAIN.path_response(finer, tension(finer), 0.0)[::2], PLAIN.path_response(way, tension(way), 0.0), atol=1e-9
+        PLAIN.path_response(finer, tension(finer), 0.0)[::2], PLAIN.path_response(path, tension(path), 0.0), atol=1e-9
     )
 
 
 @given(st.floats(-4, 4), st.floats(0.05, 3), st.floats(0, 1))
-def test_minor_loops_close_and_are_forgotten(turn, deep, part):
-    """Return-point memory: a smaller loop ends where it began, and the way goes on as if it had not been."""
+def test_minor_loops_close_are_wiped_out(turn, deep, part):
+    """Return-point state: a smaller loop ends where it began, and the path goes on as if it had not existed."""
     up, down = 0.2 + 1e-3 * turn, 0.2 + 1e-3 * (turn - deep)
     within = down + part * (up - down)
     force = PLAIN.path_response([0.18, up, down, within, down, within, down, up, 0.23], FAR, 0.0)
@@ -131,8 +132,8 @@ def test_minor_loops_close_and_are_forgotten(turn, deep, part):
 @pytest.mark.parametrize(("elements", "off"), [(3, 0.037), (4, 0.023), (6, 0.0113), (8, 0.0068)])
 def test_the_virgin_curve_is_next_to_an_exponential(elements, off):
     friction = MaxwellSlip(12.0, 0.5 * mm, elements=elements)
-    way = np.linspace(0, 3e-3, 3001)
-    deviation = friction.path_response(0.2 + way, FAR, 0.0) / 12 - (1 - np.exp(-2 * way / 0.5e-3))
+    path = np.linspace(0, 3e-3, 3001)
+    deviation = friction.path_response(0.2 + path, FAR, 0.0) / 12 - (1 - np.exp(-2 * path / 0.5e-3))
     assert np.abs(deviation).max() == pytest.approx(off, rel=0.05)
     assert friction.shares.sum() == pytest.approx(1) and np.all(friction.stiffnesses > 0)
 
@@ -162,28 +163,28 @@ def test_viscous_friction_is_linear_where_taut_and_fades_where_slack():
 
 
 def test_slopes_are_finite_everywhere():
-    memory = PLAIN.initial(0.2)
+    state = PLAIN.initial(0.2)
 
     def total(numbers):
         friction = MaxwellSlip(numbers[0], numbers[1], growth=numbers[2], viscous=numbers[3])
-        gripped = friction.force(memory, numbers[4], numbers[5], 2e5) + friction.viscous_force(numbers[5], numbers[6])
-        return gripped + sum(friction.project(memory, numbers[4], numbers[5], 2e5))
+        force = friction.force(state, numbers[4], numbers[5], 2e5) + friction.viscous_force(numbers[5], numbers[6])
+        return force + sum(friction.project(state, numbers[4], numbers[5], 2e5))
 
     slope = jax.jit(jax.grad(total))
     for length, tension, rate in ((0.2, 0.0, 0.0), (0.21, 0.0, 1.0), (0.2001, 100.0, -0.1), (0.3, 1e6, 0.0)):
         assert np.all(np.isfinite(slope(jnp.array([12.0, 5e-4, 1e-5, 20.0, length, tension, rate]))))
 
 
-def test_a_gripped_muscle_is_its_law_and_its_friction(specimen, law):
+def test_the_force_of_a_muscle_with_a_state_is_its_law_and_its_friction(specimen, law):
     muscle = Muscle(specimen, law, FRICTION)
-    memory = FRICTION.initial(specimen.length_at(0.10))
+    state = FRICTION.initial(specimen.length_at(0.10))
     for contraction in (0.095, 0.10, 0.1004, 0.23, 0.26):
         tension, length = float(muscle.tension(contraction, 4 * bar)), float(specimen.length_at(contraction))
-        way = FRICTION.path_response([float(specimen.length_at(0.10)), length], [tension, tension], 4 * bar)
-        force = float(muscle.tension(contraction, 4 * bar, MuscleState(memory)))
-        assert force == pytest.approx(tension + way[-1], abs=1e-9)
+        path = FRICTION.path_response([float(specimen.length_at(0.10)), length], [tension, tension], 4 * bar)
+        force = float(muscle.tension(contraction, 4 * bar, MuscleState(state)))
+        assert force == pytest.approx(tension + path[-1], abs=1e-9)
         assert force >= tension / 2
-    assert muscle.tension(0.3, 4 * bar, MuscleState(memory)) == 0  # slack
+    assert muscle.tension(0.3, 4 * bar, MuscleState(state)) == 0  # slack
 
 
 def test_none_is_none(specimen, law):

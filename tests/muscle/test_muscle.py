@@ -1,3 +1,5 @@
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -118,3 +120,10 @@ def test_a_specimen_is_a_pytree_of_its_numbers():
     assert len(jax.tree.leaves(specimen)) == 8
     with pytest.raises(AttributeError):
         specimen.initial_length = 0.2
+
+
+def test_domains_that_do_not_overlap_are_refused(specimen, law):
+    with pytest.raises(RangeError, match="do not overlap: contraction from 20 % to 30 %, and contraction to 10 %"):
+        Domain(0.2, 0.3).intersection(Domain(contraction_max=0.1))
+    with pytest.raises(RangeError, match="do not overlap"):
+        Muscle(specimen, dataclasses.replace(law, domain=Domain(0.3, 0.4)))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from mckibben.numerics.batching import many_runs
+from mckibben.numerics.batching import batched_program
 from mckibben.numerics.calculus import rk4
 
 
@@ -43,7 +43,7 @@ def test_polynomials_up_to_the_fourth_degree_in_time_are_exact():
 @pytest.mark.parametrize("rolled", [False, True])
 def test_inputs_known_over_the_step_are_taken_at_its_stages(rolled):
     given = lambda t: (jnp.asarray(5 * t**3 - 2 * t**2 + 1),)  # noqa: E731
-    with many_runs(rolled=rolled):
+    with batched_program(rolled=rolled):
         x = rk4(lambda x, slope: slope + 0 * x, jnp.asarray(0.0), 1.5, (given(0.5), given(1.25), given(2.0)))
     exact = lambda t: 5 / 4 * t**4 - 2 / 3 * t**3 + t  # noqa: E731
     assert float(x) == pytest.approx(exact(2.0) - exact(0.5), rel=1e-14)

@@ -54,7 +54,7 @@ RISC = "processor	: 0\nhart		: 0\nisa		: rv64imafdc{more}\n"
 @pytest.fixture
 def on(tmp_path, monkeypatch):
     """Ask, on a processor of which Linux says this, for its short name; None stands for a system that says nothing."""
-    caches = (runtime.processor, runtime._about_processor)
+    caches = (runtime.processor, runtime._cpuinfo)
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -90,7 +90,7 @@ def test_what_changes_from_start_to_start_is_not_in_the_name(on):
 def test_where_the_processor_cannot_be_told_nothing_is_kept(on, monkeypatch, tmp_path, said):
     assert on(said) is None
     monkeypatch.delenv("MCKIBBEN_PROGRAMS_DIR")
-    runtime.keep_programs()
+    runtime.use_program_cache()
     assert "MCKIBBEN_PROGRAMS_DIR" not in os.environ
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "asked for"))
     assert runtime.programs_folder() is None
@@ -101,7 +101,7 @@ def test_the_folder_is_one_for_each_kind_of_processor(on, monkeypatch, tmp_path)
     for more in ("", "avx2"):
         name = on(X86.format(mhz="1", more=more))
         monkeypatch.delenv("MCKIBBEN_PROGRAMS_DIR")
-        runtime.keep_programs()
+        runtime.use_program_cache()
         assert runtime.programs_folder() == tmp_path / "mckibben" / f"programs-{name}"
         folders.add(runtime.programs_folder())
     assert len(folders) == 2

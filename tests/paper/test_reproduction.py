@@ -129,7 +129,7 @@ def test_the_cost_of_the_tuning_is_that_of_the_runs_at_least(tracking, setting):
     total = dict.fromkeys((PID, TUNED_PID), 0.0)
     for name in total:
         for reference in StiffnessReference:
-            found = tracking.runs[setting.key, reference, name].result.metrics()
+            found = tracking.runs[setting.key, reference, name].result.metrics
             total[name] += found["angle_rmse"] / angle + found["stiffness_rmse"] / stiffness
     assert tuned.cost_before == pytest.approx(total[PID] / len(StiffnessReference), rel=1e-6)
     assert tuned.cost >= total[TUNED_PID] / len(StiffnessReference) * (1 - 1e-6)
@@ -138,7 +138,7 @@ def test_the_cost_of_the_tuning_is_that_of_the_runs_at_least(tracking, setting):
 @pytest.mark.parametrize(("key", "reference"), RUN_KEYS)
 def test_the_run_in_the_figures_is_that_of_the_first_seed(tracking, key, reference):
     run = tracking.runs[key, reference, BP]
-    own = run.result.metrics()
+    own = run.result.metrics
     for name in ("angle_rmse", "angle_max", "stiffness_rmse", "stiffness_settling"):
         assert float(getattr(run.seeds, name)[0]) == pytest.approx(own[name], rel=1e-6), name
     assert run.seeds.angle_rmse.shape == (2,)

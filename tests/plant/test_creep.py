@@ -14,12 +14,11 @@ from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint,
 from mckibben.errors import RangeError
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, MuscleState, NoCreep
-from mckibben.numerics.batching import many_runs
+from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState
 from mckibben.plant.joint_plant import Motion
-from mckibben.simulation import simulate
-from mckibben.simulation.loop import compiled_episode, episode
+from mckibben.simulation import compiled_episode, episode, simulate
 from mckibben.units import mm
 
 PERIODS, PERIOD = 1000, 1e-3
@@ -45,7 +44,7 @@ def creep_of(state):
 
 
 @pytest.fixture(scope="module")
-def swung(creeping, playback):
+def swing(creeping, playback):
     """At held pressures, from a state; all with one program."""
 
     def run(start, *, damping, pressures=(P1, P2)):
@@ -57,7 +56,7 @@ def swung(creeping, playback):
     return run
 
 
-def test_it_moves_as_scipy_has_it(swung, paper_precontracted):
+def test_it_moves_as_scipy_has_it(swing, paper_precontracted):
     paper = paper_precontracted
 
     def rate(_, y):
@@ -74,16 +73,16 @@ def test_it_moves_as_scipy_has_it(swung, paper_precontracted):
     times = np.arange(PERIODS) * PERIOD
     start = (math.radians(12), 0.5, 0.0, 0.0)
     expected = solve_ivp(rate, (0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="DOP853").y
-    state = swung(PlantState(*start[:2], (P1, P2)), damping=0.02)
+    state = swing(PlantState(*start[:2], (P1, P2)), damping=0.02)
     assert np.abs(expected[2:]).max() > 5 and np.ptp(expected[0]) > math.radians(8)
     np.testing.assert_allclose(state.angle, expected[0], atol=1e-8)
     np.testing.assert_allclose(creep_of(state), expected[2:], atol=1e-6)
 
 
 @pytest.mark.parametrize("pressures", [(P1, P2), (1.2e5, 0.9e5)])  # the second goes slack and meets the bound
-def test_a_free_swing_only_loses_energy(swung, paper_precontracted, pressures):
+def test_a_free_swing_only_loses_energy(swing, paper_precontracted, pressures):
     paper = paper_precontracted
-    state = swung(PlantState(math.radians(15), 0.3, pressures), damping=0.0, pressures=pressures)
+    state = swing(PlantState(math.radians(15), 0.3, pressures), damping=0.0, pressures=pressures)
     every = slice(None, None, 25)
     angles, velocities = np.asarray(state.angle)[every], np.asarray(state.velocity)[every]
     work = [quad(lambda a: paper.torque(a, pressures), 0, x, epsabs=1e-11, epsrel=1e-11, limit=200)[0] for x in angles]
@@ -98,17 +97,17 @@ def test_a_free_swing_only_loses_energy(swung, paper_precontracted, pressures):
     assert np.all(np.abs(creep_of(state)[:, every]) <= tensions / 2 + 1e-9)
 
 
-def test_it_comes_to_rest_where_the_laws_alone_would(swung, creeping):
+def test_it_comes_to_rest_where_the_laws_alone_would(swing, creeping):
     rest = creeping.equilibrium(0.1)
     assert jax.tree.leaves(rest.muscles) == [0.0, 0.0] and rest.muscles[0].friction == ()
     np.testing.assert_allclose(jax.tree.leaves(creeping.rate(rest)), 0.0, atol=1e-9)
     pressures = tuple(map(float, rest.pressures))
-    state = swung(PlantState(0.1 + 0.02, 0.0, pressures), damping=2.0, pressures=pressures)
+    state = swing(PlantState(0.1 + 0.02, 0.0, pressures), damping=2.0, pressures=pressures)
     assert abs(float(state.angle[-1]) - 0.1) < 0.02 * 0.02
     assert np.abs(creep_of(state)).max() > 0.5 > 5 * np.abs(creep_of(state)[:, -1]).max()
 
 
-def test_a_push_meets_more_than_the_law_and_then_sinks_in(creeping):
+def test_a_quick_turn_meets_more_than_the_law(creeping):
     """Creep resists a quick turn with its stiffness at the moment arms, and nothing a while after."""
     joint, (p1, p2) = creeping.joint, (P1, P2)
     arm1, arm2 = map(float, joint.geometry.moment_arms(0.0))
@@ -126,7 +125,7 @@ def test_a_series_spring_is_refused(knee):
         with_creep(knee, tendon=SeriesSpring(stiffness=20e3, preload=10.0, travel=18 * mm))
 
 
-def test_without_creep_nothing_is_relaxing(plant):
+def test_without_creep_there_is_no_state(plant):
     state = plant.equilibrium(0.1)
     assert jax.tree.leaves(state.muscles) == [] and plant.project(state) == state
     assert len(jax.tree.leaves(state)) == 4
@@ -149,7 +148,7 @@ def test_many_runs_are_the_same_as_one(both, playback):
         return episode(plant, playback, held, start, PERIOD, 1)[0]
 
     stiffness = jnp.array([500.0, 1000.0, 4000.0])
-    with many_runs():
+    with batched_program():
         many = jax.jit(jax.vmap(final))(stiffness)
     one = jax.jit(final)
     for k in range(3):
@@ -171,13 +170,13 @@ def test_a_result_tells_creep_and_friction_apart(both):
     assert np.abs(added).max() > 5  # forces contain both
 
 
-def test_a_model_of_friction_takes_no_notice_of_its_creep(both, knee):
+def test_the_friction_torque_of_relaxed_muscles_is_without_creep(both, knee):
     """What `FrictionCompensation` asks of its model's joint."""
-    rubbing = with_creep(knee, NoCreep(), SLIP)
+    with_slip = with_creep(knee, NoCreep(), SLIP)
     joint = both.joint
     states = joint.update_state(joint.init_state(0.0, (P1, P2)), 0.05, (P1, P2))
     alone = tuple(MuscleState(state.friction) for state in states)
-    expected = rubbing.friction_torque(0.06, 0.0, (P1, P2), alone)
+    expected = with_slip.friction_torque(0.06, 0.0, (P1, P2), alone)
     assert float(joint.friction_torque(0.06, 0.0, (P1, P2), states)) == pytest.approx(float(expected))
     assert float(expected) < -0.1
 

@@ -1,4 +1,4 @@
-"""What pushes from outside: when, how hard, and what the motion makes of it."""
+"""External torque: timing, size and the resulting motion."""
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ def _pushed(pulses, count, step):
     return pulses.torque(count * step)
 
 
-def pushed(pulses, periods, period=PERIOD, kind=jnp.float64):
+def torque_over_time(pulses, periods, period=PERIOD, kind=jnp.float64):
     """The torque in each of the control periods, as the plant has it."""
     pulses, count, step = cast((numeric(pulses), jnp.arange(periods, dtype=float), jnp.asarray(period)), kind)
     torque = _pushed(pulses, count, step)
@@ -43,11 +43,13 @@ def test_a_pulse_lasts_so_many_periods_from_the_one_in_which_it_is_due(kind, per
     for width, interval, start in ((100, 1000, 500), (1, 7, 0), (333, 1111, 77), (29, 30, 1)):
         pulses = TorquePulses(0.5, width * period, interval * period, start * period)
         expected = counted(0.5, width, interval, start, 60_000)
-        np.testing.assert_array_equal(pushed(pulses, 60_000, period, kind), expected, err_msg=str(start))
+        np.testing.assert_array_equal(torque_over_time(pulses, 60_000, period, kind), expected, err_msg=str(start))
 
 
 def test_between_two_periods_it_begins_with_the_next():
-    np.testing.assert_array_equal(pushed(TorquePulses(-2.0, 2e-3, 10e-3, 2.5e-3), 20), counted(-2.0, 2, 10, 3, 20))
+    np.testing.assert_array_equal(
+        torque_over_time(TorquePulses(-2.0, 2e-3, 10e-3, 2.5e-3), 20), counted(-2.0, 2, 10, 3, 20)
+    )
 
 
 def test_nothing_is_nothing():
@@ -71,7 +73,7 @@ def test_pulses_that_make_no_sense_are_refused(field, value, message):
 
 
 def test_a_push_speeds_up_a_joint_at_rest_by_torque_over_inertia(knee, playback):
-    """Slack muscles, no gravity, no damping: nothing but the push. Each step of the integration is then exact."""
+    """Slack muscles, no gravity, no damping: each step of the integration is exact."""
     load = Load(mass1=0.5, mass2=0.5, distance1=0.1, distance2=0.2, inertia=0.02, damping=0.0, gravity=0.0)
     pulses = TorquePulses(0.02, 10 * PERIOD, 40 * PERIOD, 20 * PERIOD)
     plant = JointPlant(knee, load, IdealValve(), disturbance=pulses)

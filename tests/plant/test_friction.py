@@ -15,10 +15,10 @@ from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import MaxwellSlip
-from mckibben.numerics.batching import many_runs
+from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.loop import compiled_episode, episode
+from mckibben.simulation import compiled_episode, episode
 from mckibben.units import bar, mm
 
 PERIODS, PERIOD = 1500, 1e-3
@@ -32,12 +32,12 @@ def with_friction(joint, slip=SLIP, **changes):
 
 
 @pytest.fixture(scope="module")
-def rubbing(ideal_plant, knee, load):
+def with_slip(ideal_plant, knee, load):
     return numeric(JointPlant(with_friction(knee), load, ideal_plant.valve))
 
 
 @pytest.fixture(scope="module")
-def swung(rubbing, playback):
+def swing(with_slip, playback):
     """At held pressures, from a state; all with one program."""
     held = Setpoint(jnp.full(PERIODS, P1), jnp.full(PERIODS, P2))
 
@@ -47,7 +47,7 @@ def swung(rubbing, playback):
             return (*(f.viscous for f in pair), *(f.half_width for f in pair), plant.load.damping)
 
         given = (viscous, viscous, half_width, half_width, damping)
-        chosen = eqx.tree_at(numbers, rubbing, tuple(map(jnp.asarray, given)))
+        chosen = eqx.tree_at(numbers, with_slip, tuple(map(jnp.asarray, given)))
         start = numeric(chosen.complete_state(jax.tree.map(jnp.asarray, start)))
         return compiled_episode(chosen, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
 
@@ -92,7 +92,7 @@ def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
         ahead = angle + step * velocity, velocity + step * first
         second, deflections = acceleration(*ahead, before, deflections)
         angle, velocity = angle + step / 2 * (velocity + ahead[1]), velocity + step / 2 * (first + second)
-        # what the elements remember is of the length that was predicted: bring them to the one that was reached
+        # the states are at the predicted length: move them to the length reached
         ahead_lengths, reached = lengths(ahead[0]), lengths(angle)
         deflections = [
             [x + r - a for x in deflection]
@@ -101,9 +101,9 @@ def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
     return np.array(angles)
 
 
-def test_it_moves_as_in_tiny_steps_of_plain_python(swung, paper_precontracted):
+def test_it_moves_as_in_tiny_steps_of_plain_python(swing, paper_precontracted):
     start = PlantState(math.radians(12), 0.5, (P1, P2))
-    state = swung(start, viscous=SLIP.viscous, damping=0.02)
+    state = swing(start, viscous=SLIP.viscous, damping=0.02)
     expected = tiny_steps(paper_precontracted, math.radians(12), 0.5, 0.4, 0.02)
     assert np.ptp(expected) > math.radians(5)
     np.testing.assert_allclose(np.asarray(state.angle)[: len(expected)], expected, atol=2e-6)
@@ -124,8 +124,8 @@ def energy(paper, state):
     return plain + stored
 
 
-def test_a_free_swing_only_loses_energy(swung, paper_precontracted):
-    state = swung(PlantState(math.radians(15), 0.3, (P1, P2)))
+def test_a_free_swing_only_loses_energy(swing, paper_precontracted):
+    state = swing(PlantState(math.radians(15), 0.3, (P1, P2)))
     total = energy(paper_precontracted, state)
     assert np.ptp(np.asarray(state.angle)) > 0.3
     assert np.diff(total).max() < 1e-6 * (total[0] - total[-1])
@@ -134,12 +134,12 @@ def test_a_free_swing_only_loses_energy(swung, paper_precontracted):
     assert np.ptp(np.asarray(state.angle)[-300:]) < math.radians(1.0)
 
 
-def test_it_sticks_where_friction_holds_it(swung, rubbing):
+def test_it_sticks_where_friction_holds_it(swing, with_slip):
     """Half the friction's torque off balance: with friction it stays to a fraction of a degree, without it it goes."""
-    balanced = brentq(lambda angle: float(_net(rubbing, angle)), math.radians(-25), math.radians(25))
+    balanced = brentq(lambda angle: float(_net(with_slip, angle)), math.radians(-25), math.radians(25))
     start = PlantState(balanced + math.radians(0.8), 0.0, (P1, P2))
-    assert 0.1 < abs(float(_net(rubbing, start.angle))) < 0.4  # the two muscles can hold some 0.7 N*m
-    stuck, loose = swung(start, damping=2.0), swung(start, damping=2.0, half_width=1e-6)
+    assert 0.1 < abs(float(_net(with_slip, start.angle))) < 0.4  # the two muscles can hold some 0.7 N*m
+    stuck, loose = swing(start, damping=2.0), swing(start, damping=2.0, half_width=1e-6)
     moved = np.asarray(stuck.angle) - float(start.angle)
     assert np.abs(moved).max() < math.radians(0.6)
     assert np.ptp(np.asarray(stuck.angle)[-500:]) < 1e-5  # and does not creep
@@ -151,24 +151,24 @@ def _net(plant, angle):
     return plant.joint.torque(angle, (P1, P2)) + plant.load.gravity_torque(angle)
 
 
-def test_at_rest_there_is_no_stress_and_nothing_moves(rubbing):
-    state = rubbing.equilibrium(math.radians(10))
+def test_at_rest_there_is_no_stress_and_nothing_moves(with_slip):
+    state = with_slip.equilibrium(math.radians(10))
     assert [len(muscle.friction) for muscle in state.muscles] == [SLIP.elements] * 2
-    rates = jax.tree.leaves(rubbing.rate(state))
+    rates = jax.tree.leaves(with_slip.rate(state))
     np.testing.assert_allclose(np.array(rates, float), 0.0, atol=1e-9)
-    projected = rubbing.project(state).muscles
+    projected = with_slip.project(state).muscles
     for before, after in zip(jax.tree.leaves(state.muscles), jax.tree.leaves(projected), strict=True):
         assert float(after) == pytest.approx(float(before), abs=1e-12)
 
 
-def test_without_friction_nothing_is_remembered(plant):
+def test_without_friction_there_is_no_state(plant):
     state = plant.equilibrium(0.1)
     assert jax.tree.leaves(state.muscles) == [] and plant.project(state) == state
     assert len(jax.tree.leaves(state)) == 4
 
 
-def test_its_torque_is_against_the_motion_and_that_of_the_tensions(rubbing):
-    joint, pressures = rubbing.joint, (P1, P2)
+def test_its_torque_is_against_the_motion_and_that_of_the_tensions(with_slip):
+    joint, pressures = with_slip.joint, (P1, P2)
     states = joint.init_state(0.0, pressures)
     assert float(joint.friction_torque(0.0, 0.0, pressures, states)) == pytest.approx(0.0, abs=1e-12)
     up = float(joint.friction_torque(0.1, 0.5, pressures, states))
@@ -203,14 +203,14 @@ def test_with_a_series_spring_muscle_and_spring_carry_the_same(knee):
         with_friction(knee, tendon=spring)
 
 
-def test_a_derivative_is_that_of_a_small_change(rubbing, playback):
+def test_a_derivative_is_that_of_a_small_change(with_slip, playback):
     held = Setpoint(jnp.full(40, P1), jnp.full(40, P2))
 
     @jax.jit
     def final(width):
-        chosen = eqx.tree_at(lambda p: p.joint.muscle1.friction.half_width, rubbing, width)
+        chosen = eqx.tree_at(lambda p: p.joint.muscle1.friction.half_width, with_slip, width)
         start = chosen.complete_state(PlantState(0.1, 0.8, (P1, P2)))
-        with many_runs():  # a smaller program
+        with batched_program():  # a smaller program
             return jax.jvp(
                 lambda w: (
                     episode(

@@ -1,4 +1,4 @@
-"""What a controller is told: counts, noise and delay, alike in single runs, batches and 32 bits."""
+"""Sensors: quantisation, noise and delay, in 64 and 32 bits."""
 
 import jax
 import jax.numpy as jnp
@@ -26,13 +26,13 @@ def _measured(sensors, true):
 
 
 def measured(sensors, true, kind=jnp.float64):
-    """What sensors tell of readings over time."""
+    """Return measurements over time, compiled."""
     return jax.tree.map(np.asarray, _measured(*cast((numeric(sensors), jax.tree.map(jnp.asarray, true)), kind)))
 
 
 @pytest.fixture(scope="module")
 def true():
-    """An angle and two pressures that change all the time."""
+    """An angle and two pressures that vary."""
     times = PERIOD * np.arange(PERIODS)
     return Measurement(0.2 * np.sin(times), (3e5 + 2e4 * times, 4e5 - 1e4 * times))
 
@@ -50,7 +50,7 @@ def noise(true):
     return {seed: of(seed) for seed in (0, 1, 2**31 - 1)} | {"32 bits": of(1, jnp.float32), "none": of(1, size=0.0)}
 
 
-def test_perfect_sensors_tell_the_truth_at_once():
+def test_perfect_sensors_are_exact_without_delay():
     here = Measurement(jnp.asarray(0.1), (jnp.asarray(2e5), jnp.asarray(3e5)))
     sensors = PerfectSensors()
     assert sensors.init(here) == ()
@@ -69,7 +69,7 @@ def test_an_encoder_counts_whole_steps_and_takes_the_nearest(true):
     np.testing.assert_array_equal(found.pressures[0], true.pressures[0])
 
 
-def test_the_noise_is_white_normal_and_of_the_size_that_was_said(noise):
+def test_the_noise_is_white_normal_and_of_the_given_size(noise):
     """Each bound is four standard deviations of what is estimated from so many samples."""
     for seed in (0, 1, 2**31 - 1):
         both = noise[seed] / NOISE
@@ -99,12 +99,12 @@ def test_in_32_bits_the_noise_is_the_same(noise):
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.25, 1.0])
-def test_a_reading_is_late_by_a_part_of_a_period(true, delay):
+def test_a_measurement_is_delayed_by_a_fraction_of_a_period(true, delay):
     """The noise is that of when it was sampled, and so are the counts."""
     sensors = {"encoder": STEP, "pressure_noise": NOISE, "seed": 1}
     at_once, late = measured(SampledSensors(**sensors), true), measured(SampledSensors(**sensors, delay=delay), true)
     for now, then in zip(jax.tree.leaves(at_once), jax.tree.leaves(late), strict=True):
-        before = np.concatenate([now[:1], now[:-1]])  # nothing was before the first
+        before = np.concatenate([now[:1], now[:-1]])
         np.testing.assert_allclose(then, (1 - delay) * now + delay * before, rtol=1e-13, atol=1e-15)
 
 
@@ -118,7 +118,7 @@ def test_a_reading_is_late_by_a_part_of_a_period(true, delay):
         ("delay", np.array([0.0, -0.5]), "delay is -0.5, outside 0..1 periods"),
     ],
 )
-def test_sensors_that_make_no_sense_are_refused(field, value, message):
+def test_invalid_sensors_are_refused(field, value, message):
     with pytest.raises(RangeError, match=f"SampledSensors: {message}"):
         SampledSensors(**{field: value})
 

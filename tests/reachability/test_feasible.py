@@ -38,7 +38,7 @@ def test_infeasible_reference_of_the_geometry_as_printed(printed):
     assert isinstance(angle.reference.angle, Sine) and angle.reference.angle.frequency == 0.5
     assert angle.reference.angle.amplitude / deg == pytest.approx(0.95 * 10.37, abs=0.03), "less a margin of 5 %"
     reach = check_reference(printed, angle.reference, **OPTIONS)
-    assert reach.reachable, "statically too, by an independent check"
+    assert reach.feasible, "statically too, by an independent check"
     margin = np.minimum(reach.desired_stiffness - reach.lowest, reach.highest - reach.desired_stiffness)
     assert margin.min() > 0.02
     assert angle.stiffness_change == pytest.approx(np.abs(reach.desired_stiffness - 72.5).max(), abs=0.1)
@@ -83,7 +83,7 @@ def test_an_unattainable_stiffness_is_clipped_and_the_angle_preserved(plant):
     reach = check_reference(plant, near.reference, **OPTIONS)
     top = reach.highest - stiffness
     late = times > 1.2
-    assert reach.reachable and top[late].max() < 0.06 * (reach.highest - reach.lowest)[late].max()
+    assert reach.feasible and top[late].max() < 0.06 * (reach.highest - reach.lowest)[late].max()
 
 
 def test_margins_are_kept(plant):

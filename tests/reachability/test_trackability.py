@@ -90,7 +90,7 @@ def test_at_rest_the_bands_are_those_of_the_static_check(plant):
     for band in (found.bands.static, found.bands.dynamic, found.bands.rate_limited):
         np.testing.assert_allclose(band.lowest, reach.lowest, rtol=1e-6)
         np.testing.assert_allclose(band.highest, reach.highest, rtol=1e-6)
-    assert found.trackable and reach.reachable
+    assert found.trackable and reach.feasible
 
 
 def test_the_commands_of_the_criterion_make_the_plant_follow(knee, load, paper_precontracted, playback):
@@ -109,7 +109,7 @@ def test_the_commands_of_the_criterion_make_the_plant_follow(knee, load, paper_p
     reference = Reference(Samples(times, commands[:, 0]), Samples(times, commands[:, 1]))
     start = PlantState(0.0, a * 2 * np.pi * f, tuple(tried.pressures(0.0, 15.0)[0]))
     with pytest.warns(ReachabilityWarning):  # the reference is pressures, not an angle and a stiffness
-        run = simulate(plant, playback, reference, duration=0.5, initial=start).table
+        run = simulate(plant, playback, reference, duration=0.5, initial=start)
     moved = run["angle"].to_numpy()
     np.testing.assert_allclose(moved, a * np.sin(2 * np.pi * f * run["time"].to_numpy()), atol=0.05 * deg)
     np.testing.assert_allclose(run["stiffness"].to_numpy(), 15.0, atol=0.02)

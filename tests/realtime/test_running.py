@@ -44,8 +44,8 @@ def test_unpaced_and_measured_perfectly_it_is_the_simulation(ran, simulated):
     columns = {name: values[kept.columns["phase"] == Phase.RUN] for name, values in kept.columns.items()}
     assert outcome.completed and outcome.vented_after < 0.1
     assert np.allclose(columns["angle"], simulated.state.angle, rtol=0, atol=1e-13)
-    for name in ("pressure1", "pressure2"):
-        assert np.allclose(columns[name], getattr(simulated.state, name), rtol=1e-11)
+    for name, pressure in zip(("pressure1", "pressure2"), simulated.state.pressures, strict=True):
+        assert np.allclose(columns[name], pressure, rtol=1e-11)
     for name in ("command1", "command2"):
         assert np.allclose(columns[name], getattr(simulated, name), rtol=1e-11)
     for name, values in simulated.telemetry.items():

@@ -21,7 +21,7 @@ SEEDS = 3
 
 def _spread(run):
     """Metrics over seeds: the run's own, some larger, and one that never settles."""
-    measured = run.result.metrics()
+    measured = run.result.metrics
     spread = {name: jnp.asarray(value * np.array([1.0, 1.1, 1.3])) for name, value in measured.items()}
     spread["stiffness_settling"] = spread["stiffness_settling"].at[-1].set(jnp.nan)
     return Metrics(**spread)

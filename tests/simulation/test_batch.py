@@ -6,6 +6,7 @@ import math
 import warnings
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from mckibben.units import bar, deg, mm
 
 SHORT = {"duration": 0.1, "substeps": 2}
 PERIODS = 100
-WISH = Reference(angle=Sine(5 * deg, 2.0), stiffness=Step(13.0, 15.0, 0.05))
+REFERENCE = Reference(angle=Sine(5 * deg, 2.0), stiffness=Step(13.0, 15.0, 0.05))
 
 
 def control_of(model) -> PositionStiffnessControl:
@@ -82,7 +83,7 @@ def assert_singles(batch, results, runs=slice(None), *, rtol: float = 1e-12) -> 
     ended = [Outcome.NO_START if result is None else result.outcome for result in results]
     assert np.array(batch.outcomes)[runs].tolist() == ended
     unknown = dict.fromkeys(Metrics._fields, math.nan)
-    expected = [unknown if result is None else result.metrics() for result in results]
+    expected = [unknown if result is None else result.metrics for result in results]
     for name, found in batch.metrics.items():
         atol = rtol * SCALES.get(name.split("_")[0], 0.1)
         np.testing.assert_allclose(found[runs], [one[name] for one in expected], rtol, atol, err_msg=name)
@@ -168,7 +169,7 @@ def everything(parts):
     """A batch in which every number differs, with some of its trajectories."""
     return simulate_many(
         *parts,
-        WISH,
+        REFERENCE,
         over=columns(ROWS, NOMINAL),
         initial=AtRest(**columns(ROWS, AT_REST)),
         keep=Trajectory._fields,
@@ -185,7 +186,7 @@ def alone(parts):
     @functools.cache
     def run(row: int):
         values = ROWS[row]
-        of = lane_of((*parts, WISH), NOMINAL, [values[name] for name in NOMINAL])
+        of = lane_of((*parts, REFERENCE), NOMINAL, [values[name] for name in NOMINAL])
         return single(*of, initial=AtRest(values["angle"], values["stiffness"]), **SHORT)
 
     return run
@@ -206,7 +207,7 @@ def test_the_runs_ended_in_every_way_there_is(everything):
     assert ended["overloaded"] is Outcome.LEFT_DOMAIN
     assert {ended[n] for n in ("too heavy", "too stiff a start", "stretched")} == {Outcome.NO_START}
     assert everything.outcomes[0] is Outcome.COMPLETED
-    assert everything.lost.tolist() == [outcome.lost for outcome in everything.outcomes]
+    assert everything.failed.tolist() == [outcome.failed for outcome in everything.outcomes]
     assert everything.count == len(ROWS)
     assert np.nanmax(everything.metrics["time_saturated"]) > 0
 
@@ -285,7 +286,7 @@ def learner(model, seed) -> PositionStiffnessControl:
     )
 
 
-def sampled_wish(knots) -> Reference:
+def sampled_reference(knots) -> Reference:
     return Reference(angle=Multisine((3 * deg, 1 * deg), (2.0, 7.0), (0.0, 0.3)), stiffness=Samples(TIMES, knots))
 
 
@@ -299,7 +300,7 @@ def springy(knee, load, specimen):
 def test_springs_samples_and_learning_loops_with_seeds_are_the_single_runs(springy, knee):
     gravity = np.array([9.81, 9.7, 9.9, 9.81, 3.7])
     plant = put(springy, "load.gravity", gravity)
-    batch = simulate_many(plant, learner(knee, SEEDS), sampled_wish(KNOTS), initial=STATES, **SHORT)
+    batch = simulate_many(plant, learner(knee, SEEDS), sampled_reference(KNOTS), initial=STATES, **SHORT)
     assert batch.count == 5
     assert len({*batch.metrics["angle_rmse"]}) == 5
     assert np.isnan(batch.metrics["coupling"]).tolist() == [True, False, True, False, False]
@@ -307,7 +308,9 @@ def test_springs_samples_and_learning_loops_with_seeds_are_the_single_runs(sprin
     for row in range(5):
         state = jax.tree.map(lambda x, row=row: x if np.ndim(x) == 0 else x[row], STATES)
         heavy = put(springy, "load.gravity", gravity[row])
-        alone.append(single(heavy, learner(knee, int(SEEDS[row])), sampled_wish(KNOTS[row]), initial=state, **SHORT))
+        alone.append(
+            single(heavy, learner(knee, int(SEEDS[row])), sampled_reference(KNOTS[row]), initial=state, **SHORT)
+        )
     assert_singles(batch, alone, rtol=1e-10)
 
 
@@ -323,7 +326,7 @@ def masses(parts):
 
     def run(count: int, **options):
         mass = np.linspace(0.3, 0.7, 300)[:count]
-        return simulate_many(*parts, WISH, over={"plant.load.mass2": mass}, metrics=FEW, **SHORT, **options)
+        return simulate_many(*parts, REFERENCE, over={"plant.load.mass2": mass}, metrics=FEW, **SHORT, **options)
 
     return run
 
@@ -363,7 +366,7 @@ def test_the_order_of_the_runs_is_that_of_their_values(most):
 def test_the_order_of_the_runs_does_not_matter(parts, most):
     mixed = np.random.default_rng(1).permutation(300)
     mass = np.linspace(0.3, 0.7, 300)[mixed]
-    batch = simulate_many(*parts, WISH, over={"plant.load.mass2": mass}, metrics=FEW, chunk=16, **SHORT)
+    batch = simulate_many(*parts, REFERENCE, over={"plant.load.mass2": mass}, metrics=FEW, chunk=16, **SHORT)
     for name in FEW:
         np.testing.assert_array_equal(batch.metrics[name], most.metrics[name][mixed])
 
@@ -376,7 +379,7 @@ def test_progress_rises_to_one(masses):
 
 @pytest.mark.parametrize("chunk", [0, -1, 2.5, True])
 def test_a_chunk_is_a_whole_number_of_runs(masses, chunk):
-    with pytest.raises(SimulationError, match="runs a chunk; give a whole number"):
+    with pytest.raises(SimulationError, match="runs per chunk"):
         masses(2, chunk=chunk)
 
 
@@ -389,14 +392,14 @@ def test_arrays_in_place_of_numbers_are_the_same_as_values_by_name(parts, masses
     plant, control = parts
     mass = np.linspace(0.3, 0.7, 300)[:16]
     plant = dataclasses.replace(plant, load=dataclasses.replace(plant.load, mass2=mass))
-    batch = simulate_many(plant, control, WISH, metrics=FEW, chunk=16, **SHORT)
+    batch = simulate_many(plant, control, REFERENCE, metrics=FEW, chunk=16, **SHORT)
     same_bits(batch, most)
     assert "plant.load.mass2" not in batch.table
 
 
 def test_whole_numbers_by_name_are_numbers(parts):
     whole, real = (
-        simulate_many(*parts, WISH, over={"plant.load.mass2": mass}, metrics=FEW, chunk=16, workers=1, **SHORT)
+        simulate_many(*parts, REFERENCE, over={"plant.load.mass2": mass}, metrics=FEW, chunk=16, workers=1, **SHORT)
         for mass in ([1, 0], [1.0, 0.0])
     )
     same_bits(whole, real)
@@ -404,7 +407,7 @@ def test_whole_numbers_by_name_are_numbers(parts):
 
 def test_one_value_for_all_runs_may_stand_beside_values_for_each(parts, most):
     over = {"plant.load.mass2": np.linspace(0.3, 0.7, 300)[:16], "plant.load.mass1": 0.5}
-    batch = simulate_many(*parts, WISH, over=over, metrics=FEW, chunk=16, **SHORT)
+    batch = simulate_many(*parts, REFERENCE, over=over, metrics=FEW, chunk=16, **SHORT)
     same_bits(batch, most)
     assert np.all(batch.table["plant.load.mass1"] == 0.5)
 
@@ -414,15 +417,15 @@ def test_samples_by_name_have_one_row_a_run_and_a_start_in_whole_numbers_is_a_st
     pressures = [320_000, 330_000, 320_000, 325_000, 320_000]
     start = PlantState(0, 0, (np.array(pressures), 320_000))
     asked = {"initial": start, "metrics": FEW, "chunk": 16, **SHORT}
-    wish = Reference(angle=0.0, stiffness=Samples(TIMES, KNOTS[0]))
-    named = simulate_many(plant, control, wish, over={"reference.stiffness.values": KNOTS}, **asked)
-    wish = Reference(angle=0.0, stiffness=Samples(TIMES, KNOTS))
-    given = simulate_many(plant, control, wish, **asked)
+    reference = Reference(angle=0.0, stiffness=Samples(TIMES, KNOTS[0]))
+    named = simulate_many(plant, control, reference, over={"reference.stiffness.values": KNOTS}, **asked)
+    reference = Reference(angle=0.0, stiffness=Samples(TIMES, KNOTS))
+    given = simulate_many(plant, control, reference, **asked)
     same_bits(named, given)
     alone = []
     for knots, pressure in zip(KNOTS, pressures, strict=True):
-        wish = Reference(angle=0.0, stiffness=Samples(TIMES, knots))
-        alone.append(single(plant, control, wish, initial=PlantState(0, 0, (pressure, 320_000)), **SHORT))
+        reference = Reference(angle=0.0, stiffness=Samples(TIMES, knots))
+        alone.append(single(plant, control, reference, initial=PlantState(0, 0, (pressure, 320_000)), **SHORT))
     assert len({*named.metrics["stiffness_rmse"]}) == 5
     assert_singles(given, alone, rtol=1e-11)
 
@@ -438,28 +441,26 @@ def test_metrics_are_computed_as_asked(most, everything):
 
 
 @pytest.mark.parametrize(
-    ("asked", "message"),
+    ("asked", "value"),
     [
-        ({"metrics": ["rmse"]}, "'rmse' is no metric; give a list of angle_rmse"),
-        ({"metrics": "angle_rmse"}, "one metric alone: 'angle_rmse'; give a list"),
-        ({"metrics": "rmse"}, "'rmse' is no metric"),
-        ({"keep": ["speed"]}, "'speed' is no part of a trajectory; give a list of angle, velocity"),
-        ({"keep": "angle"}, "one part of a trajectory alone: 'angle'"),
-        ({"keep": ["angle"], "every": 0.03}, "values every 0.03 s do not fit 100 control periods of 0.001 s"),
-        ({"keep": ["angle"], "every": 0.0005}, "do not fit"),
-        ({"keep": ["angle"], "every": 0.0}, "do not fit"),
-        ({"keep": ["angle"], "every": -0.02}, "do not fit"),
-        ({"keep": ["angle"], "every": math.nan}, "do not fit"),
-        ({"keep": ["angle"], "every": 0.2}, "do not fit"),
-        ({"precision": "float32"}, "precision 'float32'; give jax.numpy.float64"),
-        ({"precision": jnp.float16}, "precision"),
-        ({"substeps": 0}, "0 integration steps"),
-        ({"duration": 0.1005}, "no whole number of control periods"),
+        ({"metrics": ["rmse"]}, "rmse"),
+        ({"metrics": "angle_rmse"}, "angle_rmse"),
+        ({"metrics": "rmse"}, "rmse"),
+        ({"keep": ["speed"]}, "speed"),
+        ({"keep": "angle"}, "angle"),
+        *(({"keep": ["angle"], "every": every}, every) for every in (0.03, 0.0005, 0.0, -0.02, math.nan, 0.2)),
+        ({"precision": "half"}, "half"),
+        ({"precision": 16}, 16),
+        ({"precision": jnp.float16}, jnp.float16),
+        ({"substeps": 0}, 0),
+        ({"duration": 0.1005}, 0.1005),
     ],
 )
-def test_what_makes_no_sense_is_refused(parts, asked, message):
-    with pytest.raises(SimulationError, match=message):
-        simulate_many(*parts, WISH, over={"plant.load.mass2": [0.4, 0.5]}, **(SHORT | asked))
+def test_what_makes_no_sense_is_refused(parts, asked, value):
+    with pytest.raises(SimulationError) as caught:
+        simulate_many(*parts, REFERENCE, over={"plant.load.mass2": [0.4, 0.5]}, **(SHORT | asked))
+    np.testing.assert_equal(caught.value.value, value)
+    assert caught.value.remedy
 
 
 # Errors
@@ -467,7 +468,7 @@ def test_what_makes_no_sense_is_refused(parts, asked, message):
 
 def refused(kind, message, parts, **options):
     with pytest.raises(kind, match=message):
-        simulate_many(*parts, WISH, **(SHORT | options))
+        simulate_many(*parts, REFERENCE, **(SHORT | options))
 
 
 def test_lengths_that_differ_are_named(parts):
@@ -488,8 +489,8 @@ def test_lengths_that_differ_are_named_where_one_object_holds_both(parts):
     ("over", "message"),
     [
         ({"plant.load.mass2": np.ones((2, 3))}, r"plant.load.mass2 has the shape \(2, 3\); give a number"),
-        ({"plant.load.mass2": np.ones(0)}, "plant.load.mass2 holds no value"),
-        ({}, "nothing differs from run to run; give an array"),
+        ({"plant.load.mass2": np.ones(0)}, "plant.load.mass2 is empty"),
+        ({}, "all runs are the same; give an array"),
         ({"plant.load.mas2": [1.0]}, "no parameter 'plant.load.mas2'; did you mean 'plant.load.mass2'"),
         ({"controller.position.xyz.qqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqqq": [1.0]}, "no parameter"),
         ({"load.mass2": [1.0]}, "no parameter 'load.mass2'; did you mean 'plant.load.mass2'"),
@@ -515,9 +516,9 @@ def test_a_single_run_says_what_to_use_for_many(parts):
     plant, control = parts
     many = put(plant, "load.mass2", np.array([0.4, 0.5]))
     with pytest.raises(ParameterError, match=r"plant.load.mass2: an array in place of a number; use `simulate_many`"):
-        simulate(many, control, WISH, **SHORT)
+        simulate(many, control, REFERENCE, **SHORT)
     with pytest.raises(ParameterError, match=r"initial\.stiffness: an array.*simulate_many"):
-        simulate(plant, control, WISH, initial=AtRest(0.0, np.array([13.0, 14.0])), **SHORT)
+        simulate(plant, control, REFERENCE, initial=AtRest(0.0, np.array([13.0, 14.0])), **SHORT)
 
 
 # 32 bits
@@ -527,7 +528,7 @@ def assert_single_precision(batch, exact, *, rtol: float) -> None:
     for name, values in batch.metrics.items():
         assert values.dtype == np.float32, name
         if name.endswith(("rmse", "max")) and name != "estimate_rmse":
-            kept = ~exact.lost
+            kept = ~exact.failed
             scale = np.nanmax(np.abs(exact.metrics[name][kept]))
             np.testing.assert_allclose(
                 values[kept], exact.metrics[name][kept], rtol, 1e-5 * scale, err_msg=name, equal_nan=True
@@ -539,7 +540,7 @@ def rough(parts):
     """`everything` in 32 bits."""
     return simulate_many(
         *parts,
-        WISH,
+        REFERENCE,
         over=columns(ROWS, NOMINAL),
         initial=AtRest(**columns(ROWS, AT_REST)),
         keep=("angle", "saturated"),
@@ -551,17 +552,17 @@ def rough(parts):
 
 
 def test_32_bits_give_the_same_to_a_part_in_a_thousand(rough, everything):
-    assert [outcome.lost for outcome in rough.outcomes] == [outcome.lost for outcome in everything.outcomes]
+    assert [outcome.failed for outcome in rough.outcomes] == [outcome.failed for outcome in everything.outcomes]
     assert_single_precision(rough, everything, rtol=1e-3)
     assert rough.table["angle"].dtype == np.float32
     assert rough.table["saturated"].dtype == bool
 
 
-def test_what_a_wish_is_does_not_hang_on_the_precision(rough, everything):
+def test_setpoints_do_not_depend_on_the_precision(rough, everything):
     """Whether and when it changes last is known before the run, in 64 bits."""
     for name in ("coupling", "stiffness_settling"):
         unknown, expected = (np.isnan(batch.metrics[name]) for batch in (rough, everything))
-        wrong = [row for row in np.flatnonzero(unknown != expected) if not everything.lost[row]]
+        wrong = [row for row in np.flatnonzero(unknown != expected) if not everything.failed[row]]
         assert not wrong, (name, wrong)
 
 
@@ -569,9 +570,9 @@ def test_learning_loops_run_in_32_bits_throughout(parts, knee, alone):
     plant, _ = parts
     control = put(learner(knee, 3), "position.learning_rate", np.array([0.0, 50.0]))
     control = put(control, "stiffness.learning_rate", 0.0)
-    batch = simulate_many(plant, control, WISH, metrics=FEW, keep=("angle",), chunk=2, precision=jnp.float32, **SHORT)
+    batch = simulate_many(plant, control, REFERENCE, metrics=FEW, keep=("angle",), chunk=2, precision=32, **SHORT)
     assert {values.dtype for values in batch.metrics.values()} == {np.dtype(np.float32)}
     assert batch.table["angle"].dtype == np.float32
     for name in FEW:  # without learning it is the PID
-        assert batch.metrics[name][0] == pytest.approx(alone(0).metrics()[name], rel=1e-3)
+        assert batch.metrics[name][0] == pytest.approx(alone(0).metrics[name], rel=1e-3)
     assert batch.metrics["angle_rmse"][0] != batch.metrics["angle_rmse"][1]

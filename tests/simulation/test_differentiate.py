@@ -14,7 +14,7 @@ from mckibben.units import bar, deg
 
 SHORT = {"duration": 0.06, "substeps": 2}
 METRICS = ("angle_rmse", "angle_max", "stiffness_rmse", "coupling", "force_max")
-WISH = Reference(angle=Sine(5 * deg, 4.0), stiffness=Step(13.0, 15.0, 0.0205))
+REFERENCE = Reference(angle=Sine(5 * deg, 4.0), stiffness=Step(13.0, 15.0, 0.0205))
 START = AtRest(1 * deg, 13.5)
 NAMES = (
     "plant.load.mass2",
@@ -47,9 +47,9 @@ NAMES = (
 )
 
 
-def by_differences(plant, controller, wish, names, start, *, relative=3e-5, **options):
+def by_differences(plant, controller, reference, names, start, *, relative=3e-5, **options):
     """Derivatives by central differences of the fourth order, all runs in one batch; a row for each entry of a leaf."""
-    of = {"plant": plant, "controller": controller, "reference": wish, "initial": start}
+    of = {"plant": plant, "controller": controller, "reference": reference, "initial": start}
     leaves = {name: np.asarray(value_at(of, name), float) for name in names}
     places = [(name, place) for name in names for place in np.ndindex(leaves[name].shape)]
     columns = {name: [leaf] for name, leaf in leaves.items()}
@@ -107,12 +107,12 @@ def parts(knee, load):
 
 @pytest.fixture(scope="module")
 def forwards(parts):
-    return differentiate(*parts, WISH, NAMES, metrics=METRICS, initial=START, mode=Mode.FORWARD, **SHORT)
+    return differentiate(*parts, REFERENCE, NAMES, metrics=METRICS, initial=START, mode=Mode.FORWARD, **SHORT)
 
 
 def test_forwards_they_are_those_of_finite_differences(parts, forwards):
-    found = by_differences(*parts, WISH, NAMES, START, metrics=METRICS, **SHORT)
-    of = dict(zip(("plant", "controller", "reference", "initial"), (*parts, WISH, START), strict=True))
+    found = by_differences(*parts, REFERENCE, NAMES, START, metrics=METRICS, **SHORT)
+    of = dict(zip(("plant", "controller", "reference", "initial"), (*parts, REFERENCE, START), strict=True))
     assert_slopes(forwards, found, of, rtol=1e-6, atol=1e-8)
 
 
@@ -155,8 +155,8 @@ def others(parts):
     learning = BackpropPID(control.position, learning_rate=30.0, **(scales | {"error_scale": 1 * deg}))
     control = PositionStiffnessControl(learning, BackpropPID(control.stiffness, **scales), model=control.model)
     times = np.linspace(0.0, 0.05, 5)
-    wish = Reference(angle=Samples(times, [0.0, 0.03, 0.05, 0.02, 0.03]), stiffness=Samples(times, KNOTS))
-    return plant, control, wish, PlantState(0.0, 0.05, (3.5e5, 3.6e5))
+    reference = Reference(angle=Samples(times, [0.0, 0.03, 0.05, 0.02, 0.03]), stiffness=Samples(times, KNOTS))
+    return plant, control, reference, PlantState(0.0, 0.05, (3.5e5, 3.6e5))
 
 
 def test_learning_and_samples_in_reverse_are_those_of_finite_differences(others):
@@ -178,13 +178,13 @@ def test_many_points_at_once_are_the_points_one_by_one(parts, forwards):
     some = {"metrics": ["angle_rmse"], "parameters": ("plant.load.mass2", "controller.position.kp", "initial.angle")}
     masses, gains = np.array([0.5, 0.4, 50.0]), np.array([60.0, 50.0, 60.0]) * bar
     over = {"plant.load.mass2": masses, "controller.position.ki": gains}
-    many = differentiate(*parts, WISH, over=over, initial=AtRest(np.full(3, 1 * deg), 13.5), **some, **SHORT)
+    many = differentiate(*parts, REFERENCE, over=over, initial=AtRest(np.full(3, 1 * deg), 13.5), **some, **SHORT)
     plant, control = parts
     for row in (0, 1):
         heavy = eqx.tree_at(lambda p: p.load.mass2, plant, masses[row])
         tuned = eqx.tree_at(lambda c: c.position.ki, control, gains[row])
         one = differentiate(  # with all names and metrics: compiled already
-            heavy, tuned, WISH, NAMES, metrics=METRICS, initial=START, mode=Mode.FORWARD, **SHORT
+            heavy, tuned, REFERENCE, NAMES, metrics=METRICS, initial=START, mode=Mode.FORWARD, **SHORT
         )
         assert many.values["angle_rmse"][row] == pytest.approx(one.values["angle_rmse"], rel=1e-12)
         assert (one.values["angle_rmse"] == forwards.values["angle_rmse"]) == (row == 0)
@@ -202,7 +202,7 @@ def test_many_points_at_once_are_the_points_one_by_one(parts, forwards):
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["controller.position.seed"], "controller.position.seed is a whole number: it has no derivative"),
+        (["controller.position.seed"], "controller.position.seed is an integer"),
         (["controller.position.learning_rat"], "no parameter .*; did you mean 'controller.position.learning_rate'"),
         (["plant.load"], "no parameter 'plant.load'"),
     ],
@@ -215,24 +215,25 @@ def test_what_has_no_derivative_is_refused(others, names, message):
 
 def test_one_name_alone_is_not_taken_for_its_letters(parts):
     with pytest.raises((ParameterError, SimulationError), match=r"plant\.load\.mass2"):
-        differentiate(*parts, WISH, "plant.load.mass2", **SHORT)
+        differentiate(*parts, REFERENCE, "plant.load.mass2", **SHORT)
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "value"),
     [
-        ({"metrics": "angle_rmse"}, "one metric alone: 'angle_rmse'"),
-        ({"metrics": ["rmse"]}, "'rmse' is no metric"),
-        ({"duration": 0.0605}, "no whole number of control periods"),
-        ({"substeps": 0}, "0 integration steps"),
+        ({"metrics": "angle_rmse"}, "angle_rmse"),
+        ({"metrics": ["rmse"]}, "rmse"),
+        ({"duration": 0.0605}, 0.0605),
+        ({"substeps": 0}, 0),
     ],
 )
-def test_what_makes_no_sense_is_refused(parts, options, message):
-    with pytest.raises(SimulationError, match=message):
-        differentiate(*parts, WISH, ["plant.load.mass2"], **(SHORT | options))
+def test_what_makes_no_sense_is_refused(parts, options, value):
+    with pytest.raises(SimulationError) as caught:
+        differentiate(*parts, REFERENCE, ["plant.load.mass2"], **(SHORT | options))
+    assert caught.value.value == value
 
 
 def test_points_of_different_numbers_are_refused(parts):
     with pytest.raises(ParameterError, match=r"kp has 3 values, plant\.load\.mass2 has 2"):
         over = {"plant.load.mass2": [0.4, 0.5], "controller.position.kp": [1.0, 2.0, 3.0]}
-        differentiate(*parts, WISH, ["plant.load.mass2"], over=over, **SHORT)
+        differentiate(*parts, REFERENCE, ["plant.load.mass2"], over=over, **SHORT)

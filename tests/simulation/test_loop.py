@@ -11,7 +11,7 @@ from jax import lax
 from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint, Sine, Step
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import PlantState
-from mckibben.simulation.loop import compiled_episode, episode, sampled
+from mckibben.simulation import compiled_episode, episode, sampled
 
 PERIOD = 1e-3
 REFERENCE = Reference(angle=Sine(amplitude=0.17, frequency=0.5), stiffness=Step(before=13.0, after=17.0, at=5.0))
@@ -97,7 +97,7 @@ def test_the_commands_are_those_of_the_controller_stepped_by_hand(run, control):
     from mckibben.control import Measurement
 
     _, setpoints, _, record = run
-    step = jax.jit(lambda memory, wish, seen: control.step(memory, wish, seen, PERIOD))
+    step = jax.jit(lambda memory, reference, seen: control.step(memory, reference, seen, PERIOD))
     at = lambda k: Measurement(record.state.angle[k], (record.state.pressures[0][k], record.state.pressures[1][k]))  # noqa: E731
     memory = control.init(at(0))
     for k in range(5):
@@ -176,9 +176,9 @@ def test_in_single_precision_it_runs_and_stays_single(plant, control):
 
 
 def test_setpoints_are_sampled_at_the_start_of_each_period():
-    times, wish = sampled(REFERENCE, 6000 * PERIOD, PERIOD)
+    times, reference = sampled(REFERENCE, 6000 * PERIOD, PERIOD)
     assert times.shape == (6000,)
     assert float(times[1234]) == pytest.approx(1.234, rel=1e-15)
-    assert float(wish.stiffness[4999]) == 13.0
-    assert float(wish.stiffness[5000]) == 17.0
-    assert float(wish.angle[500]) == pytest.approx(0.17, rel=1e-14)
+    assert float(reference.stiffness[4999]) == 13.0
+    assert float(reference.stiffness[5000]) == 17.0
+    assert float(reference.angle[500]) == pytest.approx(0.17, rel=1e-14)

@@ -25,7 +25,7 @@ def answer(desired, stiffness, **options) -> float:
 
 
 def lag(tau: float, *, at: float = 2.0, before: float = 13.0, after: float = 17.0, duration: float = 6.0):
-    """A wish that steps and a stiffness that follows it to first order."""
+    """A reference that steps and a stiffness that follows it to first order."""
     times = np.arange(round(duration / PERIOD)) * PERIOD
     done = -np.expm1(-np.maximum(times - at, 0.0) / tau)
     return times, np.where(times < at - PERIOD / 2, before, after), before + (after - before) * done
@@ -72,7 +72,7 @@ def test_a_first_order_lag_settles_when_its_exponential_has_died_down_to_the_ban
     assert 0 <= found - tau * np.log(1 / band) <= PERIOD * 1.001
 
 
-def test_the_band_is_a_part_of_the_change_and_not_of_the_wish():
+def test_the_band_is_a_part_of_the_change_and_not_of_the_setpoint():
     _, desired, _ = lag(0.1)
     stiffness = np.where(desired == 17.0, 17.0 - 0.39, 13.0)  # within 10 % of the change of 4, at once
     stiffness[2000] = 13.0  # but for the very start
@@ -119,14 +119,14 @@ def test_the_last_change_counts():
     assert answer(earlier, stiffness) == answer(desired, stiffness)
 
 
-def test_a_constant_wish_is_settled_from_the_start():
+def test_a_constant_setpoint_is_settled_from_the_start():
     times = np.arange(3000) * PERIOD
     found = answer(np.full(3000, 15.0), 15.0 - 3.0 * np.exp(-times / 0.2))
     assert 0 <= found - 0.2 * np.log(10) <= PERIOD * 1.001
     assert answer(np.full(3000, 15.0), np.full(3000, 15.0)) == 0.0
 
 
-def test_where_nothing_had_to_change_the_band_is_a_thousandth_of_the_wish():
+def test_where_nothing_had_to_change_the_band_is_a_thousandth_of_the_setpoint():
     disturbed = lambda size: np.where((np.arange(3000) > 999) & (np.arange(3000) < 2000), 15.0 + size, 15.0)  # noqa: E731
     assert answer(np.full(3000, 15.0), disturbed(0.014)) == 0.0
     assert answer(np.full(3000, 15.0), disturbed(0.016)) == pytest.approx(2.0)
@@ -154,7 +154,7 @@ def coupled(difference: dict[float, float], at: float | None = 3.0) -> float:
         angle[round(when / PERIOD)] += size
     desired = np.full(6000, 15.0) if at is None else np.where(times < at - PERIOD / 2, 13.0, 17.0)
     undisturbed = np.full(6000, np.nan) if at is None else undisturbed
-    run = moved(6000, angle=angle, undisturbed_angle=undisturbed, desired_stiffness=desired)
+    run = moved(6000, angle=angle, angle_without_step=undisturbed, desired_stiffness=desired)
     return float(measure(run, PERIOD).coupling)
 
 
@@ -187,7 +187,7 @@ def test_a_batch_is_its_single_trajectories():
             np.testing.assert_allclose(getattr(together, name)[row], getattr(alone, name), rtol=1e-12, err_msg=name)
 
 
-def test_a_wish_that_never_stops_changing_has_no_settling_time():
+def test_a_setpoint_that_never_stops_changing_has_no_settling_time():
     times = np.arange(5000) * PERIOD
     desired = 15 + np.sin(times)
     stiffness = np.where(times == times[-1], desired, 12.0)  # far off throughout, but for the last sample

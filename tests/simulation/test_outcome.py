@@ -59,4 +59,4 @@ def test_arrays_broadcast_and_give_codes():
 
 
 def test_what_is_lost():
-    assert [o.name for o in OUTCOMES if o.lost] == ["SWUNG_OVER", "DIVERGED", "NO_START"]
+    assert [o.name for o in OUTCOMES if o.failed] == ["SWUNG_OVER", "DIVERGED", "NO_START"]

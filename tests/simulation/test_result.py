@@ -1,6 +1,7 @@
 """What a run answers: its outcome in words, units, and files."""
 
 import dataclasses
+import pickle
 import re
 
 import equinox as eqx
@@ -23,7 +24,7 @@ from mckibben.control import (
     Reference,
     Sine,
 )
-from mckibben.errors import FileError, ReachabilityWarning
+from mckibben.errors import FileError, ReachabilityWarning, SimulationError
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, PlantState
 from mckibben.simulation import Outcome, Result, Trajectory, simulate
 from mckibben.simulation.result import UNITS
@@ -34,34 +35,34 @@ POSITION, STIFFNESS = PID(2 * bar, 60 * bar, 0.4 * bar), PID(0.08 * bar, 5 * bar
 
 @pytest.fixture(scope="module")
 def completed(plant, knee):
-    wish = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
+    reference = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
     return simulate(
-        plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), wish, duration=0.2, scenario="name: α\n"
+        plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), reference, duration=0.2, scenario="name: α\n"
     )
 
 
 @pytest.fixture(scope="module")
 def saturated(plant, knee):
-    wish = Reference(angle=Sine(0.0, 0.5), stiffness=Constant(30.0))  # no motion; the structure of the other wishes
+    reference = Reference(angle=Sine(0.0, 0.5), stiffness=Constant(30.0))  # no motion; same structure as the others
     with pytest.warns(ReachabilityWarning):
-        return simulate(plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), wish, duration=0.2)
+        return simulate(plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), reference, duration=0.2)
 
 
 @pytest.fixture(scope="module")
 def left_domain(as_printed, load, playback):
     """All pressure on one side, from rest: the joint swings over to where the other muscle is stretched too far."""
-    wish = Reference(angle=Constant(0.0), stiffness=Constant(6 * bar))  # playback: p1 = 0, p2 = 6 bar
+    reference = Reference(angle=Constant(0.0), stiffness=Constant(6 * bar))  # playback: p1 = 0, p2 = 6 bar
     with pytest.warns(ReachabilityWarning):
-        return simulate(JointPlant(as_printed, load, IdealValve()), playback, wish, duration=0.2)
+        return simulate(JointPlant(as_printed, load, IdealValve()), playback, reference, duration=0.2)
 
 
 @pytest.fixture(scope="module")
 def diverged(knee, load):
     """Damping with a time constant of under 1 ms, integrated in steps of 50 ms, at which Runge-Kutta is unstable."""
     stiff = JointPlant(knee, dataclasses.replace(load, damping=1000 * load.total_inertia), FirstOrderValve(0.02))
-    wish = Reference(angle=Sine(0.0, 0.5, offset=1 * deg), stiffness=Constant(15.0))
+    reference = Reference(angle=Sine(0.0, 0.5, offset=1 * deg), stiffness=Constant(15.0))
     control = PositionStiffnessControl(POSITION, STIFFNESS, model=knee)
-    return simulate(stiff, control, wish, duration=40.0, control_period=0.2)  # 200 periods, as in the other runs
+    return simulate(stiff, control, reference, duration=40.0, control_period=0.2)  # 200 periods, as in the other runs
 
 
 def said(text: str, what: str) -> tuple[float, float]:
@@ -74,58 +75,79 @@ def test_completed(completed):
     assert completed.describe() == "completed"
 
 
+def test_a_column_is_an_array_and_an_unknown_one_is_named(completed):
+    assert isinstance(completed["torque"], np.ndarray) and completed["torque"] is completed.columns["torque"]
+    assert "torque" in completed and "wrench" not in completed
+    with pytest.raises(SimulationError, match="angle, velocity") as caught:
+        completed["wrench"]
+    assert caught.value.value == "wrench"
+
+
+def test_it_is_short_in_a_shell_and_a_table_in_a_notebook(completed):
+    assert re.fullmatch(
+        r"<Result: 0.2 s, completed, angle RMSE [\d.]+ deg, stiffness RMSE [\d.]+ N\*m/rad>", repr(completed)
+    )
+    page = completed._repr_html_()
+    assert page.count("<tr>") == 1 + len(completed.metrics) and "root mean square error of the angle" in page
+
+
+def test_it_can_be_pickled(completed):
+    again = pickle.loads(pickle.dumps(completed))
+    assert again.to_xarray().identical(completed.to_xarray())
+
+
 def test_saturated(saturated, knee):
     assert saturated.outcome is Outcome.SATURATED
     top = 6 * bar
-    at_top = (saturated.table["command1"] >= top - 1) | (saturated.table["command2"] >= top - 1)
+    at_top = (saturated["command1"] >= top - 1) | (saturated["command2"] >= top - 1)
     assert at_top.any()
-    np.testing.assert_array_equal(saturated.table["saturated"], at_top)
-    assert "pressure at its limit" in saturated.describe()
-    times = saturated.table["time"].to_numpy()
+    np.testing.assert_array_equal(saturated["saturated"], at_top)
+    assert "at a pressure limit" in saturated.describe()
+    times = saturated.times
     assert said(saturated.describe(), "saturated") == pytest.approx(
-        (int(at_top.sum()) * 1e-3, times[at_top.to_numpy()][0]), rel=1e-3
+        (int(at_top.sum()) * 1e-3, times[at_top][0]), rel=1e-3
     )
 
 
 def test_left_domain(left_domain, paper):
     assert left_domain.outcome is Outcome.LEFT_DOMAIN
-    table = left_domain.table
-    outside = np.zeros(table.sizes["time"], bool)
-    for k, eps in enumerate(paper.contractions(table["angle"].to_numpy()), start=1):
+    table = left_domain
+    outside = np.zeros(table.times.size, bool)
+    for k, eps in enumerate(paper.contractions(table["angle"]), start=1):
         np.testing.assert_allclose(table[f"contraction{k}"], eps, atol=1e-12)
         outside |= (eps < -0.03) | (eps > 0.25)
     np.testing.assert_array_equal(table["outside_domain"], outside)
     assert 0 < outside.sum() < outside.size
-    assert "extrapolation" in left_domain.describe()
+    assert "extrapolated" in left_domain.describe()
     assert said(left_domain.describe(), "outside the domain") == pytest.approx(
         (outside.sum() * 1e-3, outside.argmax() * 1e-3), rel=1e-3
     )
-    assert left_domain.metrics()["time_outside_domain"] == pytest.approx(outside.sum() * 1e-3)
+    assert left_domain.metrics["time_outside_domain"] == pytest.approx(outside.sum() * 1e-3)
 
 
 def test_diverged(diverged):
     assert diverged.outcome is Outcome.DIVERGED
-    finite = np.isfinite(diverged.table["angle"].to_numpy())
+    finite = np.isfinite(diverged["angle"])
     assert finite.any()
     assert not finite.all()
     when = float(re.search(r"after ([\d.]+) s", diverged.describe())[1])
     assert when == pytest.approx((finite.sum() - 1) * 0.2)
-    assert np.isnan(diverged.metrics()["angle_rmse"])
+    assert np.isnan(diverged.metrics["angle_rmse"])
 
 
 def test_slack_is_said_of_a_run_that_completed(plant, knee, playback):
-    wish = Reference(angle=Constant(0.0), stiffness=Constant(3e5))  # playback: p1 = 0, p2 = 3 bar
+    reference = Reference(angle=Constant(0.0), stiffness=Constant(3e5))  # playback: p1 = 0, p2 = 3 bar
     with pytest.warns(ReachabilityWarning):
-        result = simulate(plant, playback, wish, duration=0.2, initial=PlantState(0.0, 0.0, (0.0, 1e5)))
-    slack = (result.table["force1"] <= 0) | (result.table["force2"] <= 0)
+        result = simulate(plant, playback, reference, duration=0.2, initial=PlantState(0.0, 0.0, (0.0, 1e5)))
+    slack = (result["force1"] <= 0) | (result["force2"] <= 0)
     assert slack.any()
-    np.testing.assert_array_equal(result.table["slack"], slack)
+    np.testing.assert_array_equal(result["slack"], slack)
     assert said(result.describe(), "slack")[0] == pytest.approx(int(slack.sum()) * 1e-3, rel=1e-3)
 
 
 def test_forces_and_torque_are_those_of_the_papers_equations(completed, paper_precontracted):
-    table = completed.table
-    angle, pressures = table["angle"].to_numpy(), (table["pressure1"].to_numpy(), table["pressure2"].to_numpy())
+    table = completed
+    angle, pressures = table["angle"], (table["pressure1"], table["pressure2"])
     np.testing.assert_allclose(table["torque"], paper_precontracted.torque(angle, pressures), atol=1e-9)
     np.testing.assert_allclose(table["stiffness"], paper_precontracted.stiffness(angle, pressures), rtol=1e-9)
     for k, eps in enumerate(paper_precontracted.contractions(angle)):
@@ -133,11 +155,11 @@ def test_forces_and_torque_are_those_of_the_papers_equations(completed, paper_pr
 
 
 def test_every_variable_of_a_run_has_a_unit_and_a_meaning(completed):
-    for name in completed.table.variables:
-        assert completed.table[name].attrs["units"], name
-        assert completed.table[name].attrs["long_name"], name
-    assert set(Trajectory._fields) <= set(completed.table.variables)
-    units = {name: completed.table[name].attrs["units"] for name in completed.table.variables}
+    for name in completed.to_xarray().variables:
+        assert completed.to_xarray()[name].attrs["units"], name
+        assert completed.to_xarray()[name].attrs["long_name"], name
+    assert set(Trajectory._fields) <= set(completed.to_xarray().variables)
+    units = {name: completed.to_xarray()[name].attrs["units"] for name in completed.to_xarray().variables}
     assert units["angle"] == "rad"
     assert units["pressure1"] == units["command2"] == "Pa"
     assert units["stiffness"] == units["highest_stiffness"] == "N*m/rad"
@@ -147,8 +169,8 @@ def test_what_a_learning_controller_reports_has_units_too(plant, knee):
     from mckibben.study.scenario import Scenario
 
     scenario = Scenario.read("examples/pre-contracted-step-backprop.yaml")
-    wish = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
-    table = simulate(scenario.plant(), scenario.control(), wish, duration=0.2).table
+    reference = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
+    table = simulate(scenario.plant(), scenario.control(), reference, duration=0.2).to_xarray()
     assert "position_kp" in table
     assert all(table[name].attrs["units"] for name in table.variables)
 
@@ -172,13 +194,13 @@ def test_netcdf_gives_the_same_run_back(which, request, tmp_path):
     result = request.getfixturevalue(which)
     result.to_netcdf(tmp_path / "run.nc")
     back = Result.from_netcdf(tmp_path / "run.nc")
-    assert back.table.identical(result.table)
-    for name in result.table.variables:
-        assert back.table[name].dtype == result.table[name].dtype, name
+    assert back.to_xarray().identical(result.to_xarray())
+    for name in result.columns:
+        assert back[name].dtype == result[name].dtype, name
     assert back.outcome is result.outcome
     assert back.describe() == result.describe()
     assert back.control_period == result.control_period
-    np.testing.assert_equal(back.metrics(), result.metrics())
+    np.testing.assert_equal(back.metrics, result.metrics)
     assert [p.name for p in tmp_path.iterdir()] == ["run.nc"]  # nothing half-written is left
 
 
@@ -193,7 +215,7 @@ def test_a_file_is_replaced_whole_or_not_at_all(completed, saturated, tmp_path, 
     with pytest.raises(KeyboardInterrupt):
         saturated.to_netcdf(tmp_path / "run.nc")
     monkeypatch.undo()
-    assert Result.from_netcdf(tmp_path / "run.nc").table.identical(completed.table)
+    assert Result.from_netcdf(tmp_path / "run.nc").to_xarray().identical(completed.to_xarray())
     assert [p.name for p in tmp_path.iterdir()] == ["run.nc"]
 
 
@@ -203,7 +225,6 @@ def test_other_programs_see_the_units(completed, tmp_path):
         assert seen["angle"].attrs["units"] == "rad"
         assert seen.attrs["outcome"] == "COMPLETED"
         assert seen.attrs["scenario"] == "name: α\n"
-    assert "outcome" not in completed.table.attrs
     assert completed.to_xarray().attrs["outcome"] == "COMPLETED"
 
 
@@ -223,7 +244,7 @@ def test_a_missing_broken_or_foreign_file_is_an_error_of_ours(completed, tmp_pat
         with pytest.raises(FileError):
             Result.from_netcdf(tmp_path / "cut.nc")
     catalog.dataset("festo-tool-10mm").to_netcdf(tmp_path / "data.nc")
-    with pytest.raises(FileError, match=r"no simulation result: angle, .*highest_stiffness are not in it"):
+    with pytest.raises(FileError, match=r"lacks angle, .*highest_stiffness"):
         Result.from_netcdf(tmp_path / "data.nc")
 
 
@@ -238,7 +259,7 @@ def test_a_file_that_is_nearly_a_result_is_an_error_of_ours(completed, tmp_path,
         table = table.assign_attrs(control_period="soon")
     table.to_netcdf(tmp_path / "odd.nc", engine="h5netcdf")
     try:
-        Result.from_netcdf(tmp_path / "odd.nc").metrics()
+        Result.from_netcdf(tmp_path / "odd.nc").metrics["angle_rmse"]
     except FileError:
         return
     raise AssertionError("it was taken for a result")
@@ -263,15 +284,15 @@ def test_a_damaged_file_is_an_error_of_ours_whatever_the_damage(completed, tmp_p
 
 
 def test_a_run_that_never_was_finite_can_be_described(plant, knee, playback):
-    wish = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
-    result = simulate(plant, playback, wish, duration=0.2, initial=PlantState(np.nan, 0.0, (1e5, 1e5)))
+    reference = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
+    result = simulate(plant, playback, reference, duration=0.2, initial=PlantState(np.nan, 0.0, (1e5, 1e5)))
     assert result.outcome is Outcome.DIVERGED
     assert "diverged" in result.describe()
 
 
 def test_a_pressure_outside_the_domain_is_not_silent(plant, knee):
-    wish = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
+    reference = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
     control = PositionStiffnessControl(POSITION, STIFFNESS, model=knee)
-    result = simulate(plant, control, wish, duration=0.2, initial=PlantState(0.0, 0.0, (9 * bar, 9 * bar)))
-    assert float(result.table["pressure1"][0]) > float(eqx.filter(knee, True).muscle1.domain.pressure_max)
+    result = simulate(plant, control, reference, duration=0.2, initial=PlantState(0.0, 0.0, (9 * bar, 9 * bar)))
+    assert float(result["pressure1"][0]) > float(eqx.filter(knee, True).muscle1.domain.pressure_max)
     assert result.outcome is Outcome.LEFT_DOMAIN

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.control import PID, Constant, PositionStiffnessControl, Reference, Sine
+from mckibben.control import PID, Constant, Controller, PositionStiffnessControl, Reference, Sine
 from mckibben.errors import RangeError, ReachabilityWarning, SimulationError, UnreachableError
 from mckibben.muscle import Muscle
 from mckibben.plant import PlantState
 from mckibben.simulation import simulate
 from mckibben.units import bar, deg
 
-WISH = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
+REFERENCE = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
 
 
 def control_of(model) -> PositionStiffnessControl:
@@ -46,7 +46,7 @@ def other_knee(knee):
 )
 def test_a_duration_of_no_whole_number_of_periods_names_both(plant, control, times, named):
     with pytest.raises(SimulationError) as caught:
-        simulate(plant, control, WISH, **times)
+        simulate(plant, control, REFERENCE, **times)
     for number in named:
         assert number in str(caught.value)
     assert caught.value.value == times["duration"]
@@ -57,51 +57,51 @@ def test_a_duration_of_no_whole_number_of_periods_names_both(plant, control, tim
 @pytest.mark.parametrize("name", ["duration", "control_period"])
 def test_times_are_positive_and_finite(plant, control, name, bad):
     with pytest.raises(SimulationError, match=f"{name.replace('_', ' ')} is .*; give a positive time"):
-        simulate(plant, control, WISH, **{name: bad})
+        simulate(plant, control, REFERENCE, **{name: bad})
 
 
 @pytest.mark.parametrize("substeps", [0, -3])
 def test_substeps_are_at_least_one(plant, control, substeps):
-    with pytest.raises(SimulationError, match=f"{substeps} integration steps") as caught:
-        simulate(plant, control, WISH, substeps=substeps)
+    with pytest.raises(SimulationError, match=f"substeps is {substeps}") as caught:
+        simulate(plant, control, REFERENCE, substeps=substeps)
     assert caught.value.value == substeps
 
 
 def test_a_start_that_cannot_be_held_is_an_error(plant, control):
     heavy = eqx.tree_at(lambda p: p.load.mass2, plant, 50.0)
     with pytest.raises(UnreachableError, match="0 deg"):
-        simulate(heavy, control, WISH, duration=0.2)
+        simulate(heavy, control, REFERENCE, duration=0.2)
     far = Reference(angle=Constant(60 * deg), stiffness=Constant(15.0))
     with pytest.raises(RangeError, match=r"contraction -4\.6 % is outside -3\.\.25 % of MAS-10-180N"):
         simulate(plant, control, far, duration=0.2)
 
 
 def test_the_same_inputs_give_the_same_run_and_stay_as_they_were(plant, control):
-    before = jax.tree.map(np.array, eqx.filter((plant, control, WISH), eqx.is_inexact_array_like))
-    one, two = (simulate(plant, control, WISH, duration=0.2, scenario="this") for _ in range(2))
-    assert one.table.identical(two.table)
-    after = jax.tree.map(np.array, eqx.filter((plant, control, WISH), eqx.is_inexact_array_like))
+    before = jax.tree.map(np.array, eqx.filter((plant, control, REFERENCE), eqx.is_inexact_array_like))
+    one, two = (simulate(plant, control, REFERENCE, duration=0.2, scenario="this") for _ in range(2))
+    assert one.to_xarray().identical(two.to_xarray())
+    after = jax.tree.map(np.array, eqx.filter((plant, control, REFERENCE), eqx.is_inexact_array_like))
     jax.tree.map(np.testing.assert_array_equal, before, after)
-    assert one.table.attrs["scenario"] == "this"
-    assert one.table["time"].to_numpy() == pytest.approx(np.arange(200) * 1e-3)
+    assert one.to_xarray().attrs["scenario"] == "this"
+    assert one.times == pytest.approx(np.arange(200) * 1e-3)
 
 
-def test_it_starts_at_rest_on_the_wish_unless_told(plant, control):
+def test_it_starts_at_rest_on_the_reference_unless_told(plant, control):
     shifted = Reference(angle=Constant(5 * deg), stiffness=Constant(15.0))
-    table = simulate(plant, control, shifted, duration=0.2).table
+    table = simulate(plant, control, shifted, duration=0.2)
     assert float(table["angle"][0]) == pytest.approx(5 * deg)
     assert float(table["velocity"][0]) == 0.0
     low, high = float(table["lowest_stiffness"][0]), float(table["highest_stiffness"][0])
     assert float(table["stiffness"][0]) == pytest.approx((low + high) / 2, rel=1e-6)  # affine: amid the co-contractions
-    given = simulate(plant, control, shifted, duration=0.2, initial=PlantState(0.02, 0.3, (2e5, 2.5e5))).table
+    given = simulate(plant, control, shifted, duration=0.2, initial=PlantState(0.02, 0.3, (2e5, 2.5e5)))
     for name, value in (("angle", 0.02), ("velocity", 0.3), ("pressure1", 2e5), ("pressure2", 2.5e5)):
         assert float(given[name][0]) == value
 
 
 def test_a_start_in_whole_numbers_is_a_start(plant, control):
-    whole = simulate(plant, control, WISH, duration=0.2, initial=PlantState(0, 0, (200_000, 200_000)))
-    real = simulate(plant, control, WISH, duration=0.2, initial=PlantState(0.0, 0.0, (2e5, 2e5)))
-    assert whole.table.identical(real.table)
+    whole = simulate(plant, control, REFERENCE, duration=0.2, initial=PlantState(0, 0, (200_000, 200_000)))
+    real = simulate(plant, control, REFERENCE, duration=0.2, initial=PlantState(0.0, 0.0, (2e5, 2e5)))
+    assert whole.to_xarray().identical(real.to_xarray())
 
 
 def test_out_of_reach_is_a_warning_in_words(as_printed, load, plant, control):
@@ -112,21 +112,19 @@ def test_out_of_reach_is_a_warning_in_words(as_printed, load, plant, control):
         simulate(JointPlant(as_printed, load, IdealValve()), control_of(as_printed), far, duration=0.2)
     assert len([w for w in caught if w.category is ReachabilityWarning]) == 1
     assert caught[0].filename == __file__  # it points to the caller
-    simulate(plant, control, WISH, duration=0.2)  # silent; a warning of ours would be an error here
+    simulate(plant, control, REFERENCE, duration=0.2)  # silent; a warning of ours would be an error here
 
 
 def test_a_true_model_estimates_truly_and_a_wrong_one_wrongly(plant, knee, other_knee):
     true, wrong = (
-        simulate(plant, control_of(model), WISH, duration=0.2, initial=PlantState(0.0, 0.0, (2.5e5, 2.5e5)))
+        simulate(plant, control_of(model), REFERENCE, duration=0.2, initial=PlantState(0.0, 0.0, (2.5e5, 2.5e5)))
         for model in (knee, other_knee)
     )
-    assert true.metrics()["estimate_rmse"] < 1e-9
-    assert wrong.metrics()["estimate_rmse"] > 0.1
+    assert true.metrics["estimate_rmse"] < 1e-9
+    assert wrong.metrics["estimate_rmse"] > 0.1
     np.testing.assert_allclose(  # what it is wrong by is what the two models differ by
-        wrong.table["stiffness_estimate"],
-        other_knee.stiffness(
-            wrong.table["angle"].to_numpy(), (wrong.table["pressure1"].to_numpy(), wrong.table["pressure2"].to_numpy())
-        ),
+        wrong["stiffness_estimate"],
+        other_knee.stiffness(wrong["angle"], (wrong["pressure1"], wrong["pressure2"])),
         rtol=1e-9,
     )
 
@@ -134,8 +132,8 @@ def test_a_true_model_estimates_truly_and_a_wrong_one_wrongly(plant, knee, other
 def test_the_controller_does_not_see_the_plants_law(plant, control, other_knee):
     start = PlantState(0.01, 0.0, (2.5e5, 2.7e5))
     other = eqx.tree_at(lambda p: p.joint, plant, other_knee)
-    one = simulate(plant, control, WISH, duration=0.2, initial=start).table
-    two = simulate(other, control, WISH, duration=0.2, initial=start).table
+    one = simulate(plant, control, REFERENCE, duration=0.2, initial=start)
+    two = simulate(other, control, REFERENCE, duration=0.2, initial=start)
     for name in ("command1", "command2", "stiffness_estimate"):
         assert float(one[name][0]) == float(two[name][0]), name
     assert float(one["stiffness"][0]) != pytest.approx(float(two["stiffness"][0]), rel=1e-3)
@@ -144,10 +142,62 @@ def test_the_controller_does_not_see_the_plants_law(plant, control, other_knee):
 
 def test_the_numbers_in_the_error_tell_the_two_apart(plant, control):
     with pytest.raises(SimulationError) as caught:
-        simulate(plant, control, WISH, duration=10.0000005)
+        simulate(plant, control, REFERENCE, duration=10.0000005)
     assert "10.0000005" in str(caught.value)
 
 
 def test_substeps_are_whole(plant, control):
     with pytest.raises(SimulationError):
-        simulate(plant, control, WISH, duration=0.2, substeps=2.5)
+        simulate(plant, control, REFERENCE, duration=0.2, substeps=2.5)
+
+
+@pytest.mark.parametrize(
+    ("swap", "name", "hint"),
+    [
+        ({"plant": "controller", "controller": "plant"}, "plant", "the controller"),
+        ({"controller": "reference", "reference": "controller"}, "controller", "the reference"),
+    ],
+)
+def test_swapped_arguments_are_named(plant, control, swap, name, hint):
+    given = {"plant": plant, "controller": control, "reference": REFERENCE}
+    given |= {one: given[other] for one, other in swap.items()}
+    with pytest.raises(SimulationError, match=f"^{name} is a .*{hint}: are arguments swapped"):
+        simulate(**given, duration=0.2)
+
+
+def test_an_initial_number_is_no_state(plant, control):
+    with pytest.raises(SimulationError, match=r"initial is 0\.05; give a PlantState or AtRest") as caught:
+        simulate(plant, control, REFERENCE, duration=0.2, initial=0.05)
+    assert caught.value.value == 0.05
+
+
+def test_a_signal_of_numpy_is_referred_to_jax(plant, control):
+    for signal in (lambda t: 0.1 * np.sin(t), lambda t: 0.1 if t[0] > 1 else 0.0 * t):
+        with pytest.raises(SimulationError, match=r"jax\.numpy"):
+            simulate(plant, control, Reference(signal, 15.0), duration=0.2)
+
+
+def test_a_controller_needs_no_telemetry(plant, control):
+    class Silent(Controller):
+        loops: Controller
+
+        def init(self, measurement):
+            return self.loops.init(measurement)
+
+        def step(self, state, setpoint, measurement, period):
+            return self.loops.step(state, setpoint, measurement, period)
+
+        def telemetry(self, state):
+            return {}
+
+    silent, own = (simulate(plant, one, REFERENCE, duration=0.2) for one in (Silent(control), control))
+    np.testing.assert_array_equal(silent["angle"], own["angle"])
+    assert np.isnan(silent["stiffness_estimate"]).all() and np.isnan(silent.metrics["estimate_rmse"])
+
+
+def test_in_32_bits_it_is_the_same_to_some_digits(plant, control):
+    single, double = (simulate(plant, control, REFERENCE, duration=0.2, precision=bits) for bits in (32, 64))
+    assert single["torque"].dtype == np.float32
+    np.testing.assert_allclose(single["angle"], double["angle"], atol=1e-4)
+    with pytest.raises(SimulationError, match="give 32 or 64"):
+        simulate(plant, control, REFERENCE, precision=16)

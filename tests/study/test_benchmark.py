@@ -53,7 +53,7 @@ class TestRuns:
         assert set(delays.tolist()) == {0.0, 1.0}
         for run in kinds.values():
             scenario = Scenario.parse(simulated.scenario("PID 3", run).dumps())
-            alone = run_scenario(scenario).result.metrics()
+            alone = run_scenario(scenario).result.metrics
             for name in Metrics._fields:
                 value = batch.metrics[name][run]
                 assert value == pytest.approx(alone[name], rel=1e-7, abs=1e-12, nan_ok=True), (run, name)
@@ -64,7 +64,7 @@ class TestRuns:
         scenario = simulated.scenario("PID 3", run)
         other = scenario.model_copy(update={"sensors": scenario.sensors.model_copy(update={"seed": 1})})
         assert scenario.sensors.seed == simulated.runs.conditions["sensors.seed"][run]
-        own, others = (run_scenario(each).result.metrics()["angle_rmse"] for each in (scenario, other))
+        own, others = (run_scenario(each).result.metrics["angle_rmse"] for each in (scenario, other))
         assert abs(own - others) > 1e-6 * own
 
     def test_its_cost_is_that_of_the_suite(self, simulated):
@@ -143,7 +143,7 @@ class TestTuning:
         assert contest.tuned["as it is"] == {}
         assert "as it is" not in contest.training_cost
         batch = contest.batches["as it is"]
-        assert batch.metrics["air"][~batch.lost] == pytest.approx(2 / 3 * 1e-4), "2 bar/rad, as in the file"
+        assert batch.metrics["air"][~batch.failed] == pytest.approx(2 / 3 * 1e-4), "2 bar/rad, as in the file"
 
     def test_progress_goes_from_controller_to_controller(self, suite, contest, told):
         parts = [part for _, part in told]

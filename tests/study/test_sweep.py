@@ -71,7 +71,7 @@ def test_the_numbers_are_those_of_single_runs(kept, scenario):
     for run in (0, 17, 71):
         result, reach = run_scenario(swept.scenario(run))
         row = swept.table.isel(run=run)
-        for name, value in result.metrics().items():
+        for name, value in result.metrics.items():
             np.testing.assert_allclose(row[name], value, rtol=1e-9, atol=1e-12, err_msg=name)
         assert swept.outcomes[run] is result.outcome
         assert float(row["unheld"]) == 0
@@ -106,7 +106,7 @@ def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp
         run = swept.scenario(0)
         assert run.plant().joint.geometry.connector_length == pytest.approx(0.207)
         assert run.control().model.geometry.connector_length == pytest.approx(believed)
-        measured = run_scenario(run).result.metrics()["angle_rmse"]
+        measured = run_scenario(run).result.metrics["angle_rmse"]
         assert float(swept.table["angle_rmse"][0]) == pytest.approx(measured, rel=1e-9)
     assert float(fixed.table["angle_rmse"][0]) != float(known.table["angle_rmse"][0])
     assert sweep(scenario, out=tmp_path, resume=True).computed == 0  # what is known is taken from the manifest

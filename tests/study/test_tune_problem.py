@@ -61,7 +61,7 @@ def by_hand():
     """Sums of metrics of single runs, of shape (plain or raised, scenario, row), for a margin of 1.5."""
 
     def one(scenario, row):
-        metrics = run_scenario(with_values(scenario, dict(zip(RANGES, row, strict=True)))).result.metrics()
+        metrics = run_scenario(with_values(scenario, dict(zip(RANGES, row, strict=True)))).result.metrics
         return sum(metrics[name] / scale for name, scale in SCALES.items())
 
     raised = np.where(GAINS, 1.5 * ROWS, ROWS)

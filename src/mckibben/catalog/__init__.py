@@ -1,4 +1,4 @@
-"""Published facts as files, one a publication, in the units of their source; each with `cite`.
+"""Published specimens, parameters and tables, one file per publication, in the units of the source.
 
 >>> from mckibben import catalog
 >>> catalog.names("laws")

@@ -1,4 +1,4 @@
-"""Entries of the catalog as objects: numbers keep their published units in the files and are SI from here on."""
+"""Entries of the catalog as objects in SI."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def specimen(name: str) -> Specimen:
-    """A make of muscle, such as "MAS-10-180N-AA-MC-O".
+    """Return a specimen such as "MAS-10-180N-AA-MC-O".
 
     >>> specimen("MAS-10-180N-AA-MC-O").initial_length
     0.18
@@ -32,7 +32,7 @@ def specimen(name: str) -> Specimen:
 
 
 def law(name: str) -> ForceLaw:
-    """A published parameter set as a law, such as "lei-mas-10-180n" (Eq. 3 of the paper)."""
+    """Return a published parameter set as a law, such as "lei-mas-10-180n" (Eq. 3 of the paper)."""
     entry, _ = find("laws", name)
     law_type = LAWS[entry["type"]]
     values = {p.name: quantity(entry["parameters"][p.name], p.unit) for p in law_type.parameters()}
@@ -40,7 +40,7 @@ def law(name: str) -> ForceLaw:
 
 
 def dataset(name: str) -> IsobaricDataset:
-    """A measured table, such as "dmsp-10-250-martens2017"."""
+    """Return a measured table such as "dmsp-10-250-martens2017"."""
     from mckibben.dataset import IsobaricDataset, read_dataset  # xarray: only where data is read
 
     entry, source = find("datasets", name)
@@ -51,7 +51,7 @@ def dataset(name: str) -> IsobaricDataset:
 
 
 def geometry(name: str) -> KneeGeometry:
-    """Where the muscles of a published joint run, such as "knee-table-2"."""
+    """Return the geometry of a published joint, such as "knee-table-2"."""
     entry, _ = find("geometries", name)
     return KneeGeometry(
         **{key: quantity(entry[key], "m") for key in ("joint_length", "joint_radius", "connector_length")}
@@ -59,7 +59,7 @@ def geometry(name: str) -> KneeGeometry:
 
 
 def load(name: str) -> Load:
-    """What a published joint moves, such as "knee-table-2"."""
+    """Return the load of a published joint, such as "knee-table-2"."""
     entry, _ = find("loads", name)
     units = {
         "mass1": "kg",
@@ -76,7 +76,7 @@ def load(name: str) -> Load:
 
 
 def joint(name: str) -> AntagonisticJoint:
-    """A published joint with its muscles, such as "knee-table-2"."""
+    """Return a published joint with its muscles, such as "knee-table-2"."""
     entry, _ = find("joints", name)
     muscle = Muscle(specimen(entry["specimen"]), law(entry["law"]))
     return AntagonisticJoint(geometry(entry["geometry"]), muscle, muscle)

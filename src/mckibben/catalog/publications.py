@@ -1,4 +1,4 @@
-"""The catalog's files, one a publication: what they hold, and where it comes from. No JAX here: names stay quick."""
+"""Files of the catalog, names and sources; without JAX, so that listing names is fast."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ FOLDER = resources.files("mckibben.catalog")
 
 
 def names(kind: str) -> list[str]:
-    """The entries of a kind: one of "specimens", "laws", "datasets", "geometries", "loads", "joints"."""
+    """Return the names of a kind: "specimens", "laws", "datasets", "geometries", "loads" or "joints"."""
     if kind not in KINDS:
         raise NotInCatalogError(f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}")
     return [name for publication in _publications() for name in publication.get(kind, {})]
 
 
 def cite(name: str) -> str:
-    """Where an entry comes from, and what to know about it: source, place in it, notes."""
+    """Return the source of an entry, the place in it, and notes."""
     found = [
         (publication, publication[kind][name])
         for publication in _publications()
@@ -36,7 +36,7 @@ def cite(name: str) -> str:
 
 
 def find(kind: str, name: str) -> tuple[dict[str, Any], str]:
-    """An entry as its file has it, and the source of the file."""
+    """Return an entry in the units of its source, and the source."""
     for publication in _publications():
         if name in publication.get(kind, {}):
             return publication[kind][name], publication["source"]

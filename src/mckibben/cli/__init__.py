@@ -96,13 +96,13 @@ def simulate(
     from mckibben.study.scenario.running import run_scenario
 
     result, feasibility = run_scenario(read, source=str(scenario))
-    infeasible = "" if feasibility.reachable else feasibility.describe()
+    infeasible = "" if feasibility.feasible else feasibility.describe()
     numbers = {
         "scenario": read.name,
         "outcome": result.outcome.name.lower(),
         "described": result.describe(),
         "infeasible": infeasible,
-        "metrics": in_shown_units(result.metrics()),
+        "metrics": in_shown_units(result.metrics),
     }
     if json:
         typer.echo(to_json(numbers))
@@ -119,7 +119,7 @@ def simulate(
         _keep_run(out, read, result)
         write_json(out / "results.json", numbers)
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
-    if result.outcome.lost:
+    if result.outcome.failed:
         raise typer.Exit(1)
 
 
@@ -199,9 +199,9 @@ def _root(
 
 def main() -> None:
     """Run the command line: exit code 2 with a message for bad input, 1 for other failures."""
-    from mckibben.numerics.runtime import keep_programs
+    from mckibben.numerics.runtime import use_program_cache
 
-    keep_programs()
+    use_program_cache()
     warnings.showwarning = _show_warning
     try:
         app()

@@ -66,7 +66,7 @@ def control(
         raise ParameterError("--unpaced is for the simulated joint", remedy="leave it out")
     check_free(folder(out), (*_KEPT, "record-0001.chunks"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
-    if not session.reach.reachable:
+    if not session.reach.feasible:
         typer.echo(f"warning: {session.reach.describe()}", err=True)
     read.to_yaml(out / "scenario.yaml")
     with _line(quiet=json) as progress:
@@ -76,7 +76,7 @@ def control(
     if error is not None:
         typer.echo(f"stopped: {ran.outcome.text}; {ran.outcome.venting}", err=True)
         raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1)
-    if ran.result is not None and ran.result.outcome.lost:
+    if ran.result is not None and ran.result.outcome.failed:
         raise typer.Exit(1)
 
 
@@ -84,7 +84,7 @@ def _with_duration(scenario: Scenario, duration: float | None) -> Scenario:
     """Scenario with another duration [s]."""
     if duration is None:
         return scenario
-    from mckibben.simulation.loop import sampling_times
+    from mckibben.simulation.problem import sampling_times
 
     sampling_times(duration, scenario.control_period)  # raises where they make no sense together
     return scenario.model_copy(update={"duration": duration})
@@ -96,14 +96,14 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
     from mckibben.storage.files import to_json, write_json
 
     result, timing, name = ran.result, ran.timing, session.scenario.name
-    metrics = in_shown_units(result.metrics()) if result is not None else {}
+    metrics = in_shown_units(result.metrics) if result is not None else {}
     numbers = {
         "scenario": name,
         "ended": ran.outcome.kind,
         "reason": ran.outcome.text,
         "vented_after_s": ran.outcome.vented_after,
         "outcome": result.outcome.name.lower() if result is not None else None,
-        "infeasible": "" if ran.reach.reachable else ran.reach.describe(),
+        "infeasible": "" if ran.reach.feasible else ran.reach.describe(),
         "metrics": metrics,
         "priority": ran.priority,
         "timing": timing.to_json() if paced else None,

@@ -149,7 +149,7 @@ def _metrics(scenario: Scenario) -> dict[str, float]:
     from mckibben.study.scenario.running import run_scenario
 
     try:
-        return in_shown_units(run_scenario(scenario).result.metrics())
+        return in_shown_units(run_scenario(scenario).result.metrics)
     except McKibbenError:
         return dict.fromkeys(METRICS, float("nan"))
 

@@ -17,11 +17,11 @@ import importlib.util
 import inspect
 import os
 import sys
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, ClassVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic import Field, GetCoreSchemaHandler, create_model
 from pydantic_core import core_schema
@@ -43,6 +43,8 @@ class ComponentModel(ConfigModel):
         for name, value in explicit_fields(self).items():
             if name in declared and name not in others:
                 default = declared[name].default
+                if isinstance(value, ComponentModel):
+                    value = value.build()
                 others[name] = type(default)[value.upper()] if isinstance(default, enum.Enum) else value
         return self.runtime(*args, **others)
 
@@ -122,7 +124,9 @@ def _annotations(runtime: type, signal: Any) -> dict[str, Any]:
 def _annotation(hint: Any, signal: Any) -> Any:
     if get_origin(hint) in (Union, UnionType):  # such as Seed | Array
         return next(filter(None, (_annotation(one, signal) for one in get_args(hint))), None)
-    if get_origin(hint) is tuple:
+    if get_origin(hint) is Literal:
+        return Annotated[str, OneOf(tuple(word for word in get_args(hint) if word))]
+    if get_origin(hint) in (tuple, Sequence):
         inner = _annotation(get_args(hint)[0], signal)
         return inner and tuple[inner, ...]
     if get_origin(hint) is Annotated:

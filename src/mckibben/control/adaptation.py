@@ -1,8 +1,9 @@
-"""Adaptation of the law: how strong the muscles are, told from pressures and motion while they work."""
+"""On-line adaptation of the muscles' strength from pressures and motion."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,41 +14,42 @@ from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.antagonistic import MuscleStates
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import scaled_law
+from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
-from mckibben.numerics.elementary import exp, floating, sincos
+from mckibben.numerics.elementary import exp, floating
 from mckibben.units import Bandwidth, Mass, PositiveTorque, Share, StrengthSpread
 
 Scalar = Float[Array, ""]
 
-_STAGES = 3
-_FIRST = 8.0  # time constants of the filter: so long it has to do with the noise of the first sample
-_BOUND = 3.0  # prior standard deviations: further away an estimate is not taken
-_WIDEST = 0.3  # of a spread: three of it leave a muscle some strength
+_LAGS = 3
+_SETTLING = 8.0  # time constants of the filter: until the noise of the first sample has decayed
+_BOUND = 3.0  # prior standard deviations that limit an estimate
+_WIDEST = 0.3  # of a spread: three of them leave a muscle some strength
 
 
-class Adapted(NamedTuple):
-    """What is believed of the muscles and the load, and what is remembered for it.
+class AdaptationState(NamedTuple):
+    """Estimated parameters, their covariance and the filters' states.
 
     Attributes
     ----------
     strengths
-        Of muscles 1 and 2, against the law of the model [-].
+        Strength of muscles 1 and 2 relative to the model's law [-].
     mass
-        What the load's second mass is more than believed [kg].
+        Second mass of the load less that of the model [kg].
     friction
-        The friction of both muscles against that of the model [-]; 1 where the model has none.
+        Friction of both muscles relative to the model's [-]; 1 where it has none.
     deviations
-        Of what is estimated: off its prior mean, in prior standard deviations.
+        Parameters less their prior mean, in prior standard deviations.
     covariance
-        Of these, row by row.
+        Covariance of the deviations, by rows.
     filtered
         Each signal behind one, two and three lags.
-    before
-        The signals behind three lags a period ago, and the angle two periods ago.
+    last
+        Signals behind three lags one period ago, and the angle two periods ago.
     muscles
         Internal states of the model's muscles along the measured angle.
     age
-        How long it has listened, in time constants of the filter.
+        Time since the start, in time constants of the filter.
     """
 
     strengths: Pair
@@ -56,7 +58,7 @@ class Adapted(NamedTuple):
     deviations: tuple[Scalar, ...]
     covariance: tuple[tuple[Scalar, ...], ...]
     filtered: tuple[tuple[Scalar, ...], ...]
-    before: tuple[Scalar, ...]
+    last: tuple[Scalar, ...]
     muscles: MuscleStates
     age: Scalar
 
@@ -64,30 +66,29 @@ class Adapted(NamedTuple):
 class LawAdaptation(eqx.Module):
     r"""Recursive least squares on measured pressures and motion.
 
-    The equation of motion is linear in the strengths of the muscles, in what is not known of the load, and in the size
-    of the friction:
+    The equation of motion (Eq. 6) is linear in the muscles' strengths s, an unknown mass of the load and the magnitude
+    phi of the friction:
 
     .. math::
 
         I\ddot\theta + c\dot\theta - \tau_g = s_2\tau_2 - s_1\tau_1 + \phi\,\tau_f + \Delta m\,(l_2 g
         \sin(\theta_h - \theta) - l_2^2\ddot\theta)
 
-    All its terms pass the same filter of three lags, :math:`(\lambda/(s+\lambda))^3`, behind which the measured angle
-    has two derivatives. Each period moves the estimates by least squares, begun with the model's own values and how
-    sure they are, and weighted with how wrong the equation may be. So they do not leave the model without evidence; and
-    where motion cannot tell strength from load (a heavier load and stronger muscles move alike) they stay.
+    All terms pass the same filter of three lags, :math:`(\lambda/(s+\lambda))^3`, behind which the measured angle has
+    two derivatives. The prior is the model with the given standard deviations, the noise the error of the equation. So
+    estimates stay at the model without evidence, and where motion cannot separate strength from load (a heavier load
+    and stronger muscles move alike).
 
     Parameters
     ----------
     strength_spread
-        Standard deviation of what a muscle is stronger or weaker than its law [-]; at most 0.3, so that no muscle is
-        ever believed to have no force.
+        Prior standard deviation of a muscle's strength [-]; at most 0.3, which keeps every estimate positive.
     mass_spread
-        That of the load's second mass [kg]; 0 where the load is known.
+        Of the load's second mass [kg]; 0 for a known load.
     friction_spread
-        That of the friction, as a part of the model's [-]; 0 where it is known, or the model has none.
+        Of the friction relative to the model's [-]; 0 where it is known or the model has none.
     torque_error
-        How wrong the equation may be [N*m].
+        Standard deviation of the equation's error [N*m].
     bandwidth
         lambda [rad/s].
 
@@ -111,80 +112,85 @@ class LawAdaptation(eqx.Module):
         check_positive("LawAdaptation", "N*m", torque_error=self.torque_error)
         check_positive("LawAdaptation", "rad/s", bandwidth=self.bandwidth)
 
-    def init(self, model: AntagonisticJoint, load: Load, angle: ArrayLike, pressures: Pair) -> Adapted:
-        """Before the first period, at rest at a measured angle [rad] and pressures [Pa]: the model as it is."""
+    def init(self, model: AntagonisticJoint, load: Load, angle: ArrayLike, pressures: Pair) -> AdaptationState:
+        """Prior, at rest at a measured angle [rad] and pressures [Pa]."""
         angle = floating(angle)
         muscles = model.init_state(angle, pressures)
         signals = self._signals(model, load, muscles, angle, pressures)
-        nothing, one = jnp.zeros_like(angle), jnp.ones_like(angle)
+        zero, one = jnp.zeros_like(angle), jnp.ones_like(angle)
         count = len(signals) - 2
-        return Adapted(
+        return AdaptationState(
             strengths=(one, one),
-            mass=nothing,
+            mass=zero,
             friction=one,
-            deviations=(nothing,) * count,
-            covariance=tuple(tuple(one if i == j else nothing for j in range(count)) for i in range(count)),
-            filtered=tuple((signal,) * _STAGES for signal in signals),
-            before=(*signals, signals[0]),
+            deviations=(zero,) * count,
+            covariance=tuple(tuple(one if i == j else zero for j in range(count)) for i in range(count)),
+            filtered=tuple((signal,) * _LAGS for signal in signals),
+            last=(*signals, signals[0]),
             muscles=muscles,
-            age=nothing,
+            age=zero,
         )
 
     def step(
         self,
-        adapted: Adapted,
+        state: AdaptationState,
         model: AntagonisticJoint,
         load: Load,
         angle: ArrayLike,
         pressures: Pair,
         period: ArrayLike,
-    ) -> Adapted:
-        """What is believed after one more period [s].
+    ) -> AdaptationState:
+        """Return the estimates after a further sample.
 
         Parameters
         ----------
-        adapted
-            What was believed.
+        state
+            From `init` or `step`.
         model, load
-            As believed before any of it.
+            Model without adaptation.
         angle, pressures
             Measured [rad], [Pa].
         period
-            The control period [s].
+            Control period [s].
         """
         angle = floating(angle)
-        muscles = model.update_state(adapted.muscles, angle, pressures)
+        muscles = model.update_state(state.muscles, angle, pressures)
         signals = self._signals(model, load, muscles, angle, pressures)
-        passed = 1 - exp(-jnp.asarray(self.bandwidth) * period)
-        pairs = zip(adapted.filtered, signals, strict=True)
-        filtered = tuple(_filtered(stages, signal, passed) for stages, signal in pairs)
+        fraction = 1 - exp(-jnp.asarray(self.bandwidth) * period)
+        pairs = zip(state.filtered, signals, strict=True)
+        filtered = tuple(_filter(lags, signal, fraction) for lags, signal in pairs)
         now = tuple(each[-1] for each in filtered)
-        # Differences of the angle are those of the middle of three samples; so are the other signals.
-        ahead, (here, *others, behind) = now[0], adapted.before
-        velocity, acceleration = (ahead - behind) / (2 * period), (ahead - 2 * here + behind) / period**2
-        net, torque1, torque2, hung, *rubbing = others
-        inertia, damping = load.total_inertia, load.damping
-        columns = [
+        # Central differences, and with them the other signals, are those one period ago.
+        following, (middle, gravity, gravity_by_mass, torque1, torque2, *friction_torque, preceding) = (
+            now[0],
+            state.last,
+        )
+        velocity = (following - preceding) / (2 * period)
+        acceleration = (following - 2 * middle + preceding) / period**2
+        dynamic, dynamic_by_mass = _with_mass_derivative(load, lambda load: load.dynamic_torque(velocity, acceleration))
+        regressors = [
             -self.strength_spread * torque1,
             self.strength_spread * torque2,
-            self.mass_spread * (hung - load.distance2**2 * acceleration),
-            *(self.friction_spread * each for each in rubbing),
+            self.mass_spread * (gravity_by_mass - dynamic_by_mass),
+            *(self.friction_spread * each for each in friction_torque),
         ]
-        unexplained = inertia * acceleration + damping * velocity - net - (torque2 - torque1) - sum(rubbing)
-        # Errors last as long as the filter remembers: so many samples count as one.
-        age = adapted.age + self.bandwidth * period
+        residual = dynamic - gravity - (torque2 - torque1) - sum(friction_torque)
+        # The filter correlates errors over its time constant: so many samples count as one.
+        age = state.age + self.bandwidth * period
         variance = self.torque_error**2 * 2 / (self.bandwidth * period)
-        columns = [jnp.where(age > _FIRST, each, 0.0) for each in columns]
-        deviations, covariance = _learned(adapted.deviations, adapted.covariance, columns, unexplained, variance)
-        taken = [jnp.clip(each, -_BOUND, _BOUND) for each in deviations]
-        return Adapted(
-            strengths=(1 + self.strength_spread * taken[0], 1 + self.strength_spread * taken[1]),
-            mass=self.mass_spread * taken[2],
-            friction=1 + self.friction_spread * taken[3] if rubbing else jnp.ones_like(angle),
+        regressors = [jnp.where(age > _SETTLING, each, 0.0) for each in regressors]
+        deviations, covariance = recursive_least_squares(
+            state.deviations, state.covariance, regressors, residual, variance
+        )
+        bounded = [jnp.clip(each, -_BOUND, _BOUND) for each in deviations]
+        return AdaptationState(
+            strengths=(1 + self.strength_spread * bounded[0], 1 + self.strength_spread * bounded[1]),
+            mass=self.mass_spread * bounded[2],
+            friction=1 + self.friction_spread * bounded[3] if friction_torque else jnp.ones_like(angle),
             deviations=deviations,
             covariance=covariance,
             filtered=filtered,
-            before=(*now, here),
+            last=(*now, middle),
             muscles=muscles,
             age=age,
         )
@@ -192,22 +198,24 @@ class LawAdaptation(eqx.Module):
     def _signals(
         self, model: AntagonisticJoint, load: Load, muscles: MuscleStates, angle: Scalar, pressures: Pair
     ) -> tuple[Scalar, ...]:
-        """Angle [rad] and torques [N*m]: gravity, both muscles, a kilogram more, friction where the model has it."""
+        """Angle [rad]; torques [N*m] of gravity, per kilogram of the second mass, of each muscle and of friction."""
         contraction1, contraction2 = model.contractions(angle, pressures)
         arm1, arm2 = model.geometry.paths_and_arms(angle)[1]
         torque1 = model.muscle1.tension(contraction1, pressures[0]) * arm1
         torque2 = model.muscle2.tension(contraction2, pressures[1]) * arm2
-        (sine, cosine), (hanging_sine, hanging_cosine) = sincos(angle), sincos(load.hanging_angle)
-        sign = 1.0 if load.hanging else -1.0
-        hung = sign * load.distance2 * load.gravity * (hanging_sine * cosine - hanging_cosine * sine)
-        signals = (angle, load.gravity_torque(angle), torque1, torque2, hung)
+        signals = (angle, *_with_mass_derivative(load, lambda load: load.gravity_torque(angle)), torque1, torque2)
         if not model.has_friction:
             return signals
         return (*signals, model.friction_torque(angle, 0.0, pressures, muscles))
 
 
-def strengthened(model: AntagonisticJoint, strengths: Pair) -> AntagonisticJoint:
-    """The model with muscles that are so many times as strong."""
+def _with_mass_derivative(load: Load, torque: Callable[[Load], Scalar]) -> tuple[Scalar, Scalar]:
+    """Torque of a load [N*m], and its derivative with respect to the second mass [N*m/kg]."""
+    return value_and_derivative(lambda mass: torque(dataclasses.replace(load, mass2=mass)), load.mass2)
+
+
+def with_strengths(model: AntagonisticJoint, strengths: Pair) -> AntagonisticJoint:
+    """Model whose muscles have given strengths relative to their laws."""
     muscle1, muscle2 = (
         dataclasses.replace(muscle, law=scaled_law(muscle.law, strength))
         for muscle, strength in zip((model.muscle1, model.muscle2), strengths, strict=True)
@@ -215,29 +223,29 @@ def strengthened(model: AntagonisticJoint, strengths: Pair) -> AntagonisticJoint
     return dataclasses.replace(model, muscle1=muscle1, muscle2=muscle2)
 
 
-def _filtered(stages: tuple[Scalar, ...], signal: Scalar, passed: Scalar) -> tuple[Scalar, ...]:
-    """What stands behind each of the lags after one more sample."""
-    found = []
-    for stage in stages:
-        signal = stage + passed * (signal - stage)
-        found.append(signal)
-    return tuple(found)
+def _filter(lags: tuple[Scalar, ...], signal: Scalar, fraction: Scalar) -> tuple[Scalar, ...]:
+    """Outputs of a chain of first-order lags after a further sample."""
+    outputs = []
+    for lag in lags:
+        signal = lag + fraction * (signal - lag)
+        outputs.append(signal)
+    return tuple(outputs)
 
 
-def _learned(
+def recursive_least_squares(
     means: tuple[Scalar, ...],
     covariance: tuple[tuple[Scalar, ...], ...],
-    columns: list[Scalar],
-    unexplained: Scalar,
+    regressors: list[Scalar],
+    value: Scalar,
     variance: ArrayLike,
 ) -> tuple[tuple[Scalar, ...], tuple[tuple[Scalar, ...], ...]]:
-    """One step of recursive least squares: mean and covariance after an equation columns . mean = unexplained."""
+    """Mean and covariance after an observation value = regressors . means + noise."""
     count = range(len(means))
-    spread = [sum(covariance[i][j] * columns[j] for j in count) for i in count]
-    total = sum(columns[i] * spread[i] for i in count) + variance
-    off = unexplained - sum(columns[i] * means[i] for i in count)
-    gains = [each / total for each in spread]
+    cross = [sum(covariance[i][j] * regressors[j] for j in count) for i in count]
+    total = sum(regressors[i] * cross[i] for i in count) + variance
+    innovation = value - sum(regressors[i] * means[i] for i in count)
+    gains = [each / total for each in cross]
     return (
-        tuple(means[i] + gains[i] * off for i in count),
-        tuple(tuple(covariance[i][j] - gains[i] * spread[j] for j in count) for i in count),
+        tuple(means[i] + gains[i] * innovation for i in count),
+        tuple(tuple(covariance[i][j] - gains[i] * cross[j] for j in count) for i in count),
     )

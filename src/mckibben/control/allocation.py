@@ -1,4 +1,4 @@
-"""Pressures for a commanded torque and stiffness, within limits."""
+"""Control allocation: pressures for a commanded torque and stiffness, within limits."""
 
 from __future__ import annotations
 
@@ -10,35 +10,36 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
+from mckibben.numerics.batching import computed_once
 
 Scalar = Float[Array, ""]
 
-_APART = 5e3  # Pa: of the points of a secant; more than rounding to 32 bits, less than a law bends over
+_SECANT = 5e3  # Pa: above rounding in 32 bits, below the curvature of a law
 
 
-class Chosen(NamedTuple):
-    """Pressures [Pa] within limits, the torque [N*m] that they give, and whether a wish had to be cut off."""
+class Allocation(NamedTuple):
+    """Pressures [Pa] within limits, their torque [N*m], and whether a limit was met."""
 
     pressures: Pair
     torque: Scalar
-    cut: Array
+    saturated: Array
 
 
-def torque_first(
+def prioritise_torque(
     affine: TorqueStiffnessMap, torque: ArrayLike, stiffness: ArrayLike, lower: Pair, upper: Pair
-) -> Chosen:
-    r"""The pressures within limits that give a torque, and of these the ones with the nearest stiffness.
+) -> Allocation:
+    r"""Pressures within limits that give a torque, and with it the nearest attainable stiffness.
 
-    Torque and stiffness are affine in the pressures. The torque leaves a line, along which both pressures rise
-    together; its part within the limits is a segment, and the place of the stiffness on the line is moved into it. A
-    torque beyond the limits becomes the nearest within: one muscle at its highest, the other at its lowest pressure.
+    Torque and stiffness are affine in the pressures. The pressures of one torque lie on a line along which both rise;
+    the stiffness determines the point on its segment within the limits. A torque out of range is clipped: one muscle at
+    its highest pressure, the other at its lowest.
 
     Parameters
     ----------
     affine
-        Torque falls with p1 and rises with p2.
+        Map whose torque falls with p1 and rises with p2.
     torque, stiffness
-        What is wanted [N*m], [N*m/rad].
+        Commanded [N*m], [N*m/rad].
     lower, upper
         Limits [Pa] of each pressure.
 
@@ -48,105 +49,133 @@ def torque_first(
     >>> from mckibben.units import bar
     >>> knee = catalog.joint("knee-table-2")
     >>> limits = (1 * bar, 1 * bar), (4 * bar, 4 * bar)
-    >>> (p1, p2), torque, cut = torque_first(knee.affine_map(0.0), 2.0, 72.2, *limits)
-    >>> round(float(p1) / bar, 3), round(float(p2) / bar, 3), bool(cut)
+    >>> (p1, p2), torque, saturated = prioritise_torque(knee.affine_map(0.0), 2.0, 72.2, *limits)
+    >>> round(float(p1) / bar, 3), round(float(p2) / bar, 3), bool(saturated)
     (2.121, 2.817, False)
-    >>> (p1, p2), torque, cut = torque_first(knee.affine_map(0.0), 2.0, 60.0, *limits)
-    >>> round(float(p1) / bar, 3), round(float(p2) / bar, 3), round(float(torque), 6), bool(cut)
+    >>> (p1, p2), torque, saturated = prioritise_torque(knee.affine_map(0.0), 2.0, 60.0, *limits)
+    >>> round(float(p1) / bar, 3), round(float(p2) / bar, 3), round(float(torque), 6), bool(saturated)
     (3.304, 4.0, 2.0, True)
     """
-    (torque0, by1, by2), (stiffness0, stiffness1, stiffness2) = affine.torque, affine.stiffness
-    least = torque0 + by1 * upper[0] + by2 * lower[1]
-    most = torque0 + by1 * lower[0] + by2 * upper[1]
-    given = jnp.clip(torque, least, most)
+    (torque0, t1, t2), (stiffness0, k1, k2) = affine.torque, affine.stiffness
+    least = torque0 + t1 * upper[0] + t2 * lower[1]
+    greatest = torque0 + t1 * lower[0] + t2 * upper[1]
+    given = jnp.clip(torque, least, greatest)
 
-    def first(second: ArrayLike) -> Scalar:
-        """The pressure of muscle 1 that goes with one of muscle 2."""
-        return (given - torque0 - by2 * second) / by1
+    def pressure1_for(pressure2: ArrayLike) -> Scalar:
+        """Pressure of muscle 1 on the line of constant torque."""
+        return (given - torque0 - t2 * pressure2) / t1
 
-    # Along the line p2 = at_zero + along p1, with `along` above zero.
-    along = -by1 / by2
-    at_zero = (given - torque0) / by2
-    rise = stiffness1 + stiffness2 * along
-    flat = jnp.abs(rise) * (upper[0] - lower[0]) < 1e-6 * jnp.abs(stiffness0)
-    wanted = (stiffness - stiffness0 - stiffness2 * at_zero) / jnp.where(flat, 1.0, rise)
-    wanted = jnp.where(flat, (lower[0] + upper[0]) / 2, wanted)  # no pressure changes the stiffness
-    begin, end = jnp.maximum(lower[0], first(lower[1])), jnp.minimum(upper[0], first(upper[1]))
-    pressure1 = jnp.maximum(jnp.minimum(wanted, end), begin)
-    pressure2 = jnp.clip(at_zero + along * pressure1, lower[1], upper[1])
-    return Chosen((pressure1, pressure2), given, (given != torque) | (pressure1 != wanted))
+    slope = -t1 / t2  # the line is p2 = intercept + slope p1, slope > 0
+    intercept = (given - torque0) / t2
+    stiffness_slope = k1 + k2 * slope
+    flat = jnp.abs(stiffness_slope) * (upper[0] - lower[0]) < 1e-6 * jnp.abs(stiffness0)
+    free = (stiffness - stiffness0 - k2 * intercept) / jnp.where(flat, 1.0, stiffness_slope)
+    free = jnp.where(flat, (lower[0] + upper[0]) / 2, free)  # no pressure changes the stiffness
+    begin, end = jnp.maximum(lower[0], pressure1_for(lower[1])), jnp.minimum(upper[0], pressure1_for(upper[1]))
+    pressure1 = jnp.maximum(jnp.minimum(free, end), begin)
+    pressure2 = jnp.clip(intercept + slope * pressure1, lower[1], upper[1])
+    return Allocation((pressure1, pressure2), given, (given != torque) | (pressure1 != free))
 
 
-def differential_first(
+def prioritise_differential(
     differential: ArrayLike, cocontraction: ArrayLike, lower: Pair, upper: Pair
 ) -> tuple[Pair, Array]:
-    """The pressures [Pa] within limits that keep a differential pressure, as near to a co-contraction as they let it.
+    """Pressures [Pa] within limits that give a differential pressure, and with it the nearest co-contraction.
 
-    A differential pressure beyond the limits becomes the nearest within: one muscle at its highest, the other at its
-    lowest pressure.
+    A differential pressure out of range is clipped: one muscle at its highest pressure, the other at its lowest.
 
     Parameters
     ----------
     differential, cocontraction
-        What is wanted [Pa]: p1 = pc - pd, p2 = pc + pd.
+        Commanded [Pa]: p1 = pc - pd, p2 = pc + pd.
     lower, upper
         Limits [Pa] of each pressure.
 
     Returns
     -------
-    pressures, cut
-        (p1, p2), and whether a wish had to be cut off.
+    pressures, saturated
+        (p1, p2), and whether a limit was met.
 
     Examples
     --------
-    >>> (p1, p2), cut = differential_first(0.5, 1.0, (1.2, 0.0), (6.0, 6.0))
-    >>> round(float(p1), 3), round(float(p2), 3), bool(cut)
+    >>> (p1, p2), saturated = prioritise_differential(0.5, 1.0, (1.2, 0.0), (6.0, 6.0))
+    >>> round(float(p1), 3), round(float(p2), 3), bool(saturated)
     (1.2, 2.2, True)
     """
     given = jnp.clip(differential, (lower[1] - upper[0]) / 2, (upper[1] - lower[0]) / 2)
     begin = jnp.maximum(lower[0] + given, lower[1] - given)
     end = jnp.minimum(upper[0] + given, upper[1] - given)
-    middle = jnp.maximum(jnp.minimum(cocontraction, end), begin)
-    pressures = jnp.clip(middle - given, lower[0], upper[0]), jnp.clip(middle + given, lower[1], upper[1])
-    return pressures, (given != differential) | (middle != cocontraction)
+    mean = jnp.maximum(jnp.minimum(cocontraction, end), begin)
+    pressures = jnp.clip(mean - given, lower[0], upper[0]), jnp.clip(mean + given, lower[1], upper[1])
+    return pressures, (given != differential) | (mean != cocontraction)
 
 
-def map_at(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pair) -> TorqueStiffnessMap:
-    """Torque and stiffness at an angle [rad] over the pressures: exact where affine, else a secant from those [Pa] up.
+def limit_commands(
+    model: AntagonisticJoint,
+    minimum_tension: ArrayLike | None,
+    angle: ArrayLike,
+    differential: ArrayLike,
+    cocontraction: ArrayLike,
+) -> tuple[Pair, Array]:
+    """Commands [Pa] for a differential pressure and a co-contraction [Pa], and whether a limit was met.
 
-    The muscles have to be taut there: the force of a slack one does not change.
+    Without a minimum tension [N] each command is clipped to the pressures of the model's domains; with one the
+    differential pressure has priority within `pressure_range` at an angle [rad].
+    """
+    if minimum_tension is not None:
+        limits = pressure_range(model, angle, minimum_tension)
+        return prioritise_differential(differential, cocontraction, *limits)
+    return clip_commands(model, (cocontraction - jnp.asarray(differential), cocontraction + jnp.asarray(differential)))
+
+
+def clip_commands(model: AntagonisticJoint, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Pair, Array]:
+    """Commands [Pa] clipped to the pressures of the model's domains, and whether a limit was met."""
+    (low1, low2), (high1, high2) = pressure_limits_of(model)
+    clipped = jnp.clip(commands[0], low1, high1), jnp.clip(commands[1], low2, high2)
+    return clipped, (clipped[0] != commands[0]) | (clipped[1] != commands[1])
+
+
+def linearise(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pair) -> TorqueStiffnessMap:
+    """Torque and stiffness over the pressures at an angle [rad], of taut muscles.
+
+    Exact for a joint affine in the pressures, else the secant from those pressures [Pa] up.
     """
     if is_affine(joint):
         return joint.affine_map(angle)
     pressure1, pressure2 = (jnp.stack([p, p, p]) for p in pressures)
-    pressure1, pressure2 = pressure1.at[1].add(_APART), pressure2.at[2].add(_APART)
-    at_points = joint.torque_and_stiffness(jnp.broadcast_to(angle, (3,)), (pressure1, pressure2))
+    pressure1, pressure2 = pressure1.at[1].add(_SECANT), pressure2.at[2].add(_SECANT)
+    samples = joint.evaluate(jnp.broadcast_to(angle, (3,)), (pressure1, pressure2))
 
     def through(values: Array) -> AffineMap:
-        slope1, slope2 = (values[1] - values[0]) / _APART, (values[2] - values[0]) / _APART
+        slope1, slope2 = (values[1] - values[0]) / _SECANT, (values[2] - values[0]) / _SECANT
         return AffineMap(values[0] - slope1 * pressure1[0] - slope2 * pressure2[0], slope1, slope2)
 
-    return TorqueStiffnessMap(*map(through, at_points))
+    return TorqueStiffnessMap(*map(through, samples))
 
 
-def pressures_between(joint: AntagonisticJoint, angle: ArrayLike, minimum_tension: ArrayLike) -> tuple[Pair, Pair]:
-    """The lowest and highest pressures [Pa] at an angle [rad].
+@computed_once
+def pressure_range(joint: AntagonisticJoint, angle: ArrayLike, minimum_tension: ArrayLike) -> tuple[Pair, Pair]:
+    """Lowest and highest pressures [Pa] at an angle [rad].
 
-    They are those of the muscles' domains, and keep each tension above a minimum [N] and below the specimen's rating;
-    where both cannot be had, the highest counts.
+    Within the muscles' domains, each tension above a minimum [N] and below the specimen's rating; the rating takes
+    precedence.
     """
     (low1, low2), (high1, high2) = pressure_limits_of(joint)
     paths = joint.geometry.path_lengths(angle)
 
-    def between(i: int, low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
+    def of_muscle(i: int, low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
         muscle, tendon, path = (joint.muscle1, joint.muscle2)[i], joint.tendon, paths[i]
         rated = muscle.specimen.rated_force
-        slackest, tightest = tendon.tension(muscle, jnp.stack([path, path]), jnp.stack([low, high]))
-        too_little, too_much = slackest < minimum_tension, tightest > rated
-        highest = jnp.where(too_much, tendon.pressure_for(muscle, path, rated), high)
-        lowest = jnp.where(too_little, tendon.pressure_for(muscle, path, minimum_tension), low)
+        least, greatest = tendon.tension(muscle, jnp.stack([path, path]), jnp.stack([low, high]))
+        highest = jnp.where(greatest > rated, tendon.pressure_for(muscle, path, rated), high)
+        lowest = jnp.where(least < minimum_tension, tendon.pressure_for(muscle, path, minimum_tension), low)
         highest = jnp.clip(highest, low, high)
         return jnp.clip(lowest, low, highest), highest
 
-    (lowest1, highest1), (lowest2, highest2) = between(0, low1, high1), between(1, low2, high2)
+    (lowest1, highest1), (lowest2, highest2) = of_muscle(0, low1, high1), of_muscle(1, low2, high2)
     return (lowest1, lowest2), (highest1, highest2)
+
+
+def keep_taut(pressures: Pair, lowest: Pair) -> Pair:
+    """Nearest pressures at or above the lowest [Pa]."""
+    return jnp.maximum(pressures[0], lowest[0]), jnp.maximum(pressures[1], lowest[1])

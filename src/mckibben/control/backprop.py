@@ -1,4 +1,4 @@
-"""BP: a PID whose gains are the outputs of a small neural network that learns while it controls."""
+"""PID with gains from a neural network trained on line by backpropagation (BP)."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ Scalar = Float[Array, ""]
 
 
 class Jacobian(enum.Enum):
-    """What a learning loop takes for the change of its controlled quantity per change of its output."""
+    """Plant Jacobian, controlled quantity per output, that the training uses."""
 
-    SIGN = "the sign of the base gains alone, as most of the literature does"
-    MODEL = "the static sensitivity of the controller's model"
+    SIGN = "sign of the base gains alone, as in most of the literature"
+    MODEL = "static sensitivity of the controller's model"
 
 
 class Network(NamedTuple):
-    """Weights of the two layers: (hidden, inputs) and (gains, hidden + 1)."""
+    """Weights of the hidden and the output layer."""
 
     hidden: Float[Array, "hidden inputs"]
     output: Float[Array, "gains hidden_and_bias"]
 
 
 class BackpropState(NamedTuple):
-    """The PID's own state, the weights, their last change (for the momentum), and what the last step did."""
+    """State of the PID, weights, their last change (for the momentum), last error and gain factors."""
 
     pid: PIDState
     network: Network
@@ -44,33 +44,32 @@ class BackpropState(NamedTuple):
 
 
 class BackpropPID(Loop):
-    r"""A PID whose three gains a network with one hidden layer chooses anew each control period.
+    r"""PID whose three gains are outputs of a network with one hidden layer.
 
-    The network sees wish, measurement, error and a constant, each scaled; its outputs :math:`o` multiply the base
-    gains,
+    The inputs of the network are setpoint, measurement, error and a constant, each scaled; its outputs :math:`o`
+    modulate the base gains,
 
     .. math:: K_j = K_{j,base}\, R^{\tanh o_j}, \quad j = p, i, d,
 
-    so that they stay within a factor R of them, keep their sign, and are the base gains at the start (the output layer
-    starts at zero, the hidden layer at random). The gains enter in velocity form,
-    :math:`\Delta u = K_p \Delta e + K_i e h + K_d \Delta \dot e`, so that a change of gain makes no jump; without
-    learning the loop is `PID` with the same gains. Each period the weights :math:`w` take one step of gradient descent
-    on the squared error, with momentum :math:`\alpha`,
+    within a factor R of them and with their sign; initially they are the base gains (output layer zero, hidden layer
+    random). The PID is in velocity form, :math:`\Delta u = K_p \Delta e + K_i e h + K_d \Delta \dot e`, so that a
+    change of gain causes no jump; without learning the loop is `PID` with the same gains. Each period the weights
+    :math:`w` take one step of gradient descent on the squared error, with momentum :math:`\alpha`,
 
     .. math:: \Delta w = \eta h \frac{e}{e_s}\, \mathcal{J}\, \frac{1}{u_s} \frac{\partial (\Delta u / h)}{\partial w}
               + \alpha \Delta w_{previous},
 
-    where the Jacobian of the plant :math:`\partial y/\partial u` is replaced by its sign or by the model's, and e_s,
-    u_s make it dimensionless. The paper says no more than "BP"; this is the usual reading.
+    with the plant Jacobian :math:`\mathcal{J} = \partial y/\partial u` replaced by its sign or by the model's, and
+    scales e_s, u_s. The paper says no more than "BP"; this is the usual reading.
 
     Parameters
     ----------
     base
         The PID whose gains are modulated: "the same PID controller parameters are used in two methods".
     signal_scale, error_scale
-        The usual size of the controlled quantity, and of an error that matters; in its unit.
+        Typical magnitude of the controlled quantity, and of a relevant error; in its unit.
     output_scale
-        The usual rate of the output, in its unit per second.
+        u_s, typical rate of the output, in its unit per second.
     learning_rate
         eta [1/s].
     momentum
@@ -78,12 +77,12 @@ class BackpropPID(Loop):
     gain_ratio
         R, 1 (no freedom) or above.
     hidden
-        The number of hidden neurons.
+        Number of hidden neurons.
     jacobian
-        See `Jacobian`. With `Jacobian.MODEL` the learning rate has to be chosen anew: J is then the change of the
-        controlled quantity, in error scales, by a second at the usual rate of the output.
+        See `Jacobian`. `Jacobian.MODEL` needs another learning rate: J is then the change of the controlled quantity,
+        in error scales, after a second at the typical rate of the output.
     seed
-        Of the hidden layer's weights.
+        Seed of the hidden layer's weights.
 
     References
     ----------
@@ -114,12 +113,12 @@ class BackpropPID(Loop):
         check_within("BackpropPID", 0.0, 0.999999, momentum=self.momentum)
         check_within("BackpropPID", 1.0, 1e6, gain_ratio=self.gain_ratio)
 
-    def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> BackpropState:
+    def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> BackpropState:
         weights = jax.random.uniform(jax.random.key(self.seed), (self.hidden, 4), minval=-1.0, maxval=1.0)
         kind = floating(output).dtype  # the same draw in any precision
         network = Network(weights.astype(kind), jnp.zeros((3, self.hidden + 1), kind))
         return BackpropState(
-            pid=self.base.init(desired, measured, output),
+            pid=self.base.init(setpoint, measured, output),
             network=network,
             change=jax.tree.map(jnp.zeros_like, network),
             error=jnp.zeros_like(floating(output)),
@@ -129,20 +128,20 @@ class BackpropPID(Loop):
     def step(
         self,
         state: BackpropState,
-        desired: ArrayLike,
+        setpoint: ArrayLike,
         measured: ArrayLike,
         sensitivity: ArrayLike,
         period: ArrayLike,
     ) -> tuple[BackpropState, Scalar]:
-        error = jnp.asarray(desired) - measured
-        derivative = self.base.derivative(state.pid, desired, measured, period)
+        error = jnp.asarray(setpoint) - measured
+        derivative = self.base.derivative(state.pid, setpoint, measured, period)
         inputs = (
-            jnp.asarray(desired) / self.signal_scale,
+            jnp.asarray(setpoint) / self.signal_scale,
             jnp.asarray(measured) / self.signal_scale,
             error / self.error_scale,
         )
 
-        # The three parts of the change of output that the gain factors multiply; in velocity form.
+        # Velocity form: the gain factors multiply these.
         parts = (
             self.base.kp * (error - state.error),
             self.base.ki * period * error,
@@ -154,18 +153,16 @@ class BackpropPID(Loop):
             return sum(factor * part for factor, part in zip(factors, parts, strict=True)), factors  # type: ignore
 
         (change, factors), gradient = jax.value_and_grad(increment, has_aux=True)(state.network)
-        push = self.learning_rate * error / self.error_scale * self._jacobian(sensitivity) / self.output_scale
-        moved = jax.tree.map(lambda g, before: push * g + self.momentum * before, gradient, state.change)
-        network = jax.tree.map(jnp.add, state.network, moved)
+        rate = self.learning_rate * error / self.error_scale * self._jacobian(sensitivity) / self.output_scale
+        update = jax.tree.map(lambda g, last: rate * g + self.momentum * last, gradient, state.change)
+        network = jax.tree.map(jnp.add, state.network, update)
 
         output = state.pid.integral + change
-        pid = PIDState(output, self.base.differentiated(desired, measured), derivative)
-        return BackpropState(pid, network, moved, error, factors), output
+        pid = PIDState(output, self.base.differentiated(setpoint, measured), derivative)
+        return BackpropState(pid, network, update, error, factors), output
 
-    def realised(
-        self, state: BackpropState, output: ArrayLike, realised: ArrayLike, period: ArrayLike
-    ) -> BackpropState:
-        return state._replace(pid=self.base.realised(state.pid, output, realised, period))
+    def track(self, state: BackpropState, output: ArrayLike, achieved: ArrayLike, period: ArrayLike) -> BackpropState:
+        return state._replace(pid=self.base.track(state.pid, output, achieved, period))
 
     def telemetry(self, state: BackpropState) -> dict[str, Scalar]:
         return {
@@ -182,7 +179,7 @@ class BackpropPID(Loop):
 
 
 def _outputs(network: Network, inputs: tuple[Scalar, ...]) -> Array:
-    """The network's three outputs. Products and sums, no matrix calls: at this size XLA fuses them into the loop."""
+    """Three outputs of the network; sums of products fuse at this size, matrix products do not."""
     inner = network.hidden[:, 3] + sum(network.hidden[:, i] * x for i, x in enumerate(inputs))
     activation = jnp.tanh(inner)
     return network.output[:, -1] + jnp.sum(network.output[:, :-1] * activation, axis=1)

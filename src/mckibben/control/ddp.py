@@ -1,430 +1,478 @@
-"""Control-limited differential dynamic programming."""
+"""Control-limited differential dynamic programming for a joint's tracking error over a receding horizon.
+
+State x: errors of angle, velocity, acceleration and stiffness. Input u: the pressures at the end of a stage. All are
+without units. The limits of the input depend on the state.
+
+Matrices are tuples of rows of scalars, which XLA compiles to straight-line code; a structural zero is the integer 0,
+whose products are left out.
+
+Y. Tassa, N. Mansard and E. Todorov, Control-limited differential dynamic programming, ICRA 2014.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
+
+from mckibben.joint.geometry import Pair
+from mckibben.numerics.calculus import value_and_derivative
 
 Scalar = Float[Array, ""]
-Pair = tuple[Scalar, Scalar]
-Vector = tuple[Scalar, Scalar, Scalar, Scalar]
-"""Of a state: angle, velocity, acceleration, stiffness."""
+State = tuple[Scalar, Scalar, Scalar, Scalar]
+"""Angle, velocity, acceleration and stiffness; of a reference, jerk in place of the stiffness."""
+Vector = Any
+Matrix = Any
+
+_SINGULAR = 1e-6  # least determinant of a 2x2 matrix over the product of its diagonal, for solving
 
 
-class Bent(NamedTuple):
-    """A number that changes with the angle: its value here, and its first two derivatives."""
+# Tuple algebra
+
+
+def add(a: Any, b: Any) -> Any:
+    """Sum of two vectors or matrices."""
+    return jax.tree.map(lambda x, y: x + y, a, b)
+
+
+def subtract(a: Any, b: Any) -> Any:
+    """Difference of two vectors or matrices."""
+    return jax.tree.map(lambda x, y: x - y, a, b)
+
+
+def where(condition: Array, a: Any, b: Any) -> Any:
+    """One of two vectors or matrices."""
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
+
+
+def scale(factor: Any, a: Any) -> Any:
+    """A vector or matrix times a scalar."""
+    return jax.tree.map(lambda x: x if isinstance(x, int) else factor * x, a)
+
+
+def dot(a: Vector, b: Vector) -> Any:
+    """Scalar product."""
+    return sum(x * y for x, y in zip(a, b, strict=True) if not (isinstance(x, int) or isinstance(y, int)))
+
+
+def transpose(a: Matrix) -> Matrix:
+    """Rows to columns."""
+    return tuple(zip(*a, strict=True))
+
+
+def matvec(a: Matrix, b: Vector) -> Vector:
+    """Matrix times vector."""
+    return tuple(dot(row, b) for row in a)
+
+
+def matmul(a: Matrix, b: Matrix) -> Matrix:
+    """Matrix times matrix."""
+    return tuple(tuple(dot(row, column) for column in transpose(b)) for row in a)
+
+
+def symmetric(size: int, entry: Callable[[int, int], Any]) -> Matrix:
+    """Symmetric matrix from its upper triangle, which saves a fifth of the time of a full product."""
+    upper = {(i, j): entry(i, j) for i in range(size) for j in range(i, size)}
+    return tuple(tuple(upper[min(i, j), max(i, j)] for j in range(size)) for i in range(size))
+
+
+def quadratic_form(a: Matrix, m: Matrix) -> Matrix:
+    """Product a' m a of a symmetric m."""
+    columns, products = transpose(a), transpose(matmul(m, a))
+    return symmetric(len(columns), lambda i, j: dot(columns[i], products[j]))
+
+
+def diagonal(*entries: Any) -> Matrix:
+    """Diagonal matrix."""
+    return tuple(tuple(entry if i == j else 0 for j in range(len(entries))) for i, entry in enumerate(entries))
+
+
+def solve_2x2(m: Matrix, b: Matrix) -> Matrix:
+    """m^-1 b, of a symmetric positive definite m; regularised where it is nearly singular."""
+    (m11, m12), (_, m22) = m
+    inverse = 1 / jnp.maximum(m11 * m22 - m12**2, _SINGULAR * m11 * m22)  # of the determinant
+    return scale(inverse, matmul(((m22, -m12), (-m12, m11)), b))
+
+
+# Problem
+
+
+class Quadratic(NamedTuple):
+    """Second-order expansion of a quantity in the angle."""
 
     value: ArrayLike
     slope: ArrayLike = 0.0
     curvature: ArrayLike = 0.0
 
-    def at(self, angle: ArrayLike) -> Scalar:
-        """The number at an angle counted from here."""
+    def __call__(self, angle: ArrayLike) -> Scalar:
+        """Value at an angle from the expansion point."""
         return jnp.asarray(self.value + angle * (self.slope + angle * self.curvature / 2))
 
-    def slope_at(self, angle: ArrayLike) -> Scalar:
-        """How it changes there."""
-        return jnp.asarray(self.slope + angle * self.curvature)
 
+class HorizonProblem(NamedTuple):
+    r"""Optimal control problem over the horizon, without units: time in 1/omega_c, errors over their scales.
 
-class Outlook(NamedTuple):
-    """What does not change over the horizon.
+    .. math:: \sum_k \tfrac{h}{2} \big(y_0^2 + d(d-2)(y_1^2 + y_2^2) + y_3^2\big)
+              + \tfrac{1}{2h} \big((y_2 - x_2)^2 + \rho (y_3 - x_3)^2\big) + \tfrac12 x_N' P x_N
+
+    with x at the beginning and y at the end of stage k; P is the cost of the unconstrained loop after the horizon.
 
     Attributes
     ----------
     stage
-        h, the length of a stage.
-    early
-        (mu_1, mu_2): how early in a stage the acceleration changes; (1/2, 1/3) if evenly, (1, 1) if at once.
-    share
-        The part of the way to a command that a pressure goes in a stage.
+        h, duration of a stage.
+    hold_weights
+        (mu_1, mu_2), weights of the change of acceleration over a stage in its velocity and angle: (1/2, 1/3) for a
+        ramp, (1, 1) for a step at the beginning.
+    valve_fraction
+        Part of the way to a command that a pressure covers in a stage.
     damping
-        d, from 2 to 3.
-    slowness
-        rho, the square of the loop's omega_c over that of the stiffness.
+        d, 2 to 3.
+    bandwidth_ratio_sq
+        rho = (omega_c / omega_K)^2.
     acceleration, stiffness
-        What the pressures make of them, over the angle: offset and the parts of p1 and p2; the wish taken off the
-        stiffness, but not off the acceleration.
+        Coefficients (offset, p1, p2) of the joint's acceleration, and of its stiffness less the setpoint.
     drag
-        How much acceleration a velocity takes away.
-    wish
-        Angle (counted from here), velocity, acceleration and jerk of the wish, now.
-    swing
-        The square of the frequency with which its acceleration goes on; 0 if evenly.
-    lowest, highest
-        Pressures of either muscle over the angle: what a stage may end with.
-    least, most
-        What may be commanded.
+        Deceleration per velocity.
+    reference
+        Angle, velocity, acceleration and jerk of the reference now; angles count from the measured one.
+    reference_frequency_sq
+        Square of the frequency at which the reference's acceleration continues; 0 for constant jerk.
+    pressure_lower, pressure_upper
+        Limits of each pressure at the end of a stage.
+    command_lower, command_upper
+        Limits of each command.
     """
 
     stage: ArrayLike
-    early: tuple[ArrayLike, ArrayLike]
-    share: ArrayLike
+    hold_weights: tuple[ArrayLike, ArrayLike]
+    valve_fraction: ArrayLike
     damping: ArrayLike
-    slowness: ArrayLike
-    acceleration: tuple[Bent, Bent, Bent]
-    stiffness: tuple[Bent, Bent, Bent]
+    bandwidth_ratio_sq: ArrayLike
+    acceleration: tuple[Quadratic, Quadratic, Quadratic]
+    stiffness: tuple[Quadratic, Quadratic, Quadratic]
     drag: ArrayLike
-    wish: Vector
-    swing: ArrayLike
-    lowest: tuple[Bent, Bent]
-    highest: tuple[Bent, Bent]
-    least: tuple[ArrayLike, ArrayLike]
-    most: tuple[ArrayLike, ArrayLike]
+    reference: State
+    reference_frequency_sq: ArrayLike
+    pressure_lower: tuple[Quadratic, Quadratic]
+    pressure_upper: tuple[Quadratic, Quadratic]
+    command_lower: tuple[ArrayLike, ArrayLike]
+    command_upper: tuple[ArrayLike, ArrayLike]
 
-    def wish_after(self, wish: Vector) -> Vector:
-        """The wish a stage later: its acceleration goes on as that of a sine, for none evenly."""
-        angle, velocity, acceleration, jerk = wish
+    def next_reference(self, reference: State) -> State:
+        """Reference one stage later."""
+        angle, velocity, acceleration, jerk = reference
         h = jnp.asarray(self.stage)
-        q = self.swing * h**2  # series of sine and cosine, of a stage's part of a swing
+        q = self.reference_frequency_sq * h**2  # series of sine and cosine in the phase of a stage
         sine, twice = 1 - q / 6 * (1 - q / 20), 1 / 2 - q / 24 * (1 - q / 30)
         thrice = 1 / 6 - q / 120 * (1 - q / 42)
         return (
             angle + h * (velocity + h * (acceleration * twice + h * jerk * thrice)),
             velocity + h * (acceleration * sine + h * jerk * twice),
             acceleration * (1 - q * twice) + h * jerk * sine,
-            jerk * (1 - q * twice) - self.swing * h * sine * acceleration,
+            jerk * (1 - q * twice) - self.reference_frequency_sq * h * sine * acceleration,
         )
+
+    def outputs(self, angle: Scalar, velocity: Scalar, pressures: Pair) -> Pair:
+        """Acceleration of the joint, and its stiffness less the setpoint."""
+        (a0, a1, a2), (s0, s1, s2) = (
+            [coefficient(angle) for coefficient in each] for each in (self.acceleration, self.stiffness)
+        )
+        p1, p2 = pressures
+        return a0 + a1 * p1 + a2 * p2 - self.drag * velocity, s0 + s1 * p1 + s2 * p2
+
+    def limits(self, angle: Scalar, previous: Pair) -> tuple[Pair, Pair]:
+        """Lower and upper limits of the pressures after a stage; the speed of the valves takes precedence."""
+
+        def one(i: int) -> Pair:
+            slowest, fastest = (
+                previous[i] + self.valve_fraction * (command[i] - previous[i])
+                for command in (self.command_lower, self.command_upper)
+            )
+            upper = _larger(_smaller(self.pressure_upper[i](angle), fastest), slowest)
+            return _smaller(_larger(self.pressure_lower[i](angle), slowest), upper), upper
+
+        return transpose((one(0), one(1)))
+
+    def limits_previous(self, angle: Scalar, previous: Pair) -> tuple[Pair, Pair]:
+        """Derivative of each limit with respect to the same pressure a stage before."""
+        ones = tuple(map(jnp.ones_like, previous))
+        return jax.jvp(lambda p: self.limits(angle, p), (previous,), (ones,))[1]
+
+    def terminal_hessian(self) -> Matrix:
+        """P, of a triple integrator and an integrator."""
+        one = jnp.ones_like(self.reference[0])
+        zero, d, root = 0 * one, self.damping * one, jnp.sqrt(self.bandwidth_ratio_sq * one)
+        return (d, d, one, zero), (d, d**2 - 1, d, zero), (one, d, d, zero), (zero, zero, zero, root)
+
+
+def _smaller(a: Scalar, b: Scalar) -> Scalar:
+    return jnp.where(a < b, a, b)  # differentiates to one of both, unlike `jnp.minimum`
+
+
+def _larger(a: Scalar, b: Scalar) -> Scalar:
+    return jnp.where(a > b, a, b)
 
 
 class Policy(NamedTuple):
-    """The pressures at the end of each stage, affine in the state at its beginning; arrays of shape (stages,)."""
+    """u = offset + gain x at each stage; leaves have shape (stages,)."""
 
-    constant: Pair
-    by_state: tuple[Vector, Vector]
-
-
-def steady(pressures: Pair, stages: int) -> Policy:
-    """The policy to stay at pressures."""
-    each = jnp.zeros(stages, pressures[0].dtype)
-    still = each, each, each, each
-    return Policy((each + pressures[0], each + pressures[1]), (still, still))
+    offset: Pair
+    gain: tuple[State, State]
 
 
-def later(policy: Policy, part: ArrayLike) -> Policy:
-    """The policy of a plan of which part of a stage has passed."""
-    return jax.tree.map(lambda each: each + part * (jnp.append(each[1:], each[-1:]) - each), policy)
+def constant(pressures: Pair, stages: int) -> Policy:
+    """The policy that keeps constant pressures."""
+    zero = jnp.zeros(stages, pressures[0].dtype)
+    row = zero, zero, zero, zero
+    return Policy((zero + pressures[0], zero + pressures[1]), (row, row))
 
 
-def dot(row: Vector, vector: Vector | list[Scalar]) -> Scalar:
-    """The scalar product."""
-    return sum(a * b for a, b in zip(row, vector, strict=True))  # type: ignore
+def shift(policy: Policy, fraction: ArrayLike) -> Policy:
+    """Warm start: the policy after a fraction of a stage has passed."""
+    return jax.tree.map(lambda each: each + fraction * (jnp.append(each[1:], each[-1:]) - each), policy)
+
+
+# Solution
 
 
 class Stage(NamedTuple):
-    """One stage of a way: where it begins and ends, what is chosen, and what is needed to choose better.
+    """A stage of the nominal trajectory, from x to y.
 
     Attributes
     ----------
-    begin, end
-        The states.
-    pressures
-        Chosen for its end.
-    by_pressure, inverse
-        M and its inverse, by rows.
-    by_state
-        How acceleration and stiffness at the end change with the state at the beginning, pressures held; by rows.
+    x, u, y
+        State at the beginning, input, state at the end.
+    previous_x
+        Derivative of the pressures at the beginning with respect to x.
+    outputs_angle, outputs_u
+        Derivatives of acceleration and stiffness at the end.
     lower, upper
-        The limits of the pressures.
-    lower_by_state, upper_by_state
-        How these change with the state at the beginning; by rows.
+        Limits of u.
+    lower_angle, upper_angle, lower_previous, upper_previous
+        Their derivatives with respect to the angle at the end and the pressure at the beginning.
     """
 
-    begin: Vector
-    end: Vector
-    pressures: Pair
-    by_pressure: tuple[Pair, Pair]
-    inverse: tuple[Pair, Pair]
-    by_state: tuple[Vector, Vector]
+    x: State
+    u: Pair
+    y: State
+    previous_x: Matrix
+    outputs_angle: Pair
+    outputs_u: Matrix
     lower: Pair
     upper: Pair
-    lower_by_state: tuple[Vector, Vector]
-    upper_by_state: tuple[Vector, Vector]
+    lower_angle: Pair
+    upper_angle: Pair
+    lower_previous: Pair
+    upper_previous: Pair
 
 
-def followed(outlook: Outlook, start: Vector, pressures: Pair, policy: Policy) -> Stage:
-    """The stages of the way that a policy goes from here."""
-    h, drag, (mu1, mu2) = outlook.stage, outlook.drag, outlook.early
-    zero = jnp.zeros_like(start[0])
+class StageExpansion(NamedTuple):
+    """First-order expansion of a stage's dynamics y = f(x, u) and limits, second-order of its cost l(x, y)."""
 
-    def stage(carry: tuple, policy: Policy) -> tuple[tuple, Stage]:
-        begin, before, before_by_state, wish = carry
-        wished = outlook.wish_after(wish)
-        ahead = begin[0] + h * (begin[1] + h / 2 * begin[2])
-        speed = begin[1] + h * begin[2]
-        angle = wished[0] + ahead
-        (a0, a1, a2), (s0, s1, s2) = (
-            [part.at(angle) for part in parts] for parts in (outlook.acceleration, outlook.stiffness)
-        )
-
-        asked1, asked2 = (p + dot(gains, begin) for p, gains in zip(policy.constant, policy.by_state, strict=True))
-        lower1, upper1 = _limits(outlook, 0, angle, before[0])
-        lower2, upper2 = _limits(outlook, 1, angle, before[1])
-        p1, p2 = (
-            jnp.clip(asked1, lower1.value, upper1.value),
-            jnp.clip(asked2, lower2.value, upper2.value),
-        )
-
-        acceleration = a0 + a1 * p1 + a2 * p2 - drag * (wished[1] + speed) - wished[2]
-        # What moves with mu where the wish moves as it does, is off by this.
-        change = wished[2] - wish[2]
-        drift = (
-            wish[0] + h * (wish[1] + h / 2 * (wish[2] + mu2 * change)) - wished[0],
-            wish[1] + h * (wish[2] + mu1 * change) - wished[1],
-        )
-        end = (
-            ahead + h**2 / 2 * mu2 * (acceleration - begin[2]) + drift[0],
-            speed + h * mu1 * (acceleration - begin[2]) + drift[1],
-            acceleration,
-            s0 + s1 * p1 + s2 * p2,
-        )
-        turn_a, turn_s = (
-            parts[0].slope_at(angle) + p1 * parts[1].slope_at(angle) + p2 * parts[2].slope_at(angle)
-            for parts in (outlook.acceleration, outlook.stiffness)
-        )
-
-        determinant = a1 * s2 - a2 * s1
-        least = 1e-3 * (jnp.abs(a1 * s2) + jnp.abs(a2 * s1)) + 1e-12  # where pressures hardly change the stiffness
-        determinant = jnp.where(determinant > 0, jnp.maximum(determinant, least), jnp.minimum(determinant, -least))
-        inverse = (s2 / determinant, -a2 / determinant), (-s1 / determinant, a1 / determinant)
-
-        def by_state(limit: _Limit, i: int) -> Vector:
-            turn, kept = limit.by_angle, before_by_state[i]
-            return (
-                turn + limit.by_pressure * kept[0],
-                turn * h + limit.by_pressure * kept[1],
-                turn * h**2 / 2 + limit.by_pressure * kept[2],
-                limit.by_pressure * kept[3],
-            )
-
-        told = Stage(
-            begin=begin,
-            end=end,
-            pressures=(p1, p2),
-            by_pressure=((a1, a2), (s1, s2)),
-            inverse=inverse,
-            by_state=(
-                (turn_a, turn_a * h - drag, turn_a * h**2 / 2 - drag * h, zero),
-                (turn_s, turn_s * h, turn_s * h**2 / 2, zero),
-            ),
-            lower=(lower1.value, lower2.value),
-            upper=(upper1.value, upper2.value),
-            lower_by_state=(by_state(lower1, 0), by_state(lower2, 1)),
-            upper_by_state=(by_state(upper1, 0), by_state(upper2, 1)),
-        )
-        # What the pressures at the end of the stage have to do with the state there.
-        by_end = tuple((-(to_a * turn_a + to_s * turn_s), to_a * drag, to_a, to_s) for to_a, to_s in inverse)
-        return (end, (p1, p2), by_end, wished), told
-
-    fixed = (zero, zero, zero, zero)
-    return lax.scan(stage, (start, pressures, (fixed, fixed), outlook.wish), policy)[1]
+    f_x: Matrix
+    f_u: Matrix
+    l_x: Vector
+    l_y: Vector
+    l_xx: Matrix
+    l_yx: Matrix
+    l_yy: Matrix
+    lower_x: Matrix
+    upper_x: Matrix
 
 
-class _Limit(NamedTuple):
-    """A limit of a pressure, and how it changes with the angle and with the pressure before."""
-
-    value: Scalar
-    by_angle: Scalar
-    by_pressure: Scalar
-
-
-def _smaller(one: _Limit, other: _Limit) -> _Limit:
-    return jax.tree.map(lambda a, b: jnp.where(one.value < other.value, a, b), one, other)
-
-
-def _larger(one: _Limit, other: _Limit) -> _Limit:
-    return jax.tree.map(lambda a, b: jnp.where(one.value > other.value, a, b), one, other)
-
-
-def _limits(outlook: Outlook, i: int, angle: Scalar, pressure: Scalar) -> tuple[_Limit, _Limit]:
-    """Of a muscle's pressure at the end of a stage; what a valve cannot do in a stage counts before all else."""
-    nothing, kept = jnp.zeros_like(pressure), jnp.ones_like(pressure) - outlook.share
-    slowest, fastest = (
-        _Limit(pressure + outlook.share * (command[i] - pressure), nothing, kept)
-        for command in (outlook.least, outlook.most)
-    )
-    low, high = (
-        _Limit(limit[i].at(angle), nothing + limit[i].slope_at(angle), nothing)
-        for limit in (outlook.lowest, outlook.highest)
-    )
-    upper = _larger(_smaller(high, fastest), slowest)
-    return _smaller(_larger(low, slowest), upper), upper
-
-
-class _Value(NamedTuple):
-    """What it costs from a state on, around a way: its gradient, and its second derivatives by rows."""
+class ValueExpansion(NamedTuple):
+    """Second-order expansion of the cost to go."""
 
     gradient: Vector
-    curvature: tuple[Vector, Vector, Vector, Vector]
+    hessian: Matrix
 
 
-def improved(outlook: Outlook, way: Stage) -> tuple[Policy, tuple[Pair, Array]]:
-    """One step of Newton's method: the best policy if the limits at which it is go on to hold, from the last stage."""
-    h, rho, (mu1, mu2), damping = outlook.stage, outlook.slowness, outlook.early, outlook.damping
-    between = h * damping * (damping - 2)
-    new = h**2 / 2 * mu2, h * mu1  # what acceleration at the end does to angle and velocity
-    old = h**2 / 2 * (1 - mu2), h * (1 - mu1)  # and that at the beginning
-    one, zero = jnp.ones_like(way.begin[0][0]), jnp.zeros_like(way.begin[0][0])
-    root = jnp.sqrt(one * rho)
-    damp = one * damping
-    final = (
-        (damp, damp, one, zero),
-        (damp, damp**2 - 1, damp, zero),
-        (one, damp, damp, zero),
-        (zero, zero, zero, root),
-    )  # of a triple integrator and of an integrator
-    last = jax.tree.map(lambda values: values[-1], way.end)
+def rollout(problem: HorizonProblem, state: State, pressures: Pair, policy: Policy) -> Stage:
+    """Nominal trajectory under a policy; leaves have shape (stages,)."""
+    h, (mu1, mu2) = jnp.asarray(problem.stage), problem.hold_weights
 
-    def stage(value: _Value, at: Stage) -> tuple[_Value, tuple[Policy, tuple[Pair, Array]]]:
-        # Of the state at the end, with its own cost: W and its gradient g.
-        W = [list(row) for row in value.curvature]
-        weights = h, between, between, h
-        for i in range(4):
-            W[i][i] = W[i][i] + weights[i]
-        g0, g1, g2, g3 = (g + weight * x for g, weight, x in zip(value.gradient, weights, at.end, strict=True))
-        jerk, rush = (at.end[2] - at.begin[2]) / h, rho * (at.end[3] - at.begin[3]) / h
+    def stage(carry: tuple[Any, ...], policy: Policy) -> tuple[tuple[Any, ...], Stage]:
+        x, previous, previous_x, reference = carry
+        following = problem.next_reference(reference)
+        angle, velocity = x[0] + h * (x[1] + h / 2 * x[2]), x[1] + h * x[2]  # at constant acceleration
+        end, speed = following[0] + angle, following[1] + velocity
 
-        # Over the state at the beginning x and the choice v = (acceleration, stiffness) at the end.
-        into = [new[0] * W[0][j] + new[1] * W[1][j] + W[2][j] for j in range(4)]
-        Q11 = new[0] * into[0] + new[1] * into[1] + into[2] + 1 / h
-        Q12, Q22 = into[3], W[3][3] + rho / h
-        q1, q2 = new[0] * g0 + new[1] * g1 + g2 + jerk, g3 + rush
+        asked = add(policy.offset, matvec(policy.gain, x))
+        limit, limit_angle = value_and_derivative(lambda at: problem.limits(at, previous), end)
+        limit_previous = problem.limits_previous(end, previous)
+        u = jax.tree.map(jnp.clip, asked, *limit)
 
-        def from_begin(a: ArrayLike, b: ArrayLike) -> list[Any]:
-            """What a row at the end, on angle and velocity, is at the beginning."""
-            return [a, h * a + b, old[0] * a + old[1] * b, zero]
+        (acceleration, stiffness), outputs_angle = value_and_derivative(lambda at: problem.outputs(at, speed, u), end)
+        outputs_u = tuple(tuple(c(end) for c in each[1:]) for each in (problem.acceleration, problem.stiffness))
+        acceleration = acceleration - following[2]
+        # The acceleration of the joint changes by the hold weights, that of the reference as it does.
+        jump, change = acceleration - x[2], following[2] - reference[2]
+        drift = reference[0] + h * (reference[1] + h / 2 * (reference[2] + mu2 * change)) - following[0]
+        drift_rate = reference[1] + h * (reference[2] + mu1 * change) - following[1]
+        y = angle + h**2 / 2 * mu2 * jump + drift, velocity + h * mu1 * jump + drift_rate, acceleration, stiffness
 
-        S1, S2 = from_begin(into[0], into[1]), from_begin(W[3][0], W[3][1])
-        S1[2], S2[3] = S1[2] - 1 / h, S2[3] - rho / h
-        over = [from_begin(W[0][0], W[1][0]), from_begin(W[0][1], W[1][1])]
-        Qx = [from_begin(over[0][j], over[1][j]) for j in range(4)]
-        Qx[2][2], Qx[3][3] = Qx[2][2] + 1 / h, Qx[3][3] + rho / h
-        qx = from_begin(g0, g1)
-        qx[2], qx[3] = qx[2] - jerk, qx[3] - rush
+        at = Stage(x, u, y, previous_x, outputs_angle, outputs_u, *limit, *limit_angle, *limit_previous)
+        return (y, u, _pressures_x(problem, outputs_angle, outputs_u), following), at
 
-        # The best choice without limits.
-        scale = Q11 * Q22 - Q12 * Q12
-        free1, free2 = (Q12 * q2 - Q22 * q1) / scale, (Q12 * q1 - Q11 * q2) / scale
-        free1_x = [(Q12 * b - Q22 * a) / scale for a, b in zip(S1, S2, strict=True)]
-        free2_x = [(Q12 * a - Q11 * b) / scale for a, b in zip(S1, S2, strict=True)]
+    zero = jnp.zeros_like(state[0])
+    fixed = (zero, zero, zero, zero)
+    return lax.scan(stage, (state, pressures, (fixed, fixed), problem.reference), policy)[1]
 
-        # In pressures within limits: the minimum lies on a side that the free one is beyond.
-        ((m11, m12), (m21, m22)), ((n11, n12), (n21, n22)) = at.by_pressure, at.inverse
-        H11 = m11 * (Q11 * m11 + Q12 * m21) + m21 * (Q12 * m11 + Q22 * m21)
-        H12 = m11 * (Q11 * m12 + Q12 * m22) + m21 * (Q12 * m12 + Q22 * m22)
-        H22 = m12 * (Q11 * m12 + Q12 * m22) + m22 * (Q12 * m12 + Q22 * m22)
-        r1, r2 = m11 * q1 + m21 * q2, m12 * q1 + m22 * q2
-        low1, low2 = (limit - p for limit, p in zip(at.lower, at.pressures, strict=True))
-        high1, high2 = (limit - p for limit, p in zip(at.upper, at.pressures, strict=True))
-        wish1, wish2 = n11 * free1 + n12 * free2, n21 * free1 + n22 * free2
-        (x1, x2), held_x = _along(wish1, low1, high1, r2, H12, H22, low2, high2)
-        (y2, y1), held_y = _along(wish2, low2, high2, r1, H12, H11, low1, high1)
 
-        def cost(p1: Scalar, p2: Scalar) -> Scalar:
-            return p1 * (r1 + H11 * p1 / 2 + H12 * p2) + p2 * (r2 + H22 * p2 / 2)
+def _pressures_x(problem: HorizonProblem, outputs_angle: Pair, outputs_u: Matrix) -> Matrix:
+    """Derivative of the pressures with respect to the state at the same instant, by the implicit function theorem."""
+    (a1, a2), (s1, s2) = outputs_u
+    determinant = a1 * s2 - a2 * s1
+    least = 1e-3 * (jnp.abs(a1 * s2) + jnp.abs(a2 * s1)) + 1e-12  # where pressures hardly change the stiffness
+    determinant = jnp.where(determinant > 0, jnp.maximum(determinant, least), jnp.minimum(determinant, -least))
+    inverse = scale(1 / determinant, ((s2, -a2), (-s1, a1)))
+    return tuple((-dot(row, outputs_angle), row[0] * problem.drag, *row) for row in inverse)
 
-        better = cost(x1, x2) <= cost(y1, y2)
-        step1, step2 = jnp.where(better, x1, y1), jnp.where(better, x2, y2)
-        held1, held2 = jnp.where(better, held_x[0], held_y[1]), jnp.where(better, held_x[1], held_y[0])
 
-        # What follows from limits that hold, and the part of the free choice that they leave.
-        limit1_x, limit2_x = (
-            [jnp.where(step <= low, a, b) for a, b in zip(lower, upper, strict=True)]
-            for step, low, lower, upper in (
-                (step1, low1, at.lower_by_state[0], at.upper_by_state[0]),
-                (step2, low2, at.lower_by_state[1], at.upper_by_state[1]),
-            )
+def expand(problem: HorizonProblem, at: Stage) -> StageExpansion:
+    """Expansion about a stage of the nominal trajectory."""
+    h, d, rho, drag = map(jnp.asarray, (problem.stage, problem.damping, problem.bandwidth_ratio_sq, problem.drag))
+    (mu1, mu2), (a_angle, s_angle) = problem.hold_weights, at.outputs_angle
+    angle_x, velocity_x = (1.0, h, h**2 / 2, 0), (0, 1.0, h, 0)
+    acceleration_x = a_angle, a_angle * h - drag, a_angle * h**2 / 2 - drag * h, 0
+    jump_x = *acceleration_x[:2], acceleration_x[2] - 1, 0
+    acceleration_u, stiffness_u = at.outputs_u
+    between, rates = h * d * (d - 2), ((at.y[2] - at.x[2]) / h, rho * (at.y[3] - at.x[3]) / h)
+    return StageExpansion(
+        f_x=(
+            add(angle_x, scale(h**2 / 2 * mu2, jump_x)),
+            add(velocity_x, scale(h * mu1, jump_x)),
+            acceleration_x,
+            scale(s_angle, angle_x),
+        ),
+        f_u=(scale(h**2 / 2 * mu2, acceleration_u), scale(h * mu1, acceleration_u), acceleration_u, stiffness_u),
+        l_x=(0, 0, -rates[0], -rates[1]),
+        l_y=(h * at.y[0], between * at.y[1], between * at.y[2] + rates[0], h * at.y[3] + rates[1]),
+        l_xx=diagonal(0, 0, 1 / h, rho / h),
+        l_yx=diagonal(0, 0, -1 / h, -rho / h),
+        l_yy=diagonal(h, between, between + 1 / h, h + rho / h),
+        lower_x=_limits_x(angle_x, at.previous_x, at.lower_angle, at.lower_previous),
+        upper_x=_limits_x(angle_x, at.previous_x, at.upper_angle, at.upper_previous),
+    )
+
+
+def _limits_x(angle_x: Vector, previous_x: Matrix, by_angle: Pair, by_previous: Pair) -> Matrix:
+    """Derivative of both limits with respect to the state at the beginning."""
+    return tuple(
+        add(scale(slope, angle_x), scale(rest, row))
+        for slope, rest, row in zip(by_angle, by_previous, previous_x, strict=True)
+    )
+
+
+def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, tuple[Pair, Bool[Array, " stages"]]]:
+    """Improve the policy about a nominal trajectory, from its last stage to its first.
+
+    Returns the policy, and of each stage the inputs at the nominal states and whether one is clamped.
+    """
+
+    def stage(value: ValueExpansion, at: Stage) -> tuple[ValueExpansion, tuple[Policy, tuple[Pair, Array]]]:
+        f_x, f_u, l_x, l_y, l_xx, l_yx, l_yy, lower_x, upper_x = expand(problem, at)
+        v_y, v_yy = add(l_y, value.gradient), add(l_yy, value.hessian)
+        v_yx = add(matmul(v_yy, f_x), l_yx)
+        f_x_columns, f_u_columns, v_yx_columns = map(transpose, (f_x, f_u, v_yx))
+
+        q_x = add(l_x, matvec(f_x_columns, v_y))
+        q_u = matvec(f_u_columns, v_y)
+        q_ux = matmul(f_u_columns, v_yx)
+        q_uu = quadratic_form(f_u, v_yy)
+        q_xx = symmetric(
+            4, lambda i, j: l_xx[i][j] + dot(f_x_columns[i], v_yx_columns[j]) + dot(transpose(l_yx)[i], f_x_columns[j])
         )
-        given1 = [m11 * a + m12 * b + c for a, b, c in zip(limit1_x, limit2_x, at.by_state[0], strict=True)]
-        given2 = [m21 * a + m22 * b + c for a, b, c in zip(limit1_x, limit2_x, at.by_state[1], strict=True)]
-        along1, along2 = jnp.where(held1, m12, m11), jnp.where(held1, m22, m21)  # where one is free
-        stiff = jnp.where(held1, H22, H11)
-        row1, row2 = (along1 * Q11 + along2 * Q12) / stiff, (along1 * Q12 + along2 * Q22) / stiff
-        both, none = held1 & held2, ~(held1 | held2)
 
-        def part(along: Scalar, row: Scalar, diagonal: float) -> Scalar:
-            return jnp.where(none, diagonal, jnp.where(both, 0.0, along * row))
+        lower, upper = subtract(at.lower, at.u), subtract(at.upper, at.u)
+        step, free = box_qp(q_uu, q_u, lower, upper)
+        limit_x = tuple(where(step[i] <= lower[i], lower_x[i], upper_x[i]) for i in range(2))
+        gain = feedback_gain(q_uu, q_ux, free, limit_x)
 
-        P11, P12, P21, P22 = part(along1, row1, 1), part(along1, row2, 0), part(along2, row1, 0), part(along2, row2, 1)
-        more = [(a - c, b - d) for a, b, c, d in zip(free1_x, free2_x, given1, given2, strict=True)]
-        G1 = [c + P11 * a + P12 * b for c, (a, b) in zip(given1, more, strict=True)]
-        G2 = [c + P21 * a + P22 * b for c, (a, b) in zip(given2, more, strict=True)]
-        k1, k2 = m11 * step1 + m12 * step2, m21 * step1 + m22 * step2
-
-        apart1, apart2 = (
-            [g - c for g, c in zip(G, C, strict=True)] for G, C in zip((G1, G2), at.by_state, strict=True)
+        gain_columns, q_ux_columns = transpose(gain), transpose(q_ux)
+        q_u_x_columns = transpose(add(matmul(q_uu, gain), q_ux))
+        gradient = add(q_x, add(matvec(gain_columns, add(q_u, matvec(q_uu, step))), matvec(q_ux_columns, step)))
+        hessian = symmetric(
+            4,
+            lambda i, j: q_xx[i][j] + dot(gain_columns[i], q_u_x_columns[j]) + dot(q_ux_columns[i], gain_columns[j]),
         )
-        gains1 = tuple(n11 * a + n12 * b for a, b in zip(apart1, apart2, strict=True))
-        gains2 = tuple(n21 * a + n22 * b for a, b in zip(apart1, apart2, strict=True))
-        chosen = at.pressures[0] + step1, at.pressures[1] + step2
-        constant = chosen[0] - dot(gains1, at.begin), chosen[1] - dot(gains2, at.begin)  # type: ignore
+        u = add(at.u, step)
+        offset = subtract(u, matvec(gain, at.x))
+        return ValueExpansion(gradient, hessian), (Policy(offset, gain), (u, ~(free[0] & free[1])))
 
-        # What it costs from the beginning of the stage on.
-        T1 = [Q11 * a + Q12 * b + s for a, b, s in zip(G1, G2, S1, strict=True)]
-        T2 = [Q12 * a + Q22 * b + s for a, b, s in zip(G1, G2, S2, strict=True)]
-        rest1, rest2 = q1 + Q11 * k1 + Q12 * k2, q2 + Q12 * k1 + Q22 * k2
-        V = [[zero] * 4 for _ in range(4)]
-        for i in range(4):
-            for j in range(i, 4):
-                V[i][j] = V[j][i] = Qx[i][j] + G1[i] * T1[j] + G2[i] * T2[j] + S1[i] * G1[j] + S2[i] * G2[j]
-        gradient = tuple(qx[i] + G1[i] * rest1 + G2[i] * rest2 + S1[i] * k1 + S2[i] * k2 for i in range(4))
-        value = _Value(gradient, tuple(tuple(row) for row in V))  # type: ignore
-        return value, (Policy(constant, (gains1, gains2)), (chosen, held1 | held2))  # type: ignore
-
-    begin = _Value(tuple(dot(row, last) for row in final), final)  # type: ignore
-    return lax.scan(stage, begin, way, reverse=True)[1]
+    terminal = problem.terminal_hessian()
+    last = jax.tree.map(lambda values: values[-1], trajectory.y)
+    return lax.scan(stage, ValueExpansion(matvec(terminal, last), terminal), trajectory, reverse=True)[1]
 
 
-def _along(
-    wish: Scalar,
-    low: Scalar,
-    high: Scalar,
-    slope: Scalar,
-    across: Scalar,
-    curvature: Scalar,
-    low2: Scalar,
-    high2: Scalar,
-) -> tuple[Pair, tuple[Array, Array]]:
-    """One pressure at its wish or the limit before it, the other best there; and which are held by a limit."""
-    first = jnp.clip(wish, low, high)
-    best = -(slope + across * first) / curvature
-    second = jnp.clip(best, low2, high2)
-    return (first, second), (first != wish, second != best)
+def box_qp(hessian: Matrix, gradient: Vector, lower: Pair, upper: Pair) -> tuple[Pair, tuple[Array, Array]]:
+    """Minimum of gradient' u + u' hessian u / 2 over a box in two dimensions; and which inputs are free.
+
+    It lies inside, or on a side that the unconstrained minimum is beyond.
+    """
+    unconstrained = tuple(row[0] for row in solve_2x2(hessian, tuple((-g,) for g in gradient)))
+
+    def clamped(i: int) -> tuple[Pair, tuple[Array, Array]]:
+        """Input i clamped to its limits, and then the other."""
+        j = 1 - i
+        first = jnp.clip(unconstrained[i], lower[i], upper[i])
+        best = -(gradient[j] + hessian[j][i] * first) / hessian[j][j]
+        second = jnp.clip(best, lower[j], upper[j])
+        free = first == unconstrained[i], second == best
+        return ((first, second), free) if i == 0 else ((second, first), free[::-1])
+
+    def cost(u: Pair) -> Scalar:
+        return dot(gradient, u) + dot(u, matvec(hessian, u)) / 2
+
+    a, b = clamped(0), clamped(1)
+    return where(cost(a[0]) <= cost(b[0]), a, b)
 
 
-class Move(NamedTuple):
-    """The pressures to go for in the first stage, and whether a limit holds one."""
+def feedback_gain(hessian: Matrix, cross: Matrix, free: tuple[Array, Array], limit_x: Matrix) -> Matrix:
+    """Derivative of the constrained minimum with respect to the state: that of the limit for a clamped input."""
+    both = solve_2x2(hessian, tuple(tuple(-c for c in row) for row in cross))
+
+    def row(i: int) -> Vector:
+        j, inverse = 1 - i, 1 / hessian[i][i]
+        alone = tuple(-inverse * (c + hessian[i][j] * x) for c, x in zip(cross[i], limit_x[j], strict=True))
+        return where(free[i], where(free[j], both[i], alone), limit_x[i])
+
+    return row(0), row(1)
+
+
+class FirstCommand(NamedTuple):
+    """Pressures at the end of the first stage, and whether one is clamped."""
 
     pressures: Pair
-    held: Array
+    saturated: Array
 
 
-def planned(outlook: Outlook, start: Vector, pressures: Pair, policy: Policy, iterations: int) -> tuple[Policy, Move]:
-    """A better policy, and the move that it begins with.
+def solve(
+    problem: HorizonProblem, state: State, pressures: Pair, policy: Policy, iterations: int
+) -> tuple[Policy, FirstCommand]:
+    """Policy that minimises the cost over the horizon, and its first input.
 
     Parameters
     ----------
-    outlook
-        What is ahead.
-    start, pressures
+    problem
+        The optimal control problem.
+    state, pressures
         State and pressures now.
     policy
-        To begin with.
+        Initial guess.
     iterations
-        How often to improve it, at least once. Without limits once is enough for the first move, whatever the policy
-        was; with them each is a step of Newton's method.
+        Newton steps, at least one. Without limits the first gives the optimal first input from any guess.
     """
 
-    def better(_: ArrayLike, last: tuple[Policy, Move]) -> tuple[Policy, Move]:
-        policy, (chosen, held) = improved(outlook, followed(outlook, start, pressures, last[0]))
-        return policy, Move((chosen[0][0], chosen[1][0]), held[0])
+    def iterate(_: ArrayLike, last: tuple[Policy, FirstCommand]) -> tuple[Policy, FirstCommand]:
+        trajectory = rollout(problem, state, pressures, last[0])
+        policy, (inputs, saturated) = backward_pass(problem, trajectory)
+        return policy, FirstCommand((inputs[0][0], inputs[1][0]), saturated[0])
 
-    last = policy, Move(pressures, jnp.zeros_like(start[0], bool))
-    return lax.fori_loop(0, iterations, better, last)
-
-
-__all__ = ["Bent", "Move", "Outlook", "Policy", "later", "planned", "steady"]
+    initial = policy, FirstCommand(pressures, jnp.zeros_like(state[0], bool))
+    return lax.fori_loop(0, iterations, iterate, initial)

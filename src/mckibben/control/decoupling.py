@@ -1,22 +1,28 @@
-"""Angle and stiffness made independent of each other by inverting a model of the joint."""
+"""Decoupled control of angle and stiffness by exact linearisation of a model of the joint."""
 
 from __future__ import annotations
 
-import functools
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.control.allocation import Chosen, map_at, pressures_between, torque_first
+from mckibben.control.allocation import (
+    Allocation,
+    clip_commands,
+    keep_taut,
+    linearise,
+    pressure_range,
+    prioritise_torque,
+)
 from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.feedback import Feedback
-from mckibben.control.model_based import Beliefs, ModelBasedControl
+from mckibben.control.model_based import Estimates, ModelBasedControl
 from mckibben.control.observer import Observer, PressureObserver
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.batching import apart
+from mckibben.numerics.batching import computed_once
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.elementary import exp
 
@@ -24,64 +30,63 @@ Scalar = Float[Array, ""]
 
 
 class DecouplingState(NamedTuple):
-    """What is believed and was commanded, and what the feedback remembers."""
+    """Estimates, and the state of the feedback."""
 
-    beliefs: Beliefs
+    estimates: Estimates
     feedback: Any
 
 
 class DecouplingControl(ModelBasedControl):
-    r"""Exact linearisation: the pressures that give, by a model, the wanted acceleration and stiffness at once.
+    r"""Exact linearisation: pressures that give a commanded acceleration and stiffness at once.
 
-    A `Feedback` asks for an acceleration beside that of the wish. The torque for it, and the wished stiffness, are
-    turned into pressures by the inverse of the map from (p1, p2) to (torque, stiffness), which is affine at a given
-    angle (`AntagonisticJoint.affine_map`; for other laws it is taken as a secant, one Newton step a period):
+    A `Feedback` adds an acceleration to that of the reference. The torque for it (`Load.required_torque`) and the
+    stiffness setpoint give pressures by the inverse of the map from (p1, p2) to (torque, stiffness), affine at a given
+    angle (`AntagonisticJoint.affine_map`; for other laws the secant, one Newton step a period):
 
     .. math::
 
-        \tau_w = I\,(\ddot\theta_r(t + T) + a(e, \dot e) - \hat d) + c\,\hat\omega - \tau_g(\theta_T) - \tau_f,
-        \quad (\tau_w, K_r) \to p_w \;\text{at}\; \theta_T = \theta + T\hat\omega
+        \tau_c = I\,(\ddot\theta_r(t + T) + a(e, \dot e) - \hat d) + c\,\hat\omega - \tau_g(\theta_T) - \tau_f,
+        \quad (\tau_c, K_r) \to p_c \;\text{at}\; \theta_T = \theta + T\hat\omega
 
-    and the valves, believed to lag by :math:`\tau_v`, are driven so that the pressures follow with the lag T of the
-    feedback, whether that is shorter or longer than their own:
+    The commands to the valves, of time constant :math:`\tau_v`, make the pressures follow with the lag T of the
+    feedback, shorter or longer than their own:
 
-    .. math:: p_{command} = p + \frac{1 - e^{-h/T}}{1 - e^{-h/\tau_v}} (p_w - p)
+    .. math:: p_{command} = p + \frac{1 - e^{-h/T}}{1 - e^{-h/\tau_v}} (p_c - p)
 
-    p is measured (and passes a `PressureObserver`), so that what a valve did not do is asked for again. T is a part of
-    the design, not a delay left over: inverting at the angle where the joint will be makes
-    :math:`T \dot a + a = \ddot\theta_r(t + T) + a(e, \dot e)` exact, for which the feedback has placed its poles.
+    p is the estimate of a `PressureObserver`, so that what a valve did not do is commanded again. T is a design
+    parameter: the inverse at the predicted angle theta_T makes
+    :math:`T \dot a + a = \ddot\theta_r(t + T) + a(e, \dot e)` exact, for which the feedback places its poles.
 
-    The torque comes first: where torque and stiffness cannot both be had, the pressures are those of the line of
-    constant torque that come nearest to the stiffness. The limits are those of the pressures (now, and as far as a
-    command within them can move a pressure in time), of the specimens' rated force, and a tension that no muscle goes
-    below. So no command leaves the limits, a muscle does not go slack, and a step of the stiffness moves both pressures
-    along one straight line on which the torque stays, however slow the valves are.
+    The torque has priority: where torque and stiffness are not attainable together, the stiffness is the nearest on the
+    line of constant torque. Limits: the pressures (now, and within the speed of the valves), the specimens' rated force
+    and a minimum tension. So commands are bounded, no muscle goes slack by the model, and a step of the stiffness moves
+    both pressures along a straight line of constant torque, however slow the valves.
 
-    The velocity is not measured: an `Observer` has it, and what the model has wrong if it is an
-    `ExtendedStateObserver` (then this is active disturbance rejection control). It is told the torque that the model
-    gives at the *measured* pressures, so that neither lag nor limits wind it up.
+    The velocity comes from an `Observer`, with an `ExtendedStateObserver` also the disturbance (active disturbance
+    rejection control). It gets the model's torque at the *measured* pressures, so that neither lag nor limits wind it
+    up.
 
     Parameters
     ----------
     model
-        What it believes of the joint.
+        Model of the joint.
     load
-        What it believes of inertia, damping and gravity.
+        Model of inertia, damping and gravity.
     feedback
-        The outer loop: `PolePlacement` or `SlidingMode`.
+        Outer loop: `PolePlacement` or `SlidingMode`.
     observer
         `VelocityObserver` or `ExtendedStateObserver`.
     pressure_observer
-        What it makes of the pressures' sensors.
+        Filter of the measured pressures.
     valve_time_constant
-        tau_v [s], as it believes; 0 for valves without lag.
+        tau_v [s] of the model; 0 for valves without lag.
     minimum_tension
-        Below which no muscle shall go [N].
+        Lower limit of each muscle's tension [N].
     friction_compensation
-        Whether to make up for the friction of the model's muscles, drawn along the wish as `FrictionCompensation` does.
-        The observer is told of it; around this controller that wrapper would make up for friction twice.
+        Whether to compensate the friction of the model's muscles along the reference, as `FrictionCompensation` does.
+        The observer accounts for it; do not wrap this controller in `FrictionCompensation`.
     adaptation
-        Corrects the strength of the model's muscles on line; none unless given.
+        On-line correction of the strength of the model's muscles; none unless given.
 
     Examples
     --------
@@ -110,36 +115,35 @@ class DecouplingControl(ModelBasedControl):
         return self.observer, self.pressure_observer
 
     def init(self, measurement: Measurement) -> DecouplingState:
-        return DecouplingState(self.believed_first(measurement), self.feedback.init(jnp.zeros_like(measurement.angle)))
+        return DecouplingState(self.init_estimates(measurement), self.feedback.init(jnp.zeros_like(measurement.angle)))
 
     def step(
         self, state: DecouplingState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[DecouplingState, Pair]:
-        angle = measurement.angle
-        inertia, lag = self.load.total_inertia, self.feedback.lag
-        beliefs, model = self.believed(state.beliefs, setpoint, measurement, period)
-        motion, pressures, course = beliefs.motion, beliefs.pressures, beliefs.course
+        lag = self.feedback.lag
+        estimates, model = self.update(state.estimates, setpoint, measurement, period)
+        motion, pressures, reference = estimates.motion, estimates.pressures, estimates.reference
 
-        error, rate = setpoint.angle - angle, course.velocity - motion.velocity
-        memory, correction = self.feedback.step(state.feedback, error, rate, period)
-        acceleration = course.ahead(lag, period) + correction - motion.disturbance
-        there = motion.angle + lag * motion.velocity
-        resisting = self.load.gravity_torque(there) - self.load.damping * motion.velocity
-        wanted = inertia * acceleration - resisting - beliefs.friction
+        error, rate = setpoint.angle - measurement.angle, reference.velocity - motion.velocity
+        feedback, correction = self.feedback.step(state.feedback, error, rate, period)
+        acceleration = reference.acceleration_after(lag, period) + correction - motion.disturbance
+        angle = motion.angle + lag * motion.velocity
+        torque = self.load.required_torque(angle, motion.velocity, acceleration) - estimates.friction
 
-        speed = (1 - exp(-jnp.asarray(period) / lag)) / self.share(period)
-        choose = functools.partial(self._choose, model)
-        chosen = apart(choose, there, pressures, wanted, setpoint.stiffness, speed, witness=period)
-        (pressure1, pressure2), (wished1, wished2) = pressures, chosen.pressures
-        commands = self.held((pressure1 + speed * (wished1 - pressure1), pressure2 + speed * (wished2 - pressure2)))
+        speed = (1 - exp(-jnp.asarray(period) / lag)) / self.valve_fraction(period)
+        allocation = self._allocate(model, angle, pressures, torque, setpoint.stiffness, speed)
+        (p1, p2), (target1, target2) = pressures, allocation.pressures
+        commands, _ = clip_commands(self.model, (p1 + speed * (target1 - p1), p2 + speed * (target2 - p2)))  # rounding
 
-        memory = self.feedback.realised(memory, (wanted - chosen.torque) / inertia, period)
-        return DecouplingState(beliefs._replace(commands=commands, saturated=chosen.cut), memory), commands
+        feedback = self.feedback.track(feedback, (torque - allocation.torque) / self.load.total_inertia, period)
+        estimates = estimates._replace(commands=commands, saturated=allocation.saturated)
+        return DecouplingState(estimates, feedback), commands
 
     def telemetry(self, state: DecouplingState) -> dict[str, Scalar]:
-        return self.told(state.beliefs)
+        return self.estimates_telemetry(state.estimates)
 
-    def _choose(
+    @computed_once
+    def _allocate(
         self,
         model: AntagonisticJoint,
         angle: Scalar,
@@ -147,18 +151,16 @@ class DecouplingControl(ModelBasedControl):
         torque: Scalar,
         stiffness: Scalar,
         speed: Scalar,
-    ) -> Chosen:
-        """The pressures [Pa] wanted at an angle [rad], which commands within limits can bring about in time."""
-        lowest, highest = pressures_between(model, angle, self.minimum_tension)
+    ) -> Allocation:
+        """Pressures [Pa] for a torque and a stiffness at an angle [rad], attainable with commands within limits."""
+        lowest, highest = pressure_range(model, angle, self.minimum_tension)
         low, high = pressure_limits_of(model)
 
-        def window(i: int) -> tuple[Scalar, Scalar, Scalar]:
-            """Lowest and highest pressure of a muscle, and the nearest to where it is that keeps it taut."""
-            pressure = pressures[i]
-            upper = jnp.minimum(highest[i], pressure + (high[i] - pressure) / speed)
-            lower = jnp.maximum(lowest[i], pressure + (low[i] - pressure) / speed)
-            return jnp.minimum(lower, upper), upper, jnp.maximum(pressure, lowest[i])
+        def window(i: int) -> tuple[Scalar, Scalar]:
+            """Lower and upper limit of a pressure, within the speed of its valve."""
+            upper = jnp.minimum(highest[i], pressures[i] + (high[i] - pressures[i]) / speed)
+            return jnp.minimum(jnp.maximum(lowest[i], pressures[i] + (low[i] - pressures[i]) / speed), upper), upper
 
-        (lower1, upper1, taut1), (lower2, upper2, taut2) = window(0), window(1)
-        affine = map_at(model, angle, (taut1, taut2))
-        return torque_first(affine, torque, stiffness, (lower1, lower2), (upper1, upper2))
+        (lower1, upper1), (lower2, upper2) = window(0), window(1)
+        affine = linearise(model, angle, keep_taut(pressures, lowest))
+        return prioritise_torque(affine, torque, stiffness, (lower1, lower2), (upper1, upper2))

@@ -1,4 +1,4 @@
-"""Feedback from the angle error to an acceleration: pole placement and sliding mode."""
+"""Feedback from angle error to acceleration: pole placement and sliding mode."""
 
 import abc
 from typing import Any
@@ -11,66 +11,65 @@ from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import floating
 from mckibben.units import AngularAcceleration, Bandwidth, PositiveRate, PositiveTime
 
-# No `from __future__ import annotations` here: equinox does not see an AbstractVar written as text.
-
+# No `from __future__ import annotations`: equinox does not see an AbstractVar written as text.
 
 Scalar = Float[Array, ""]
 
 
 class Feedback(eqx.Module):
-    r"""The outer loop of a controller that has made the joint :math:`\ddot\theta = a`, where a follows with a lag.
+    r"""Outer loop of a linearised joint, :math:`\ddot\theta = a`, whose acceleration lags its command a_c.
 
-    .. math:: T \dot a + a = a_{wanted}
+    .. math:: T \dot a + a = a_c
 
     Attributes
     ----------
     lag
-        T [s]: how fast the acceleration, and so the pressures, have to follow.
+        T [s], time constant required of the acceleration, and so of the pressures.
     """
 
     lag: eqx.AbstractVar[Any]
 
     @abc.abstractmethod
     def init(self, error: ArrayLike) -> Any:
-        """The state before the first step, at an error [rad]."""
+        """Return the state before the first step, at an error [rad]."""
 
     @abc.abstractmethod
     def step(self, state: Any, error: ArrayLike, rate: ArrayLike, period: ArrayLike) -> tuple[Any, Scalar]:
-        """The next state and the acceleration [rad/s^2].
+        """Return the next state and the commanded acceleration [rad/s^2].
 
         Parameters
         ----------
         state
-            From `init` or `realised`.
+            From `init` or `track`.
         error, rate
-            Wish minus angle [rad], and its rate [rad/s].
+            Reference minus angle [rad], and its rate [rad/s].
         period
-            The control period [s].
+            Control period [s].
         """
 
     @abc.abstractmethod
-    def realised(self, state: Any, missing: ArrayLike, period: ArrayLike) -> Any:
-        """The state once it is known how much acceleration [rad/s^2] the joint could not give: anti-windup."""
+    def track(self, state: Any, shortfall: ArrayLike, period: ArrayLike) -> Any:
+        """Return the state after a command whose acceleration fell short [rad/s^2] (anti-windup)."""
 
 
 class PolePlacement(Feedback):
-    r"""All poles of the closed loop at one place, :math:`s = -\omega_c`.
+    r"""All poles of the closed loop at :math:`s = -\omega_c`.
 
     .. math:: a = k_d \dot e + k_p e \; [+ k_i \int e], \quad
               T s^3 + s^2 + k_d s + k_p = T (s + \omega_c)^3
 
     so that :math:`T = 1/(3\omega_c), k_d = \omega_c, k_p = \omega_c^2/3`. With an integral there are four poles:
-    :math:`T = 1/(4\omega_c), k_d = 3\omega_c/2, k_p = \omega_c^2, k_i = \omega_c^3/4`. Beside an observer of the
-    disturbance it is of no use, without one it takes away what a wrong model leaves.
+    :math:`T = 1/(4\omega_c), k_d = 3\omega_c/2, k_p = \omega_c^2, k_i = \omega_c^3/4`. The integral removes the static
+    error of a wrong model; beside a disturbance observer it is redundant.
 
-    With a lag that is g times slower than believed the loop is stable up to g = 9 (5 with the integral).
+    With a lag g times that of the model the loop is stable up to g = 9 (5 with the integral).
 
     Parameters
     ----------
     bandwidth
         omega_c [rad/s].
     integral
-        Whether there is one.
+        Whether to add the integral.
 
     References
     ----------
@@ -85,7 +84,7 @@ class PolePlacement(Feedback):
 
     @property
     def lag(self) -> Any:
-        """T [s], which places the poles with the gains."""
+        """T [s]."""
         return 1 / (4 * self.bandwidth) if self.integral else 1 / (3 * self.bandwidth)
 
     def init(self, error: ArrayLike) -> Scalar:
@@ -98,8 +97,8 @@ class PolePlacement(Feedback):
         state = state + period * pole**3 / 4 * error
         return state, 1.5 * pole * rate + pole**2 * error + state
 
-    def realised(self, state: Scalar, missing: ArrayLike, period: ArrayLike) -> Scalar:
-        return state - period * self.bandwidth * missing if self.integral else state
+    def track(self, state: Scalar, shortfall: ArrayLike, period: ArrayLike) -> Scalar:
+        return state - period * self.bandwidth * shortfall if self.integral else state
 
 
 class SlidingMode(Feedback):
@@ -107,9 +106,9 @@ class SlidingMode(Feedback):
 
     .. math:: s = \dot e + \lambda e, \quad a = \lambda \dot e + \rho\, \mathrm{sat}(s / \phi)
 
-    Outside the layer :math:`|s| < \phi` the surface s = 0 is reached whatever disturbance below rho there is; inside it
-    is a PD loop, and a disturbance d leaves an error of :math:`\phi d / (\lambda \rho)`. A layer of no width would
-    chatter: the pressures follow with the lag T only, and stability inside asks for
+    Outside the layer :math:`|s| < \phi` the surface s = 0 is reached under any disturbance below rho; inside, the loop
+    is PD, and a disturbance d leaves an error of :math:`\phi d / (\lambda \rho)`. A layer of zero width would chatter:
+    the pressures follow with the lag T, and stability inside requires
     :math:`\lambda + \rho/\phi > T \lambda \rho/\phi`.
 
     Parameters
@@ -146,5 +145,5 @@ class SlidingMode(Feedback):
         surface = rate + self.slope * jnp.asarray(error)
         return state, self.slope * jnp.asarray(rate) + self.reach * jnp.clip(surface / self.layer, -1.0, 1.0)
 
-    def realised(self, state: tuple[()], missing: ArrayLike, period: ArrayLike) -> tuple[()]:
+    def track(self, state: tuple[()], shortfall: ArrayLike, period: ArrayLike) -> tuple[()]:
         return state

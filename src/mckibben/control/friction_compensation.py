@@ -1,4 +1,4 @@
-"""Feed-forward of friction: what a model of the muscles' hysteresis expects along the wish is made up for."""
+"""Feedforward compensation of friction by a model of the muscles' hysteresis."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.control.allocation import clip_commands, limit_commands
 from mckibben.control.base import Controller, Measurement, Setpoint
-from mckibben.control.position_stiffness import within_limits
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import MuscleStates
-from mckibben.joint.attainable import pressure_limits_of
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_kind
 
@@ -21,10 +20,7 @@ Scalar = Float[Array, ""]
 
 
 class FrictionCompensationState(NamedTuple):
-    """The state of the controller inside; internal states of the model's muscles; the friction torque expected [N*m].
-
-    And whether a command was at a limit.
-    """
+    """States of inner controller and muscles, friction torque [N*m], and whether a command met a limit."""
 
     inner: Any
     muscles: MuscleStates
@@ -33,27 +29,25 @@ class FrictionCompensationState(NamedTuple):
 
 
 class FrictionCompensation(Controller):
-    r"""A controller, and on top of its differential pressure what friction will take.
+    r"""Wrapper that adds the pressures to overcome friction to a controller's commands.
 
     .. math:: p_d \leftarrow p_d - \tau_f \Big/ \frac{\partial\tau}{\partial p_d}
 
-    The model's muscles are drawn along the *desired* angle, at the measured pressures, and :math:`\tau_f` is the
-    torque of their rate-independent friction there. The measured angle would be the other choice. It is not taken,
-    because near a reversal the joint sticks while the wish already turns: friction would be made up for in the wrong
-    direction until the joint has moved, and the estimate would be fed back on itself, which rings or creeps once it is
-    a little too large. Along the wish it leads and cannot make the loop unstable, and presliding makes it continuous,
-    so that it does not chatter. What it gets wrong is left to the feedback.
+    :math:`\tau_f` is the rate-independent friction torque of the model's muscles along the *reference* angle at the
+    measured pressures. Along the measured angle it would have the wrong sign near a reversal, where the joint sticks
+    while the reference already turns, and its feedback causes limit cycles or drift once friction is overestimated. As
+    a feedforward it cannot make the loop unstable, and presliding makes it continuous, without chatter.
 
-    Viscous friction is not made up for: a step of the wish would be a kick. Where the shift meets a limit of the
-    pressure, the controller inside is not told; its integral sees the error that this leaves. A minimum tension of the
-    controller inside is kept with the shift as well.
+    Viscous friction is not compensated: a step of the reference would cause a kick. Limits that the shift meets are not
+    fed back to the inner controller; its integral sees the remaining error. A minimum tension of the inner controller
+    holds for the shifted commands as well.
 
     Parameters
     ----------
     controller
-        What it wraps.
+        Inner controller.
     model
-        A joint whose muscles have friction: what the controller believes of it.
+        Model of the joint, with muscles that have friction.
     """
 
     controller: Controller
@@ -73,8 +67,8 @@ class FrictionCompensation(Controller):
 
     def init(self, measurement: Measurement) -> FrictionCompensationState:
         muscles = self.model.init_state(measurement.angle, measurement.pressures)
-        nothing = jnp.zeros_like(measurement.angle)
-        return FrictionCompensationState(self.controller.init(measurement), muscles, nothing, jnp.asarray(False))
+        zero = jnp.zeros_like(measurement.angle)
+        return FrictionCompensationState(self.controller.init(measurement), muscles, zero, jnp.asarray(False))
 
     def step(
         self,
@@ -91,15 +85,11 @@ class FrictionCompensation(Controller):
 
         tension = getattr(self.controller, "minimum_tension", None)
         if tension is None:
-            lowest, highest = pressure_limits_of(self.model)
-            wanted1, wanted2 = command1 - shift, command2 + shift
-            shifted1 = jnp.clip(wanted1, lowest[0], highest[0])
-            shifted2 = jnp.clip(wanted2, lowest[1], highest[1])
-            saturated = (shifted1 != wanted1) | (shifted2 != wanted2)
+            shifted, saturated = clip_commands(self.model, (command1 - shift, command2 + shift))
         else:
-            asked = (command2 - command1) / 2 + shift, (command1 + command2) / 2
-            (shifted1, shifted2), saturated = within_limits(self.model, tension, measurement.angle, asked, period)
-        return FrictionCompensationState(inner, muscles, torque, saturated), (shifted1, shifted2)
+            differential, cocontraction = (command2 - command1) / 2 + shift, (command1 + command2) / 2
+            shifted, saturated = limit_commands(self.model, tension, measurement.angle, differential, cocontraction)
+        return FrictionCompensationState(inner, muscles, torque, saturated), shifted
 
     def telemetry(self, state: FrictionCompensationState) -> dict[str, Scalar]:
         inner = self.controller.telemetry(state.inner)
@@ -107,7 +97,7 @@ class FrictionCompensation(Controller):
         return {**inner, "saturated": saturated, "friction_compensation": state.torque}
 
     def _pressure_per_torque(self, measurement: Measurement) -> Scalar:
-        """Change of the differential pressure [Pa] per torque [N*m]; 0 where both muscles are slack."""
+        """Differential pressure per torque [Pa/(N*m)]; 0 where both muscles are slack."""
         angle, (pressure1, pressure2) = measurement
         zero = jnp.zeros_like(pressure1)
         slope = derivative(lambda pd: self.model.torque(angle, (pressure1 - pd, pressure2 + pd)), zero)

@@ -1,4 +1,4 @@
-"""BP as a feed-forward: a small network that learns the inverse of the joint on line, in parallel with two loops."""
+"""Feedforward by an inverse model of the joint, learned on line by a small network, beside two loops."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from mckibben.control.allocation import map_at, pressures_between, torque_first
+from mckibben.control.allocation import keep_taut, linearise, pressure_range, prioritise_torque
 from mckibben.control.backprop import Network
 from mckibben.control.base import Controller, Measurement, Setpoint
-from mckibben.control.position_stiffness import Forward, PositionStiffnessControl, PositionStiffnessState
-from mckibben.control.reference import Course, followed, standing
+from mckibben.control.position_stiffness import Feedforward, PositionStiffnessControl, PositionStiffnessState
+from mckibben.control.reference import ReferenceDerivatives
 from mckibben.joint import Load
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.batching import apart
+from mckibben.numerics.batching import computed_once
 from mckibben.numerics.checks import check_kind, check_positive
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import (
@@ -33,37 +33,29 @@ from mckibben.units import (
 
 Scalar = Float[Array, ""]
 
-_WEIGHTS = 5.0  # no weight goes beyond it
-_TAUT = 1.0  # N: below it a pressure says nothing about the motion, and nothing is learned from it
+_WEIGHT_LIMIT = 5.0
+_TAUT = 1.0  # N: below it a pressure does not determine the motion, and learning stops
 
 
-class Smoothed(NamedTuple):
-    """A signal behind two equal filters of first order, and what came out of the first."""
+class FilteredSignal(NamedTuple):
+    """Signal behind two equal first-order filters, and the output of the first."""
 
     value: Scalar
-    between: Scalar
+    first: Scalar
 
 
-class Moved(NamedTuple):
-    """What there was, all behind the same filters: motion, pressures and the model's stiffness.
+class MeasuredMotion(NamedTuple):
+    """Filtered angle [rad], model stiffness [N*m/rad], pressures [Pa], and the velocity of the angle [rad/s]."""
 
-    Attributes
-    ----------
-    angle, stiffness, pressure1, pressure2
-        [rad], [N*m/rad], [Pa].
-    velocity
-        Of the angle [rad/s].
-    """
-
-    angle: Smoothed
-    stiffness: Smoothed
-    pressure1: Smoothed
-    pressure2: Smoothed
+    angle: FilteredSignal
+    stiffness: FilteredSignal
+    pressure1: FilteredSignal
+    pressure2: FilteredSignal
     velocity: Scalar
 
 
-class Motion(NamedTuple):
-    """What pressures are wanted for: angle [rad], velocity [rad/s], acceleration [rad/s^2], stiffness [N*m/rad]."""
+class InverseInput(NamedTuple):
+    """Input of the inverse: angle [rad], velocity [rad/s], acceleration [rad/s^2], stiffness [N*m/rad]."""
 
     angle: Scalar
     velocity: Scalar
@@ -71,8 +63,8 @@ class Motion(NamedTuple):
     stiffness: Scalar
 
 
-class Start(NamedTuple):
-    """Where it all began: the stiffness [N*m/rad], and what the model had wrong about the pressures [Pa] there."""
+class InitialOffset(NamedTuple):
+    """Initial stiffness [N*m/rad], and pressures [Pa] less those of the model there."""
 
     stiffness: Scalar
     differential: Scalar
@@ -80,77 +72,69 @@ class Start(NamedTuple):
 
 
 class InverseModelState(NamedTuple):
-    """The state of the loops, how the wish moves and how far it came, what there was, the weights; and what is told.
-
-    That is the feed-forward, and what the learned inverse was off for the last motion: differential pressure and
-    co-contraction [Pa].
-    """
+    """State of loops, reference, filters and network; feedforward and error of the inverse [Pa] as (pd, pc)."""
 
     loops: PositionStiffnessState
-    course: Course
+    reference: ReferenceDerivatives
     path: Scalar
-    moved: Moved
+    measured: MeasuredMotion
     network: Network
-    start: Start
-    forward: Pair
-    off: Pair
+    offset: InitialOffset
+    feedforward: Pair
+    error: Pair
 
 
 class InverseModelControl(Controller):
-    r"""Two loops, and beside them the pressures that a learned inverse of the joint gives for the wish.
+    r"""Feedforward pressures from a learned inverse of the joint, beside a position and a stiffness loop.
 
-    The inverse is that of a model, if there is a `load`, and a network with one hidden layer on top of it (without a
-    load the network alone),
+    The inverse is that of a model, if there is a `load`, plus a network with one hidden layer (without a load the
+    network alone),
 
     .. math:: (p_d, p_c) = M(x) + p_0 + p_s\,[W (\tanh(V \bar x), 1)], \quad
               x = (\theta, \dot\theta, \ddot\theta, K), \quad \bar x = (x / x_s, 1)
 
-    M turns the torque :math:`I \ddot\theta + c \dot\theta - \tau_g(\theta)` and the stiffness into pressures, the
-    torque first; p_0 is what makes it right where it starts, so that the loops begin with nothing to do. As
-    feed-forward x is the wish where it will be after the lag of the valves. To learn, x is what the joint *did*, and
-    the target the pressures that were there (direct inverse learning): whatever moved the joint, the network is told
-    which pressures go with that motion. Angle, stiffness (by the model) and pressures pass the same two filters, whose
-    differences are velocity and acceleration, so that no signal lags behind another. Each period both layers take one
-    step down the gradient of the squared error e of that, with the network's slope J normalised by its size:
+    M maps the torque of the motion (`Load.required_torque`) and the stiffness to pressures, with priority to the
+    torque; p_0 makes it exact at the start. The feedforward has x of the reference after the lag of the valves. The
+    training has x of the *measured* motion and the measured pressures as the target (direct inverse learning). Angle,
+    stiffness (by the model) and pressures pass the same two filters, whose differences are velocity and acceleration,
+    so that all signals have the same delay. Each period both layers take one normalised gradient step on the squared
+    error e, with the Jacobian J of the network:
 
     .. math:: \Delta w = \eta h\, \frac{J^T e / p_s}{1 + |J|^2}
 
-    A step takes away at most the part :math:`\eta h` of the error, and not more than all of it: that is why it does
-    not run away. Beside that the weights are bounded, an error counts up to p_s, and nothing is learned from a slack
-    muscle. Learning needs not stop at a limit of the pressures: there, too, they are what made the motion. The output
-    layer starts at zero, the hidden one at random.
+    A step removes at most the fraction :math:`\eta h \le 1` of the error, which makes it stable. Weights are bounded,
+    an error is clipped to p_s, and nothing is learned from a slack muscle; learning goes on in saturation, where the
+    pressures still determine the motion. The output layer starts at zero, the hidden one at random.
 
-    Feedback-error learning (Kawato), where the output of the loops is the error, was tried on the same conditions: at
-    every rate that lowered the median it made the worst runs worse or lost some. A momentum of 0.9 made the error
-    larger, and there is none.
+    Feedback-error learning (Kawato), with the output of the loops as the error, was tried under the same conditions: at
+    each rate that lowered the median error it raised the worst or diverged. A momentum of 0.9 raised the error.
 
-    A feed-forward that knows how the wish moves must not be held back by a derivative of the measurement. The position
-    loop therefore sees wish and measurement from a place that moves along with the wish (jumps left out). With a
-    learning rate of zero, no load, and a wish that stands or jumps, this is the `PositionStiffnessControl` that it
-    wraps; with one that moves, it is the same with `derivative_on_error`. Of a `BackpropPID` the network sees no more
-    than jumps and errors then. What is learned has the friction in it: `FrictionCompensation` around this would make up
-    for that twice.
+    The derivative of the measurement would oppose the feedforward. The position loop therefore works relative to the
+    reference without its jumps. With a learning rate of zero, no load and a reference that is constant or jumps, this
+    is the `PositionStiffnessControl` that it wraps; otherwise the same with `derivative_on_error`, and the network of a
+    `BackpropPID` sees jumps and errors only. The learned inverse includes friction: do not wrap this controller in
+    `FrictionCompensation`.
 
     Parameters
     ----------
     loops
-        The two loops, their model, and the minimum tension.
+        The two loops, with their model and minimum tension.
     load
-        What it believes of inertia, damping and gravity; None for a network that starts from nothing.
+        Model of inertia, damping and gravity; None for the network alone.
     learning_rate
-        eta [1/s]; 0 to learn nothing.
+        eta [1/s]; 0 for none.
     hidden
-        The number of hidden neurons.
+        Number of hidden neurons.
     valve_time_constant
-        The lag [s] of the valves, as it believes: how far the feed-forward looks ahead.
+        Lag [s] of the model's valves, the preview of the feedforward.
     filter_bandwidth
-        Of the filters [rad/s]: faster than the motion, slower than the noise of the encoder.
+        Bandwidth of the filters [rad/s]: above the motion, below the noise of the encoder.
     angle_scale, velocity_scale, acceleration_scale, stiffness_scale
-        The usual size of what the network sees, in SI; the stiffness is counted from where it starts.
+        x_s, typical magnitude of the inputs, in SI; of the stiffness relative to its initial value.
     pressure_scale
-        p_s [Pa], the usual size of what the inverse has to give (or of what the model has wrong).
+        p_s [Pa], typical output of the network.
     seed
-        Of the hidden layer's weights.
+        Seed of the hidden layer's weights.
 
     References
     ----------
@@ -194,156 +178,158 @@ class InverseModelControl(Controller):
 
     @property
     def minimum_tension(self) -> float | None:
-        """Below which no muscle shall go [N]: that of the loops."""
+        """Lower limit of each muscle's tension [N], that of the loops."""
         return self.loops.minimum_tension
 
     def init(self, measurement: Measurement) -> InverseModelState:
         angle, pressures = measurement
-        nothing = jnp.zeros_like(floating(angle))
-        estimate = self.loops.model.stiffness(angle, pressures)
+        zero = jnp.zeros_like(floating(angle))
+        stiffness = self.loops.model.evaluate(angle, pressures)[1]
         weights = jax.random.uniform(jax.random.key(self.seed), (self.hidden, 5), minval=-1.0, maxval=1.0)
-        network = Network(weights.astype(nothing.dtype), jnp.zeros((2, self.hidden + 1), nothing.dtype))
-        differential, cocontraction = self._modelled(Motion(angle, nothing, nothing, estimate), pressures, 1.0)
+        network = Network(weights.astype(zero.dtype), jnp.zeros((2, self.hidden + 1), zero.dtype))
+        differential, cocontraction = self._model_inverse(InverseInput(angle, zero, zero, stiffness), pressures)
         pressure1, pressure2 = pressures
-        forward = Forward((pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2, nothing)
-        start = Start(floating(estimate), forward.differential - differential, forward.cocontraction - cocontraction)
+        feedforward = Feedforward((pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2, zero)
 
-        def still(x: ArrayLike) -> Smoothed:
-            return Smoothed(floating(x), floating(x))
+        def constant(x: ArrayLike) -> FilteredSignal:
+            return FilteredSignal(floating(x), floating(x))
 
         return InverseModelState(
-            loops=self.loops.init_beside(forward, measurement),
-            course=standing(angle),
-            path=nothing,
-            moved=Moved(still(angle), still(estimate), still(pressure1), still(pressure2), nothing),
+            loops=self.loops.init_with(feedforward, measurement),
+            reference=ReferenceDerivatives.init(angle),
+            path=zero,
+            measured=MeasuredMotion(
+                constant(angle), constant(stiffness), constant(pressure1), constant(pressure2), zero
+            ),
             network=network,
-            start=start,
-            forward=forward[:2],
-            off=(nothing, nothing),
+            offset=InitialOffset(
+                floating(stiffness), feedforward.differential - differential, feedforward.cocontraction - cocontraction
+            ),
+            feedforward=feedforward[:2],
+            error=(zero, zero),
         )
 
     def step(
         self, state: InverseModelState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[InverseModelState, Pair]:
-        course = followed(state.course, setpoint.angle, period)
-        # What the wish did since the last sample is on its path unless it jumped, or never was there before.
-        path = state.path + jnp.where(course.since >= 1.0, period * course.velocity, 0.0)
-        wish = self._ahead(course, setpoint.stiffness, period)
-        modelled = self._modelled(wish, measurement.pressures, period)
-        learned, _ = self._learned(state.network, wish, state.start)
-        differential = modelled[0] + state.start.differential + learned[0]
-        forward = Forward(differential, modelled[1] + state.start.cocontraction + learned[1], path)
-        loops, commands = self.loops.step_beside(forward, state.loops, setpoint, measurement, period)
+        reference, offset = state.reference.update(setpoint.angle, period), state.offset
+        path = state.path + jnp.where(reference.samples_since_jump >= 1.0, period * reference.velocity, 0.0)
+        target = self._preview(reference, setpoint.stiffness, period)
+        differential, cocontraction = self._model_inverse(target, measurement.pressures)
+        learned, _ = self._network_output(state.network, target, offset)
+        feedforward = Feedforward(
+            differential + offset.differential + learned[0], cocontraction + offset.cocontraction + learned[1], path
+        )
+        loops, commands = self.loops.step_with(feedforward, state.loops, setpoint, measurement, period)
 
-        moved, acceleration = self._moved(state.moved, measurement, loops.estimate, period)
-        network, off = self._taught(state.network, moved, acceleration, state.start, period)
-        return InverseModelState(loops, course, path, moved, network, state.start, forward[:2], off), commands
+        measured, acceleration = self._filter(state.measured, measurement, loops.estimate, period)
+        network, error = self._train(state.network, measured, acceleration, offset, period)
+        return InverseModelState(loops, reference, path, measured, network, offset, feedforward[:2], error), commands
 
     def telemetry(self, state: InverseModelState) -> dict[str, Scalar]:
         return {
             **self.loops.telemetry(state.loops),
-            "forward_differential": state.forward[0],
-            "forward_cocontraction": state.forward[1],
-            "inverse_error_differential": state.off[0],
-            "inverse_error_cocontraction": state.off[1],
+            "feedforward_differential": state.feedforward[0],
+            "feedforward_cocontraction": state.feedforward[1],
+            "inverse_error_differential": state.error[0],
+            "inverse_error_cocontraction": state.error[1],
         }
 
-    def _ahead(self, course: Course, stiffness: Scalar, period: ArrayLike) -> Motion:
-        """The wish after the valves' lag."""
+    def _preview(self, reference: ReferenceDerivatives, stiffness: Scalar, period: ArrayLike) -> InverseInput:
+        """Reference after the valves' lag."""
         lag = jnp.asarray(self.valve_time_constant)
-        velocity = course.velocity + lag * course.acceleration
-        angle = course.angle + lag * (course.velocity + lag / 2 * course.acceleration)
-        return Motion(angle, velocity, course.ahead(lag, period), stiffness)
+        velocity = reference.velocity + lag * reference.acceleration
+        angle = reference.angle + lag * (reference.velocity + lag / 2 * reference.acceleration)
+        return InverseInput(angle, velocity, reference.acceleration_after(lag, period), stiffness)
 
-    def _torque(self, load: Load, motion: Motion) -> Scalar:
-        """What a motion takes, as the load is believed to be [N*m]."""
-        resisting = load.gravity_torque(motion.angle) - load.damping * motion.velocity
-        return load.total_inertia * motion.acceleration - resisting
-
-    def _modelled(self, motion: Motion, pressures: Pair, period: ArrayLike) -> Pair:
-        """Differential pressure and co-contraction [Pa] for a motion, by the model, within the limits."""
-        load, model = self.load, self.loops.model
-        if load is None:
-            return jnp.zeros_like(motion.angle), jnp.zeros_like(motion.angle)
-        tension = _TAUT if self.minimum_tension is None else self.minimum_tension
-
-        def chosen(motion: Motion, pressures: Pair) -> Pair:
-            lowest, highest = pressures_between(model, motion.angle, tension)
-            taut = jnp.maximum(pressures[0], lowest[0]), jnp.maximum(pressures[1], lowest[1])
-            affine = map_at(model, motion.angle, taut)
-            return torque_first(affine, self._torque(load, motion), motion.stiffness, lowest, highest).pressures
-
-        pressure1, pressure2 = apart(chosen, motion, pressures, witness=period)
+    def _model_inverse(self, x: InverseInput, pressures: Pair) -> Pair:
+        """Differential pressure and co-contraction [Pa] by the model, within limits; zero without a load."""
+        if self.load is None:
+            return jnp.zeros_like(x.angle), jnp.zeros_like(x.angle)
+        pressure1, pressure2 = self._limited_inverse(self.load, x, pressures)
         return (pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2
 
-    def _learned(self, network: Network, motion: Motion, start: Start) -> tuple[Pair, tuple[Array, tuple[Scalar, ...]]]:
-        """Differential pressure and co-contraction [Pa] by the network; what its hidden layer says, and what it saw."""
+    @computed_once
+    def _limited_inverse(self, load: Load, x: InverseInput, pressures: Pair) -> Pair:
+        """Pressures [Pa] of the model within limits."""
+        tension = _TAUT if self.minimum_tension is None else self.minimum_tension
+        lowest, highest = pressure_range(self.loops.model, x.angle, tension)
+        affine = linearise(self.loops.model, x.angle, keep_taut(pressures, lowest))
+        torque = load.required_torque(x.angle, x.velocity, x.acceleration)
+        return prioritise_torque(affine, torque, x.stiffness, lowest, highest).pressures
+
+    @computed_once
+    def _unlimited_inverse(self, load: Load, x: InverseInput, pressures: Pair) -> Pair:
+        """Pressures [Pa] of the model without limits."""
+        torque = load.required_torque(x.angle, x.velocity, x.acceleration)
+        return linearise(self.loops.model, x.angle, pressures).pressures_for(torque, x.stiffness)
+
+    @computed_once
+    def _is_taut(self, angle: Scalar, pressures: Pair) -> Array:
+        """Whether both muscles are taut by the model."""
+        tension1, tension2 = self.loops.model.tensions(angle, pressures)
+        return (tension1 > _TAUT) & (tension2 > _TAUT)
+
+    def _network_output(
+        self, network: Network, x: InverseInput, offset: InitialOffset
+    ) -> tuple[Pair, tuple[Array, tuple[Scalar, ...]]]:
+        """Differential pressure and co-contraction [Pa] by the network; its hidden layer and inputs."""
         inputs = (
-            motion.angle / self.angle_scale,
-            motion.velocity / self.velocity_scale,
-            motion.acceleration / self.acceleration_scale,
-            (motion.stiffness - start.stiffness) / self.stiffness_scale,
-            jnp.ones_like(start.stiffness),
+            x.angle / self.angle_scale,
+            x.velocity / self.velocity_scale,
+            x.acceleration / self.acceleration_scale,
+            (x.stiffness - offset.stiffness) / self.stiffness_scale,
+            jnp.ones_like(offset.stiffness),
         )
-        hidden = jnp.tanh(sum(network.hidden[:, i] * x for i, x in enumerate(inputs)))
+        hidden = jnp.tanh(sum(network.hidden[:, i] * value for i, value in enumerate(inputs)))
         outputs = network.output[:, -1] + jnp.sum(network.output[:, :-1] * hidden, axis=1)
         return (self.pressure_scale * outputs[0], self.pressure_scale * outputs[1]), (hidden, inputs)
 
-    def _moved(
-        self, moved: Moved, measurement: Measurement, stiffness: Scalar, period: ArrayLike
-    ) -> tuple[Moved, Scalar]:
-        """What there was, with one measurement more, and the acceleration [rad/s^2]."""
-        share = 1 - exp(-jnp.asarray(self.filter_bandwidth) * period)
+    def _filter(
+        self, last: MeasuredMotion, measurement: Measurement, stiffness: Scalar, period: ArrayLike
+    ) -> tuple[MeasuredMotion, Scalar]:
+        """Filtered motion after a further measurement, and its acceleration [rad/s^2]."""
+        fraction = 1 - exp(-jnp.asarray(self.filter_bandwidth) * period)
 
-        def one(before: Smoothed, now: ArrayLike) -> Smoothed:
-            between = before.between + share * (now - before.between)
-            return Smoothed(before.value + share * (between - before.value), between)
+        def one(before: FilteredSignal, now: ArrayLike) -> FilteredSignal:
+            first = before.first + fraction * (now - before.first)
+            return FilteredSignal(before.value + fraction * (first - before.value), first)
 
-        angle = one(moved.angle, measurement.angle)
-        pressure1, pressure2 = measurement.pressures
-        velocity = (angle.value - moved.angle.value) / period
-        after = Moved(
+        angle, (pressure1, pressure2) = one(last.angle, measurement.angle), measurement.pressures
+        velocity = (angle.value - last.angle.value) / period
+        filtered = MeasuredMotion(
             angle,
-            one(moved.stiffness, stiffness),
-            one(moved.pressure1, pressure1),
-            one(moved.pressure2, pressure2),
+            one(last.stiffness, stiffness),
+            one(last.pressure1, pressure1),
+            one(last.pressure2, pressure2),
             velocity,
         )
-        return after, (velocity - moved.velocity) / period
+        return filtered, (velocity - last.velocity) / period
 
-    def _taught(
-        self, network: Network, moved: Moved, acceleration: Scalar, start: Start, period: ArrayLike
+    def _train(
+        self, network: Network, measured: MeasuredMotion, acceleration: Scalar, offset: InitialOffset, period: ArrayLike
     ) -> tuple[Network, Pair]:
-        """The weights after one step, and how far the inverse was off [Pa]."""
-        model, load = self.loops.model, self.load
-        angle, stiffness, pressure1, pressure2 = (each.value for each in moved[:4])
-        motion = Motion(angle, moved.velocity, acceleration, stiffness)
-        pressures = pressure1, pressure2
-        tension1, tension2 = apart(model.tensions, angle, pressures, witness=period)
-        taut = (tension1 > _TAUT) & (tension2 > _TAUT)
+        """Weights after one step, and the error of the inverse [Pa]."""
+        angle, stiffness, pressure1, pressure2 = (each.value for each in measured[:4])
+        x, pressures = InverseInput(angle, measured.velocity, acceleration, stiffness), (pressure1, pressure2)
+        is_taut = self._is_taut(angle, pressures)
 
         differential, cocontraction = (pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2
-        if load is not None:
-
-            def inverted(motion: Motion, pressures: Pair) -> Pair:
-                return map_at(model, motion.angle, pressures).pressures_for(
-                    self._torque(load, motion), motion.stiffness
-                )
-
-            first, second = apart(inverted, motion, pressures, witness=period)
+        if self.load is not None:
+            first, second = self._unlimited_inverse(self.load, x, pressures)
             differential, cocontraction = differential - (second - first) / 2, cocontraction - (first + second) / 2
+        targets = differential - offset.differential, cocontraction - offset.cocontraction
+        outputs, (hidden, inputs) = self._network_output(network, x, offset)
+        error = jax.tree.map(lambda target, output: jnp.where(is_taut, target - output, 0.0), targets, outputs)
+        clipped = jnp.stack([jnp.clip(each / self.pressure_scale, -1.0, 1.0) for each in error])
 
-        differential, cocontraction = differential - start.differential, cocontraction - start.cocontraction
-        learned, (hidden, inputs) = self._learned(network, motion, start)
-        off = tuple(jnp.where(taut, x - y, 0.0) for x, y in zip((differential, cocontraction), learned, strict=True))
-        errors = jnp.stack([jnp.clip(x / self.pressure_scale, -1.0, 1.0) for x in off])
-
-        seen, slope = jnp.concatenate([hidden, jnp.ones_like(hidden[:1])]), 1 - hidden**2
-        through = network.output[:, :-1] * slope
-        size = jnp.sum(seen**2) + jnp.sum(through**2) * sum(x**2 for x in inputs)
-        push = jnp.minimum(self.learning_rate * period, 1.0) / (1 + size) * errors
-        back = jnp.sum(through * push[:, None], axis=0)
-        moved_hidden = network.hidden + jnp.stack([back * x for x in inputs], axis=1)
-        moved_output = network.output + push[:, None] * seen
-        network = Network(jnp.clip(moved_hidden, -_WEIGHTS, _WEIGHTS), jnp.clip(moved_output, -_WEIGHTS, _WEIGHTS))
-        return network, (off[0], off[1])
+        hidden_and_bias = jnp.concatenate([hidden, jnp.ones_like(hidden[:1])])
+        by_hidden = network.output[:, :-1] * (1 - hidden**2)
+        norm_sq = jnp.sum(hidden_and_bias**2) + jnp.sum(by_hidden**2) * sum(value**2 for value in inputs)
+        step = jnp.minimum(self.learning_rate * period, 1.0) / (1 + norm_sq) * clipped
+        hidden_step = jnp.sum(by_hidden * step[:, None], axis=0)
+        network = Network(
+            network.hidden + jnp.stack([hidden_step * value for value in inputs], axis=1),
+            network.output + step[:, None] * hidden_and_bias,
+        )
+        return jax.tree.map(lambda weights: jnp.clip(weights, -_WEIGHT_LIMIT, _WEIGHT_LIMIT), network), error

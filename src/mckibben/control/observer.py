@@ -1,4 +1,4 @@
-"""What is not measured, or not well: the joint's velocity, what pushes it beside a model's torques, the pressures."""
+"""Observers of velocity, disturbance and pressures."""
 
 from __future__ import annotations
 
@@ -19,19 +19,17 @@ from mckibben.units import Bandwidth
 Scalar = Float[Array, ""]
 
 
-class Motion(NamedTuple):
-    """What an observer believes of the joint, and what it remembers.
+class MotionEstimate(NamedTuple):
+    """Estimated motion of the joint.
 
     Attributes
     ----------
-    angle
-        [rad].
-    velocity
-        [rad/s].
+    angle, velocity
+        [rad], [rad/s].
     disturbance
-        The acceleration [rad/s^2] that the model has no cause for; 0 where it is not observed.
+        Acceleration [rad/s^2] that the model does not explain; 0 where it is not observed.
     known
-        The acceleration [rad/s^2] that it has a cause for.
+        Acceleration [rad/s^2] by the model.
     """
 
     angle: Scalar
@@ -41,63 +39,62 @@ class Motion(NamedTuple):
 
     @property
     def acceleration(self) -> Scalar:
-        """All of it [rad/s^2]."""
+        """Total acceleration [rad/s^2]."""
         return self.known + self.disturbance
 
 
 class Observer(eqx.Module):
-    r"""Estimates motion from the measured angle and the acceleration that a model expects.
+    r"""Observer of the motion from the measured angle and the acceleration by a model.
 
-    Between two measurements the acceleration is taken as constant, and then every estimate is corrected by its gain
-    times what the angle is off, so that all errors die out as :math:`e^{-\omega_o t}`: all poles of the error lie at
-    :math:`\beta = e^{-\omega_o h}`.
+    Prediction at constant acceleration between two samples, then correction by the innovation of the angle. All poles
+    of the estimation error lie at :math:`\beta = e^{-\omega_o h}`.
     """
 
-    def init(self, angle: ArrayLike, known: ArrayLike) -> Motion:
-        """At rest at a measured angle [rad], where the model expects an acceleration [rad/s^2]."""
+    def init(self, angle: ArrayLike, known: ArrayLike) -> MotionEstimate:
+        """Estimate at rest at a measured angle [rad], with the model's acceleration [rad/s^2]."""
         angle = floating(angle)
-        nothing = jnp.zeros_like(angle)
-        return Motion(angle, nothing, nothing, nothing + known)
+        zero = jnp.zeros_like(angle)
+        return MotionEstimate(angle, zero, zero, zero + known)
 
-    def step(self, motion: Motion, angle: ArrayLike, known: ArrayLike, period: ArrayLike) -> Motion:
-        """What is believed after the next measurement.
+    def step(self, motion: MotionEstimate, angle: ArrayLike, known: ArrayLike, period: ArrayLike) -> MotionEstimate:
+        """Return the estimate after the next measurement.
 
         Parameters
         ----------
         motion
-            What was believed at the last one, a period ago.
+            Estimate one period ago.
         angle
-            The measured angle [rad].
+            Measured angle [rad].
         known
-            The acceleration [rad/s^2] that the model expects here and now.
+            Acceleration [rad/s^2] by the model now.
         period
-            The control period [s].
+            Control period [s].
         """
         acceleration = (motion.known + known) / 2 + motion.disturbance
-        moved = motion.angle + period * (motion.velocity + period / 2 * acceleration)
-        off = angle - moved
-        by_angle, by_velocity, by_disturbance = self.gains(period)
-        return Motion(
-            moved + by_angle * off,
-            motion.velocity + period * acceleration + by_velocity * off,
-            motion.disturbance + by_disturbance * off,
+        predicted = motion.angle + period * (motion.velocity + period / 2 * acceleration)
+        innovation = angle - predicted
+        angle_gain, velocity_gain, disturbance_gain = self.gains(period)
+        return MotionEstimate(
+            predicted + angle_gain * innovation,
+            motion.velocity + period * acceleration + velocity_gain * innovation,
+            motion.disturbance + disturbance_gain * innovation,
             floating(known),
         )
 
     @abc.abstractmethod
     def gains(self, period: ArrayLike) -> tuple[ArrayLike, ArrayLike, ArrayLike]:
-        """The corrections of angle [-], velocity [1/s] and disturbance [1/s^2] for a control period [s]."""
+        """Gains of angle [-], velocity [1/s] and disturbance [1/s^2] for a control period [s]."""
 
 
 class VelocityObserver(Observer):
-    r"""Angle and velocity: the model is taken at its word.
+    r"""Observer of angle and velocity.
 
     .. math:: l_1 = 1 - \beta^2, \quad l_2 = (1 - \beta)^2 / h, \quad \beta = e^{-\omega_o h}
 
     Parameters
     ----------
     bandwidth
-        omega_o [rad/s]. With a model that misses an acceleration a it reads the velocity wrong by 2 a / omega_o.
+        omega_o [rad/s]. An unmodelled acceleration a biases the velocity by 2 a / omega_o.
 
     References
     ----------
@@ -155,18 +152,17 @@ class ExtendedStateObserver(Observer):
 
 
 class PressureObserver(eqx.Module):
-    r"""The pressures without the noise of their sensors, by a model of the valves.
+    r"""Observer of the pressures, by a first-order model of the valves.
 
     .. math:: \hat p^- = \hat p + (1 - e^{-h/\tau_v}) (p_{command} - \hat p), \quad
               \hat p = \hat p^- + (1 - e^{-\omega_p h}) (p - \hat p^-)
 
-    Noise that is white comes through with a part of :math:`\sqrt{\omega_p h / 2}`; a valve whose lag is not the one
-    believed makes an error that dies out with omega_p.
+    White noise is attenuated by :math:`\sqrt{\omega_p h / 2}`; the error of a wrong lag decays with omega_p.
 
     Parameters
     ----------
     bandwidth
-        omega_p [rad/s]; infinite where the sensors are to be taken as they are.
+        omega_p [rad/s]; infinite for no filter.
     """
 
     bandwidth: Bandwidth = 200.0
@@ -175,26 +171,28 @@ class PressureObserver(eqx.Module):
         if not (isinstance(self.bandwidth, Real) and math.isinf(self.bandwidth)):
             check_positive("PressureObserver", "rad/s", bandwidth=self.bandwidth)
 
-    def step(self, pressures: Pair, commands: Pair, measured: Pair, share: ArrayLike, period: ArrayLike) -> Pair:
-        """The pressures [Pa] now.
+    def step(
+        self, pressures: Pair, commands: Pair, measured: Pair, valve_fraction: ArrayLike, period: ArrayLike
+    ) -> Pair:
+        """Return the estimated pressures [Pa].
 
         Parameters
         ----------
         pressures
-            What they were a period ago [Pa].
+            Estimate one period ago [Pa].
         commands
-            What was commanded since [Pa].
+            Commands since [Pa].
         measured
-            What the sensors say now [Pa].
-        share
-            The part of a step that a valve does in a period [-].
+            Measured now [Pa].
+        valve_fraction
+            Part of a step that a valve covers in a period [-].
         period
-            The control period [s].
+            Control period [s].
         """
-        trust = 1 - exp(-jnp.asarray(self.bandwidth) * period)
+        gain = 1 - exp(-jnp.asarray(self.bandwidth) * period)
 
-        def one(pressure: Scalar, command: Scalar, sensed: Scalar) -> Scalar:
-            moved = pressure + share * (command - pressure)
-            return moved + trust * (sensed - moved)
+        def one(pressure: Scalar, command: Scalar, sample: Scalar) -> Scalar:
+            predicted = pressure + valve_fraction * (command - pressure)
+            return predicted + gain * (sample - predicted)
 
         return one(pressures[0], commands[0], measured[0]), one(pressures[1], commands[1], measured[1])

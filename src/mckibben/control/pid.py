@@ -1,4 +1,4 @@
-"""PID with a filtered derivative and anti-windup on what could be realised."""
+"""PID with a filtered derivative and anti-windup by back-calculation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Scalar = Float[Array, ""]
 
 
 class PIDState(NamedTuple):
-    """Integral part (in the output's unit), the last input of the derivative, and the filtered derivative."""
+    """Integral term (in the output's unit), last input of the derivative, filtered derivative."""
 
     integral: Scalar
     differentiated: Scalar
@@ -25,23 +25,24 @@ class PIDState(NamedTuple):
 
 
 class PID(Loop):
-    r"""u = kp e + ki \int e + kd de/dt.
+    r"""PID controller.
 
-    The derivative is filtered to first order and taken of the measurement alone, so that a step of the wish does not
-    kick; `derivative_on_error` takes it of the error. A reverse-acting loop, whose measurement falls as its output
-    rises, has negative gains.
+    .. math:: u = k_p e + k_i \int e \, dt + k_d \dot e
+
+    The derivative passes a first-order filter. It acts on the measurement alone, so that a step of the setpoint causes
+    no kick, or on the error with `derivative_on_error`. A reverse-acting loop has negative gains.
 
     Parameters
     ----------
     kp, ki, kd
-        Gains, in units of output per unit of error, per second of it, and seconds of it.
+        Gains [u/e], [u/(e*s)], [u*s/e], in the units of output u and error e.
     filter_time
         Time constant of the derivative's filter [s].
     tracking_time
-        With which the integral follows what could be realised [s]; at or below the control period it does so at once.
-        Without integral action (ki = 0) the integral keeps its initial value and tracks nothing.
+        Time constant of the anti-windup [s]; at or below the control period the integral is reset at once. Without
+        integral action (ki = 0) there is none.
     derivative_on_error
-        Whether the derivative sees the wish as well.
+        Whether the derivative acts on the error.
 
     References
     ----------
@@ -58,41 +59,41 @@ class PID(Loop):
     def __check_init__(self) -> None:
         check_positive("PID", "s", zero=True, filter_time=self.filter_time, tracking_time=self.tracking_time)
 
-    def init(self, desired: ArrayLike, measured: ArrayLike, output: ArrayLike) -> PIDState:
+    def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> PIDState:
         return PIDState(
             integral=floating(output),
-            differentiated=self.differentiated(desired, measured),
+            differentiated=self.differentiated(setpoint, measured),
             derivative=jnp.zeros_like(floating(output)),
         )
 
     def step(
         self,
         state: PIDState,
-        desired: ArrayLike,
+        setpoint: ArrayLike,
         measured: ArrayLike,
         sensitivity: ArrayLike,
         period: ArrayLike,
     ) -> tuple[PIDState, Scalar]:
-        error = jnp.asarray(desired) - measured
-        derivative = self.derivative(state, desired, measured, period)
+        error = jnp.asarray(setpoint) - measured
+        derivative = self.derivative(state, setpoint, measured, period)
         integral = state.integral + self.ki * period * error
         output = self.kp * error + integral + self.kd * derivative
-        return PIDState(integral, self.differentiated(desired, measured), derivative), output
+        return PIDState(integral, self.differentiated(setpoint, measured), derivative), output
 
-    def realised(self, state: PIDState, output: ArrayLike, realised: ArrayLike, period: ArrayLike) -> PIDState:
-        share = jnp.minimum(period / jnp.maximum(self.tracking_time, 1e-12), 1.0)
-        share = jnp.where(jnp.asarray(self.ki) == 0, 0.0, share)  # else its bias would stay for good
-        return state._replace(integral=state.integral + share * (realised - jnp.asarray(output)))
+    def track(self, state: PIDState, output: ArrayLike, achieved: ArrayLike, period: ArrayLike) -> PIDState:
+        fraction = jnp.minimum(period / jnp.maximum(self.tracking_time, 1e-12), 1.0)
+        fraction = jnp.where(jnp.asarray(self.ki) == 0, 0.0, fraction)  # no integral action removes a bias
+        return state._replace(integral=state.integral + fraction * (achieved - jnp.asarray(output)))
 
     def telemetry(self, state: PIDState) -> dict[str, Scalar]:
         return {}
 
-    def differentiated(self, desired: ArrayLike, measured: ArrayLike) -> Scalar:
-        """What the derivative is taken of."""
+    def differentiated(self, setpoint: ArrayLike, measured: ArrayLike) -> Scalar:
+        """Input of the derivative."""
         measured = floating(measured)
-        return jnp.asarray(desired) - measured if self.derivative_on_error else -measured
+        return jnp.asarray(setpoint) - measured if self.derivative_on_error else -measured
 
-    def derivative(self, state: PIDState, desired: ArrayLike, measured: ArrayLike, period: ArrayLike) -> Scalar:
-        """The filtered derivative one control period [s] later."""
-        change = self.differentiated(desired, measured) - state.differentiated
+    def derivative(self, state: PIDState, setpoint: ArrayLike, measured: ArrayLike, period: ArrayLike) -> Scalar:
+        """Filtered derivative one control period [s] later."""
+        change = self.differentiated(setpoint, measured) - state.differentiated
         return (self.filter_time * state.derivative + change) / (self.filter_time + period)

@@ -1,49 +1,53 @@
-"""Angle and stiffness by looking ahead: the best way within what the muscles can do, worked out anew each period."""
+"""Model predictive control of angle and stiffness within the attainable set."""
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.control.allocation import clip_commands, keep_taut, linearise, pressure_range
 from mckibben.control.base import Measurement, Setpoint
-from mckibben.control.ddp import Bent, Outlook, Policy, later, planned, steady
-from mckibben.control.model_based import Beliefs, ModelBasedControl, Surroundings, surroundings
+from mckibben.control.ddp import HorizonProblem, Policy, Quadratic, constant, shift, solve
+from mckibben.control.model_based import Estimates, ModelBasedControl
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
-from mckibben.control.reference import Course
-from mckibben.joint.attainable import pressure_limits_of
+from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
+from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.batching import apart
+from mckibben.numerics.batching import computed_once
+from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp
 from mckibben.units import AngleScale, Bandwidth, Count, Iterations, PoleDamping, PositiveTime, StiffnessScale, bar, deg
 
 Scalar = Float[Array, ""]
 
-_REMEMBERED = 0.1  # s: over how long the frequency of a wish is told
-_STILL = 1e-6  # rad^2/s^2: a wish that moves less has no frequency
-_EVEN = 0.3  # of stage over valve: below it the share of a stage is told by a series
+_FREQUENCY_MEMORY = 0.1  # s: time constant of the estimate of the reference's frequency
+_STILL = 1e-6  # rad^2/s^2: a slower reference has no frequency
+_SERIES = 0.3  # stage over valve time constant: below it the hold weights are a series
+_ANGLE_STEP = 0.02  # rad: of the finite differences of the local model
 
 
 class PredictiveState(NamedTuple):
-    """What is believed and was commanded, how the wish swings, and the plan.
+    """Estimates, moving averages of the reference, and the policy over the horizon (pressures in bar).
 
-    Of how it swings there are the means over the last moments of jerk times velocity and of velocity squared; the plan
-    is a policy over the horizon, for pressures in bar.
+    The averages are those of jerk times velocity and of squared velocity; minus their ratio is the squared frequency.
     """
 
-    beliefs: Beliefs
-    swing: Pair
-    plan: Policy
+    estimates: Estimates
+    averages: Pair
+    policy: Policy
 
 
 class PredictiveControl(ModelBasedControl):
-    r"""Model predictive control: of all ways to go within the attainable, the one that costs least.
+    r"""Model predictive control: the trajectory of least cost within the attainable set.
 
-    Each period the way over the next `horizon` is sought that makes least of
+    Each period the cost over the next `horizon` is minimised and the first command given:
 
     .. math::
 
@@ -51,62 +55,60 @@ class PredictiveControl(ModelBasedControl):
         + \frac{\ddot e^2}{\omega_c^4}\Big) + \frac{\dddot e^2}{\omega_c^6}\Big)
         + \frac{1}{K_s^2} \Big((K - K_r)^2 + \frac{\dot K^2}{\omega_K^2}\Big) \, dt, \quad e = \theta - \theta_r
 
-    and the first command of it is given. The joint is predicted by its model: torque and stiffness affine in the
-    pressures (for other laws by a secant, anew each period), to second order in the angle; valves of first order. The
-    acceleration of the wish goes on as that of a sine whose frequency is told from its last moments, for a controller
-    is given no future; its stiffness stays, and so does the disturbance that the observer sees.
+    The prediction model has torque and stiffness affine in the pressures (for other laws the secant, anew each period)
+    and to second order in the angle, and valves of first order. The acceleration of the reference is predicted as a
+    sine of the frequency of its last moments, as a controller gets no preview; its stiffness is constant, and so is the
+    observed disturbance.
 
-    What the pressures may be is what the joint can attain: within the law's pressures and the rated force, and above a
-    tension that no muscle goes below, at the angle where the joint will be then; and from each to the next only what a
-    valve can do. Commands are within the law's pressures.
+    The pressures are limited to the law's domain, the rated force and a minimum tension at the predicted angle, and
+    their change to the speed of the valves; commands are limited to the law's domain.
 
-    Where no limit is met in the horizon this is, but for the length of a stage, the linear loop
+    Without active limits this is, up to the duration of a stage and for any horizon, the decoupled linear loop
 
     .. math:: \dddot e + d\,\omega_c \ddot e + d\,\omega_c^2 \dot e + \omega_c^3 e = 0, \quad
               \dot K = \omega_K (K_r - K)
 
-    each apart from the other, and the length of the horizon does not matter. Where one is, angle and stiffness are
-    given up for each other as their errors weigh: with a small :math:`\theta_s / K_s`, as it is unless given, the
-    torque comes first.
+    With an active limit the errors of angle and stiffness are traded by their weights: a small
+    :math:`\theta_s / K_s`, the default, gives priority to the torque.
 
-    The way is found by control-limited differential dynamic programming (`mckibben.control.ddp`): a Newton step or
-    a few from the plan of the last period. There is no integral that could wind up: the observer is told the torque
-    that the model gives at the measured pressures.
+    The problem is solved by control-limited differential dynamic programming (`mckibben.control.ddp`): one or a few
+    Newton steps from the shifted policy of the last period. There is no integral to wind up: the observer gets the
+    model's torque at the measured pressures.
 
     Parameters
     ----------
     model
-        What it believes of the joint.
+        Model of the joint.
     load
-        What it believes of inertia, damping and gravity.
+        Model of inertia, damping and gravity.
     observer
-        `ExtendedStateObserver`, or `VelocityObserver`, with which the error of a wrong model stays.
+        `ExtendedStateObserver`, or `VelocityObserver`, which leaves the static error of a wrong model.
     pressure_observer
-        What it makes of the pressures' sensors.
+        Filter of the measured pressures.
     bandwidth
         omega_c of the angle [rad/s].
     stiffness_bandwidth
         omega_K of the stiffness [rad/s].
     damping
-        d, from 2 (the poles of the angle are a Butterworth pattern: quick, with 8 % of overshoot) to 3 (all at one
-        place: none, and valves may be slower than believed).
+        d, from 2 (Butterworth poles of the angle: fast, with 8 % of overshoot) to 3 (a triple pole: no overshoot, and
+        robust to slower valves).
     angle_scale, stiffness_scale
-        Errors that weigh the same: theta_s [rad] and K_s [N*m/rad]. Only their ratio counts.
+        Errors of equal weight: theta_s [rad] and K_s [N*m/rad]. Only their ratio counts.
     horizon
-        How far it looks [s].
+        Prediction horizon [s].
     stages
-        Into how many stages the horizon is divided; a stage is never shorter than the control period.
+        Stages of the horizon; a stage is never shorter than the control period.
     iterations
         Newton steps a period.
     valve_time_constant
-        tau_v [s], as it believes; 0 for valves without lag.
+        tau_v [s] of the model; 0 for valves without lag.
     minimum_tension
-        Below which no muscle shall go [N].
+        Lower limit of each muscle's tension [N].
     friction_compensation
-        Whether to make up for the friction of the model's muscles, drawn along the wish as `FrictionCompensation` does.
-        The observer is told of it; around this controller that wrapper would make up for friction twice.
+        Whether to compensate the friction of the model's muscles along the reference, as `FrictionCompensation` does.
+        The observer accounts for it; do not wrap this controller in `FrictionCompensation`.
     adaptation
-        Corrects the strength of the model's muscles on line; none unless given.
+        On-line correction of the strength of the model's muscles; none unless given.
 
     Examples
     --------
@@ -147,125 +149,187 @@ class PredictiveControl(ModelBasedControl):
         return self.observer, self.pressure_observer
 
     def init(self, measurement: Measurement) -> PredictiveState:
-        nothing = jnp.zeros_like(measurement.angle)
+        zero = jnp.zeros_like(measurement.angle)
         pressure1, pressure2 = measurement.pressures
-        plan = steady((pressure1 / bar, pressure2 / bar), self.stages)
-        return PredictiveState(self.believed_first(measurement), (nothing, nothing), plan)
+        policy = constant((pressure1 / bar, pressure2 / bar), self.stages)
+        return PredictiveState(self.init_estimates(measurement), (zero, zero), policy)
 
     def step(
         self, state: PredictiveState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[PredictiveState, Pair]:
         angle = measurement.angle
-        beliefs, model = self.believed(state.beliefs, setpoint, measurement, period)
-        motion, pressures, course = beliefs.motion, beliefs.pressures, beliefs.course
-        fresh = 1 - exp(-jnp.asarray(period) / _REMEMBERED)
-        along, moving = state.swing
-        along = along + fresh * (course.jerk * course.velocity - along)
-        moving = moving + fresh * (course.velocity**2 - moving)
+        estimates, model = self.update(state.estimates, setpoint, measurement, period)
+        reference = estimates.reference
+        new = 1 - exp(-jnp.asarray(period) / _FREQUENCY_MEMORY)
+        jerk_velocity, velocity_sq = state.averages
+        jerk_velocity = jerk_velocity + new * (reference.jerk * reference.velocity - jerk_velocity)
+        velocity_sq = velocity_sq + new * (reference.velocity**2 - velocity_sq)
+        frequency_sq = -jerk_velocity / (velocity_sq + _STILL)
 
-        look = functools.partial(surroundings, model, minimum_tension=self.minimum_tension)
-        around = apart(look, angle, pressures, witness=period)
-        other = motion.disturbance + beliefs.friction / self.load.total_inertia
-        duration = jnp.maximum(jnp.asarray(self.horizon) / self.stages, period)
-        outlook = self._outlook(
-            around, angle, other, course, -along / (moving + _STILL), setpoint.stiffness, duration, period
-        )
+        local = local_model(model, angle, estimates.pressures, minimum_tension=self.minimum_tension)
+        stage = jnp.maximum(jnp.asarray(self.horizon) / self.stages, period)
+        problem = self._problem(local, estimates, angle, frequency_sq, setpoint.stiffness, stage, period)
 
-        # The state now, as errors against the wish, in units of the outlook.
-        unit, pole = jnp.asarray(self.angle_scale), jnp.asarray(self.bandwidth)
-        _, velocity, acceleration, _ = outlook.wish
-        known = self.acceleration(angle, motion.velocity, beliefs.torque)
-        start = (
-            (angle - setpoint.angle) / unit,
-            motion.velocity / (pole * unit) - velocity,
-            (known + other) / (pole**2 * unit) - acceleration,
-            (beliefs.estimate - setpoint.stiffness) / self.stiffness_scale,
-        )
-        here = pressures[0] / bar, pressures[1] / bar
-        plan = later(state.plan, jnp.minimum(period / duration, 1.0))
-        plan, ((next1, next2), held) = planned(outlook, start, here, plan, self.iterations)
+        pressures = estimates.pressures[0] / bar, estimates.pressures[1] / bar
+        policy = shift(state.policy, jnp.minimum(period / stage, 1.0))
+        errors = self._errors(problem, estimates, angle, setpoint)
+        policy, first = solve(problem, errors, pressures, policy, self.iterations)
 
-        commands = self.held(
-            (
-                bar * (here[0] + (next1 - here[0]) / outlook.share),
-                bar * (here[1] + (next2 - here[1]) / outlook.share),
-            )
+        wanted1, wanted2 = (
+            bar * (now + (end - now) / problem.valve_fraction)
+            for now, end in zip(pressures, first.pressures, strict=True)
         )
-        return PredictiveState(beliefs._replace(commands=commands, saturated=held), (along, moving), plan), commands
+        commands, _ = clip_commands(self.model, (wanted1, wanted2))  # rounding may exceed a limit
+        estimates = estimates._replace(commands=commands, saturated=first.saturated)
+        return PredictiveState(estimates, (jerk_velocity, velocity_sq), policy), commands
 
     def telemetry(self, state: PredictiveState) -> dict[str, Scalar]:
-        return self.told(state.beliefs)
+        return self.estimates_telemetry(state.estimates)
 
-    def _outlook(
-        self,
-        around: Surroundings,
-        angle: Scalar,
-        other: Scalar,
-        course: Course,
-        swing: Scalar,
-        stiffness: ArrayLike,
-        duration: Scalar,
-        period: ArrayLike,
-    ) -> Outlook:
-        """What is ahead, without units: time in 1/omega_c, errors in their scales, pressures in bar."""
-        load, turn, pole = self.load, jnp.asarray(self.angle_scale), jnp.asarray(self.bandwidth)
-        inertia, scale = load.total_inertia, jnp.asarray(self.stiffness_scale)
-        push = 1 / (inertia * pole**2 * turn)
-        gravity = load.gravity_torque(angle)
-        by_angle = zip((1.0, bar, bar), around.torque, around.softening, around.stiffness_slope, strict=True)
-        acceleration = [
-            Bent(push * part * value, -push * part * turn * fall, -push * part * turn**2 * change)
-            for part, value, fall, change in by_angle
-        ]
-        value, slope, bend = acceleration[0]
-        acceleration[0] = Bent(
-            value + push * (gravity + inertia * other),
-            slope - push * turn * load.gravity_stiffness(angle),
-            bend - push * turn**2 * gravity,
+    def _errors(
+        self, problem: HorizonProblem, estimates: Estimates, angle: Scalar, setpoint: Setpoint
+    ) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+        """State of the problem now: errors of angle, velocity, acceleration and stiffness over their scales."""
+        unit, pole = jnp.asarray(self.angle_scale), jnp.asarray(self.bandwidth)
+        motion, (_, velocity, acceleration, _) = estimates.motion, problem.reference
+        known = self.load.acceleration(angle, motion.velocity, estimates.torque + estimates.friction)
+        return (
+            (angle - setpoint.angle) / unit,
+            motion.velocity / (pole * unit) - velocity,
+            (known + motion.disturbance) / (pole**2 * unit) - acceleration,
+            (estimates.stiffness - setpoint.stiffness) / self.stiffness_scale,
         )
-        stiffnesses = [
-            Bent(part * value / scale, part * turn * slope / scale)
-            for part, value, slope in zip((1.0, bar, bar), around.stiffness, around.stiffness_slope, strict=True)
-        ]
-        value, slope, bend = stiffnesses[0]
-        stiffnesses[0] = Bent(value - stiffness / scale, slope, bend)
 
-        def limit(values: Pair, slopes: Pair) -> tuple[Bent, Bent]:
-            return Bent(values[0] / bar, turn * slopes[0] / bar), Bent(values[1] / bar, turn * slopes[1] / bar)
+    def _problem(
+        self,
+        local: LocalModel,
+        estimates: Estimates,
+        angle: Scalar,
+        frequency_sq: Scalar,
+        stiffness: ArrayLike,
+        stage: Scalar,
+        period: ArrayLike,
+    ) -> HorizonProblem:
+        """Optimal control problem over the horizon: time in 1/omega_c, errors in their scales, pressures in bar."""
+        unit, pole = jnp.asarray(self.angle_scale), jnp.asarray(self.bandwidth)
+        per_stiffness = 1 / jnp.asarray(self.stiffness_scale)
+        per_acceleration = 1 / (pole**2 * unit)
+        zero, reference = jnp.zeros_like(angle), estimates.reference
+
+        # Eq. 6 is affine in torque and velocity.
+        gravity, gravity_slope, gravity_curvature = _second_order(
+            lambda at: self.load.acceleration(at, zero, zero), angle
+        )
+        per_torque = per_acceleration * derivative(lambda torque: self.load.acceleration(angle, zero, torque), zero)
+        drag = -derivative(lambda velocity: self.load.acceleration(angle, velocity, zero), zero) / pole
+        offset, by_pressure1, by_pressure2 = (
+            Quadratic(
+                per_torque * size * torque,
+                -per_torque * size * unit * torque_stiffness,
+                -per_torque * size * unit**2 * stiffness_slope,
+            )
+            for size, torque, torque_stiffness, stiffness_slope in zip(
+                (1.0, bar, bar), local.torque, local.torque_stiffness, local.stiffness_slope, strict=True
+            )
+        )
+        free = gravity + per_torque / per_acceleration * estimates.friction + estimates.motion.disturbance
+        acceleration = Quadratic(
+            offset.value + per_acceleration * free,
+            offset.slope + per_acceleration * unit * gravity_slope,
+            offset.curvature + per_acceleration * unit**2 * gravity_curvature,
+        )
+        offset, stiffness1, stiffness2 = (
+            Quadratic(per_stiffness * size * value, per_stiffness * size * unit * slope)
+            for size, value, slope in zip((1.0, bar, bar), local.stiffness, local.stiffness_slope, strict=True)
+        )
+        stiffness_error = offset._replace(value=offset.value - per_stiffness * stiffness)
+
+        def limits(values: Pair, slopes: Pair) -> tuple[Quadratic, Quadratic]:
+            return Quadratic(values[0] / bar, unit * slopes[0] / bar), Quadratic(
+                values[1] / bar, unit * slopes[1] / bar
+            )
 
         (low1, low2), (high1, high2) = pressure_limits_of(self.model)
-        # Differences are as old as the samples between which they were taken.
-        now = course.ahead(0.0, period)
-        velocity = course.velocity + period / 2 * now
-        share, early = self._stage(duration)
-        return Outlook(
-            stage=pole * duration,
-            early=early,
-            share=share,
+        fraction, hold_weights = self._hold(stage)
+        # Backward differences lag by one period, their velocity by half of one.
+        now = reference.acceleration_after(0.0, period)
+        velocity = reference.velocity + period / 2 * now
+        return HorizonProblem(
+            stage=pole * stage,
+            hold_weights=hold_weights,
+            valve_fraction=fraction,
             damping=jnp.asarray(self.damping),
-            slowness=(pole / self.stiffness_bandwidth) ** 2,
-            acceleration=tuple(acceleration),  # type: ignore[arg-type]
-            stiffness=tuple(stiffnesses),  # type: ignore[arg-type]
-            drag=load.damping / (inertia * pole),
-            wish=(
-                (course.angle - angle) / turn,
-                velocity / (pole * turn),
-                now / (pole**2 * turn),
-                course.jerk / (pole**3 * turn),
+            bandwidth_ratio_sq=(pole / self.stiffness_bandwidth) ** 2,
+            acceleration=(acceleration, by_pressure1, by_pressure2),
+            stiffness=(stiffness_error, stiffness1, stiffness2),
+            drag=drag,
+            reference=(
+                (reference.angle - angle) / unit,
+                velocity / (pole * unit),
+                per_acceleration * now,
+                reference.jerk / (pole**3 * unit),
             ),
-            swing=jnp.clip(swing, 0.0, (jnp.pi / (self.stages * duration)) ** 2) / pole**2,
-            lowest=limit(around.lowest, around.lowest_slope),
-            highest=limit(around.highest, around.highest_slope),
-            least=(low1 / bar, low2 / bar),
-            most=(high1 / bar, high2 / bar),
+            reference_frequency_sq=jnp.clip(frequency_sq, 0.0, (jnp.pi / (self.stages * stage)) ** 2) / pole**2,
+            pressure_lower=limits(local.lowest, local.lowest_slope),
+            pressure_upper=limits(local.highest, local.highest_slope),
+            command_lower=(low1 / bar, low2 / bar),
+            command_upper=(high1 / bar, high2 / bar),
         )
 
-    def _stage(self, duration: Scalar) -> tuple[Scalar, Pair]:
-        """That of a stage [s], and how early in it the pressures change: see `Outlook`."""
-        share, lag = self.share(duration), jnp.asarray(self.valve_time_constant)
-        ratio = duration / jnp.where(lag > 0, lag, duration / 10)
+    def _hold(self, stage: Scalar) -> tuple[Scalar, Pair]:
+        """Valve fraction and hold weights of a stage [s]: see `HorizonProblem`."""
+        fraction, lag = self.valve_fraction(stage), jnp.asarray(self.valve_time_constant)
+        ratio = stage / jnp.where(lag > 0, lag, stage / 10)
         series = ratio / 12 - ratio**3 / 720
-        even = ratio < _EVEN
-        once, twice = 1 / share - 1 / ratio, (1 - 2 / ratio) / share + 2 / ratio**2
-        first, second = jnp.where(even, 0.5 + series, once), jnp.where(even, 1 / 3 + series + ratio**2 / 360, twice)
-        return share, (jnp.where(lag > 0, first, 1.0), jnp.where(lag > 0, second, 1.0))
+        slow = ratio < _SERIES
+        first = jnp.where(slow, 0.5 + series, 1 / fraction - 1 / ratio)
+        second = jnp.where(slow, 1 / 3 + series + ratio**2 / 360, (1 - 2 / ratio) / fraction + 2 / ratio**2)
+        return fraction, (jnp.where(lag > 0, first, 1.0), jnp.where(lag > 0, second, 1.0))
+
+
+def _second_order(function: Callable[[Array], Array], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Value and first two derivatives."""
+    (value, slope), (_, curvature) = value_and_derivative(lambda at: value_and_derivative(function, at), x)
+    return value, slope, curvature
+
+
+class LocalModel(NamedTuple):
+    """Expansion of a joint's model about an angle, affine in the pressures.
+
+    Attributes
+    ----------
+    torque, torque_stiffness
+        Torque [N*m] of taut muscles, and minus its slope over the angle [N*m/rad].
+    stiffness, stiffness_slope
+        Stiffness [N*m/rad] and its slope over the angle [N*m/rad^2].
+    lowest, highest, lowest_slope, highest_slope
+        Limits of the pressures [Pa] and their slopes [Pa/rad].
+    """
+
+    torque: AffineMap
+    torque_stiffness: AffineMap
+    stiffness: AffineMap
+    stiffness_slope: AffineMap
+    lowest: Pair
+    highest: Pair
+    lowest_slope: Pair
+    highest_slope: Pair
+
+
+@computed_once
+def local_model(model: AntagonisticJoint, angle: Scalar, pressures: Pair, *, minimum_tension: ArrayLike) -> LocalModel:
+    """Local model about an angle [rad] and pressures [Pa], with limits that keep a tension [N]."""
+
+    def at(angle: Scalar) -> tuple[TorqueStiffnessMap, Pair, Pair]:
+        lowest, highest = pressure_range(model, angle, minimum_tension)
+        return linearise(model, angle, keep_taut(pressures, lowest)), lowest, highest
+
+    both = lax.map(at, jnp.stack([angle, angle + _ANGLE_STEP]))  # a loop: half of the code to compile
+    (torque, stiffness), lowest, highest = jax.tree.map(lambda values: values[0], both)
+    (_, stiffness_slope), *limit_slopes = jax.tree.map(lambda values: (values[1] - values[0]) / _ANGLE_STEP, both)
+    torque_stiffness = stiffness
+    if not is_affine(model):  # a secant across the stop of a spring does not hold at other pressures
+        zero = jnp.zeros_like(angle)
+        torque_stiffness = AffineMap(stiffness(keep_taut(pressures, lowest)), zero, zero)
+        stiffness_slope = AffineMap(zero, zero, zero)
+    return LocalModel(torque, torque_stiffness, stiffness, stiffness_slope, lowest, highest, *limit_slopes)

@@ -1,4 +1,4 @@
-"""References: signals over time, and their derivatives from samples."""
+"""References: signals over time, and derivatives from their samples."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from mckibben.units import Frequency, Instant, Phase, SignalValue
 
 
 class Signal(eqx.Module):
-    """A quantity over time [s], in SI."""
+    """Quantity over time [s], in SI."""
 
     @abc.abstractmethod
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
-        """The value at each time."""
+        """Value at each time."""
 
 
 class Constant(Signal):
-    """The same value always."""
+    """Constant value."""
 
     value: SignalValue
 
@@ -35,7 +35,7 @@ class Constant(Signal):
 
 
 class Step(Signal):
-    """One value before a time [s], another from then on."""
+    """Step from one value to another at a time [s]."""
 
     before: SignalValue
     after: SignalValue
@@ -55,12 +55,12 @@ class Sine(Signal):
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         cycles = self.frequency * floating(time)
-        part = cycles - jnp.round(cycles)  # a fast sine is good for small angles, and whole cycles change nothing
+        part = cycles - jnp.round(cycles)  # sin is accurate for small arguments
         return self.offset + self.amplitude * sin(2 * jnp.pi * part + self.phase)
 
 
 class Multisine(Signal):
-    """offset + a sum of sines; one amplitude, frequency [Hz] and phase [rad] each."""
+    """offset + a sum of sines, each with an amplitude, a frequency [Hz] and a phase [rad]."""
 
     amplitudes: tuple[SignalValue, ...]
     frequencies: tuple[Frequency, ...]
@@ -85,14 +85,14 @@ class Multisine(Signal):
 
 
 class Samples(Signal):
-    """Straight lines between samples; the first and last value beyond them.
+    """Linear interpolation between samples; constant beyond the first and last.
 
     Parameters
     ----------
     times
-        Rising times [s].
+        Increasing times [s].
     values
-        One value for each.
+        Value at each time.
     """
 
     times: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
@@ -110,10 +110,10 @@ class Samples(Signal):
 
 
 class Sum(Signal):
-    """Several signals added up.
+    """Sum of signals.
 
-    >>> wish = Sum((Step(13.0, 17.0, at=5.0), Sine(0.5, frequency=1.0)))
-    >>> round(float(wish(5.25)), 9)
+    >>> angle = Sum((Step(13.0, 17.0, at=5.0), Sine(0.5, frequency=1.0)))
+    >>> round(float(angle(5.25)), 9)
     17.5
     """
 
@@ -130,64 +130,63 @@ class Sum(Signal):
         return total
 
 
-def as_signal(wish: Signal | ArrayLike) -> Signal:
-    """A signal as it is, a number (or one a run) as a constant."""
-    return Constant(wish) if isinstance(wish, Real | np.ndarray | Array) else wish  # type: ignore[arg-type]
+def as_signal(value: Signal | ArrayLike) -> Signal:
+    """Signal of a number (or one a run), or the signal itself."""
+    return Constant(value) if isinstance(value, Real | np.ndarray | Array) else value  # type: ignore[arg-type]
 
 
 Scalar = Float[Array, ""]
 
-_SUDDEN = 1000.0  # rad/s^2: above it a wish does not move but jump; 10 deg at 4 Hz take 110
-_SMOOTHED = 3.0  # periods: the time constant of the jerk, so that rounding does not come through
+_JUMP = 1000.0  # rad/s^2: no reference accelerates beyond it, but jumps; 10 deg at 4 Hz take 110
+_JERK_PERIODS = 3.0  # time constant of the jerk's filter, in periods, against rounding
 
 
-class Course(NamedTuple):
-    """Where a wish is and how it moves.
+class ReferenceDerivatives(NamedTuple):
+    """Derivatives of the reference angle, by backward differences of its samples.
 
     Attributes
     ----------
     angle
-        The last sample [rad].
+        Last sample [rad].
     velocity, acceleration, jerk
-        Of the wish, [rad/s], [rad/s^2] and [rad/s^3]: backward differences.
-    since
-        Control periods since the wish jumped, 3 at most: so many differences are of one piece. -1 before the first.
+        [rad/s], [rad/s^2] and [rad/s^3].
+    samples_since_jump
+        Samples after the last jump, 3 at most: the order of the differences available. -1 before the first sample.
     """
 
     angle: Scalar
     velocity: Scalar
     acceleration: Scalar
     jerk: Scalar
-    since: Scalar
+    samples_since_jump: Scalar
 
-    def ahead(self, time: ArrayLike, period: ArrayLike) -> Scalar:
-        """The acceleration [rad/s^2] so long [s] after the last sample; differences are one period old themselves."""
+    @classmethod
+    def init(cls, angle: ArrayLike) -> ReferenceDerivatives:
+        """Constant reference [rad] before the first sample."""
+        angle = floating(angle)
+        zero = jnp.zeros_like(angle)
+        return cls(angle, zero, zero, zero, zero - 1.0)
+
+    def update(self, angle: ArrayLike, period: ArrayLike) -> ReferenceDerivatives:
+        """Derivatives after a further sample [rad], a control period [s] after the last.
+
+        Where the reference or its velocity jumps, there is no acceleration that a joint could follow: it is 0, and the
+        velocity is kept for one period and then taken from the samples after the jump.
+        """
+        difference = (angle - self.angle) / period
+        change = (difference - self.velocity) / period
+        jumps = (jnp.abs(change) > _JUMP) & (self.samples_since_jump >= 1.0)
+        samples = jnp.where(jumps, 0.0, jnp.minimum(self.samples_since_jump + 1.0, 3.0))
+        acceleration = jnp.where(samples >= 2.0, change, 0.0)
+        jerk = self.jerk + ((acceleration - self.acceleration) / period - self.jerk) / (1 + _JERK_PERIODS)
+        return ReferenceDerivatives(
+            angle=floating(angle),
+            velocity=jnp.where(samples >= 1.0, difference, self.velocity),
+            acceleration=acceleration,
+            jerk=jnp.where(samples >= 3.0, jerk, 0.0),
+            samples_since_jump=samples,
+        )
+
+    def acceleration_after(self, time: ArrayLike, period: ArrayLike) -> Scalar:
+        """Acceleration [rad/s^2] a time [s] after the last sample; the differences themselves lag by one period."""
         return self.acceleration + (time + period) * self.jerk
-
-
-def standing(angle: ArrayLike) -> Course:
-    """Before the first sample of a wish: it stands at an angle [rad]."""
-    angle = floating(angle)
-    nothing = jnp.zeros_like(angle)
-    return Course(angle, nothing, nothing, nothing, nothing - 1.0)
-
-
-def followed(course: Course, angle: ArrayLike, period: ArrayLike) -> Course:
-    """The course with one more sample [rad], a control period [s] after the last.
-
-    A wish that jumps, or whose velocity does, has no acceleration that a joint could follow. There the velocity stays
-    what it was for one period, and is taken anew from what comes after.
-    """
-    difference = (angle - course.angle) / period
-    change = (difference - course.velocity) / period
-    jumps = (jnp.abs(change) > _SUDDEN) & (course.since >= 1.0)
-    since = jnp.where(jumps, 0.0, jnp.minimum(course.since + 1.0, 3.0))
-    acceleration = jnp.where(since >= 2.0, change, 0.0)
-    jerk = course.jerk + ((acceleration - course.acceleration) / period - course.jerk) / (1 + _SMOOTHED)
-    return Course(
-        angle=floating(angle),
-        velocity=jnp.where(since >= 1.0, difference, course.velocity),
-        acceleration=acceleration,
-        jerk=jnp.where(since >= 3.0, jerk, 0.0),
-        since=since,
-    )

@@ -11,10 +11,11 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError
 from mckibben.joint import attainable
-from mckibben.joint.geometry import Geometry, Pair
+from mckibben.joint.geometry import Geometry, Pair, Pressures
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw
 from mckibben.muscle.muscle import warn_outside
+from mckibben.numerics.batching import computed_once
 from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.checks import check_kind, check_within
 from mckibben.numerics.elementary import floating
@@ -32,7 +33,7 @@ class Measurement(NamedTuple):
     pressures: tuple[Float[Array, ""], Float[Array, ""]]
 
 
-def pressure_pair(pressures: tuple[ArrayLike, ArrayLike]) -> tuple[ArrayLike, ArrayLike]:
+def pressure_pair(pressures: Pressures) -> Pressures:
     """Return the pressures of muscles 1 and 2, given as a pair of numbers or arrays.
 
     An array with more than one axis is refused: the axis of the muscles would be a guess.
@@ -58,7 +59,7 @@ class AffineMap(NamedTuple):
     slope1: Array
     slope2: Array
 
-    def __call__(self, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
+    def __call__(self, pressures: Pressures) -> Float[Array, "..."]:
         """Return the value at a pair of gauge pressures [Pa]."""
         pressure1, pressure2 = pressure_pair(pressures)
         return self.offset + self.slope1 * pressure1 + self.slope2 * pressure2
@@ -160,9 +161,7 @@ class AntagonisticJoint(eqx.Module):
         """Whether a muscle has creep."""
         return self.muscle1.has_creep or self.muscle2.has_creep
 
-    def contractions(
-        self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike], states: MuscleStates = NO_STATES
-    ) -> Pair:
+    def contractions(self, angle: ArrayLike, pressures: Pressures, states: MuscleStates = NO_STATES) -> Pair:
         """Return the contraction [-] of each muscle."""
         pressure1, pressure2 = pressure_pair(pressures)
         path1, path2 = self.geometry.path_lengths(angle)
@@ -171,7 +170,7 @@ class AntagonisticJoint(eqx.Module):
             self.tendon.contraction(self.muscle2, path2, pressure2, states[1]),
         )
 
-    def tensions(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
+    def tensions(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return the tension [N] of each muscle, F1 and F2."""
         _warn_outside(self, angle, pressures)
         pressure1, pressure2 = pressure_pair(pressures)
@@ -181,7 +180,7 @@ class AntagonisticJoint(eqx.Module):
             self.tendon.tension(self.muscle2, path2, pressure2),
         )
 
-    def torque(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
+    def torque(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         """Return the torque of the muscles [N*m], F2 d2 - F1 d1 (Eq. 7 without gravity)."""
         _warn_outside(self, angle, pressures)
         pressure1, pressure2 = pressure_pair(pressures)
@@ -190,7 +189,7 @@ class AntagonisticJoint(eqx.Module):
         tension2 = self.tendon.tension(self.muscle2, path2, pressure2)
         return tension2 * arm2 - tension1 * arm1
 
-    def stiffness(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
+    def stiffness(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         """Return the isobaric stiffness [N*m/rad]: minus the derivative of the torque at constant pressures (Eq. 8).
 
         Positive for a stable joint; the sign in the paper is the opposite.
@@ -198,12 +197,13 @@ class AntagonisticJoint(eqx.Module):
         _warn_outside(self, angle, pressures)
         return self.evaluate(angle, pressures)[1]
 
-    def torque_and_stiffness(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
+    def torque_and_stiffness(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return torque [N*m] and stiffness [N*m/rad] from one pass."""
         _warn_outside(self, angle, pressures)
         return self.evaluate(angle, pressures)
 
-    def evaluate(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair:
+    @computed_once
+    def evaluate(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return `torque_and_stiffness` without a check of the domain."""
         pressure1, pressure2 = pressure_pair(pressures)
         # The chain rule by hand between geometry and tension: a third of the operations of differentiating all at once.
@@ -218,7 +218,7 @@ class AntagonisticJoint(eqx.Module):
         torque2, slope2 = unsigned_torque(1, self.muscle2, pressure2)
         return torque2 - torque1, slope1 - slope2
 
-    def init_state(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> MuscleStates:
+    def init_state(self, angle: ArrayLike, pressures: Pressures) -> MuscleStates:
         """Return unstressed, relaxed internal states of the muscles."""
         if not (self.has_friction or self.has_creep):
             return NO_STATES
@@ -235,9 +235,7 @@ class AntagonisticJoint(eqx.Module):
             self.muscle2.state_rate(states[1], -arm2 * velocity),
         )
 
-    def update_state(
-        self, states: MuscleStates, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]
-    ) -> MuscleStates:
+    def update_state(self, states: MuscleStates, angle: ArrayLike, pressures: Pressures) -> MuscleStates:
         """Return the internal states after a short move to an angle and pressures; no force changes by it."""
         if not (self.has_friction or self.has_creep):
             return states
@@ -248,11 +246,7 @@ class AntagonisticJoint(eqx.Module):
         )
 
     def forces(
-        self,
-        angle: ArrayLike,
-        velocity: ArrayLike,
-        pressures: tuple[ArrayLike, ArrayLike],
-        states: MuscleStates = NO_STATES,
+        self, angle: ArrayLike, velocity: ArrayLike, pressures: Pressures, states: MuscleStates = NO_STATES
     ) -> MuscleForces:
         """Return tensions, torque and contractions with friction and creep, at an angular velocity [rad/s]."""
         _warn_outside(self, angle, pressures)
@@ -270,29 +264,20 @@ class AntagonisticJoint(eqx.Module):
         return MuscleForces((tension1, tension2), tension2 * arm2 - tension1 * arm1, (contraction1, contraction2))
 
     def friction_torque(
-        self,
-        angle: ArrayLike,
-        velocity: ArrayLike,
-        pressures: tuple[ArrayLike, ArrayLike],
-        states: MuscleStates,
+        self, angle: ArrayLike, velocity: ArrayLike, pressures: Pressures, states: MuscleStates
     ) -> Array:
         """Return the part of the torque [N*m] of `forces` that is friction."""
         added = jnp.asarray(self.forces(angle, velocity, pressures, states).torque) - self.torque(angle, pressures)
         return added - self.creep_torque(angle, pressures, states) if self.has_creep else added
 
-    def creep_torque(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike], states: MuscleStates) -> Array:
+    def creep_torque(self, angle: ArrayLike, pressures: Pressures, states: MuscleStates) -> Array:
         """Return the part of the torque [N*m] of `forces` that is creep."""
         (arm1, arm2), (tension1, tension2) = self.geometry.moment_arms(angle), self.tensions(angle, pressures)
         force1 = self.muscle1.creep.force(states[0].creep, tension1)
         return self.muscle2.creep.force(states[1].creep, tension2) * arm2 - force1 * arm1
 
     def closed_valve_stiffness(
-        self,
-        angle: ArrayLike,
-        pressures: tuple[ArrayLike, ArrayLike],
-        *,
-        polytropic_index: float = 1.0,
-        atmosphere: float = 101325.0,
+        self, angle: ArrayLike, pressures: Pressures, *, polytropic_index: float = 1.0, atmosphere: float = 101325.0
     ) -> Float[Array, "..."]:
         """Return the stiffness [N*m/rad] with closed valves: p V^n is constant, V from the braid.
 
@@ -351,11 +336,7 @@ class AntagonisticJoint(eqx.Module):
         return TorqueStiffnessMap(AffineMap(*torque), AffineMap(*(-slope for slope in slopes)))
 
     def attainable_torque(
-        self,
-        angle: ArrayLike,
-        *,
-        pressure_limits: tuple[float, float] | None = None,
-        minimum_tension: float = 0.0,
+        self, angle: ArrayLike, *, pressure_limits: tuple[float, float] | None = None, minimum_tension: float = 0.0
     ) -> Pair:
         """Return the range of static torque [N*m] at an angle; arguments as for `attainable_stiffness`."""
         return attainable.torque_range(self, angle, pressure_limits, minimum_tension)
@@ -410,10 +391,10 @@ class AntagonisticJoint(eqx.Module):
         return attainable.pressures_for(self, angle, torque, stiffness)
 
 
-def _warn_outside(joint: AntagonisticJoint, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> None:
+def _warn_outside(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressures) -> None:
     """Warn of concrete states outside a muscle's domain."""
     pressure1, pressure2 = pressure_pair(pressures)
     if not any(isinstance(value, Tracer) for value in (angle, pressure1, pressure2)):
         contraction1, contraction2 = joint.contractions(angle, pressures)
         points = (joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2)
-        warn_outside(*points, stacklevel=5)
+        warn_outside(*points)

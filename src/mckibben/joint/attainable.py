@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 
 from mckibben.errors import RangeError, UnreachableError
-from mckibben.joint.geometry import Geometry, Pair
+from mckibben.joint.geometry import Geometry, Pair, Pressures
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.calculus import value_and_derivative
@@ -41,8 +41,8 @@ class Joint(Protocol):
     def muscle2(self) -> Muscle: ...
     @property
     def tendon(self) -> Tendon: ...
-    def contractions(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair: ...
-    def evaluate(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Pair: ...
+    def contractions(self, angle: ArrayLike, pressures: Pressures) -> Pair: ...
+    def evaluate(self, angle: ArrayLike, pressures: Pressures) -> Pair: ...
 
 
 def torque_range(
@@ -89,7 +89,7 @@ def _solve_static(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: 
 
 
 @compiled
-def _solve_many(joint: Joint, angle: Array, torque: Array, stiffness: Array) -> StaticSolution:
+def _solve_many(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
     """Return the solutions for arrays of shape (n,)."""
     return jax.vmap(lambda *numbers: _solve_static(joint, *numbers))(angle, torque, stiffness)
 

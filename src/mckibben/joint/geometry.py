@@ -1,4 +1,4 @@
-"""Where the muscles run: path lengths over the joint angle, Eq. 4 of the paper."""
+"""Geometry of the joint: path lengths and moment arms over the joint angle, Eqs. 4 and 5 of the paper."""
 
 from __future__ import annotations
 
@@ -16,10 +16,13 @@ from mckibben.numerics.elementary import sincos
 from mckibben.units import Distance, Length
 
 Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
-"""One value for muscle 1 (antagonist: it lengthens as the angle grows) and one for muscle 2 (agonist)."""
+"""Values of muscle 1 (antagonist: lengthens as the angle increases) and muscle 2 (agonist)."""
+
+Pressures = tuple[ArrayLike, ArrayLike]
+"""Gauge pressures (p1, p2) [Pa]; each a number or an array."""
 
 
-_LONGEST = 10.0  # m: a longer joint is one in millimetres
+_LONGEST = 10.0  # m: a longer joint is taken for one in millimetres
 
 
 class Geometry(eqx.Module):
@@ -27,14 +30,14 @@ class Geometry(eqx.Module):
 
     @abc.abstractmethod
     def path_lengths(self, angle: ArrayLike) -> Pair:
-        """Length [m] available to each muscle and its series spring at an angle [rad]."""
+        """Return the length [m] of each muscle with its series spring at an angle [rad]."""
 
     def moment_arms(self, angle: ArrayLike) -> Pair:
-        """Moment arm [m] of each muscle; both positive where muscle 2 drives and muscle 1 brakes."""
+        """Return the moment arm [m] of each muscle, positive; muscle 2 acts in the direction of the angle."""
         return self.paths_and_arms(angle)[1]
 
     def paths_and_arms(self, angle: ArrayLike) -> tuple[Pair, Pair]:
-        """`path_lengths` and `moment_arms` in one pass."""
+        """Return `path_lengths` and `moment_arms` from one pass."""
         paths, (slope1, slope2) = value_and_derivative(self.path_lengths, angle)
         return paths, (slope1, -slope2)
 
@@ -49,15 +52,15 @@ class KneeGeometry(Geometry):
     Parameters
     ----------
     joint_length
-        H [m], from the muscles' upper anchors to the joint's axis.
+        H [m], from the upper anchors of the muscles to the axis of the joint.
     joint_radius
-        r [m], at which the muscles' lower ends are fixed.
+        r [m], of the lower anchors of the muscles.
     connector_length
-        L_u + L_d [m], what lies between muscle and anchors.
+        L_u + L_d [m], between muscle and anchors.
 
     References
     ----------
-    Eqs. 4 and 5 of the paper. Eq. 5, the moment arms, follows from Eq. 4 by differentiation.
+    Eqs. 4 and 5 of the paper; the moment arms (Eq. 5) are the derivative of Eq. 4.
 
     Examples
     --------
@@ -80,16 +83,16 @@ class KneeGeometry(Geometry):
         check_within("KneeGeometry", 0.0, longest, "m", connector_length=self.connector_length)
         if not plain:
             try:
-                room = self.joint_length - self.joint_radius - self.connector_length
+                length = self.joint_length - self.joint_radius - self.connector_length
             except ValueError:  # arrays of different lengths, which are refused where runs are told apart
                 return
-            check_positive("KneeGeometry", "m", zero=True, room_for_a_muscle=room)
+            check_positive("KneeGeometry", "m", zero=True, muscle_length=length)
 
     def path_lengths(self, angle: ArrayLike) -> Pair:
-        """What is left for each muscle (and its series spring) [m] at an angle [rad]."""
+        """Return the length [m] of each muscle with its series spring at an angle [rad]."""
         H, r = self.joint_length, self.joint_radius
         sine, cosine = sincos(angle)
-        # Eq. 4 with its squares multiplied out, r^2 (sin^2 + cos^2) being r^2: a shorter way from angle to length.
+        # Eq. 4 with its squares multiplied out, r^2 (sin^2 + cos^2) being r^2: fewer operations.
         common, difference = (H * H + 2 * r * r) - (2 * r * r) * cosine, (2 * H * r) * sine
         return (
             jnp.sqrt(common + difference) - self.connector_length,

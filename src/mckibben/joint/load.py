@@ -1,4 +1,4 @@
-"""What the joint moves: inertia, damping and gravity, Eq. 6 of the paper."""
+"""Dynamics of the joint's load: inertia, damping and gravity (Eq. 6 of the paper)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from mckibben.units import Angle, Damping, Distance, Gravity, Inertia, Mass
 
 
 class Load(eqx.Module):
-    r"""A shank with two point masses, hanging at an angle.
+    r"""A shank with two point masses: a pendulum driven by the muscles' torque (Eq. 6).
 
-    .. math:: I\ddot\theta + c\dot\theta = \tau_{muscles} + G \sin(\theta_h - \theta),
+    .. math:: I\ddot\theta + c\dot\theta = \tau + G \sin(\theta_h - \theta),
               \quad I = J + m_1 l_1^2 + m_2 l_2^2, \quad G = (m_1 l_1 + m_2 l_2) g
 
     The paper puts the gravity term on the driving side in Eq. 6 and on the net side in Eq. 7; equated literally they
@@ -27,7 +27,7 @@ class Load(eqx.Module):
     mass1, mass2
         m1 of the knee and m2 of the external load [kg].
     distance1, distance2
-        Of their centres from the axis, l1 and l2 [m].
+        l1 and l2 [m], of their centres from the axis.
     inertia
         J [kg*m^2], of the mechanism itself.
     damping
@@ -37,7 +37,15 @@ class Load(eqx.Module):
     gravity
         g [m/s^2].
     hanging
-        The sign of the gravity torque, see above.
+        Whether theta_h is the stable equilibrium.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> load = catalog.load("knee-table-2")
+    >>> torque = load.required_torque(0.0, 0.5, 20.0)
+    >>> round(float(torque), 3), round(float(load.acceleration(0.0, 0.5, torque)), 9)
+    (0.179, 20.0)
     """
 
     mass1: Mass
@@ -68,15 +76,28 @@ class Load(eqx.Module):
 
     @property
     def gravity_moment(self) -> Float[Array, ""]:
-        """G [N*m], the highest torque of gravity; negative for an inverted load."""
+        """G [N*m], the largest torque of gravity; negative for an inverted load."""
         moment = (self.mass1 * self.distance1 + self.mass2 * self.distance2) * self.gravity
         return moment if self.hanging else -moment  # type: ignore
 
+    def acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Float[Array, "..."]:
+        """Angular acceleration [rad/s^2] under a torque [N*m] at an angle [rad] and a velocity [rad/s] (Eq. 6)."""
+        resisting = self.gravity_torque(angle) - self.damping * velocity
+        return (torque + resisting) * (1 / self.total_inertia)  # type: ignore
+
+    def required_torque(self, angle: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Float[Array, "..."]:
+        """Torque [N*m] for an acceleration [rad/s^2]: the inverse of `acceleration`."""
+        return self.dynamic_torque(velocity, acceleration) - self.gravity_torque(angle)
+
+    def dynamic_torque(self, velocity: ArrayLike, acceleration: ArrayLike) -> Float[Array, "..."]:
+        """Torque [N*m] of inertia and damping: `required_torque` without gravity."""
+        return self.total_inertia * acceleration + self.damping * velocity  # type: ignore
+
     def gravity_torque(self, angle: ArrayLike) -> Float[Array, "..."]:
-        """The torque of gravity [N*m] at an angle [rad]."""
+        """Torque of gravity on the shank [N*m] at an angle [rad]."""
         (sine, cosine), (hanging_sine, hanging_cosine) = sincos(angle), sincos(self.hanging_angle)
         return self.gravity_moment * (hanging_sine * cosine - hanging_cosine * sine)
 
     def gravity_stiffness(self, angle: ArrayLike) -> Float[Array, "..."]:
-        """What gravity adds to the joint's stiffness [N*m/rad] at an angle [rad]."""
+        """Stiffness due to gravity [N*m/rad] at an angle [rad], minus the slope of `gravity_torque`."""
         return self.gravity_moment * sincos(self.hanging_angle - jnp.asarray(angle))[1]

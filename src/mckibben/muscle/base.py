@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.calculus import derivative, increasing_root
+from mckibben.numerics.calculus import bracketed_root, derivative
 from mckibben.numerics.checks import check_positive
 from mckibben.units import atm, bar, deg, mm
 
@@ -104,7 +104,7 @@ def pressure_for(law: ForceLaw, force: ArrayLike, contraction: ArrayLike) -> Flo
     """
     force, contraction = jnp.asarray(force), jnp.asarray(contraction)
     lowest = jnp.where(law.force(contraction, 0.0) <= force, 0.0, _LOWEST)
-    return increasing_root(lambda pressure: law.force(contraction, pressure) - force, lowest, _HIGHEST)
+    return bracketed_root(lambda pressure: law.force(contraction, pressure) - force, lowest, _HIGHEST)
 
 
 class ScaledLaw(ForceLaw):

@@ -17,11 +17,12 @@ if TYPE_CHECKING:
 
 
 class ChouLaw(PressureAffineLaw):
-    r"""The ideal McKibben muscle: a cylinder of inextensible braid, no rubber, no friction, no ends.
+    r"""Ideal McKibben muscle: a cylinder of inextensible braid without rubber, friction or ends.
 
     .. math::
 
-        F = p \frac{\pi d_0^2}{4} \left(\frac{3}{\tan^2\alpha_0} (1-\varepsilon)^2 - \frac{1}{\sin^2\alpha_0}\right)
+        F = p \frac{\pi d_0^2}{4} \left(\beta_1 (1-\varepsilon)^2 - \beta_2\right), \quad
+        \beta_1 = \frac{3}{\tan^2\alpha_0}, \quad \beta_2 = \frac{1}{\sin^2\alpha_0}
 
     Parameters
     ----------
@@ -30,7 +31,7 @@ class ChouLaw(PressureAffineLaw):
     initial_diameter
         Diameter d0 [m] of the deflated muscle.
     domain
-        Where to trust it.
+        Domain of the data behind it.
 
     References
     ----------
@@ -61,7 +62,7 @@ class ChouLaw(PressureAffineLaw):
 
     @classmethod
     def of(cls, specimen: Specimen) -> ChouLaw:
-        """The law that a specimen's geometry gives, with no test at all."""
+        """Return the law given by a specimen's geometry alone."""
         return cls(braid_angle=specimen.braid_angle, initial_diameter=specimen.initial_diameter, domain=specimen.domain)
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
@@ -70,5 +71,5 @@ class ChouLaw(PressureAffineLaw):
 
     @property
     def zero_force_contraction(self) -> float:
-        """The contraction [-] at which the force vanishes, at any pressure."""
+        """Contraction [-] at which the force is zero at any pressure."""
         return 1 - 1 / (math.sqrt(3) * math.cos(self.braid_angle))

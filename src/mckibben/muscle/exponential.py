@@ -1,4 +1,4 @@
-"""The improved Tondu-Lopez law of the paper, Eq. 2: a straight line and an exponential, each affine in pressure."""
+"""Improved Tondu-Lopez law, Eq. 2 of the paper: a linear term and an exponential, each affine in pressure."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from mckibben.numerics.elementary import exp
 
 
 class ExponentialLaw(PressureAffineLaw):
-    r"""An experimental law: six coefficients and a decay.
+    r"""Empirical law with six coefficients and a decay.
 
     .. math:: F = (a_1 + a_2 p) + (b_1 + b_2 p)\,\varepsilon + (c_1 + c_2 p)\,e^{-\mu\varepsilon}
 
-    Everything is in SI here; the paper's numbers are in bar and percent, and `mckibben.catalog` converts them. Outside
-    the domain of the data that it was fitted to, the exponential explodes (2493 N at -8 % and 6 bar for Eq. 3, whose
-    muscle is rated 630 N) and the force turns negative at low pressure.
+    In SI; the paper's numbers are in bar and percent (`mckibben.catalog`). Outside the domain of the fitted data the
+    exponential grows without bound (2493 N at -8 % and 6 bar for Eq. 3, of a muscle rated 630 N), and the force is
+    negative at low pressure.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class ExponentialLaw(PressureAffineLaw):
     decay
         mu [-], per unit of contraction: 30 is the paper's 0.3 per percent.
     domain
-        The contractions and pressures of the data behind it.
+        Domain of the data behind it.
 
     References
     ----------
@@ -63,18 +63,12 @@ class ExponentialLaw(PressureAffineLaw):
     linear_parameters = (
         Parameter("a1", "N", "N", "constant"),
         Parameter("a2", "N/Pa", "N/bar", "constant, per pressure"),
-        Parameter("b1", "N", "N/percent", "straight line"),
-        Parameter("b2", "N/Pa", "N/(bar*percent)", "straight line, per pressure"),
+        Parameter("b1", "N", "N/percent", "linear"),
+        Parameter("b2", "N/Pa", "N/(bar*percent)", "linear, per pressure"),
         Parameter("c1", "N", "N", "exponential"),
         Parameter("c2", "N/Pa", "N/bar", "exponential, per pressure"),
     )
     shape_parameters = (Parameter("decay", "1", "1/percent", "decay of the exponential", 1.0, 300.0),)
-
-    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        # As the paper groups it: in a loop only one product waits for the exponential.
-        eps, pressure = jnp.asarray(contraction), jnp.asarray(pressure)
-        straight = (self.a1 + self.a2 * pressure) + (self.b1 + self.b2 * pressure) * eps
-        return straight + (self.c1 + self.c2 * pressure) * exp(-self.decay * eps)
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)

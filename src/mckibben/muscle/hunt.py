@@ -1,4 +1,4 @@
-"""The law of Hunt and co-workers, which was made the other way round: the pressure as a function of the force."""
+"""Law of Hunt and co-workers, given as the pressure over force and contraction."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import ForceLaw, Parameter
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.calculus import increasing_root
+from mckibben.numerics.calculus import bracketed_root
 from mckibben.numerics.checks import check_positive
 from mckibben.units import kPa, percent
 
 
 class HuntLaw(ForceLaw):
-    r"""The pressure that a force at a contraction takes; the force is its root.
+    r"""Pressure as a function of force and contraction; the force is its root.
 
     .. math::
 
         p = p_0 + c_1 F + c_2 \tan\left(c_3 \left(\frac{\varepsilon}{\varepsilon_{max} - c_4 F} - c_5\right)\right)
 
-    with :math:`c_3` = 2.0265, :math:`c_4` = 3.31e-4 per N and :math:`c_5` = 0.461 as published. It is made for
-    contractions from 0 up: `pressure_for` is the formula, `force` is found by bisection; both are NaN where there is
-    none. c4 is that of a 10 mm muscle, and no force is above eps_max/c4: the law is of no use for larger ones.
+    with :math:`c_3` = 2.0265, :math:`c_4` = 3.31e-4 per N and :math:`c_5` = 0.461 as published.
+    Valid for contractions from 0 up. `pressure_for` is the formula, `force` is found numerically; both are NaN where no
+    solution exists. c4 is that of a 10 mm muscle and limits the force to eps_max/c4: not for larger muscles.
 
     Parameters
     ----------
@@ -33,14 +33,14 @@ class HuntLaw(ForceLaw):
     c1
         Pressure per force [Pa/N].
     largest
-        eps_max [-]: the largest contraction of the muscle, at 620 kPa.
+        eps_max [-], largest contraction, at 620 kPa.
     domain
-        Where to trust it.
+        Domain of the data behind it.
 
     References
     ----------
     A. Hunt, A. Graber-Tilton and R. Quinn, "Modeling length effects of braided pneumatic actuators", ASME IDETC 2017;
-    there with a hysteresis of 15.6 kPa, + when shortening, which is `mckibben.muscle.MaxwellSlip` here.
+    there with a hysteresis of 15.6 kPa, positive when shortening; here, see `mckibben.muscle.MaxwellSlip`.
 
     Examples
     --------
@@ -78,27 +78,27 @@ class HuntLaw(ForceLaw):
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         contraction, pressure = jnp.asarray(contraction), jnp.asarray(pressure)
-        # Below the force that takes the tangent to its pole, and below that of the tangent at its least.
+        # Upper bound: below the force at the pole of the tangent, and that of the lowest tangent.
         to_pole = jnp.where(contraction == 0, jnp.inf, (self.largest - contraction / self._pole) / self.softening)
         least = self.p0 - self.c2 * jnp.tan(self.steepness * self.shift)
         highest = jnp.minimum((pressure - least) / self.c1 + 1.0, to_pole - 1e-6 * self.largest / self.softening)
-        # Above a force at which the tangent is no more than 10, and the rest no more than is left.
+        # Lower bound: a force at which the tangent is at most 10 and the linear part at most the rest.
         mild = self.shift + math.atan(10.0) / self.steepness
         lowest = jnp.minimum((pressure - self.p0 - 10.0 * self.c2) / self.c1, highest)
         lowest = jnp.minimum(lowest, (self.largest - contraction / mild) / self.softening) - 1.0
-        return increasing_root(lambda force: self._pressure(force, contraction) - pressure, lowest, highest)
+        return bracketed_root(lambda force: self._pressure(force, contraction) - pressure, lowest, highest)
 
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
         force, contraction = jnp.asarray(force), jnp.asarray(contraction)
-        left = self.largest - self.softening * force  # the largest contraction under this force
-        reached = (contraction == 0) | ((left > 0) & (contraction < self._pole * left))
-        return jnp.where(reached, self._pressure(force, contraction), jnp.nan)
+        largest = self.largest - self.softening * force
+        exists = (contraction == 0) | ((largest > 0) & (contraction < self._pole * largest))
+        return jnp.where(exists, self._pressure(force, contraction), jnp.nan)
 
     @property
     def _pole(self) -> float:
-        """The part of the largest contraction at which the tangent has its pole: no pressure shortens further."""
+        """Contraction over the largest one at the pole of the tangent."""
         return self.shift + math.pi / (2 * self.steepness)
 
     def _pressure(self, force: Array, contraction: Array) -> Array:
-        share = contraction / (self.largest - self.softening * force)
-        return self.p0 + self.c1 * force + self.c2 * jnp.tan(self.steepness * (share - self.shift))
+        ratio = contraction / (self.largest - self.softening * force)
+        return self.p0 + self.c1 * force + self.c2 * jnp.tan(self.steepness * (ratio - self.shift))

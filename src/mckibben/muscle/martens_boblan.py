@@ -1,4 +1,4 @@
-"""The law of Martens and Boblan: the geometry of the braid, and the rubber that is stretched in it."""
+"""Law of Martens and Boblan: geometry of the braid and elasticity of the rubber."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mckibben.numerics.checks import check_positive, check_within
 
 
 class MartensBoblanLaw(PressureAffineLaw):
-    r"""The virtual work of the gas and of a rubber tube, stretched along and around.
+    r"""Virtual work of the gas and of a rubber tube, stretched axially and radially.
 
     .. math::
 
@@ -19,17 +19,17 @@ class MartensBoblanLaw(PressureAffineLaw):
         U = \frac{l_0}{2} \left(S_l \varepsilon^2 + S_d (D/d_0 - 1)^2\right)
 
     with the thread's length :math:`L_f = l_0/\cos\alpha_0`, its turns :math:`n = l_0 \tan\alpha_0/(\pi d_0)` and the
-    diameter :math:`D = \sqrt{L_f^2 - L^2}/(n\pi)`. The source derives the geometry and has rubber terms of its own;
-    the energy U, with one stiffness along and one around, is ours. The length l0 cancels.
+    diameter :math:`D = \sqrt{L_f^2 - L^2}/(n\pi)`. The source derives the geometry and has other terms for the
+    rubber; the energy U, with an axial and a radial stiffness, is ours. The length l0 cancels.
 
     Parameters
     ----------
     axial_stiffness, radial_stiffness
-        S_l and S_d [N]: modulus times cross-section of the rubber, along and around.
+        S_l and S_d [N]: modulus times cross-section of the rubber, axial and radial.
     braid_angle, initial_diameter
         alpha0 [rad] and d0 [m] of the deflated muscle.
     domain
-        Where to trust it. Stretched so far that its threads are straight, the muscle has no force (NaN).
+        Domain of the data behind it. NaN beyond the stretch at which the threads are straight.
 
     References
     ----------
@@ -38,7 +38,7 @@ class MartensBoblanLaw(PressureAffineLaw):
 
     Examples
     --------
-    Without rubber it is Chou's law; rubber pulls back what it is stretched:
+    Without rubber it is Chou's law:
 
     >>> from mckibben.units import bar, deg, mm, percent
     >>> law = MartensBoblanLaw(0.0, 0.0, braid_angle=25 * deg, initial_diameter=10 * mm)
@@ -64,8 +64,8 @@ class MartensBoblanLaw(PressureAffineLaw):
     )
     source = "Martens and Boblan 2017; the rubber's energy ours"
     linear_parameters = (
-        Parameter("axial_stiffness", "N", "N", "rubber, along"),
-        Parameter("radial_stiffness", "N", "N", "rubber, around"),
+        Parameter("axial_stiffness", "N", "N", "rubber, axial"),
+        Parameter("radial_stiffness", "N", "N", "rubber, radial"),
     )
     shape_parameters = BRAID_PARAMETERS
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from typing import NamedTuple
 
@@ -66,6 +67,7 @@ class Muscle(eqx.Module):
             friction=(self.friction, Friction),
             creep=(self.creep, Creep),
         )
+        self.domain  # noqa: B018  # raises if there is none
 
     def __repr__(self) -> str:
         parts = [self.specimen.name, type(self.law).__name__]
@@ -158,14 +160,22 @@ class Muscle(eqx.Module):
         return self.law.pressure_for(force, contraction)
 
 
-def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike], stacklevel: int = 4) -> None:
+def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
     """Issue one `DomainWarning` for concrete contractions and pressures outside their muscle's domain."""
     if any(isinstance(value, Tracer) for _, *values in points for value in values):
         return
     texts = [(muscle.specimen.name, muscle.domain.describe_outside(*values)) for muscle, *values in points]
     if found := dict.fromkeys(f"{name}: {text}" for name, text in texts if text):
         text = f"{'; '.join(found)}; the law is extrapolated there"
-        warnings.warn(text, DomainWarning, stacklevel=stacklevel)  # the caller's line, past equinox's wrapper
+        warnings.warn(text, DomainWarning, stacklevel=_user_level())
+
+
+def _user_level() -> int:
+    """Return the stack level, counted from the caller, of the first frame outside this package and its wrappers."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in ("mckibben", "equinox", "jax"):
+        level, frame = level + 1, frame.f_back
+    return level
 
 
 def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:

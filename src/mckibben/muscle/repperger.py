@@ -1,4 +1,4 @@
-"""The law of Repperger and co-workers: a spring that is stiff inflated and soft deflated."""
+"""Law of Repperger and co-workers: a spring whose stiffness increases with pressure."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from mckibben.units import percent
 
 
 class ReppergerLaw(PressureAffineLaw):
-    r"""A spring whose stiffness grows with pressure, and whose rest is the muscle fully contracted.
+    r"""Spring whose stiffness increases with pressure, unloaded at full contraction.
 
     .. math:: F = (k_0 + k_1 p)\,(\varepsilon_0 - \varepsilon)
 
-    The source has a spring with two stiffnesses, inflated and deflated, and a transient force in between. This form,
-    ours, is its rest: the stiffness goes from one to the other with pressure, and the force is gone at one contraction.
+    The source has a spring with two stiffnesses, inflated and deflated, and a transient force. This static form is
+    ours: the stiffness is affine in pressure, and the force is zero at one contraction.
 
     Parameters
     ----------
     k0, k1
-        Stiffness [N] of the deflated muscle and its growth with pressure [N/Pa], per unit of contraction.
+        Stiffness [N] of the deflated muscle and its increase with pressure [N/Pa], per unit of contraction.
     rest
-        The contraction eps0 [-] without force.
+        Contraction eps0 [-] without force.
     domain
-        Where to trust it.
+        Domain of the data behind it.
 
     References
     ----------
@@ -54,5 +54,5 @@ class ReppergerLaw(PressureAffineLaw):
     shape_parameters = (Parameter("rest", "1", "percent", "contraction without force", 1 * percent, 60 * percent),)
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        left = self.rest - jnp.asarray(contraction)
-        return self.k0 * left, self.k1 * left
+        remaining = self.rest - jnp.asarray(contraction)
+        return self.k0 * remaining, self.k1 * remaining

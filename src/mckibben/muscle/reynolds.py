@@ -1,4 +1,4 @@
-"""The phenomenological law of Reynolds and co-workers: a contractile element and a spring, each affine in pressure."""
+"""Phenomenological law of Reynolds and co-workers: contractile element and spring, each affine in pressure."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from mckibben.muscle.specimen import Domain
 
 
 class ReynoldsLaw(PressureAffineLaw):
-    r"""A contractile force against a linear spring; what remains of the three elements at rest.
+    r"""Contractile force and linear spring: the static part of the three-element model.
 
     .. math:: F = (f_0 + f_1 p) - (k_0 + k_1 p)\,\varepsilon
 
     The source writes :math:`M\ddot x + B(p)\dot x + K(p) x = F_{ce}(p) - M g` with the shortening x in mm: K is here
-    per unit of contraction, K l0. The damper B(p) acts in motion only; give the muscle a friction for it.
+    per unit of contraction, K l0. The damper B(p) is left out; see `mckibben.muscle.Friction`.
 
     Parameters
     ----------
     f0, f1
-        Contractile force [N] and its growth with pressure [N/Pa].
+        Contractile force [N] and its increase with pressure [N/Pa].
     k0, k1
-        Stiffness [N] and its growth with pressure [N/Pa], per unit of contraction.
+        Stiffness [N] and its increase with pressure [N/Pa], per unit of contraction.
     domain
-        Where to trust it.
+        Domain of the data behind it.
 
     References
     ----------
@@ -33,8 +33,8 @@ class ReynoldsLaw(PressureAffineLaw):
 
     Examples
     --------
-    The published muscle, made of a bicycle tube (179.2 + 1.39 P, 5.71 + 0.0307 P; N, mm, kPa), taken as 250 mm long,
-    which is ours:
+    The published muscle, made of a bicycle tube (179.2 + 1.39 P, 5.71 + 0.0307 P; N, mm, kPa); its length of 250 mm is
+    our assumption:
 
     >>> from mckibben.units import kPa, percent
     >>> law = ReynoldsLaw(f0=179.2, f1=1.39 / kPa, k0=5.71 * 250, k1=0.0307 * 250 / kPa)

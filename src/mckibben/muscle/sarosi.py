@@ -1,4 +1,4 @@
-"""The law of Sarosi: six coefficients, one of them in an exponential."""
+"""Law of Sarosi: six coefficients, one of them in an exponential."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from mckibben.numerics.elementary import exp
 
 
 class SarosiLaw(PressureAffineLaw):
-    r"""An experimental law for Festo's muscles.
+    r"""Empirical law for Festo's muscles.
 
     .. math:: F = (a_1 p + a_2)\,e^{a_3 \kappa} + a_4 \kappa p + a_5 p + a_6
 
-    with the contraction :math:`\kappa`. It is `ExponentialLaw` without the straight line at no pressure: a3 is minus
-    the decay, and b1 = 0.
+    with the contraction :math:`\kappa`. It is `ExponentialLaw` with b1 = 0; a3 is minus the
+    decay.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class SarosiLaw(PressureAffineLaw):
     a4
         Force per pressure and unit of contraction [N/Pa].
     domain
-        The contractions and pressures of the data behind it.
+        Domain of the data behind it.
 
     References
     ----------
@@ -58,7 +58,7 @@ class SarosiLaw(PressureAffineLaw):
     linear_parameters = (
         Parameter("a1", "N/Pa", "N/bar", "exponential, per pressure"),
         Parameter("a2", "N", "N", "exponential"),
-        Parameter("a4", "N/Pa", "N/(bar*percent)", "straight line, per pressure"),
+        Parameter("a4", "N/Pa", "N/(bar*percent)", "linear, per pressure"),
         Parameter("a5", "N/Pa", "N/bar", "constant, per pressure"),
         Parameter("a6", "N", "N", "constant"),
     )

@@ -1,4 +1,4 @@
-"""The law of Tondu and Lopez: Chou's cylinder whose conical ends take part of the contraction."""
+"""Laws of Tondu and Lopez: Chou's cylinder with conical ends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mckibben.units import bar
 
 
 class TonduLopezLaw(PressureAffineLaw):
-    r"""The ideal braid with a constant end-effect factor k: the cylinder contracts k times as much as the muscle.
+    r"""Ideal braid with a constant end-effect factor k: the cylinder contracts k times as much as the muscle.
 
     .. math:: F = \pi r_0^2 \, p \left(a (1 - k\varepsilon)^2 - b\right), \quad
         a = \frac{3}{\tan^2\alpha_0}, \quad b = \frac{1}{\sin^2\alpha_0}
@@ -31,7 +31,7 @@ class TonduLopezLaw(PressureAffineLaw):
     end_factor
         k [-], 1 or more.
     domain
-        Where to trust it.
+        Domain of the data behind it.
 
     References
     ----------
@@ -58,7 +58,7 @@ class TonduLopezLaw(PressureAffineLaw):
 
     equation = "F = p (pi d0^2/4) (3/tan^2(alpha0) (1 - k eps)^2 - 1/sin^2(alpha0))"
     source = "Tondu and Lopez 2000"
-    shape_parameters = (*BRAID_PARAMETERS, Parameter("end_factor", "1", "1", "k, of the conical ends", 0.5, 3.0))
+    shape_parameters = (*BRAID_PARAMETERS, Parameter("end_factor", "1", "1", "k, effect of conical ends", 0.5, 3.0))
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         gain = braid_gain(self.braid_angle, self.initial_diameter, 1 - self.end_factor * jnp.asarray(contraction))
@@ -66,7 +66,7 @@ class TonduLopezLaw(PressureAffineLaw):
 
 
 class TonduLopezVariableLaw(ForceLaw):
-    r"""The ideal braid whose end-effect factor falls with pressure, as the ends fill out.
+    r"""Ideal braid with an end-effect factor that decreases with pressure.
 
     .. math:: F = \pi r_0^2 \, p \left(a (1 - k(p)\,\varepsilon)^2 - b\right), \quad k(p) = a_k e^{-p/p_1} + b_k,
         \quad p_1 = 1\,\mathrm{bar}
@@ -106,11 +106,11 @@ class TonduLopezVariableLaw(ForceLaw):
     source = "Tondu and Lopez 2000, k(p)"
     shape_parameters = (
         *BRAID_PARAMETERS,
-        Parameter("end_rise", "1", "1", "a_k, what the ends add at no pressure", -2.0, 5.0),
-        Parameter("end_factor", "1", "1", "b_k, of the ends at high pressure", 0.5, 3.0),
+        Parameter("end_rise", "1", "1", "a_k, increase of the end effect at zero pressure", -2.0, 5.0),
+        Parameter("end_factor", "1", "1", "b_k, end effect at high pressure", 0.5, 3.0),
     )
     reference_pressure: ClassVar[float] = 1 * bar
-    """p_1 [Pa]: the source has the number of bar in the exponent."""
+    """p_1 [Pa]; the source has the pressure in bar."""
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         pressure = jnp.asarray(pressure)

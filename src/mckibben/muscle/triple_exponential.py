@@ -1,4 +1,4 @@
-"""A law of ours: three exponentials of rates one, two and four, and the pressure's logarithm in the fast one."""
+"""Law of this project: exponentials of rates one, two and four, and the logarithm of pressure in the last."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ from mckibben.units import atm
 
 
 class TripleExponentialLaw(ForceLaw):
-    r"""One number more than the exponential law of Eq. 2, and about half of its error at unseen pressures.
+    r"""Empirical law with one parameter more than Eq. 2 and about half of its error at unseen pressures.
 
     .. math:: F = a_1 + (a_2 + b\,\varepsilon)\,p + c\,p^2 e^{-\mu\varepsilon} + d_1 e^{-2\mu\varepsilon}
         + \left(d_2 + d_3 \ln(1 + p/p_a)\right) e^{-4\mu\varepsilon}
 
-    with the atmosphere :math:`p_a` = 101325 Pa. The second term is the braid, which pulls in proportion to the pressure
-    and less the shorter it is; what fades with contraction is rubber and ends. No more meaning should be read into it:
-    `benchmarks/forms.py` found it among 33649 forms by their errors at pressures left out, on two measured muscles and
-    two published ones. Of the first sixty it is the one that loses least when there are fewer pressures. A taut muscle
-    of it, fitted to any of the four, never pulls harder when shorter nor less at more pressure, at -3..25 % and
+    with the atmosphere :math:`p_a` = 101325 Pa. The second term is the force of the braid; the exponentials stand
+    for rubber and ends. The form is empirical: `benchmarks/forms.py` selected it among 33649 by the cross-validation
+    error on two measured and two published muscles; of the best sixty it loses least with fewer pressures. Fitted to
+    any of the four, the force of a taut muscle decreases with contraction and increases with pressure, at -3..25 % and
     0..8 bar.
 
     Parameters
@@ -38,11 +37,11 @@ class TripleExponentialLaw(ForceLaw):
     decay
         mu [-], per unit of contraction.
     domain
-        The contractions and pressures of the data behind it.
+        Domain of the data behind it.
 
     References
     ----------
-    This project, docs/laws.md; `mckibben identify dmsp-10-250-martens2017 --law all` shows it among the others.
+    This project, docs/laws.md; `mckibben identify dmsp-10-250-martens2017 --law all` compares it with the others.
 
     Examples
     --------
@@ -72,7 +71,7 @@ class TripleExponentialLaw(ForceLaw):
     linear_parameters = (
         Parameter("a1", "N", "N", "constant"),
         Parameter("a2", "N/Pa", "N/bar", "constant, per pressure"),
-        Parameter("b", "N/Pa", "N/(bar*percent)", "straight line, per pressure"),
+        Parameter("b", "N/Pa", "N/(bar*percent)", "linear, per pressure"),
         Parameter("c", "N/Pa^2", "N/bar^2", "slow exponential, per square of pressure"),
         Parameter("d1", "N", "N", "exponential of twice its decay"),
         Parameter("d2", "N", "N", "exponential of four times its decay"),

@@ -1,4 +1,4 @@
-"""The law of Tsagarakis and Caldwell: ends, wall thickness, and a pressure lost to rubber and friction."""
+"""Law of Tsagarakis and Caldwell: rigid ends, wall thickness and a threshold pressure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mckibben.units import mm
 
 
 class TsagarakisCaldwellLaw(PressureAffineLaw):
-    r"""The braid with ends that keep their length, a wall of some thickness, and a dead band of pressure.
+    r"""Braid with ends of constant length, a wall of finite thickness, and a threshold pressure.
 
     .. math::
 
@@ -21,12 +21,11 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
 
     with :math:`a = 3/\tan^2\alpha_0`, :math:`b = 1/\sin^2\alpha_0`, the cylinder's length over its initial one
     :math:`x = 1 - \varepsilon/(1 - s)`, the braid angle :math:`\cos\alpha = x \cos\alpha_0` and the braid's diameter at
-    90 degrees :math:`d_n = d_0/\sin\alpha_0`. A share s of the muscle's length are its ends. The pressure p_t is what
-    rubber and friction of the threads take: below it nothing is pulled.
+    90 degrees :math:`d_n = d_0/\sin\alpha_0`. The ends are a fraction s of the muscle's length. Below the threshold
+    pressure p_t, due to rubber and static friction, there is no force.
 
-    The source gives its corrections as a procedure. This form, ours, has one number for each of them: the ends as
-    lengths that do not contract, the wall as Chou and Hannaford write it, rubber and static friction as one lost
-    pressure. The sign-changing part of friction belongs to the muscle (`mckibben.muscle.MaxwellSlip`).
+    The source gives its corrections as a procedure. This form, with one parameter for each, is ours; the term of the
+    wall is that of Chou and Hannaford. For hysteresis see `mckibben.muscle.MaxwellSlip`.
 
     Parameters
     ----------
@@ -37,9 +36,9 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
     wall_thickness
         t [m] of bladder and braid.
     end_share
-        s [-], of both ends together.
+        s [-], length of both ends over that of the muscle.
     domain
-        Where to trust it. Stretched so far that its threads are straight, the muscle has no force (NaN).
+        Domain of the data behind it. NaN beyond the stretch at which the threads are straight.
 
     References
     ----------
@@ -49,7 +48,7 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
 
     Examples
     --------
-    Without its corrections it is Chou's law:
+    Without corrections it is Chou's law:
 
     >>> from mckibben.units import bar, deg, mm
     >>> law = TsagarakisCaldwellLaw(0.0, 25 * deg, 10 * mm, wall_thickness=0.0, end_share=0.0)
@@ -81,14 +80,14 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
     linear_parameters = (Parameter("threshold_pressure", "Pa", "bar", "pressure lost to rubber and friction"),)
     shape_parameters = (
         *BRAID_PARAMETERS,
-        Parameter("wall_thickness", "m", "mm", "of bladder and braid", 0.0, 5 * mm),
-        Parameter("end_share", "1", "percent", "of the length that are ends", 0.0, 0.6),
+        Parameter("wall_thickness", "m", "mm", "thickness of bladder and braid", 0.0, 5 * mm),
+        Parameter("end_share", "1", "percent", "fraction of the length that are ends", 0.0, 0.6),
     )
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         x = 1 - jnp.asarray(contraction) / (1 - self.end_share)
         sine = jnp.sqrt(1 - (x * jnp.cos(self.braid_angle)) ** 2)
-        widest = self.initial_diameter / jnp.sin(self.braid_angle)
-        wall = jnp.pi * widest * self.wall_thickness * (2 * sine - 1 / sine) - jnp.pi * self.wall_thickness**2
+        diameter = self.initial_diameter / jnp.sin(self.braid_angle)
+        wall = jnp.pi * diameter * self.wall_thickness * (2 * sine - 1 / sine) - jnp.pi * self.wall_thickness**2
         gain = braid_gain(self.braid_angle, self.initial_diameter, x) + wall
         return -self.threshold_pressure * gain, gain

@@ -1,4 +1,4 @@
-"""Batches of runs as lanes of one program."""
+"""Leaves of a tree by name, lanes of a batch, and programs for many runs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
@@ -24,27 +24,17 @@ from mckibben.errors import ParameterError
 
 Tree = TypeVar("Tree")
 R = TypeVar("R")
+P = ParamSpec("P")
 
 RANK = "rank"
-"""Metadata of a field that holds arrays by nature, such as samples over time: their number of axes."""
+"""Metadata key of a field that holds arrays in a single run, such as samples over time: their number of axes."""
 
 
 def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
-    """How many lanes a tree has, and which of its leaves vary over them.
+    """The number of lanes of a tree (None if no leaf varies), and flags of its varying leaves for `equinox.partition`.
 
-    A leaf varies if it has one axis more than it would have in a single run; that axis comes first.
-
-    Parameters
-    ----------
-    tree
-        Of modules, tuples and arrays.
-    name
-        What the tree is called, for messages.
-
-    Returns
-    -------
-    count, varying
-        The number of lanes, None if no leaf varies; and a tree of flags, for `equinox.partition`.
+    A leaf varies if it has one axis more than in a single run; that axis comes first. `name` is that of the tree in
+    messages.
 
     Raises
     ------
@@ -64,53 +54,54 @@ def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
         where = ".".join(part for part in (name, jax.tree_util.keystr(path, simple=True, separator=".")) if part)
         if extra not in (0, 1):
             raise ParameterError(
-                f"{where} has the shape {np.shape(leaf)}", remedy="give a number, or an array of one axis over the runs"
+                f"{where} has the shape {np.shape(leaf)}",
+                remedy="give a number, or a one-dimensional array with one value per run",
             )
         flags.append(extra == 1)
         if extra == 1:
             size = np.shape(leaf)[0]
             if size == 0:
-                raise ParameterError(f"{where} holds no value", remedy="give one a run")
+                raise ParameterError(f"{where} is empty", remedy="give one value per run")
             if count is not None and size != count:
-                raise ParameterError(f"{where} has {size} values, {first} has {count}", remedy="give one of each a run")
+                raise ParameterError(f"{where} has {size} values, {first} has {count}", remedy="give as many")
             count, first = size, where
     return count, jax.tree_util.tree_unflatten(structure, flags)
 
 
 def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> dict[str, Any]:
-    """The same trees with other values at some leaves, addressed by dotted names such as ``plant.load.mass2``.
+    """Trees with other values at some leaves, addressed by dotted names such as ``plant.load.mass2``.
 
     Raises
     ------
     ParameterError
-        If there is no such leaf; the nearest name is suggested. If a value is no number, or no whole one where the leaf
-        is one by nature.
+        If there is no such leaf (the nearest name is suggested), a value is not numeric, or a value of an integer
+        leaf is not an integer.
     """
     if not values:
         return dict(trees)
-    known = leaves_named(trees, list(values))
-    return replaced(trees, {name: _numbers(trees, name, known[name], value) for name, value in values.items()})
+    known = select_leaves(trees, list(values))
+    return replace_leaves(trees, {name: _numbers(trees, name, known[name], value) for name, value in values.items()})
 
 
 def _numbers(trees: Mapping[str, Any], name: str, leaf: Any, value: ArrayLike) -> np.ndarray:
-    """Values of a leaf as an array, of the kind that it takes."""
+    """Values of a leaf as an array of its type."""
     try:
         given = np.asarray(value)
-    except (TypeError, ValueError, OverflowError):  # rows of different lengths, or nothing that NumPy can hold
+    except (TypeError, ValueError, OverflowError):  # ragged rows, or no array at all
         given = np.asarray(None)
     whole = jnp.issubdtype(given.dtype, jnp.integer)
     if not (whole or jnp.issubdtype(given.dtype, jnp.floating)):
         raise ParameterError(
-            f"the values of {name} are no numbers", value=value, remedy="give one, or an array of one a run"
+            f"the values of {name} are not numeric", value=value, remedy="give a number, or an array with one per run"
         )
     if not whole and _is_whole(trees, name):
-        raise ParameterError(f"{name} is a whole number", value=value, remedy="give integers")
+        raise ParameterError(f"{name} is an integer", value=value, remedy="give integers")
     keeps = whole and jnp.issubdtype(np.asarray(leaf).dtype, jnp.integer)
     return given if keeps else given.astype(float)
 
 
 def _is_whole(trees: Mapping[str, Any], name: str) -> bool:
-    """Whether a leaf is a whole number by nature, such as a seed, and not a float that was written without a point."""
+    """Whether a leaf is declared an integer, such as a seed, and is not a float written without a point."""
     root, *steps = name.split(".")
     owner = _descend(trees[root], tuple(steps[:-1])) if steps else trees
     kind = getattr(type(owner), "__annotations__", {}).get(steps[-1] if steps else root, "")
@@ -119,9 +110,9 @@ def _is_whole(trees: Mapping[str, Any], name: str) -> bool:
     return kind is int or str(kind).startswith("int ") or kind == "int"
 
 
-def leaves_named(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """The leaves of dotted names; raises as `with_leaves` does."""
-    known = by_name(trees)
+def select_leaves(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """Leaves by their dotted names; raises as `with_leaves` does."""
+    known = named_leaves(trees)
     for name in names:
         if name not in known:
             close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
@@ -130,8 +121,8 @@ def leaves_named(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, An
     return {name: known[name] for name in names}
 
 
-def by_name(trees: Mapping[str, Any]) -> dict[str, Any]:
-    """All leaves that are numbers or arrays, by their dotted names."""
+def named_leaves(trees: Mapping[str, Any]) -> dict[str, Any]:
+    """All numeric leaves by their dotted names."""
     found = {}
     for root, tree in trees.items():
         leaves, structure = jax.tree.flatten(tree)
@@ -143,14 +134,14 @@ def by_name(trees: Mapping[str, Any]) -> dict[str, Any]:
 
 @functools.lru_cache(maxsize=256)
 def _names(structure: Any) -> tuple[str, ...]:
-    """The dotted names of the leaves of a structure."""
+    """Dotted names of the leaves of a structure."""
     tree = jax.tree.unflatten(structure, range(structure.num_leaves))
     paths = jax.tree_util.tree_leaves_with_path(tree)
     return tuple(jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)
 
 
-def replaced(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """The same trees with other values at leaves that exist."""
+def replace_leaves(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Trees with other values at existing leaves."""
     changed = dict(trees)
     for name, value in values.items():
         root, *steps = name.split(".")
@@ -158,17 +149,19 @@ def replaced(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, A
     return changed
 
 
-def check_again(tree: Any) -> None:
-    """Let every module of a tree check its numbers, as it did when it was made."""
-    for node in jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, eqx.Module)):
-        if isinstance(node, eqx.Module):
-            if check := getattr(node, "__check_init__", None):
-                check()
-            check_again([getattr(node, field.name) for field in dataclasses.fields(node)])
+def recheck(tree: Any) -> None:
+    """Run the checks of every module in a tree, as at its construction."""
+    if isinstance(tree, eqx.Module):
+        if check := getattr(type(tree), "__check_init__", None):
+            check(tree)
+        tree = vars(tree)
+    if isinstance(tree, dict | tuple | list):
+        for value in tree.values() if isinstance(tree, dict) else tree:
+            recheck(value)
 
 
 def cast(tree: Tree, kind: Any) -> Tree:
-    """The same tree with all its floats of one type, as arrays."""
+    """Tree with all its floats as arrays of one type."""
 
     def convert(leaf: Any) -> Any:
         return jnp.asarray(leaf, kind) if isinstance(leaf, float) or eqx.is_inexact_array(leaf) else leaf
@@ -176,8 +169,8 @@ def cast(tree: Tree, kind: Any) -> Tree:
     return jax.tree.map(convert, tree)
 
 
-def padded(tree: Tree, chunk: slice, size: int) -> Tree:
-    """A piece of every leaf, filled up to a size with its last lane: programs are compiled for one size."""
+def pad_chunk(tree: Tree, chunk: slice, size: int) -> Tree:
+    """Chunk of every leaf, padded to `size` with its last lane: programs are compiled for one size."""
 
     def piece(leaf: Any) -> Any:
         part = np.asarray(leaf[chunk])
@@ -186,41 +179,41 @@ def padded(tree: Tree, chunk: slice, size: int) -> Tree:
     return jax.tree.map(piece, tree)
 
 
-def worked_off(
+def map_chunks(
     call: Callable[[slice], R], count: int, size: int, workers: int | None = None
 ) -> Iterator[tuple[slice, R]]:
-    """Call a function on pieces of so many lanes, several at once, and yield their answers in order.
+    """Call a function on chunks of `size` lanes in threads, and yield each chunk and its answer in order.
 
-    JAX lets go of the interpreter's lock while it computes, so threads keep all cores busy; no piece waits for the
-    slowest of a round. At most two pieces a worker are under way, so memory does not grow with the count.
+    JAX releases the interpreter's lock while it computes. At most two chunks per worker are pending, so memory does
+    not grow with the count.
     """
     workers = workers or cores()
-    pieces = iter([slice(start, min(start + size, count)) for start in range(0, count, size)])
-    waiting: deque[tuple[slice, Future[R]]] = deque()
+    chunks = iter([slice(start, min(start + size, count)) for start in range(0, count, size)])
+    pending: deque[tuple[slice, Future[R]]] = deque()
     with ThreadPoolExecutor(workers) as pool:
         try:
             while True:
-                for piece in pieces:
-                    waiting.append((piece, pool.submit(call, piece)))
-                    if len(waiting) >= 2 * workers:
+                for chunk in chunks:
+                    pending.append((chunk, pool.submit(call, chunk)))
+                    if len(pending) >= 2 * workers:
                         break
-                if not waiting:
+                if not pending:
                     return
-                piece, future = waiting.popleft()
-                yield piece, future.result()
+                chunk, future = pending.popleft()
+                yield chunk, future.result()
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
 def cores() -> int:
-    """The processor cores that this process may use; 1 where an accelerator does the work."""
+    """Number of processor cores available to this process; 1 on an accelerator."""
     if jax.default_backend() != "cpu":
         return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _rank(tree: Any, path: tuple[Any, ...]) -> int:
-    """The number of axes of a leaf in a single run."""
+    """Number of axes of a leaf in a single run."""
     *owners, last = path
     for step in owners:
         tree = (
@@ -238,51 +231,62 @@ def _descend(tree: Any, steps: tuple[str, ...]) -> Any:
     return tree
 
 
-_APART: ContextVar[bool] = ContextVar("pieces apart", default=False)
-_ROLLED: ContextVar[bool] = ContextVar("stages in a loop", default=False)
+_BATCHED: ContextVar[bool] = ContextVar("batched program", default=False)
+_ROLLED: ContextVar[bool] = ContextVar("rolled integration stages", default=False)
 
 
 @contextmanager
-def many_runs(*, rolled: bool = True) -> Iterator[None]:
-    """What is traced inside is for many runs side by side; or, not `rolled`, for one with derivatives beside it."""
-    tokens = _APART.set(True), _ROLLED.set(rolled)
+def batched_program(*, rolled: bool = True) -> Iterator[None]:
+    """Trace for many runs side by side, or, not `rolled`, for one run with its derivatives."""
+    tokens = _BATCHED.set(True), _ROLLED.set(rolled)
     try:
         yield
     finally:
-        _APART.reset(tokens[0])
+        _BATCHED.reset(tokens[0])
         _ROLLED.reset(tokens[1])
 
 
-def traced_for() -> tuple[bool, bool]:
-    """What makes the same function another program: whether pieces are kept apart, and stages a loop."""
-    return _APART.get(), _ROLLED.get()
+def trace_mode() -> tuple[bool, bool]:
+    """The context that makes another program of the same function: whether batched, and whether stages are rolled."""
+    return _BATCHED.get(), _ROLLED.get()
 
 
-def rolled() -> bool:
-    """Whether the stages of an integration step shall be a loop."""
-    return _ROLLED.get()
+def compute_once(function: Callable[..., R], *args: object) -> R:
+    """`function(*args)`; in a program for many runs in a branch, so that XLA does not repeat it in each use.
 
-
-def apart(function: Callable[..., R], *args: object, witness: ArrayLike) -> R:
-    """`function(*args)`, where it is for many runs in a branch of its own, so that it is computed once.
-
-    Parameters
-    ----------
-    function
-        Pure; its answers are arrays.
-    args
-        Its arguments.
-    witness
-        A positive number, the same for all runs, that the compiler cannot know: without it there would be no branch.
+    The function is pure and its results are arrays. A constant behind a barrier is the condition, so that XLA cannot
+    remove the branch.
 
     Examples
     --------
-    >>> with many_runs():
-    ...     float(apart(lambda x: 2 * x, jnp.asarray(3.0), witness=0.001))
+    >>> with batched_program():
+    ...     float(compute_once(lambda x: 2 * x, jnp.asarray(3.0)))
     6.0
     """
-    if not _APART.get():
+    if not _BATCHED.get():
         return function(*args)
-    shapes = jax.eval_shape(function, *args)
-    nothing = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
-    return lax.cond(jnp.asarray(witness) > 0, lambda *given: function(*given), lambda *_: nothing, *args)
+
+    def call() -> R:
+        token = _BATCHED.set(False)  # one branch is enough
+        try:
+            return function(*args)
+        finally:
+            _BATCHED.reset(token)
+
+    zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(call))
+    return lax.cond(lax.optimization_barrier(jnp.asarray(1.0)) > 0, call, lambda: zeros)
+
+
+def computed_once(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator for functions and methods that are always called by `compute_once`."""
+
+    @functools.wraps(function)
+    def once(*args: P.args, **kwargs: P.kwargs) -> R:
+        return compute_once(lambda: function(*args, **kwargs))
+
+    return once
+
+
+def apart(function: Callable[..., R], *args: object, witness: ArrayLike) -> R:
+    """Former name of `compute_once`."""
+    return compute_once(function, *args)

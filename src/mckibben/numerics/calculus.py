@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.numerics.batching import rolled
+from mckibben.numerics.batching import trace_mode
 from mckibben.numerics.elementary import floating
 
 Values = TypeVar("Values")
@@ -35,47 +35,51 @@ def value_and_derivative(function: Callable[[Array], Values], x: ArrayLike) -> t
     return jax.jvp(function, (x,), (jnp.ones_like(x),))
 
 
-_HALVINGS = 24
+_BISECTIONS = 24
 _NEWTON_STEPS = 4
 
 
-def increasing_root(function: Callable[[Array], Array], low: ArrayLike, high: ArrayLike) -> Float[Array, "..."]:
-    """The zero between two bounds of a function that increases, elementwise; NaN where there is none.
+def bracketed_root(function: Callable[[Array], Array], low: ArrayLike, high: ArrayLike) -> Float[Array, "..."]:
+    """The zero of a monotone function between two bounds, elementwise; NaN where the bounds do not bracket one.
 
-    Halving finds it wherever the function increases; Newton's steps take it to rounding, and their last makes the
-    answer differentiable with respect to whatever the function holds.
+    Bisection, then Newton's method to rounding. The derivatives with respect to whatever the function closes over are
+    those of the implicit function.
 
     Parameters
     ----------
     function
-        Elementwise, and increasing between the bounds; the bounds broadcast against what it holds.
+        Elementwise, and rising or falling throughout between the bounds.
     low, high
-        The bounds.
+        The bounds; they broadcast against what the function closes over.
 
     Examples
     --------
-    >>> float(increasing_root(lambda x: x**3 - 8.0, 0.0, 10.0))
+    >>> float(bracketed_root(lambda x: x**3 - 8.0, 0.0, 10.0))
     2.0
-    >>> float(increasing_root(lambda x: x**3 + 8.0, 0.0, 10.0))
+    >>> float(bracketed_root(lambda x: 8.0 - x**3, 0.0, 10.0))
+    2.0
+    >>> float(bracketed_root(lambda x: x**3 + 8.0, 0.0, 10.0))
     nan
     """
     low, high = floating(low), floating(high)
-    shape = jnp.broadcast_shapes(function(low).shape, function(high).shape)
+    at_low, at_high = function(low), function(high)
+    shape = jnp.broadcast_shapes(at_low.shape, at_high.shape)
     low, high = jnp.broadcast_to(low, shape), jnp.broadcast_to(high, shape)
-    exists = (function(low) <= 0) & (function(high) >= 0)
+    rising = at_low <= at_high
+    exists = jnp.where(rising, (at_low <= 0) & (at_high >= 0), (at_low >= 0) & (at_high <= 0))
 
-    def halve(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+    def bisect(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bounds
         middle = (low + high) / 2
-        above = function(middle) > 0
-        return jnp.where(above, low, middle), jnp.where(above, middle, high)
+        beyond = (function(middle) > 0) == rising
+        return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
 
-    low, high = lax.stop_gradient(lax.fori_loop(0, _HALVINGS, halve, (low, high)))
-    found = (low + high) / 2
+    low, high = lax.stop_gradient(lax.fori_loop(0, _BISECTIONS, bisect, (low, high)))
+    root = (low + high) / 2
     for _ in range(_NEWTON_STEPS):
-        value, slope = value_and_derivative(function, lax.stop_gradient(found))
-        found = lax.stop_gradient(found) - value / lax.stop_gradient(slope)
-    return jnp.where(exists, found, jnp.nan)
+        value, slope = value_and_derivative(function, lax.stop_gradient(root))
+        root = lax.stop_gradient(root) - value / lax.stop_gradient(slope)
+    return jnp.where(exists, root, jnp.nan)
 
 
 State = TypeVar("State")
@@ -86,19 +90,18 @@ def rk4(
 ) -> State:
     """One step of the classical fourth-order Runge-Kutta method.
 
-    In a program for many runs side by side (`mckibben.numerics.batching`) its stages are a loop; results differ by
-    rounding.
+    In a batched program (`mckibben.numerics.batching`) its stages are a loop; results differ by rounding.
 
     Parameters
     ----------
     rate
         The state's derivative with respect to time; same structure as the state.
     state
-        Any pytree. Leave it a tuple of scalars: stacking it into a vector is slower on every device.
+        Any pytree; a tuple of scalars is faster than one vector.
     step
-        The length of the step [s].
+        Step size [s].
     inputs
-        What `rate` takes beside the state, at the beginning, the middle and the end of the step.
+        Further arguments of `rate` at the beginning, the middle and the end of the step.
 
     Examples
     --------
@@ -110,7 +113,7 @@ def rk4(
     def moved(slope: State, length: ArrayLike) -> State:
         return jax.tree.map(lambda x, dx: x + length * dx, state, slope)
 
-    if rolled():
+    if trace_mode()[1]:
         kind = jnp.result_type(step)
         places, weights = (jnp.asarray(row, kind) for row in ((0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)))
 

@@ -1,4 +1,4 @@
-"""Numbers that make no sense are refused where an object is made from them; traced numbers cannot be looked at."""
+"""Checks of numbers at the construction of an object; traced numbers pass."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mckibben.errors import RangeError
 
 
 def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
-    """Raise unless every number is finite and positive (or zero, where allowed); of an array, each.
+    """Raise unless every number, or element of an array, is finite and positive (or zero, where allowed).
 
     Raises
     ------
@@ -29,18 +29,18 @@ def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: 
                 value=wrong,
                 lower=0.0,
                 unit=unit,
-                remedy=f"it has to be finite and {kind}",
+                remedy=f"give a finite number {kind}",
             )
 
 
 def whole_periods(duration: float, period: float) -> int | None:
-    """How many periods make a duration; None where it is no whole number of them (to a part in a billion)."""
+    """Number of periods in a duration; None if it is not a multiple (to 1e-9)."""
     count = round(duration / period)
     return count if count >= 1 and abs(count * period - duration) <= 1e-9 * duration else None
 
 
 def check_within(owner: str, lower: float, upper: float, unit: str = "", **values: object) -> None:
-    """Raise unless every number lies in a range, the edges included; of an array, each.
+    """Raise unless every number, or element of an array, lies in a closed range.
 
     Raises
     ------
@@ -62,12 +62,12 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", **value
 
 
 def check_kind(owner: str, **fields: tuple[object, type]) -> None:
-    """Raise unless each field is of its kind: arguments are easily swapped.
+    """Raise unless each field is of its type: arguments are easily swapped.
 
     Raises
     ------
     RangeError
-        It names the owner, the field, and what was given.
+        It names the owner, the field and the given value.
     """
     for name, (value, kind) in fields.items():
         if isinstance(value, Real | str):
@@ -81,10 +81,10 @@ def check_kind(owner: str, **fields: tuple[object, type]) -> None:
 
 
 def _known(value: object) -> NDArray[np.float64]:
-    """The numbers of a value, flat; none where it is traced, or a placeholder of a transformation."""
+    """Numbers of a value, flat; none where it is traced, or a placeholder of a transformation."""
     if isinstance(value, Real | np.ndarray):
         return np.asarray(value, float).ravel()
-    import jax  # those who check plain numbers only need not wait for it
+    import jax  # slow; not needed for plain numbers
     import jax.core
 
     concrete = isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)

@@ -1,27 +1,29 @@
-"""Compile once for a structure, not for each number in it."""
+"""Compile a function once for each structure of its arguments, not for each number in them."""
 
 from __future__ import annotations
 
 import functools
+import threading
 from collections.abc import Callable
 from numbers import Integral, Real
 from typing import Any, ParamSpec, TypeVar
 
 import jax
+import jax.core
 import numpy as np
 
-from mckibben.numerics.program_cache import KeptProgram
-from mckibben.numerics.runtime import batch_options
+from mckibben.numerics.batching import trace_mode
+from mckibben.numerics.program_cache import ARRAY, load_or_compile
+from mckibben.numerics.runtime import batch_options, programs_folder
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_ARRAYS = (jax.Array, np.ndarray, np.generic)
+
 
 def numeric(tree: Any) -> Any:
-    """Python and NumPy numbers among a tree's leaves as arrays; everything else as it is.
-
-    They are NumPy's: JAX's own would each be put on the device on the way, which a command has to wait for.
-    """
+    """Tree with its Python and NumPy numbers as NumPy arrays (JAX's would be put on the device one by one)."""
 
     def convert(leaf: Any) -> Any:
         if isinstance(leaf, Integral) and not isinstance(leaf, bool):
@@ -38,7 +40,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
     Numbers that shape the program (counts, flags) have to be static fields, or bound beforehand; answers are arrays.
     """
-    program = KeptProgram(function)
+    program = Program(function)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -48,9 +50,9 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def compiled_as_given(function: Callable[P, R]) -> Callable[P, R]:
-    """The same, but arrays alone are traced, and everything else is static; pass trees through `numeric` first."""
-    program = KeptProgram(function)
+def compiled_as_given(function: Callable[P, R], options: Callable[[], dict[str, Any]] = dict) -> Callable[P, R]:
+    """`compiled` with only arrays traced and numbers static; pass trees through `numeric` first."""
+    program = Program(function, options)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -60,11 +62,50 @@ def compiled_as_given(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def compiled_batch(function: Callable[P, R]) -> Callable[P, R]:
-    """`compiled_as_given` for functions over many lanes, with the options that suit the processor."""
-    program = KeptProgram(function, batch_options)  # not before the first call: they depend on the device
+    """`compiled_as_given` with the compiler options for many lanes."""
+    return compiled_as_given(function, batch_options)
 
-    @functools.wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        return program(*args, **kwargs)
 
-    return call
+class Program:
+    """A pure function of arrays, compiled once for each structure of its arguments; all other leaves are static.
+
+    Where several threads need the same program, one compiles it and the others wait. `options` returns the compiler's
+    options at the first call, since they may depend on the device.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: Callable[[], dict[str, Any]] = dict) -> None:
+        self._function = function
+        self._options = options
+        self._programs: dict[Any, Callable[..., Any]] = {}
+        self._locks: dict[Any, threading.RLock] = {}
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        leaves, structure = jax.tree.flatten((args, kwargs))
+        arrays = [leaf for leaf in leaves if isinstance(leaf, _ARRAYS)]
+        static = tuple(ARRAY if isinstance(leaf, _ARRAYS) else leaf for leaf in leaves)
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in arrays):  # part of another program
+            return self._jitted(structure, static)(*arrays)
+        kinds = tuple((leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)) for leaf in arrays)
+        folder = programs_folder()
+        key = (structure, static, tuple(map(type, static)), kinds, trace_mode(), folder)
+        if (program := self._programs.get(key)) is None:
+            with self._locks.setdefault(key, threading.RLock()):
+                if (program := self._programs.get(key)) is None:
+                    program = self._jitted(structure, static)
+                    if folder is not None and jax.default_backend() == "cpu":
+                        described = (structure, static, kinds, trace_mode(), self._options())
+                        program = load_or_compile(folder, program, arrays, self._function, *described)
+                    answer = program(*arrays)  # `jax.jit` compiles here
+                    self._programs[key] = program
+                    return answer
+        return program(*arrays)
+
+    def _jitted(self, structure: Any, static: tuple[Any, ...]) -> Any:
+        """`jax.jit` of the function over its array leaves."""
+
+        def call(*arrays: Any) -> Any:
+            rest = iter(arrays)
+            args, kwargs = jax.tree.unflatten(structure, [next(rest) if leaf is ARRAY else leaf for leaf in static])
+            return self._function(*args, **kwargs)
+
+        return jax.jit(call, compiler_options=self._options() or None)

@@ -1,4 +1,4 @@
-"""Set JAX up before it starts: 64-bit numbers, fast loops on the CPU, and programs that are kept for the command line.
+"""Settings of JAX before it starts: 64-bit numbers, fast loops on the CPU, and the program cache of the command line.
 
 Nothing here imports JAX before it is used, so that `import mckibben` and `mckibben --help` stay quick.
 """
@@ -18,18 +18,18 @@ _LOOP_OPTION = "xla_cpu_small_while_loop_byte_threshold"
 _PROGRAMS = "MCKIBBEN_PROGRAMS_DIR"
 _EXTRA_OPTIONS = "--xla_backend_extra_options="
 _CPUINFO = Path("/proc/cpuinfo")
-_LASTING = {
+_CONSTANT = {
     *("vendor_id", "cpu family", "model", "model name", "stepping", "flags"),  # x86
     *("CPU implementer", "CPU architecture", "CPU variant", "CPU part", "CPU revision", "Features"),  # ARM
 }
 
 
 def configure() -> None:
-    """Ask for 64-bit JAX, and for compiled loops that run as one piece on the CPU.
+    """Set 64-bit JAX, and compiled loops that run as one piece on the CPU.
 
     JAX before 0.12 dispatches every fusion of a loop's body by itself on the CPU, which makes a simulated episode
-    4 to 20 times slower; an XLA flag cures it. It is added to what the user has set in ``XLA_FLAGS``. All settings go
-    through the environment (child processes inherit them), and through `jax.config` where JAX is imported already.
+    4 to 20 times slower; an XLA flag avoids it, added to the user's ``XLA_FLAGS``. All settings are made in the
+    environment, for child processes, and in `jax.config` where JAX is imported already.
     """
     os.environ["JAX_ENABLE_X64"] = "1"
     if _dispatches_loop_bodies():
@@ -41,7 +41,7 @@ def configure() -> None:
 
 
 def with_loop_option(flags: str) -> str:
-    """The user's XLA flags plus ours; a choice of the user's about the same option is kept.
+    """The user's XLA flags plus ours; the user's own value of the option has precedence.
 
     >>> with_loop_option("--xla_dump_to=x")
     '--xla_dump_to=x --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000'
@@ -54,11 +54,11 @@ def with_loop_option(flags: str) -> str:
     return f"{flags} {_EXTRA_OPTIONS}{option}".strip()
 
 
-def keep_programs() -> None:
-    """Keep finished programs in the user's cache folder, so that the next process need not make them again."""
+def use_program_cache() -> None:
+    """Store compiled programs in the user's cache folder, for the next process."""
     try:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    except RuntimeError:  # no home: then nothing is kept
+    except RuntimeError:  # no home directory: no cache
         return
     known = processor()
     if known is not None:
@@ -66,10 +66,10 @@ def keep_programs() -> None:
 
 
 def programs_folder() -> Path | None:
-    """Where finished programs are kept between processes; None unless `keep_programs` was called.
+    """Folder of the program cache; None unless `use_program_cache` was called.
 
-    None as well where JAX keeps a cache of its own: a program that it took from there cannot be kept again. And none
-    where it is not known what the processor can do, which so far is known on Linux alone.
+    None as well with a persistent cache of JAX, whose programs cannot be stored again, and where the processor's
+    instructions are not known, which are read on Linux only.
     """
     folder = os.environ.get(_PROGRAMS)
     usable = folder and not os.environ.get("JAX_COMPILATION_CACHE_DIR") and processor() is not None
@@ -78,11 +78,8 @@ def programs_folder() -> Path | None:
 
 @functools.cache
 def processor() -> str | None:
-    """A short name for the kind of processor: programs compiled for one do not run on every other.
-
-    None where it cannot be told.
-    """
-    about = _about_processor()
+    """Digest of the processor model, for which programs are compiled; None where it is not known."""
+    about = _cpuinfo()
     if not _instructions(about):
         return None
     described = [platform.machine(), *(f"{name}={value}" for name, value in sorted(about.items()))]
@@ -90,13 +87,13 @@ def processor() -> str | None:
 
 
 def _instructions(about: Mapping[str, str]) -> frozenset[str]:
-    """What the processor can do: Linux calls it ``flags`` on x86, and ``Features`` on ARM."""
+    """Instruction set extensions: ``flags`` on x86, ``Features`` on ARM."""
     return frozenset(about.get("flags", about.get("Features", "")).split())
 
 
 @functools.cache
-def _about_processor() -> dict[str, str]:
-    """What Linux says of the first processor, but for what differs from start to start."""
+def _cpuinfo() -> dict[str, str]:
+    """Constant entries of the first processor in /proc/cpuinfo."""
     about = {}
     try:
         with _CPUINFO.open(encoding="utf-8", errors="replace") as lines:
@@ -104,7 +101,7 @@ def _about_processor() -> dict[str, str]:
                 name, colon, value = (part.strip() for part in line.partition(":"))
                 if not colon and about:
                     break  # the next processor
-                if name in _LASTING:
+                if name in _CONSTANT:
                     about[name] = value
     except OSError:
         return {}
@@ -118,7 +115,7 @@ def batch_options() -> dict[str, int]:
 
     if jax.default_backend() != "cpu":
         return {}
-    return {"xla_cpu_prefer_vector_width": 512} if "avx512f" in _instructions(_about_processor()) else {}
+    return {"xla_cpu_prefer_vector_width": 512} if "avx512f" in _instructions(_cpuinfo()) else {}
 
 
 def _dispatches_loop_bodies() -> bool:

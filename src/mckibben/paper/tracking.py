@@ -23,10 +23,8 @@ from mckibben.paper.settings import (
     pid_scenario,
 )
 from mckibben.simulation import (
-    SETTLING_PART,
     Metrics,
     Result,
-    compiled_measure,
     rms,
     run_episode,
     sampled,
@@ -69,7 +67,7 @@ class ControllerRun:
     @property
     def unstable(self) -> int:
         """Number of unstable runs: not finite, or an angle RMSE above the RMS of the reference."""
-        reference = float(rms(self.result.trajectory.desired_angle))
+        reference = float(rms(self.result["desired_angle"]))
         return int(np.sum(~(self._values("angle_rmse") < reference)))
 
     def _ranked(self, metric: str) -> np.ndarray:
@@ -78,7 +76,7 @@ class ControllerRun:
 
     def _values(self, metric: str) -> np.ndarray:
         if self.seeds is None:
-            return np.array([self.result.metrics()[metric]])
+            return np.array([self.result.metrics[metric]])
         return np.asarray(getattr(self.seeds, metric))
 
 
@@ -205,8 +203,8 @@ def _run_bp(scenario: Scenario, seeds: int) -> ControllerRun:
 
     def metrics(seed: int) -> Metrics:
         seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, (seed, seed))
-        trajectory, _ = run_episode(plant, seeded, setpoints, initial, scenario.control_period, scenario.substeps)
-        return compiled_measure(trajectory, scenario.control_period, settling_part=SETTLING_PART)
+        run = run_episode(plant, seeded, setpoints, initial, scenario.control_period, scenario.substeps)
+        return Metrics(**run.metrics)  # type: ignore[arg-type]
 
     # One by one, with the programs of the single run: a batch would need another compilation.
     each = [metrics(seed) for seed in range(seeds)]
@@ -222,12 +220,12 @@ def _coupling(setting: Setting, stepping: ControllerRun) -> Coupling:
     control, start = scenario.control(), scenario.initial(plant)
 
     def late_error(setpoints: Setpoint) -> float:
-        trajectory, _ = run_episode(plant, control, setpoints, start, scenario.control_period, scenario.substeps)
-        late = trajectory.angle.size // 2
-        return float(rms((trajectory.stiffness - trajectory.desired_stiffness)[late:]))
+        run = run_episode(plant, control, setpoints, start, scenario.control_period, scenario.substeps)
+        late = run["angle"].size // 2
+        return float(rms((run["stiffness"] - run["desired_stiffness"])[late:]))
 
     return Coupling(
-        angle_by_step=stepping.result.metrics()["coupling"],
+        angle_by_step=stepping.result.metrics["coupling"],
         stiffness_by_motion=late_error(moving),
         stiffness_at_rest=late_error(at_rest),
     )

@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
 from mckibben.joint.attainable import StaticSolution, check_finite, raise_unattainable, solve_static
+from mckibben.joint.geometry import Pressures
 from mckibben.muscle import MuscleState
 from mckibben.muscle.creep import CreepState
 from mckibben.numerics.calculus import rk4
@@ -30,15 +31,15 @@ class IOState(NamedTuple):
 
     Attributes
     ----------
-    index
-        Control periods since the start.
+    sample
+        Index of the control period.
     disturbance
         External torque [N*m].
     sensors
         Sensor state.
     """
 
-    index: Scalar
+    sample: Scalar
     disturbance: Scalar
     sensors: Any
 
@@ -132,11 +133,11 @@ class JointPlant(eqx.Module):
         true, io = Measurement(state.angle, state.pressures), state.io
         if not isinstance(io, IOState):
             return state, true
-        sensors, measured = self.sensors.measure(io.sensors, io.index, true)
-        disturbance = floating(self.disturbance.torque(io.index * period))
-        return state._replace(io=IOState(io.index + 1, disturbance, sensors)), measured
+        sensors, measured = self.sensors.measure(io.sensors, io.sample, true)
+        disturbance = floating(self.disturbance.torque(io.sample * period))
+        return state._replace(io=IOState(io.sample + 1, disturbance, sensors)), measured
 
-    def clip_commands(self, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Scalar, Scalar]:
+    def clip_commands(self, commands: Pressures) -> tuple[Scalar, Scalar]:
         """Return the commands [Pa] clipped to the rated pressures of the specimens.
 
         The domain of a law may be smaller; a result reports where it is left.
@@ -147,18 +148,16 @@ class JointPlant(eqx.Module):
             jnp.clip(jnp.asarray(commands[1]), rated2.pressure_min, rated2.pressure_max),
         )
 
-    def stiffness(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> Float[Array, "..."]:
+    def stiffness(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         """Return the total stiffness [N*m/rad], of muscles and gravity."""
         return self.joint.stiffness(angle, pressures) + self.load.gravity_stiffness(angle)
 
-    def apply_commands(self, state: PlantState, commands: tuple[ArrayLike, ArrayLike]) -> PlantState:
+    def apply_commands(self, state: PlantState, commands: Pressures) -> PlantState:
         """Return the state right after new commands [Pa]."""
         pressure1, pressure2 = map(self.valve.after_command, state.pressures, commands)
         return state._replace(pressures=(pressure1, pressure2))
 
-    def advance(
-        self, state: PlantState, commands: tuple[ArrayLike, ArrayLike], duration: ArrayLike, substeps: int
-    ) -> PlantState:
+    def advance(self, state: PlantState, commands: Pressures, duration: ArrayLike, substeps: int) -> PlantState:
         """Return the state after a duration [s] under constant commands [Pa], by Runge-Kutta steps of equal length.
 
         The valves give the pressures in closed form; motion and creep are integrated.
@@ -170,8 +169,8 @@ class JointPlant(eqx.Module):
             return after(state.pressures[0], commands[0], elapsed), after(state.pressures[1], commands[1], elapsed)
 
         def integrate(_: Array, state: PlantState) -> PlantState:
-            def rate(motion: Motion, *pressures: Scalar) -> Motion:
-                return self.rate(motion.applied_to(state, pressures))
+            def rate(motion: Motion, pressure1: Scalar, pressure2: Scalar) -> Motion:
+                return self.rate(motion.applied_to(state, (pressure1, pressure2)))
 
             end = pressures_after(state, step)
             inputs = state.pressures, pressures_after(state, step / 2), end
@@ -184,20 +183,19 @@ class JointPlant(eqx.Module):
         """Return the time derivative of the motion (Eq. 6) at the pressures of a state."""
         angle, velocity, pressures, muscles, io = state
         creep1, creep2 = (state.creep for state in self.joint.state_rate(muscles, angle, velocity))
-        other = self.load.gravity_torque(angle) - self.load.damping * velocity
         if muscles == NO_STATES:
-            torque = self.joint.torque(angle, pressures) + other
+            torque = self.joint.torque(angle, pressures)
         else:
-            torque = self.joint.forces(angle, velocity, pressures, muscles).torque + other
+            torque = self.joint.forces(angle, velocity, pressures, muscles).torque
         if isinstance(io, IOState):
             torque = torque + io.disturbance
-        return Motion(velocity, torque * (1 / self.load.total_inertia), (creep1, creep2))
+        return Motion(velocity, self.load.acceleration(angle, velocity, torque), (creep1, creep2))
 
     def project(self, state: PlantState) -> PlantState:
         """Return the state after an integration step with updated internal states; no force changes by it."""
         return state._replace(muscles=self.joint.update_state(state.muscles, state.angle, state.pressures))
 
-    def init_state(self, angle: ArrayLike, pressures: tuple[ArrayLike, ArrayLike]) -> PlantState:
+    def init_state(self, angle: ArrayLike, pressures: Pressures) -> PlantState:
         """Return the state without velocity at an angle [rad] and gauge pressures [Pa], its muscles relaxed."""
         angle = floating(angle)
         pressure1, pressure2 = map(floating, pressure_pair(pressures))

@@ -27,7 +27,7 @@ from mckibben.reachability.trajectory import (
     smoothed,
 )
 from mckibben.simulation.feasibility import attainable_band
-from mckibben.simulation.loop import sampling_times
+from mckibben.simulation.problem import sampling_times
 from mckibben.units import deg
 
 MAX_SMOOTHING = 0.25
@@ -92,9 +92,7 @@ def _states(
     """Torque, static band, feasibility, and stiffness and commands of shape (points, samples)."""
     joint, load = plant.joint, plant.load
     angle, velocity, acceleration, jerk, points = map(floating, (angle, velocity, acceleration, jerk, points))
-    inertia, damping = load.total_inertia, load.damping
-    torque = inertia * acceleration + damping * velocity - load.gravity_torque(angle)
-    torque_rate = inertia * jerk + damping * acceleration + load.gravity_stiffness(angle) * velocity
+    torque, torque_rate = jax.jvp(load.required_torque, (angle, velocity, acceleration), (velocity, acceleration, jerk))
     segment = cocontraction_segment(joint, angle, torque, None, 0.0)
     tension = segment.first + (segment.last - segment.first) * points[:, None]
 

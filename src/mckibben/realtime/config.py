@@ -13,11 +13,20 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
+from mckibben.config.schema import model_of
 from mckibben.errors import Problem, RigError
 from mckibben.rig.backend import AnalogChannel, Backend
+from mckibben.rig.bench import JointLimits
 from mckibben.rig.calibration import Calibration
-from mckibben.study.rig.steps import JsonPath, Wait
-from mckibben.units import Angle, BoundedInt, Duration, PositiveTime, Pressure, PressureRate, Quantity, bar, deg
+from mckibben.study.rig.steps import JsonPath
+from mckibben.units import (
+    BoundedInt,
+    Duration,
+    Quantity,
+    WaitTime,
+    bar,
+    deg,
+)
 
 
 class JointReading(NamedTuple):
@@ -115,7 +124,7 @@ class Connected:
         """Volts of angle and pressures, of those of all inputs."""
         return [volts[line.column] for line in self._lines]
 
-    def seen(self, volts: Sequence[float]) -> JointReading:
+    def reading(self, volts: Sequence[float]) -> JointReading:
         """Reading of one sample; NaN for a lost sensor."""
         return JointReading(
             *(
@@ -150,7 +159,6 @@ def _line(calibration: Calibration, column: int, inputs: Sequence[AnalogChannel]
 
 _Step = Annotated[float, Quantity("rad", "deg", 0, 10)]
 _Noise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3)]
-_Turning = Annotated[float, Quantity("rad/s", "deg/s", 0, 1e5, open_lower=True)]
 
 
 class SimulatedJointSpec(ConfigModel):
@@ -176,29 +184,18 @@ class JointCardSpec(ConfigModel):
     calibration: JsonPath
 
 
-class JointLimitsSpec(ConfigModel):
-    """Safety limits, see `JointLimits`.
+class JointLimitsSpec(model_of(JointLimits, optional=True)):
+    """Safety limits.
 
     Defaults: angle 10 deg beyond the references, the start and the vented joint; pressure 5 % above the rated one.
     """
-
-    lowest_angle: Angle | None = None
-    highest_angle: Angle | None = None
-    pressure: Pressure | None = None
-    angle_rate: _Turning | None = None
-    pressure_rate: PressureRate | None = None
-    window: PositiveTime | None = None
-    pressure_error: Pressure | None = None
-    following: PositiveTime | None = None
-    silence: PositiveTime | None = None
-    late: PositiveTime | None = None
 
 
 class ApproachSpec(ConfigModel):
     """Approach: in `raising` the pressures are ramped to the start, in `settling` the first reference is held."""
 
-    raising: Wait = 2.0
-    settling: Wait = 2.0
+    raising: WaitTime = 2.0
+    settling: WaitTime = 2.0
 
 
 class JointRig(ConfigModel):

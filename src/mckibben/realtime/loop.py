@@ -392,7 +392,7 @@ class ControlLoop:
         for number, (time, signals) in enumerate(zip(times, volts, strict=True), start=first):
             phase = Phase.VENTING if venting else self._plan.phase(number)
             row = rows.begin(number, phase, time, connected.picked(signals), clock)
-            reading = connected.seen(signals)
+            reading = connected.reading(signals)
             rows.measured(row, reading)
             readings.append(reading)
         self._next = first + len(times)

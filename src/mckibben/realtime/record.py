@@ -17,7 +17,7 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.config import JointReading
 from mckibben.rig.record import Column
 from mckibben.rig.recorder import Recorder
-from mckibben.simulation import Reach, Result, compiled_trajectory
+from mckibben.simulation import Feasibility, Result, compiled_trajectory
 from mckibben.simulation.loop import Record
 from mckibben.simulation.result import attributes
 
@@ -123,7 +123,7 @@ _PREFIX = "controller_"
 
 
 def measured_result(
-    columns: Mapping[str, NDArray[Any]], plant: JointPlant, reach: Reach, period: float, *, scenario: str = ""
+    columns: Mapping[str, NDArray[Any]], plant: JointPlant, reach: Feasibility, period: float, *, scenario: str = ""
 ) -> Result | None:
     """Result of a recorded run, one value a control period; None if there was no run.
 

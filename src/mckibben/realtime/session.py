@@ -33,7 +33,7 @@ from mckibben.rig.bench import JointLimits
 from mckibben.rig.calibration import calibrations_in, content_of
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
-from mckibben.simulation import Reach, Result, check_reference, sampled
+from mckibben.simulation import Feasibility, Result, check_reference, sampled
 from mckibben.storage.files import alone
 from mckibben.storage.files import folder as made
 from mckibben.study.scenario import Scenario
@@ -62,7 +62,7 @@ class JointRunResult(NamedTuple):
 
     outcome: RunOutcome
     result: Result | None
-    reach: Reach
+    reach: Feasibility
     timing: Timing
     priority: str
 
@@ -87,7 +87,7 @@ class JointSession:
 
     scenario: Scenario
     plant: JointPlant
-    reach: Reach
+    reach: Feasibility
     backend: Backend
     wiring: Wiring
     limits: JointLimits

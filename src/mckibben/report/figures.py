@@ -143,7 +143,7 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
         for reference in StiffnessReference
     }
     rmse = {
-        name: runs[setting.key, StiffnessReference.CONSTANT, name].result.metrics()["angle_rmse"] / deg
+        name: runs[setting.key, StiffnessReference.CONSTANT, name].result.metrics["angle_rmse"] / deg
         for name in (PID, BP)
     }
     yield ReportFigure(

@@ -162,8 +162,8 @@ def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.f
 
 def _path(result: Result, reference: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
     """Reference stiffness over the range of reference angles, one horizontal line for each level."""
-    angle = result.table["desired_angle"].to_numpy() / deg
-    stiffness = result.table["desired_stiffness"].to_numpy()
+    angle = result["desired_angle"] / deg
+    stiffness = result["desired_stiffness"]
     levels = np.unique(stiffness)
     if len(levels) > 4:
         return [(f"desired stiffness, {reference}", angle, stiffness)]

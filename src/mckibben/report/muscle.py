@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.errors import RangeError
 from mckibben.identification import Fit, Validation
 from mckibben.muscle import ForceLaw, forces
 from mckibben.report.style import (
@@ -43,7 +44,17 @@ def isobaric_curves(dataset: IsobaricDataset) -> Figure:
     ----------
     dataset
         Dataset with directions; curves are means over repeats and include slack points.
+
+    Raises
+    ------
+    RangeError
+        If it does not have both directions.
     """
+    if len(dataset.directions) < 2:
+        raise RangeError(
+            f"{dataset!r} does not have both directions, loading and unloading",
+            remedy="draw the points: isobaric(dataset)",
+        )
     figure = blank(DOUBLE, 4.6)
     axes = figure.subplots()
     colours, levels = pressure_colours(), dataset.pressures

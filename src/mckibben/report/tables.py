@@ -9,6 +9,7 @@ from typing import Any
 
 from mckibben import catalog
 from mckibben.control import Sine
+from mckibben.joint import KneeGeometry
 from mckibben.paper import Reproduction
 from mckibben.paper.identification import FESTO, MARTENS, RIG, TEST_PRESSURES, plant_of
 from mckibben.paper.settings import (
@@ -23,7 +24,7 @@ from mckibben.paper.settings import (
     StiffnessReference,
 )
 from mckibben.paper.tracking import CONTROLLERS, PID
-from mckibben.plant import FirstOrderValve
+from mckibben.plant import FirstOrderValve, JointPlant
 from mckibben.units import bar, deg, factor, mm, ms, percent
 
 NAMES = {
@@ -52,6 +53,12 @@ class Decision:
 
     question: str
     answer: str
+
+
+def _connectors(plant: JointPlant) -> float:
+    """Connector length [m] of a knee."""
+    assert isinstance(plant.joint.geometry, KneeGeometry)
+    return plant.joint.geometry.connector_length
 
 
 def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
@@ -91,8 +98,8 @@ def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
             f"static equilibrium exists from {first:.1f}° to {last:.1f}° only. The paper's remedy, a “mechanical "
             "stretch "
             f"structure”, is not described. Both variants are run: {AS_PRINTED.name} (connectors "
-            f"{printed.joint.geometry.connector_length / mm:g} mm) and {PRE_CONTRACTED.name} "
-            f"({contracted.joint.geometry.connector_length / mm:g} mm, {short:.3g} % contraction at 0°).",
+            f"{_connectors(printed) / mm:g} mm) and {PRE_CONTRACTED.name} "
+            f"({_connectors(contracted) / mm:g} mm, {short:.3g} % contraction at 0°).",
         ),
         Decision(
             "Sign of gravity",

@@ -184,7 +184,7 @@ def _same_reference(results: Mapping[str, Result]) -> None:
 
 
 def _column(result: Result, name: str) -> NDArray[np.float64]:
-    return result.table[name].to_numpy()
+    return result[name]
 
 
 _BEFORE = 0.05  # s shown before the stiffness step
@@ -207,7 +207,7 @@ def error_curves(columns: Mapping[str, Mapping[str, Result]]) -> Figure:
     angle = {title: {n: _angle_error(r) for n, r in runs.items()} for title, runs in columns.items()}
     stiffness = {title: {n: _stiffness_error(r) for n, r in runs.items()} for title, runs in columns.items()}
     for i, (title, runs) in enumerate(columns.items()):
-        times = next(iter(runs.values())).table["time"].to_numpy()
+        times = next(iter(runs.values())).times
         for row, errors in ((0, angle[title]), (1, stiffness[title]), (2, stiffness[title])):
             axes = grid[row, i]
             for name, values in errors.items():
@@ -237,7 +237,7 @@ def _share_limits(
     margin: float,
 ) -> None:
     low, high = robust_limits([v for column in errors.values() for v in column.values()], part=part, margin=margin)
-    times = next(iter(runs.values())).table["time"].to_numpy()
+    times = next(iter(runs.values())).times
     for axes, column in zip(row, errors.values(), strict=True):
         axes.set_ylim(low, high)
         note_off_scale(axes, times, dict(column), unit)
@@ -246,12 +246,12 @@ def _share_limits(
 def _settling(axes: Axes, runs: Mapping[str, Result], times: NDArray[np.float64]) -> None:
     """Stiffness error after the last step of its reference, with settling band and settling times."""
     first = next(iter(runs.values()))
-    desired = first.table["desired_stiffness"].to_numpy()
+    desired = first["desired_stiffness"]
     change = int(last_change(desired).at)
     start = float(times[change])
-    band = float(settling_band(first.trajectory, SETTLING_PART))
+    band = float(settling_band(first["desired_stiffness"], first["stiffness"], SETTLING_PART))
     axes.axhspan(-band, band, color="#E8E8E8", zorder=0, label=f"{SETTLING_PART * 100:g} % of the step size")
-    settled = {name: result.metrics()["stiffness_settling"] for name, result in runs.items()}
+    settled = {name: result.metrics["stiffness_settling"] for name, result in runs.items()}
     finite = [value for value in settled.values() if np.isfinite(value)]
     length = float(np.clip(2.5 * max(finite, default=_ZOOM[1]), *_ZOOM))
     axes.set_xlim(start - (_BEFORE * length / 0.4 if change else 0), start + length)
@@ -267,11 +267,11 @@ def _settling(axes: Axes, runs: Mapping[str, Result], times: NDArray[np.float64]
 
 
 def _angle_error(result: Result) -> NDArray[np.float64]:
-    return (result.table["angle"] - result.table["desired_angle"]).to_numpy() / deg
+    return (result["angle"] - result["desired_angle"]) / deg
 
 
 def _stiffness_error(result: Result) -> NDArray[np.float64]:
-    return (result.table["stiffness"] - result.table["desired_stiffness"]).to_numpy()
+    return result["stiffness"] - result["desired_stiffness"]
 
 
 _METRICS = (
@@ -352,9 +352,9 @@ def gain_histories(results: Mapping[str, tuple[Result, float]]) -> Figure:
         for row, loop in enumerate(("position", "stiffness")):
             axes = grid[row, i]
             for gain, look in _GAINS.items():
-                values = result.table[f"{loop}_{gain}"].to_numpy()
+                values = result[f"{loop}_{gain}"]
                 if values[0] != 0:  # a loop without this part
-                    axes.plot(result.table["time"], values / values[0], label=f"${gain[0]}_{gain[1]}$", **look)
+                    axes.plot(result.times, values / values[0], label=f"${gain[0]}_{gain[1]}$", **look)
             for bound in (ratio, 1 / ratio):
                 axes.axhline(bound, color="#888888", linewidth=0.8, linestyle=(0, (2, 2)), label="bound on the gains")
             axes.set_yscale("log", base=2)

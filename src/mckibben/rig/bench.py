@@ -15,7 +15,25 @@ from mckibben.muscle import Muscle, Specimen
 from mckibben.numerics.checks import check_positive
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.protocol import specimen_of
-from mckibben.units import Hz, N, bar, deg, mm, ms, s
+from mckibben.units import (
+    Angle,
+    AngularRate,
+    Duration,
+    Force,
+    Hz,
+    N,
+    PositiveTime,
+    Pressure,
+    PressureRate,
+    SampleRate,
+    Tension,
+    Travel,
+    bar,
+    deg,
+    mm,
+    ms,
+    s,
+)
 
 _WHOLE = 1e-6  # pulses
 
@@ -146,16 +164,16 @@ class RigLimits:
         If one is not above 0, or not finite where it has to be.
     """
 
-    pressure: float
-    force: float
-    stretch: float
-    shorten: float
-    pressure_rate: float = 50 * bar / s
-    pressure_error: float = 0.3 * bar
-    settling: float = 10 * s
-    gap: float = 500 * ms
-    frozen: float = math.inf
-    deviation: float = math.inf
+    pressure: Pressure
+    force: Tension
+    stretch: Travel
+    shorten: Travel
+    pressure_rate: PressureRate = 50 * bar / s
+    pressure_error: Pressure = 0.3 * bar
+    settling: Duration = 10 * s
+    gap: PositiveTime = 500 * ms
+    frozen: Duration = math.inf
+    deviation: Tension = math.inf
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -195,16 +213,16 @@ class JointLimits:
         If one is not finite and above 0, or the angles are in the wrong order.
     """
 
-    lowest_angle: float
-    highest_angle: float
-    pressure: float
-    angle_rate: float = 720 * deg
-    pressure_rate: float = math.inf
-    window: float = 10 * ms
-    pressure_error: float = 1 * bar
-    following: float = 250 * ms
-    silence: float = 20 * ms
-    late: float = 50 * ms
+    lowest_angle: Angle
+    highest_angle: Angle
+    pressure: Pressure
+    angle_rate: AngularRate = 720 * deg
+    pressure_rate: PressureRate = math.inf
+    window: PositiveTime = 10 * ms
+    pressure_error: Pressure = 1 * bar
+    following: PositiveTime = 250 * ms
+    silence: PositiveTime = 20 * ms
+    late: PositiveTime = 50 * ms
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -257,12 +275,12 @@ class Bench:
     calibrations: Mapping[str, Calibration]
     limits: RigLimits
     rate: float = 1000 * Hz
-    cycle: float = 100 * ms
-    between: float = 10 * Hz
+    cycle: PositiveTime = 100 * ms
+    between: SampleRate = 10 * Hz
     settled: float = 0.1 * bar
     vented: float = 0.1 * bar
     steady: float = 1 * s
-    slack_force: float = 1 * N
+    slack_force: Force = 1 * N
 
     def __post_init__(self) -> None:
         if not 1 <= self.rate * self.cycle:

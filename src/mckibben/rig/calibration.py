@@ -171,7 +171,7 @@ class Calibration:
                 f"the unloaded {self.name} reads {tare:g} {self.unit}, more than a tenth of its span",
                 value=tare,
                 unit=self.unit,
-                remedy="take the load off, or calibrate anew",
+                remedy="take the load off, or repeat the calibration",
             )
         return replace(self, tare=tare)
 

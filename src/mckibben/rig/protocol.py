@@ -13,7 +13,21 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError
 from mckibben.muscle import Muscle, Specimen, forces
-from mckibben.units import bar, mm, percent, s
+from mckibben.units import (
+    Contraction,
+    Duration,
+    ForceReserve,
+    Pressure,
+    Repeats,
+    Samples,
+    Speed,
+    Travel,
+    WaitTime,
+    bar,
+    mm,
+    percent,
+    s,
+)
 
 
 class Boundaries(NamedTuple):
@@ -174,17 +188,17 @@ class IsobaricProtocol:
       repeats: 0 is not a whole number from 1 up
     """
 
-    pressures: Sequence[float] = PAPER_PRESSURES
-    contraction_min: float | None = None
-    contraction_max: float | None = None
-    step: float = 1 * mm
-    speed: float = 0.2 * mm / s
-    dwell: float = 5 * s
-    acquisition: float = 1 * s
-    samples: int = 1000
-    repeats: int = 5
-    force_reserve: float = 5 * percent
-    slack_steps: int = 3
+    pressures: Sequence[Pressure] = PAPER_PRESSURES
+    contraction_min: Contraction | None = None
+    contraction_max: Contraction | None = None
+    step: Travel = 1 * mm
+    speed: Speed = 0.2 * mm / s
+    dwell: WaitTime = 5 * s
+    acquisition: Duration = 1 * s
+    samples: Samples = 1000
+    repeats: Repeats = 5
+    force_reserve: ForceReserve = 5 * percent
+    slack_steps: Repeats = 3
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pressures", tuple(float(pressure) for pressure in self.pressures))

@@ -112,8 +112,8 @@ class SafetyMonitor:
         self._rates_from = -math.inf
         self._width = window
         self._recent: deque[list[float]] = deque(maxlen=2 * window)
-        self._older, self._newer = ([0.0] * (1 + len(self.signals)) for _ in range(2))
-        self._rated = [(k, one) for k, one in enumerate(self.signals, start=1) if one.rate < math.inf]
+        self._rated = [(k, one) for k, one in enumerate(self.signals) if one.rate < math.inf]
+        self._older, self._newer = ([0.0] * (1 + len(self._rated)) for _ in range(2))
 
     def check(
         self,
@@ -229,7 +229,7 @@ class SafetyMonitor:
                 found = VentResult(highest, newest - begun if empty else None, last if first == last else None)
                 if empty or newest >= begun + duration:
                     return found
-        except (Exception, KeyboardInterrupt):  # it has been told to vent all the same
+        except (Exception, KeyboardInterrupt):  # it was vented before
             return VentResult()
         return found
 
@@ -278,12 +278,12 @@ class SafetyMonitor:
             middle = recent[-width]
             _add(newer, middle, -1.0)
             _add(older, middle, 1.0)
-        recent.append([time, *values])
+        recent.append([time, *(values[k] for k, _ in self._rated)])
         _add(newer, recent[-1], 1.0)
         if len(recent) < 2 * width or time <= self._rates_from:
             return
         elapsed = max(newer[0] - older[0], 1e-9)
-        for k, one in self._rated:
+        for k, (_, one) in enumerate(self._rated, start=1):
             rate = abs(newer[k] - older[k]) / elapsed
             if not rate <= one.rate:
                 raise _exceeded(f"rate of {one.name}", rate, -math.inf, one.rate, one.unit, per="/s")

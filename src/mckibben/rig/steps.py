@@ -6,14 +6,33 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from mckibben.errors import Problem, RangeError
 from mckibben.muscle import Muscle, Specimen, forces
 from mckibben.rig.protocol import PAPER_PRESSURES, IsobaricProtocol, boundaries, refuse_problems, specimen_of
-from mckibben.units import N, bar, mm, percent, s
+from mckibben.units import (
+    Contraction,
+    Duration,
+    Force,
+    N,
+    Pressure,
+    PressureRate,
+    Repeats,
+    Samples,
+    Speed,
+    Tension,
+    Travel,
+    WaitTime,
+    bar,
+    mm,
+    percent,
+    s,
+)
 
+Phase = Literal["", "filling", "venting"]
 DIRECTIONS, PHASES = ("", "loading", "unloading"), ("", "filling", "venting")
 
 SPEED = 0.2 * mm / s
@@ -32,8 +51,8 @@ class Move:
         [m/s].
     """
 
-    to: float
-    speed: float = SPEED
+    to: Contraction
+    speed: Speed = SPEED
 
     def __post_init__(self) -> None:
         _refuse("move", _contraction("to", self.to), _positive("speed", self.speed, "m/s"))
@@ -47,7 +66,7 @@ class Move:
 class Dwell:
     """Wait for a duration [s]."""
 
-    duration: float
+    duration: WaitTime
 
     def __post_init__(self) -> None:
         _refuse("dwell", _positive("duration", self.duration, "s", zero=True))
@@ -71,9 +90,9 @@ class Pressurise:
         Force [N] held meanwhile by moving, see `HoldForce`; constant length unless given.
     """
 
-    pressure: float
-    rate: float | None = None
-    holding: float | None = None
+    pressure: Pressure
+    rate: PressureRate | None = None
+    holding: Tension | None = None
 
     def __post_init__(self) -> None:
         _refuse(
@@ -107,10 +126,10 @@ class HoldForce:
         Timeout [s], after which the test is stopped.
     """
 
-    force: float
-    tolerance: float = 2 * N
-    speed: float = SPEED
-    longest: float = 300 * s
+    force: Tension
+    tolerance: Tension = 2 * N
+    speed: Speed = SPEED
+    longest: Duration = 300 * s
 
     def __post_init__(self) -> None:
         _refuse(
@@ -142,10 +161,10 @@ class Acquire:
         Whether it is a point of the dataset; a point that only finds a boundary is not.
     """
 
-    samples: int = 1000
-    duration: float = 1 * s
-    direction: str = ""
-    phase: str = ""
+    samples: Samples = 1000
+    duration: Duration = 1 * s
+    direction: Literal["", "loading", "unloading"] = ""
+    phase: Phase = ""
     keep: bool = True
 
     def __post_init__(self) -> None:
@@ -182,14 +201,14 @@ class Walk:
         It ends this number of plateaus after the last one with a force above `slack_force` [N].
     """
 
-    to: float | None
-    step: float = 1 * mm
-    speed: float = SPEED
-    dwell: float = 5 * s
+    to: Contraction | None
+    step: Travel = 1 * mm
+    speed: Speed = SPEED
+    dwell: WaitTime = 5 * s
     acquire: Acquire = field(default_factory=Acquire)
-    force: float | None = None
-    slack: int | None = None
-    slack_force: float = 1 * N
+    force: Tension | None = None
+    slack: Repeats | None = None
+    slack_force: Force = 1 * N
 
     def __post_init__(self) -> None:
         _refuse(
@@ -229,7 +248,7 @@ class Vent:
 class Repeat:
     """Repeated steps. The points inside have the number of the innermost repeat, from 0."""
 
-    times: int
+    times: Repeats
     steps: tuple[Step, ...]
 
     def __post_init__(self) -> None:
@@ -373,14 +392,14 @@ class IsometricProtocol:
         As in the isobaric test.
     """
 
-    contractions: Sequence[float] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))
-    pressures: Sequence[float] = PAPER_PRESSURES
-    rate: float | None = None
-    speed: float = SPEED
-    dwell: float = 5 * s
-    acquisition: float = 1 * s
-    samples: int = 1000
-    repeats: int = 1
+    contractions: Sequence[Contraction] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))
+    pressures: Sequence[Pressure] = PAPER_PRESSURES
+    rate: PressureRate | None = None
+    speed: Speed = SPEED
+    dwell: WaitTime = 5 * s
+    acquisition: Duration = 1 * s
+    samples: Samples = 1000
+    repeats: Repeats = 1
 
     def __post_init__(self) -> None:
         for name in ("contractions", "pressures"):
@@ -402,7 +421,7 @@ class IsometricProtocol:
             ]
         return (*steps, Vent())
 
-    def _pass(self, pressures: Sequence[float], phase: str) -> list[Step]:
+    def _pass(self, pressures: Sequence[float], phase: Phase) -> list[Step]:
         acquire = Acquire(samples=self.samples, duration=self.acquisition, phase=phase)
         return [
             step
@@ -429,15 +448,15 @@ class IsotonicProtocol:
         As in the isobaric test.
     """
 
-    forces: Sequence[float] = (50.0, 100.0, 200.0)
-    pressures: Sequence[float] = tuple(0.5 * level * bar for level in range(4, 13))
-    rate: float = 0.1 * bar / s
-    tolerance: float = 2.0
-    speed: float = SPEED
-    dwell: float = 5 * s
-    acquisition: float = 1 * s
-    samples: int = 1000
-    repeats: int = 1
+    forces: Sequence[Tension] = (50.0, 100.0, 200.0)
+    pressures: Sequence[Pressure] = tuple(0.5 * level * bar for level in range(4, 13))
+    rate: PressureRate = 0.1 * bar / s
+    tolerance: Force = 2.0
+    speed: Speed = SPEED
+    dwell: WaitTime = 5 * s
+    acquisition: Duration = 1 * s
+    samples: Samples = 1000
+    repeats: Repeats = 1
 
     def __post_init__(self) -> None:
         for name in ("forces", "pressures"):
@@ -450,8 +469,9 @@ class IsotonicProtocol:
         for force in self.forces:
             steps += [Vent(), Move(to=0.0, speed=self.speed)]
             inside: list[Step] = []
-            up, down = ([(p, phase) for p in self.pressures] for phase in ("filling", "venting"))
-            for pressure, phase in up + down[::-1]:
+            up: list[tuple[float, Phase]] = [(pressure, "filling") for pressure in self.pressures]
+            down: list[tuple[float, Phase]] = [(pressure, "venting") for pressure in self.pressures[::-1]]
+            for pressure, phase in up + down:
                 inside += [
                     Pressurise(pressure=pressure, rate=self.rate, holding=force),
                     HoldForce(force=force, tolerance=self.tolerance, speed=self.speed),

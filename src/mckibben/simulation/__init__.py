@@ -1,9 +1,9 @@
-"""The sampled-data loop, its result and metrics, and the check of a wish before the run."""
+"""The sampled-data loop, its result and metrics, and the static feasibility of a reference."""
 
 from mckibben.simulation.batch import Batch, simulate_many
 from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
-from mckibben.simulation.feasibility import Reach, check_reference
-from mckibben.simulation.loop import AtRest, compiled_episode, episode, sampled, without_last_change
+from mckibben.simulation.feasibility import Feasibility, check_reference
+from mckibben.simulation.loop import compiled_episode, episode
 from mckibben.simulation.metrics import (
     SETTLING_PART,
     Metrics,
@@ -15,6 +15,7 @@ from mckibben.simulation.metrics import (
     settling_band,
     trajectory,
 )
+from mckibben.simulation.problem import AtRest, sampled, without_last_change
 from mckibben.simulation.result import Outcome, Result
 from mckibben.simulation.simulate import CheckedRun, checked_run, run_episode, simulate
 
@@ -24,10 +25,10 @@ __all__ = [
     "Batch",
     "CheckedRun",
     "Derivatives",
+    "Feasibility",
     "Metrics",
     "Mode",
     "Outcome",
-    "Reach",
     "Result",
     "Trajectory",
     "check_reference",

@@ -1,4 +1,4 @@
-"""Many runs at once: any number of plant, controller and reference may differ from run to run."""
+"""Batches of runs that differ in any numbers of plant, controller, reference or start."""
 
 from __future__ import annotations
 
@@ -16,35 +16,43 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, SimulationError
-from mckibben.numerics.batching import cast, cores, many_runs, padded, worked_off
+from mckibben.numerics.batching import batched_program, cast, cores, map_chunks, pad_chunk
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled_batch
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.loop import AtRest, Run, check_names, check_substeps, described, sampling_times, wishes_at
+from mckibben.simulation.loop import streaming_episode
 from mckibben.simulation.metrics import Metrics, Trajectory, last_change
-from mckibben.simulation.result import OUTCOMES, Outcome, attributes, outcomes
-from mckibben.simulation.streaming import measured_episode
+from mckibben.simulation.problem import (
+    AtRest,
+    SimulationProblem,
+    check_names,
+    float_type,
+    sample_reference,
+    sampling_times,
+    split_problem,
+)
+from mckibben.simulation.result import OUTCOMES, Outcome, attributes, html_table, outcomes
 
 if TYPE_CHECKING:
     import xarray as xr
 
 CHUNK = 256
-"""Lanes that are computed together: what they hold fits a core's fast memory, and fills its vectors."""
+"""Runs per chunk on a CPU: they fit a core's cache and fill its vectors."""
 ON_ACCELERATOR = 16384
-"""The same on an accelerator."""
+"""Runs per chunk on an accelerator."""
 VECTOR = 16
-"""Lanes: a piece smaller than a vector of 32-bit numbers would waste part of it."""
+"""Smallest chunk: one vector of 32-bit numbers."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Batch:
-    """The answers of many runs, in their order.
+    """Results of many runs, in their order; ``batch["angle_rmse"]`` is a column as an array.
 
     Attributes
     ----------
     table
-        Along ``run``: the metrics (SI), ``outcome`` (a code; its attribute ``flag_meanings`` lists the words) and,
-        where runs differ in named values, those values. Along ``run`` and ``time`` what was kept of the trajectories.
+        Along ``run``: the metrics (SI), ``outcome`` (a code; its attribute ``flag_meanings`` lists the names) and the
+        values of `over`. Along ``run`` and ``time`` the kept parts of the trajectories.
     """
 
     table: xr.Dataset
@@ -56,18 +64,39 @@ class Batch:
 
     @property
     def metrics(self) -> dict[str, NDArray[np.floating]]:
-        """The metrics that were computed, by name, shape (runs,), SI; NaN for a run that could not start."""
-        return {name: self.table[name].to_numpy() for name in Metrics._fields if name in self.table}
+        """The computed metrics by name, shape (runs,), SI; NaN for a run that could not start."""
+        return {name: self[name] for name in Metrics._fields if name in self.table}
 
     @property
     def outcomes(self) -> list[Outcome]:
         """How each run ended."""
-        return [OUTCOMES[code] for code in self.table["outcome"].to_numpy()]
+        return [OUTCOMES[code] for code in self["outcome"]]
 
     @property
-    def lost(self) -> NDArray[np.bool_]:
-        """Which runs came to no end that is of use."""
-        return np.array([outcome.lost for outcome in OUTCOMES])[self.table["outcome"].to_numpy()]
+    def failed(self) -> NDArray[np.bool_]:
+        """Which runs have no usable end."""
+        return np.array([outcome.failed for outcome in OUTCOMES])[self["outcome"]]
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.table[name].to_numpy()
+
+    def _counted(self) -> str:
+        counts = np.bincount(self["outcome"], minlength=len(OUTCOMES))
+        return ", ".join(f"{n} {outcome.name.lower()}" for n, outcome in zip(counts, OUTCOMES, strict=True) if n)
+
+    def __repr__(self) -> str:
+        return f"<Batch: {self.count} runs ({self._counted()}), metrics {', '.join(self.metrics)}>"
+
+    def _repr_html_(self) -> str:
+        parts = (0, 50, 100)
+        rows = []
+        for name, values in self.metrics.items():
+            finite = values[np.isfinite(values)]
+            numbers = np.percentile(finite, parts) if finite.size else np.full(len(parts), np.nan)
+            about = attributes(name)
+            rows.append((about["long_name"], *(f"{number:.4g}" for number in numbers), about.get("units", "")))
+        head = ("metric", "least", "median", "largest", "unit")
+        return html_table(f"{self.count} runs: {self._counted()}", head, rows)
 
 
 def simulate_many(
@@ -83,48 +112,48 @@ def simulate_many(
     metrics: Sequence[str] = Metrics._fields,
     keep: Sequence[str] = (),
     every: float | None = None,
-    precision: Any = jnp.float64,
+    precision: Any = 64,
     chunk: int | None = None,
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Batch:
-    """Run a controller on a plant many times: the same numbers as `simulate` gives one by one.
+    """Run a controller on a plant many times; the numbers are those of `simulate` one by one.
 
     Runs differ in any numeric leaves: arrays of shape (runs,) in place of numbers in `plant`, `controller`,
     `reference` or `initial`, or a table of values in `over`. All share one compiled program, are computed in chunks on
-    all cores, and are measured on the way, so that memory does not grow with their number or duration.
+    all cores, and are reduced to metrics on the way, so that memory does not grow with their number or duration.
 
     Parameters
     ----------
     plant, controller, reference, duration, control_period, substeps
-        As for `simulate`. Whether each reference is within reach is not checked; see `check_reference`.
+        As for `simulate`. The feasibility of each reference is not checked; see `check_reference`.
     over
         Arrays by the dotted name of a leaf, such as ``{"plant.load.mass2": [0.4, 0.5]}``; the names begin with
         ``plant``, ``controller`` or ``reference``.
     initial
-        The state at the start, or `AtRest`; at rest at the first desired angle unless given.
+        The initial state, or `AtRest`; at rest at the first desired angle unless given.
     metrics
         Which to compute. ``coupling`` costs a second run from the step of the stiffness on.
     keep
         Names of `Trajectory` to keep over time.
     every
-        The time between two kept values [s]; the control period unless given.
+        Time between two kept values [s]; the control period unless given.
     precision
-        `jax.numpy.float64` or `jax.numpy.float32`: half the time, and some 6 digits.
+        Bits of the floats: 64, or 32 for half the time and some 6 digits.
     chunk
-        Runs that are computed together: 256 unless given, fewer where that would leave cores idle. The bits of an
-        answer depend on it (not on the number of runs, nor on the workers); its digits do not, to 1e-12.
+        Runs computed together: 256 unless given, fewer where that would leave cores idle. Answers of different chunk
+        sizes agree to 1e-12; they do not depend on the number of runs or workers.
     workers
-        Threads; one a core unless given.
+        Threads; one per core unless given.
     progress
-        Called with the part that is done, 0 to 1.
+        Called with the finished fraction, 0 to 1.
 
     Raises
     ------
     ParameterError
-        If there is no such leaf, or their arrays are of different lengths, or there is none.
+        If there is no such leaf, or the arrays are of different lengths, or there is none.
     SimulationError
-        If the times make no sense together, or a metric or a part of the trajectory is not known.
+        If an argument is of the wrong type, the times do not fit together, or a name is not known.
 
     Examples
     --------
@@ -138,92 +167,85 @@ def simulate_many(
     >>> [outcome.name for outcome in batch.outcomes]
     ['COMPLETED', 'COMPLETED', 'COMPLETED']
     """
-    check_substeps(substeps)
-    times = sampling_times(duration, control_period)
-    apart = _apart(every, control_period, times.size)
+    times = sampling_times(duration, control_period, substeps)
+    stride = _stride(every, control_period, times.size)
     check_names("metric", metrics, Metrics._fields)
-    check_names("part of a trajectory", keep, Trajectory._fields)
-    if precision not in (jnp.float32, jnp.float64):
-        raise SimulationError(f"precision {precision!r}", value=precision, remedy="give jax.numpy.float64 or float32")
+    check_names("column of a trajectory", keep, Trajectory._fields)
+    asked = _Asked(substeps, tuple(metrics), tuple(keep), stride, float_type(precision).name)
 
-    lanes, shared, count = described(plant, controller, reference, initial, over or {})
-    if count is None:
+    lanes, shared, count = split_problem(plant, controller, reference, initial, over or {})
+    if lanes is None or count is None:
         raise ParameterError(
-            "nothing differs from run to run", remedy="give an array in place of a number, or use `simulate` for one"
+            "all runs are the same", remedy="give an array in place of a number, or use `simulate` for one run"
         )
     size = _chunk_size(chunk, count, _workers(workers))
     period = jnp.asarray(control_period, float)
-    asked = _Asked(substeps, tuple(metrics), tuple(keep), apart, jnp.dtype(precision).name)
 
-    def answers(piece: slice) -> dict[str, NDArray]:
-        answer = _chunk(padded(lanes, piece, size), shared, times, period, asked)
+    def compute(piece: slice) -> dict[str, NDArray]:
+        answer = _chunk(pad_chunk(lanes, piece, size), shared, times, period, asked)
         return {name: np.asarray(values)[: piece.stop - piece.start] for name, values in answer.items()}
 
     parts = []
-    for piece, answer in worked_off(answers, count, size, workers):
+    for piece, answer in map_chunks(compute, count, size, workers):
         parts.append(answer)
         if progress:
             progress(piece.stop / count)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return Batch(_table(columns, over or {}, times[::apart], asked))
+    return Batch(_table(columns, over or {}, times[::stride], asked))
 
 
 class _Asked(NamedTuple):
-    """What shapes the program of a chunk."""
+    """Static arguments of the program of a chunk."""
 
     substeps: int
     metrics: tuple[str, ...]
     keep: tuple[str, ...]
-    apart: int
+    stride: int
     precision: str
 
 
 @compiled_batch
 def _chunk(
-    lanes: Run, shared: Run, times: NDArray[np.float64] | Array, period: Array, asked: _Asked
+    lanes: SimulationProblem,
+    shared: SimulationProblem,
+    times: NDArray[np.float64] | Array,
+    period: Array,
+    asked: _Asked,
 ) -> dict[str, Array]:
-    """The answers of some runs, by name: metrics, what decides their outcomes, and what is kept."""
+    """Metrics, columns for the outcomes and kept trajectories of a chunk of runs, by name."""
 
-    def whole(lane: Run) -> Run:
+    def problem_of(lane: SimulationProblem) -> SimulationProblem:
         return eqx.combine(lane, shared)
 
-    # Wishes of all lanes side by side at each time: a row is what a control period needs.
-    together = not jax.tree.leaves(lanes.reference)
-    wishes = (
-        wishes_at(shared.reference, times)
-        if together
-        else jax.vmap(lambda lane: wishes_at(whole(lane).reference, times), out_axes=1)(lanes)
+    # Setpoints with runs along the last axis: a row is what one control period needs.
+    is_shared = not jax.tree.leaves(lanes.reference)
+    setpoints = (
+        sample_reference(shared.reference, times)
+        if is_shared
+        else jax.vmap(lambda lane: sample_reference(problem_of(lane).reference, times), out_axes=1)(lanes)
     )
-    along = None if together else 1
+    axis = None if is_shared else 1
     split = None
     if "coupling" in asked.metrics:
-        change = last_change(wishes.stiffness) if together else jax.vmap(last_change, in_axes=1)(wishes.stiffness)
+        stiffness = setpoints.stiffness
+        change = last_change(stiffness) if is_shared else jax.vmap(last_change, in_axes=1)(stiffness)
         split = jnp.min(jnp.where(change.ends, change.at, jnp.size(times)))
-
-    def one(lane: Run, wish: Setpoint) -> dict[str, Array]:
-        run = whole(lane)
-        start, exists = run.start(wish)
-        change = last_change(wish.stiffness)
-        plant, controller, wish, start, step = cast((run.plant, run.controller, wish, start, period), precision)
-        with many_runs():
-            measured = measured_episode(
-                plant,
-                controller,
-                wish,
-                start,
-                step,
-                asked.substeps,
-                change=cast(change, precision),
-                split=split,
-                keep=asked.keep,
-                every=asked.apart,
-            )
-        metrics = {name: jnp.where(exists, value, jnp.nan) for name, value in measured.metrics._asdict().items()}
-        deciding = {f"_{name}": metrics[name] for name in _DECIDING}
-        return {**{name: metrics[name] for name in asked.metrics}, **deciding, **measured.kept, "_started": exists}
-
     precision = jnp.dtype(asked.precision)
-    return jax.vmap(one, in_axes=(0, along))(lanes, wishes)
+
+    def run(lane: SimulationProblem, setpoints: Setpoint) -> dict[str, Array]:
+        problem = problem_of(lane)
+        start, exists = problem.start(setpoints)
+        change = cast(last_change(setpoints.stiffness), precision)
+        parts = cast((problem.plant, problem.controller, setpoints, start, period), precision)
+        with batched_program():
+            streamed = streaming_episode(
+                *parts, asked.substeps, change=change, split=split, keep=asked.keep, every=asked.stride
+            )
+        metrics = {name: jnp.where(exists, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
+        deciding = {f"_{name}": metrics[name] for name in _DECIDING}
+        return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept, "_started": exists}
+
+    return jax.vmap(run, in_axes=(0, axis))(lanes, setpoints)
 
 
 _DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_saturated")
@@ -255,34 +277,34 @@ def _table(columns: dict[str, NDArray], over: Mapping[str, ArrayLike], times: ND
     return xr.Dataset(table, coords=time)
 
 
-def _apart(every: float | None, control_period: float, periods: int) -> int:
-    """How many control periods lie between two values that are kept."""
+def _stride(every: float | None, control_period: float, periods: int) -> int:
+    """Control periods between two kept values."""
     if every is None:
         return 1
-    apart = whole_periods(every, control_period) if math.isfinite(every) and every > 0 else None
-    if apart is None or periods % apart:
+    stride = whole_periods(every, control_period) if math.isfinite(every) and every > 0 else None
+    if stride is None or periods % stride:
         raise SimulationError(
             f"values every {every:g} s do not fit {periods} control periods of {control_period:g} s",
             value=every,
             unit="s",
             remedy="give a multiple of the control period that divides the duration",
         )
-    return apart
+    return stride
 
 
 def _workers(workers: int | None) -> int:
     if workers is None:
         return cores()
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise SimulationError(f"{workers} workers", value=workers, remedy="give a whole number from 1 up")
+        raise SimulationError(f"{workers} workers", value=workers, remedy="give an integer from 1 up")
     return workers
 
 
 def _chunk_size(chunk: int | None, count: int, workers: int) -> int:
-    """Lanes a piece: a few hundred, fewer where that leaves cores idle."""
+    """Runs per chunk: a few hundred, fewer where that leaves cores idle."""
     if chunk is None:
         chunk = CHUNK if jax.default_backend() == "cpu" else ON_ACCELERATOR
     if isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1:
-        raise SimulationError(f"{chunk} runs a chunk", value=chunk, remedy="give a whole number from 1 up")
+        raise SimulationError(f"{chunk} runs per chunk", value=chunk, remedy="give an integer from 1 up")
     even = -(-count // workers)
     return min(chunk, max(VECTOR, -(-even // VECTOR) * VECTOR))

@@ -1,4 +1,4 @@
-"""Derivatives of metrics: exact, through the whole simulation, with respect to any of its numbers."""
+"""Exact derivatives of metrics with respect to any numbers of a simulation."""
 
 from __future__ import annotations
 
@@ -17,25 +17,39 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference
 from mckibben.errors import ParameterError
-from mckibben.numerics.batching import by_name, leaves_named, many_runs, padded, replaced, worked_off
+from mckibben.numerics.batching import (
+    batched_program,
+    map_chunks,
+    named_leaves,
+    pad_chunk,
+    replace_leaves,
+    select_leaves,
+)
 from mckibben.numerics.compiled import compiled_as_given, compiled_batch
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.loop import AtRest, Run, check_names, check_substeps, described, sampling_times, wishes_at
+from mckibben.simulation.loop import streaming_episode
 from mckibben.simulation.metrics import Metrics, last_change
-from mckibben.simulation.streaming import measured_episode
+from mckibben.simulation.problem import (
+    AtRest,
+    SimulationProblem,
+    check_names,
+    sample_reference,
+    sampling_times,
+    split_problem,
+)
 
-_FEW = 10  # numbers: up to here forward differentiation is the faster one
-_LANES = 8  # runs whose derivatives are computed together: one vector of 64-bit numbers, all in registers
+_FEW = 10  # up to so many parameters forward differentiation is faster
+_LANES = 8  # runs computed together: one vector of 64-bit numbers
 
 
 class Mode(enum.Enum):
-    """How the chain rule is carried through a run; both give the same derivatives, to rounding."""
+    """Mode of automatic differentiation; both give the same derivatives, to rounding."""
 
-    FORWARD = "beside the run, once for each number"
-    REVERSE = "backwards after the run, once for each metric, computing each control period again"
+    FORWARD = "one tangent per parameter, beside the run"
+    REVERSE = "one backward pass per metric, with each control period computed again"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Derivatives:
     """Metrics and their derivatives.
 
@@ -49,6 +63,10 @@ class Derivatives:
 
     values: dict[str, NDArray[np.float64]]
     gradients: dict[str, dict[str, NDArray[np.float64]]]
+
+    def __repr__(self) -> str:
+        parameters = next(iter(self.gradients.values()), {})
+        return f"<Derivatives of {', '.join(self.values)} with respect to {', '.join(parameters)}>"
 
 
 def differentiate(
@@ -65,11 +83,10 @@ def differentiate(
     initial: PlantState | AtRest | None = None,
     mode: Mode | None = None,
 ) -> Derivatives:
-    """The derivatives of metrics with respect to named numbers: sensitivities, or gradients for tuning.
+    """Derivatives of metrics with respect to named numbers: sensitivities, or gradients for tuning.
 
-    A state at rest to start from moves with the parameters, and the derivatives contain that. Metrics that count or
-    search (times, settling) have derivatives that are zero or jump; the largest error has that of the moment of the
-    largest error.
+    They include the dependence of an initial state at rest. Metrics that count or search (times, settling) have
+    derivatives that are zero or jump; that of the largest error is taken at the moment of the largest error.
 
     Parameters
     ----------
@@ -85,9 +102,9 @@ def differentiate(
     Raises
     ------
     ParameterError
-        If there is no such number, or it is whole.
+        If there is no such number, or it is an integer.
     SimulationError
-        If the times make no sense together, or a metric is not known.
+        If an argument is of the wrong type, the times do not fit together, or a metric is not known.
 
     Examples
     --------
@@ -95,43 +112,40 @@ def differentiate(
     >>> knee = catalog.joint("knee-table-2")
     >>> plant = JointPlant(knee, catalog.load("knee-table-2"), FirstOrderValve(0.02))
     >>> control = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=knee)
-    >>> wish = Reference(angle=Sine(0.03, 1.0), stiffness=72.5)
+    >>> reference = Reference(angle=Sine(0.03, 1.0), stiffness=72.5)
     >>> some = ["controller.position.ki", "plant.load.mass2", "plant.joint.muscle1.law.c1"]
-    >>> found = differentiate(plant, control, wish, some, duration=0.5)
+    >>> found = differentiate(plant, control, reference, some, duration=0.5)
     >>> bool(found.gradients["angle_rmse"]["controller.position.ki"] < 0)  # more integral action, less error
     True
     """
-    check_substeps(substeps)
     check_names("metric", metrics, Metrics._fields)
     if isinstance(parameters, str):
-        raise ParameterError(f"one name alone: {parameters!r}", value=parameters, remedy="give a list of names")
-    times = sampling_times(duration, control_period)
-    lanes, shared, count = described(plant, controller, reference, initial, over or {})
-    numbers = leaves_named(eqx.combine(lanes, shared)._asdict(), parameters)
+        raise ParameterError(f"{parameters!r} is a text, not a list", value=parameters, remedy="give a list of names")
+    times = sampling_times(duration, control_period, substeps)
+    lanes, shared, count = split_problem(plant, controller, reference, initial, over or {})
+    numbers = select_leaves(_whole(lanes, shared)._asdict(), parameters)
     for name, leaf in numbers.items():
         if not eqx.is_inexact_array(leaf):
-            raise ParameterError(f"{name} is a whole number: it has no derivative", value=name)
-    varying = by_name(lanes._asdict())
+            raise ParameterError(f"{name} is an integer and has no derivative", value=name)
+    varying = named_leaves(lanes._asdict()) if lanes else {}
     size = sum(leaf[0].size if name in varying else leaf.size for name, leaf in numbers.items())
     if mode is None:
         mode = Mode.FORWARD if size <= _FEW else Mode.REVERSE
     asked = _Asked(substeps, tuple(metrics), tuple(parameters), mode, count is not None)
     period = jnp.asarray(control_period, float)
     if count is None:
-        # A single run has no lanes to fill wide vectors with, unless derivatives are carried beside it.
-        program = _alone if mode is Mode.REVERSE else _beside
-        return _in_order(asked, *jax.tree.map(np.asarray, program(lanes, shared, times, period, asked)))
+        return _in_order(asked, *jax.tree.map(np.asarray, _single(lanes, shared, times, period, asked)))
 
     def answers(piece: slice) -> Any:
-        found = _beside(padded(lanes, piece, _LANES), shared, times, period, asked)
+        found = _many(pad_chunk(lanes, piece, _LANES), shared, times, period, asked)
         return jax.tree.map(lambda column: np.asarray(column)[: piece.stop - piece.start], found)
 
-    pieces = [answer for _, answer in worked_off(answers, count, _LANES)]
+    pieces = [answer for _, answer in map_chunks(answers, count, _LANES)]
     return _in_order(asked, *jax.tree.map(lambda *columns: np.concatenate(columns), *pieces))
 
 
 class _Asked(NamedTuple):
-    """What shapes the program."""
+    """Static arguments of the program."""
 
     substeps: int
     metrics: tuple[str, ...]
@@ -141,10 +155,10 @@ class _Asked(NamedTuple):
 
 
 def _in_order(asked: _Asked, values: dict[str, Any], gradients: dict[str, dict[str, Any]]) -> Derivatives:
-    """As they were asked for; compiled programs give dictionaries in order of their keys."""
+    """In the order asked for; compiled programs sort their dictionaries."""
 
     def slope(metric: str, name: str) -> Any:
-        """NaN where there is no metric to have one."""
+        """Derivative; NaN where the metric is."""
         gradient = gradients[metric][name]
         value = values[metric].reshape(values[metric].shape + (1,) * (gradient.ndim - values[metric].ndim))
         return np.where(np.isnan(value), np.nan, gradient)
@@ -155,15 +169,20 @@ def _in_order(asked: _Asked, values: dict[str, Any], gradients: dict[str, dict[s
     )
 
 
-def _derivatives(
-    lanes: Run, shared: Run, times: ArrayLike, period: ArrayLike, asked: _Asked
-) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
-    def numbers(lane: Run) -> dict[str, Array]:
-        return leaves_named(eqx.combine(lane, shared)._asdict(), asked.parameters)
+def _whole(lane: SimulationProblem | None, shared: SimulationProblem) -> SimulationProblem:
+    """The problem of one run."""
+    return shared if lane is None else eqx.combine(lane, shared)
 
-    def measured(lane: Run, flat: Array) -> dict[str, Array]:
-        run = eqx.combine(lane, shared)
-        return _metrics(Run(**replaced(run._asdict(), restored(flat))), times, period, asked)
+
+def _derivatives(
+    lanes: SimulationProblem | None, shared: SimulationProblem, times: ArrayLike, period: ArrayLike, asked: _Asked
+) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
+    def numbers(lane: SimulationProblem | None) -> dict[str, Array]:
+        return select_leaves(_whole(lane, shared)._asdict(), asked.parameters)
+
+    def measured(lane: SimulationProblem | None, flat: Array) -> dict[str, Array]:
+        run = _whole(lane, shared)
+        return _metrics(SimulationProblem(**replace_leaves(run._asdict(), restored(flat))), times, period, asked)
 
     first = jax.tree.map(lambda leaf: leaf[0], lanes) if asked.many else lanes
     size, restored = len(ravel_pytree(numbers(first))[0]), ravel_pytree(numbers(first))[1]
@@ -173,13 +192,13 @@ def _derivatives(
     function = (lambda flat: jax.vmap(measured)(lanes, flat)) if asked.many else (lambda flat: measured(lanes, flat))
 
     if asked.mode is Mode.FORWARD:
-        # Each direction for all runs at once, so that runs stand side by side in a vector and share their values.
+        # Each direction for all runs at once: runs are side by side in a vector, and the values are shared.
         def along(direction: Array) -> tuple[dict[str, Array], dict[str, Array]]:
             return jax.jvp(function, (flat,), (jnp.broadcast_to(direction, flat.shape),))
 
         values, slopes = jax.vmap(along, out_axes=(None, -1))(jnp.eye(size, dtype=flat.dtype))
     else:
-        # All metrics at once: the way back is compiled, and computed again, once.
+        # All metrics at once: one backward program.
         values, back = jax.vjp(function, flat)
         ones = {
             name: jnp.stack([jnp.full_like(value, name == other) for other in asked.metrics])
@@ -191,21 +210,21 @@ def _derivatives(
     return values, {name: shaped(slope) for name, slope in slopes.items()}
 
 
-_beside, _alone = compiled_batch(_derivatives), compiled_as_given(_derivatives)
+_single, _many = compiled_as_given(_derivatives), compiled_batch(_derivatives)  # wide vectors slow a single run down
 
 
-def _metrics(run: Run, times: ArrayLike, period: ArrayLike, asked: _Asked) -> dict[str, Array]:
-    wishes = wishes_at(run.reference, times)
-    start, exists = run.start(wishes)
+def _metrics(run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked: _Asked) -> dict[str, Array]:
+    setpoints = sample_reference(run.reference, times)
+    start, exists = run.start(setpoints)
     split = None
     if "coupling" in asked.metrics:
-        change = last_change(wishes.stiffness)
+        change = last_change(setpoints.stiffness)
         split = jnp.where(change.ends, change.at, jnp.size(times))
-    with many_runs(rolled=asked.many):
-        found = measured_episode(
+    with batched_program(rolled=asked.many):
+        found = streaming_episode(
             run.plant,
             run.controller,
-            wishes,
+            setpoints,
             start,
             period,
             asked.substeps,

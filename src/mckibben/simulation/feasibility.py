@@ -1,4 +1,4 @@
-"""Is the wish within reach? Known before the run, from the joint alone."""
+"""Static feasibility of a reference: whether the joint can hold its stiffness at its angle."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 from mckibben.control.base import Reference
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import JointPlant
-from mckibben.simulation.loop import sampled
+from mckibben.simulation.problem import sampled
 from mckibben.units import deg
 
 _ROUNDING = 1e-6  # N*m/rad
 
 
-@dataclass(frozen=True)
-class Reach:
-    """A reference held against what the joint can hold statically at each moment.
+@dataclass(frozen=True, repr=False)
+class Feasibility:
+    """A reference compared with the attainable stiffness at each control period.
 
     Attributes
     ----------
     times
         Shape (periods,) [s].
     desired_angle, desired_stiffness
-        The wish [rad], [N*m/rad].
+        The setpoints [rad], [N*m/rad].
     lowest, highest
         The attainable stiffness at the desired angle while the muscles balance gravity [N*m/rad]; NaN where no
         pressures within limits hold the angle.
@@ -40,33 +40,36 @@ class Reach:
 
     @property
     def shortfall(self) -> NDArray[np.float64]:
-        """By how much the desired stiffness is out of reach [N*m/rad]; NaN where the angle itself is."""
+        """Distance of the desired stiffness from the attainable range [N*m/rad]; NaN where the angle cannot be held."""
         missing = np.maximum(self.lowest - self.desired_stiffness, self.desired_stiffness - self.highest)
         return np.where(missing > _ROUNDING, missing, np.where(np.isnan(missing), np.nan, 0.0))
 
     @property
-    def reachable(self) -> bool:
-        """Whether all of the wish can be held."""
+    def feasible(self) -> bool:
+        """Whether all of the reference can be held statically."""
         return bool(np.all(self.shortfall == 0))
 
+    def __repr__(self) -> str:
+        return f"<Feasibility: {self.describe()}>"
+
     def describe(self) -> str:
-        """When and by how much the wish is out of reach, in plain words."""
-        if self.reachable:
-            return "the reference is within reach throughout"
+        """When and by how much the reference is not feasible."""
+        if self.feasible:
+            return "the reference is statically feasible throughout"
         missing = self.shortfall
         sentences = []
-        lost = np.isnan(missing)
-        if lost.any():
-            first = np.flatnonzero(lost)[0]
+        unheld = np.isnan(missing)
+        if unheld.any():
+            first = np.flatnonzero(unheld)[0]
             sentences.append(
-                f"no pressures within limits hold the desired angle {_when(self.times, lost)}, "
+                f"no pressures within limits hold the desired angle {_when(self.times, unheld)}, "
                 f"first at {self.times[first]:.3g} s ({self.desired_angle[first] / deg:.3g} deg)"
             )
         short = np.nan_to_num(missing) > 0
         if short.any():
             worst = int(np.nanargmax(missing))
             sentences.append(
-                f"the desired stiffness is out of reach {_when(self.times, short)}, by up to "
+                f"the desired stiffness is not attainable {_when(self.times, short)}, by up to "
                 f"{missing[worst]:.3g} N*m/rad at {self.times[worst]:.3g} s (wanted "
                 f"{self.desired_stiffness[worst]:.4g}, attainable "
                 f"{self.lowest[worst]:.4g}..{self.highest[worst]:.4g} N*m/rad at "
@@ -77,30 +80,30 @@ class Reach:
 
 def check_reference(
     plant: JointPlant, reference: Reference, *, duration: float = 10.0, control_period: float = 1e-3
-) -> Reach:
-    """Hold a reference against the attainable set of a plant's joint, statically, at every control period.
+) -> Feasibility:
+    """Compare a reference with the attainable stiffness of a plant's joint, statically, at every control period.
 
     Parameters
     ----------
     plant
         Joint and load.
     reference
-        The wish.
+        The desired angle and stiffness.
     duration, control_period
-        The times to look at [s].
+        Of the run [s].
 
     Raises
     ------
     SimulationError
-        If the times make no sense together.
+        If the times do not fit together.
     """
     times, setpoints = sampled(reference, duration, control_period)
     lowest, highest = _band(plant, setpoints.angle)
-    return Reach(*(np.asarray(x, float) for x in (times, setpoints.angle, setpoints.stiffness, lowest, highest)))
+    return Feasibility(*(np.asarray(x, float) for x in (times, setpoints.angle, setpoints.stiffness, lowest, highest)))
 
 
 def attainable_band(plant: JointPlant, angle: Array) -> tuple[Array, Array]:
-    """The lowest and highest stiffness [N*m/rad] at which the joint can hold angles [rad] against gravity."""
+    """Lowest and highest stiffness [N*m/rad] at which the joint holds angles [rad] against gravity."""
     return plant.joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle))
 
 

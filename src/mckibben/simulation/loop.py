@@ -1,130 +1,65 @@
-"""What a run is made of: plant, controller, reference and start, as one tree whose leaves have names."""
+"""The sampled-data loop: the controller's step, then the plant under constant commands.
+
+`episode` keeps a record of every control period; `streaming_episode` reduces each at once to metrics.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
-from numpy.typing import NDArray
+from jaxtyping import Array, ArrayLike
 
-from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import SimulationError
-from mckibben.numerics.batching import check_again, lanes_of, with_leaves
-from mckibben.numerics.checks import whole_periods
-from mckibben.numerics.compiled import compiled, compiled_as_given, numeric
-from mckibben.numerics.elementary import floating
+from mckibben.control.base import Controller, Setpoint
+from mckibben.numerics.compiled import compiled_as_given
 from mckibben.plant import JointPlant, PlantState
-
-
-class AtRest(NamedTuple):
-    """A start at rest: angle [rad], and stiffness [N*m/rad] (NaN: amid the attainable ones); numbers, or one a run."""
-
-    angle: ArrayLike
-    stiffness: ArrayLike = math.nan
-
-
-class Run(NamedTuple):
-    """All that a run is made of; its leaves are numbers, or arrays with one number a run."""
-
-    plant: JointPlant
-    controller: Controller
-    reference: Reference
-    initial: PlantState | AtRest
-
-    def start(self, wish: Setpoint) -> tuple[PlantState, Array]:
-        """The state to start from, for wishes of shape (periods,), and whether there is one."""
-        if isinstance(self.initial, PlantState):
-            return self.plant.complete_state(jax.tree.map(floating, self.initial)), jnp.asarray(True)
-        return self.plant.find_equilibrium(*self.rest(wish))
-
-    def rest(self, wish: Setpoint) -> tuple[Array, Array]:
-        """The angle [rad] and the stiffness [N*m/rad] at which it is to rest at the start."""
-        asked = self.initial
-        assert isinstance(asked, AtRest)
-        return jnp.where(jnp.isnan(asked.angle), wish.angle[0], asked.angle), jnp.asarray(asked.stiffness)
-
-
-def described(
-    plant: JointPlant,
-    controller: Controller,
-    reference: Reference,
-    initial: PlantState | AtRest | None,
-    over: Mapping[str, ArrayLike],
-) -> tuple[Run, Run, int | None]:
-    """A run with other values at named leaves, in two parts: the leaves that vary over runs, and all others.
-
-    With them comes the number of runs; None if no leaf varies.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such leaf, or their arrays are of different lengths.
-    RangeError
-        If an object refuses a value.
-    """
-    run = Run(plant, controller, reference, AtRest(math.nan) if initial is None else initial)
-    run = Run(**with_leaves(run._asdict(), over))
-    count, varying = lanes_of(run)
-    check_again(run)
-    return *eqx.partition(numeric(run), varying), count
-
-
-def check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:
-    """Raise unless all names of a list are known."""
-    for name in [names] if isinstance(names, str) else names:
-        if name not in known or isinstance(names, str):
-            raise SimulationError(
-                f"{name!r} is no {what}" if name not in known else f"one {what} alone: {name!r}",
-                value=name,
-                remedy=f"give a list of {', '.join(known)}",
-            )
-
-
-Scalar = Float[Array, ""]
+from mckibben.simulation.metrics import (
+    SETTLING_PART,
+    Change,
+    MetricAccumulator,
+    Metrics,
+    last_change,
+    trajectory,
+)
 
 
 class Record(NamedTuple):
-    """What is kept of every control period; each leaf has the shape of the time axis."""
+    """The record of every control period; each leaf has the shape of the time axis."""
 
     state: PlantState
     command1: Array
     command2: Array
-    limited: Array  # whether the plant had to limit a command
+    limited: Array  # whether the plant limited a command
     telemetry: dict[str, Array]
 
 
-Running = tuple[PlantState, Any]
-"""The plant's state and the controller's, at the start of a control period."""
+LoopState = tuple[PlantState, Any]
+"""States of plant and controller at the start of a control period."""
 
 
-def started(plant: JointPlant, controller: Controller, initial: PlantState) -> Running:
-    """The plant at its initial state, and the controller as it takes over."""
+def initial_loop(plant: JointPlant, controller: Controller, initial: PlantState) -> LoopState:
+    """The plant at its initial state, and the controller initialised from the first measurement."""
     return initial, controller.init(plant.sample(initial, 0.0)[1])
 
 
 def control_period(
     plant: JointPlant,
     controller: Controller,
-    running: Running,
+    state: LoopState,
     setpoint: Setpoint,
     period: ArrayLike,
     substeps: int,
-) -> tuple[Running, Record]:
-    """One control period: the controller's step, then the plant under the commands that it holds."""
-    state, memory = running
-    state, measurement = plant.sample(state, period)
-    memory, wanted = controller.step(memory, setpoint, measurement, period)
+) -> tuple[LoopState, Record]:
+    """One control period: the controller's step, then the plant under the constant commands."""
+    plant_state, controller_state = state
+    plant_state, measurement = plant.sample(plant_state, period)
+    controller_state, wanted = controller.step(controller_state, setpoint, measurement, period)
     commands = plant.clip_commands(wanted)
     limited = (commands[0] != wanted[0]) | (commands[1] != wanted[1])
-    following = plant.advance(state, commands, period, substeps)
-    return (following, memory), Record(state, *commands, limited, controller.telemetry(memory))
+    record = Record(plant_state, *commands, limited, controller.telemetry(controller_state))
+    return (plant.advance(plant_state, commands, period, substeps), controller_state), record
 
 
 def episode(
@@ -135,97 +70,136 @@ def episode(
     period: ArrayLike,
     substeps: int,
 ) -> tuple[PlantState, Record]:
-    """Run a controller on a plant: one pure function, to be compiled, vmapped and differentiated at will.
+    """Run a controller on a plant; a pure function, to be compiled, vmapped and differentiated.
 
     Parameters
     ----------
     plant, controller
         Their numeric leaves may be traced.
     setpoints
-        The wishes at the start of each control period, arrays of shape (periods,).
+        At the start of each control period, arrays of shape (periods,).
     initial
-        The plant's state at the start.
+        The plant's initial state.
     period
         The control period [s].
     substeps
-        Runge-Kutta steps a control period.
+        Runge-Kutta steps per control period.
 
     Returns
     -------
     final, record
-        The state after the last period, and the record of shape (periods,): the state at the start of each period and
-        the commands held over it.
+        The state after the last period, and the record of shape (periods,).
     """
 
-    def following(running: Running, setpoint: Setpoint) -> tuple[Running, Record]:
-        return control_period(plant, controller, running, setpoint, period, substeps)
+    def next_period(state: LoopState, setpoint: Setpoint) -> tuple[LoopState, Record]:
+        return control_period(plant, controller, state, setpoint, period, substeps)
 
-    (final, _), record = lax.scan(following, started(plant, controller, initial), setpoints)
+    (final, _), record = lax.scan(next_period, initial_loop(plant, controller, initial), setpoints)
     return final, record
 
 
-@compiled_as_given
-def compiled_episode(
+compiled_episode = compiled_as_given(episode)
+"""`episode`, compiled once for each structure of its arguments; give it `numeric` ones."""
+
+
+class Streamed(NamedTuple):
+    """Metrics of a whole episode, the plant's final state, and the kept columns by name."""
+
+    metrics: Metrics
+    final: PlantState
+    kept: dict[str, Array]
+
+
+class _Carry(NamedTuple):
+    loop: LoopState
+    without_change: LoopState
+    total: MetricAccumulator
+    stiffness_at_change: Array
+    air: tuple[Array, Array]
+
+
+def streaming_episode(
     plant: JointPlant,
     controller: Controller,
     setpoints: Setpoint,
     initial: PlantState,
     period: ArrayLike,
     substeps: int,
-) -> tuple[PlantState, Record]:
-    """`episode`, compiled once for each structure of its arguments; give it `numeric` ones."""
-    return episode(plant, controller, setpoints, initial, period, substeps)
+    *,
+    change: Change | None = None,
+    split: ArrayLike | None = None,
+    keep: tuple[str, ...] = (),
+    every: int = 1,
+    checkpoint: bool = False,
+) -> Streamed:
+    """`episode` that accumulates metrics on the way: memory does not grow with the duration.
 
-
-def without_last_change(setpoints: Setpoint) -> Setpoint | None:
-    """The same wishes without the last change of stiffness; None if it never changes, or never stops changing."""
-    stiffness = np.asarray(setpoints.stiffness)
-    changes = np.flatnonzero(stiffness[1:] != stiffness[:-1]) + 1
-    if changes.size == 0 or changes[-1] == stiffness.size - 1:
-        return None
-    held = np.where(np.arange(stiffness.size) >= changes[-1], stiffness[changes[-1] - 1], stiffness)
-    return setpoints._replace(stiffness=held)  # type: ignore[arg-type]  # compiled code takes it as it is
-
-
-def sampled(reference: Reference, duration: float, period: float) -> tuple[NDArray[np.float64], Setpoint]:
-    """The start times [s] of the control periods in a duration, and the wishes at them.
-
-    Raises
-    ------
-    SimulationError
-        If a time is not positive, or the duration no whole number of periods.
+    Parameters
+    ----------
+    plant, controller, setpoints, initial, period, substeps
+        As for `episode`.
+    change
+        The last change of the desired stiffness; from the setpoints unless given (in 32 bits neighbouring setpoints
+        may round to the same number).
+    split
+        The control period from which the run without that change is computed beside, for the coupling; in a batch the
+        earliest of all runs. None leaves it out: the coupling is NaN.
+    keep
+        Names of `Trajectory` to keep over time.
+    every
+        Control periods between two kept values; a divisor of their number.
+    checkpoint
+        Whether reverse differentiation computes each control period twice instead of storing it.
     """
-    times = sampling_times(duration, period)
-    return times, compiled_wishes(reference, times)
+    periods = setpoints.angle.shape[0]
+    change = last_change(setpoints.stiffness) if change is None else change
 
+    def step(state: LoopState, setpoint: Setpoint) -> tuple[LoopState, Any]:
+        return control_period(plant, controller, state, setpoint, period, substeps)
 
-def wishes_at(reference: Reference, times: ArrayLike) -> Setpoint:
-    """The wishes at times [s], with an explicit type: a weakly typed wish would compile everything anew."""
-    return Setpoint(*(jnp.asarray(wish, float) for wish in reference(times)))
-
-
-compiled_wishes = compiled(wishes_at)
-
-
-def sampling_times(duration: float, period: float) -> NDArray[np.float64]:
-    """The start times [s] of the control periods in a duration; raises as `sampled` does."""
-    for name, value in (("duration", duration), ("control period", period)):
-        if not (math.isfinite(value) and value > 0):
-            raise SimulationError(f"the {name} is {value:g} s", value=value, unit="s", remedy="give a positive time")
-    periods = whole_periods(duration, period)
-    if periods is None:
-        raise SimulationError(
-            f"a duration of {duration:.12g} s is no whole number of control periods of {period:.12g} s",
-            value=duration,
-            unit="s",
-            remedy=f"{max(round(duration / period), 1) * period:.12g} s would be",
+    def step_without_change(carry: _Carry, following: LoopState, setpoint: Setpoint, index: Array) -> LoopState:
+        """The next state of the run without the last change; until the change that is the run's own."""
+        if split is None:
+            return following
+        stiffness = jnp.where(index >= change.at, change.before, setpoint.stiffness)
+        return lax.cond(
+            index >= split,
+            lambda state, setpoint: step(state, setpoint)[0],
+            lambda *_: following,
+            carry.without_change,
+            setpoint._replace(stiffness=stiffness),
         )
-    return np.arange(periods, dtype=float) * period
 
+    def next_period(carry: _Carry, at: tuple[Array, Setpoint]) -> tuple[_Carry, dict[str, Array]]:
+        index, setpoint = at
+        following, record = step(carry.loop, setpoint)
+        now = trajectory(plant, setpoint, record, carry.without_change[0].angle)
+        at_change = jnp.where(index == change.at, now.stiffness, carry.stiffness_at_change)
+        air = (now.air1, now.air2)
+        before = [jnp.where(index == 0, new, old) for new, old in zip(air, carry.air, strict=True)]
+        added = MetricAccumulator.of(now, index, change, at_change, before, SETTLING_PART)
+        without = step_without_change(carry, following, setpoint, index)
+        return _Carry(following, without, carry.total.merge(added), at_change, air), {
+            name: getattr(now, name) for name in keep
+        }
 
-def check_substeps(substeps: int) -> None:
-    """Raise unless it is a whole number from 1 up."""
-    if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
-        raise SimulationError(
-            f"{substeps} integration steps a control period", value=substeps, remedy="give a whole number from 1 up"
-        )
+    if checkpoint:
+        next_period = jax.checkpoint(next_period, prevent_cse=False)
+
+    def block(carry: _Carry, at: tuple[Array, Setpoint]) -> tuple[_Carry, dict[str, Array]]:
+        carry, kept = lax.scan(next_period, carry, at)
+        return carry, {name: values[0] for name, values in kept.items()}
+
+    rows = jnp.arange(periods), setpoints
+    loop = initial_loop(plant, controller, initial)
+    zero = jnp.zeros_like(jnp.asarray(initial.angle))
+    carry = _Carry(loop, loop, MetricAccumulator.empty(zero), zero, (zero, zero))
+    if every == 1 or not keep:
+        carry, kept = lax.scan(next_period, carry, rows)
+    else:
+        blocks = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), rows)
+        carry, kept = lax.scan(block, carry, blocks)
+    metrics = carry.total.metrics(change, periods, period)
+    if split is None:
+        metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))
+    return Streamed(metrics, carry.loop[0], kept)

@@ -1,37 +1,38 @@
-"""What follows from a recorded episode: the plant's true torque, stiffness and muscles, computed once, vectorised."""
+"""Trajectories and metrics of an episode: the plant's true torque, stiffness and muscle forces."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from mckibben.control.base import Setpoint
 from mckibben.joint.antagonistic import NO_STATES
-from mckibben.numerics.batching import apart
+from mckibben.numerics.batching import compute_once
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import JointPlant
-from mckibben.simulation.loop import Record
 from mckibben.units import atm, deg, litre, percent
+
+if TYPE_CHECKING:
+    from mckibben.simulation.loop import Record
 
 
 class Trajectory(NamedTuple):
     """An episode over time; every leaf has shape (periods,), SI units.
 
-    Stiffness, torque, forces and contractions are the plant's own, not the controller's belief. Torque and forces
-    contain the muscles' friction and creep; ``stiffness`` is that of the muscles' laws, ``total_stiffness`` that and
-    gravity's. ``undisturbed_angle`` is the angle of the same run without the last change of the desired stiffness,
-    where there is one to leave out. ``excursion`` is how far the worse of the two contractions lies outside its domain.
-    ``air1`` and ``air2`` are what the muscles hold, as volumes at atmospheric pressure [m^3], by the volumes inside
-    their braids.
+    Stiffness, torque, forces and contractions are those of the plant. Torque and forces include the muscles' friction
+    and creep; ``stiffness`` is that of the force laws, ``total_stiffness`` adds gravity's. ``angle_without_step`` is
+    the angle of the same run without the last change of the desired stiffness. ``excursion`` is the larger distance of
+    the two contractions from their domains. ``air1`` and ``air2`` are the muscles' contents as volumes at atmospheric
+    pressure [m^3], from the volumes inside their braids.
     """
 
     angle: Array
     velocity: Array
     desired_angle: Array
-    undisturbed_angle: Array
+    angle_without_step: Array
     desired_stiffness: Array
     stiffness: Array
     total_stiffness: Array
@@ -54,29 +55,24 @@ class Trajectory(NamedTuple):
     air2: Array
 
 
-def trajectory(
-    plant: JointPlant, setpoints: Setpoint, record: Record, undisturbed_angle: Array, period: ArrayLike = 1.0
-) -> Trajectory:
-    """Work out the trajectory of a record. Pure and elementwise: of one control period or of all of them.
+def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, angle_without_step: Array) -> Trajectory:
+    """The trajectory of a record; elementwise, of one control period or of all.
 
     Parameters
     ----------
     plant, setpoints, record
-        As `episode` took and gave them.
-    undisturbed_angle
-        The angle [rad] of a run to the same wishes `without_last_change`; the same angle where there is none.
-    period
-        The control period [s]; only looked at in programs for many runs.
+        As `episode` took and returned them.
+    angle_without_step
+        The angle [rad] of the run `without_last_change` of the stiffness.
     """
     state, joint = record.state, plant.joint
-    torque, stiffness = apart(joint.torque_and_stiffness, state.angle, state.pressures, witness=period)
+    torque, stiffness = compute_once(joint.torque_and_stiffness, state.angle, state.pressures)
     pressure1, pressure2 = state.pressures
     if state.muscles != NO_STATES:
-        motion = state.angle, state.velocity, state.pressures
-        forces = apart(joint.forces, *motion, state.muscles, witness=period)
+        forces = compute_once(joint.forces, state.angle, state.velocity, state.pressures, state.muscles)
         (force1, force2), torque, (contraction1, contraction2) = forces
     else:
-        contraction1, contraction2 = apart(joint.contractions, state.angle, state.pressures, witness=period)
+        contraction1, contraction2 = compute_once(joint.contractions, state.angle, state.pressures)
         force1 = joint.muscle1.tension(contraction1, pressure1)
         force2 = joint.muscle2.tension(contraction2, pressure2)
     muscles = ((joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2))
@@ -91,11 +87,11 @@ def trajectory(
         angle=state.angle,
         velocity=state.velocity,
         desired_angle=setpoints.angle,
-        undisturbed_angle=undisturbed_angle,
+        angle_without_step=angle_without_step,
         desired_stiffness=setpoints.stiffness,
         stiffness=stiffness,
         total_stiffness=stiffness + plant.load.gravity_stiffness(state.angle),
-        stiffness_estimate=record.telemetry["stiffness_estimate"],
+        stiffness_estimate=record.telemetry.get("stiffness_estimate", jnp.full_like(stiffness, jnp.nan)),
         torque=torque,
         pressure1=pressure1,
         pressure2=pressure2,
@@ -119,13 +115,13 @@ compiled_trajectory = compiled(trajectory)
 
 
 SETTLING_PART = 0.1
-"""Half the width of the settling band, as a part of the change of stiffness that was asked for."""
-_SETTLED = 10  # of the time since the change this many-th part, the last, has to be spent in the band
-_BAND_FLOOR = 1e-3  # of the wish: a band narrower than this is no band
+"""Half the width of the settling band, as a fraction of the step of the desired stiffness."""
+_SETTLED = 10  # the last 1/10 of the time since the change has to be inside the band
+_BAND_FLOOR = 1e-3  # least half width of the band, as a fraction of the setpoint
 
 
 class Metrics(NamedTuple):
-    """Each a scalar in SI; errors are those of the plant's true angle and stiffness against the wish.
+    """Scalars in SI; errors are those of the plant's true angle and stiffness from the setpoints.
 
     Attributes
     ----------
@@ -134,27 +130,25 @@ class Metrics(NamedTuple):
     stiffness_rmse, stiffness_max
         The same of the stiffness [N*m/rad].
     stiffness_ripple
-        The same about its own mean over the run: what of the error of the stiffness moves [N*m/rad]. A wrong law leaves
-        an error that stands still; this is without it, and where the wish is constant it is what motion does to the
-        stiffness: the other way of the coupling.
+        Root mean square of the stiffness error about its mean over the run [N*m/rad]: without the constant error of a
+        wrong force law; at a constant setpoint, the effect of motion on the stiffness.
     stiffness_settling
-        From the last change of the desired stiffness (or from the start, if it never changes) until the stiffness
-        enters the band for good [s]; the band is a part of the change. Settled is what stays in the band for at least
-        the last tenth of the time since the change: of a limit cycle, or of a response that enters only just before the
-        end, it is not known whether it stays. NaN if it never settles so, or if the wish never stops changing.
+        Time from the last change of the desired stiffness (or from the start, if it never changes) until the stiffness
+        enters the settling band for good [s]. NaN if it is not inside for at least the last tenth of the time since the
+        change (a limit cycle, or an entry just before the end), or if the setpoint changes to the very end.
     coupling
-        By how much the last change of the desired stiffness moves the angle at most, against the same run without that
-        change [rad]; NaN if the desired stiffness never changes, or never stops changing.
+        Largest deviation of the angle from that of the same run without the last change of the desired stiffness [rad];
+        NaN if the desired stiffness never changes, or changes to the very end.
     estimate_rmse
-        Root mean square error of the controller's estimate of the stiffness [N*m/rad].
+        Root mean square error of the controller's stiffness estimate [N*m/rad]; NaN if it has none.
     time_saturated, time_slack, time_outside_domain, time_overloaded
-        For how long a command was at a pressure limit, a muscle slack, outside its domain, above its rated force [s].
+        Time with a command at a pressure limit, a muscle slack, outside its domain, above its rated force [s].
     excursion_max
-        How far a contraction was outside its domain at most [-].
+        Largest distance of a contraction from its domain [-].
     force_max
         The largest tension [N].
     air
-        What the muscles take in, as a volume at atmospheric pressure [m^3]; what either lets out is lost to both.
+        Air taken in by the muscles, as a volume at atmospheric pressure [m^3]; air let out is lost.
     """
 
     angle_rmse: Array
@@ -209,31 +203,32 @@ def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETT
     period
         Its control period [s].
     settling_part
-        Half the width of the settling band, as a part of the change of stiffness that was asked for.
+        Half the width of the settling band, as a fraction of the step of the desired stiffness.
     """
     stiffness = jnp.asarray(moved.stiffness)
     change = last_change(moved.desired_stiffness)
     before = [jnp.concatenate([air[:1], air[:-1]]) for air in map(jnp.asarray, (moved.air1, moved.air2))]
-    parts = tally(moved, jnp.arange(stiffness.size), change, stiffness[change.at], before, settling_part)
+    at_change = stiffness[change.at]
+    parts = MetricAccumulator.of(moved, jnp.arange(stiffness.size), change, at_change, before, settling_part)
     sums = Sums(*(jnp.sum(part) for part in parts.sums))
     peaks = Peaks(*(_largest(part) for part in parts.peaks))
-    return metrics_of(Tally(sums, peaks, jnp.max(parts.unsettled)), change, stiffness.size, period)
+    return MetricAccumulator(sums, peaks, jnp.max(parts.unsettled)).metrics(change, stiffness.size, period)
 
 
 compiled_measure = compiled(measure)
 
 
 class Change(NamedTuple):
-    """The last change of the desired stiffness; known before the run.
+    """The last change of the desired stiffness.
 
     Attributes
     ----------
     at
-        The control period from which on the new value is wished for; 0 if the wish never changes.
+        First control period with the new setpoint; 0 if it never changes.
     before, after
-        The wish right before, and at the end of the run [N*m/rad].
+        Setpoints right before it and at the end of the run [N*m/rad].
     ends
-        Whether there is a change, and a time after it without one (a sine changes to the very end).
+        Whether there is a change, and a time after it without one.
     """
 
     at: Array
@@ -243,7 +238,7 @@ class Change(NamedTuple):
 
 
 def last_change(desired: ArrayLike) -> Change:
-    """The last change of a wish of shape (periods,)."""
+    """The last change of setpoints of shape (periods,)."""
     desired = jnp.asarray(desired)
     changed = jnp.concatenate([jnp.zeros(1, bool), desired[1:] != desired[:-1]])
     index = jnp.max(jnp.where(changed, jnp.arange(desired.size), 0))
@@ -252,7 +247,7 @@ def last_change(desired: ArrayLike) -> Change:
 
 
 class Sums(NamedTuple):
-    """What is summed over the control periods: errors, their squares, how often something was so, and air."""
+    """Sums over control periods: errors, squared errors, counts and air."""
 
     angle: Array
     stiffness: Array
@@ -266,7 +261,7 @@ class Sums(NamedTuple):
 
 
 class Peaks(NamedTuple):
-    """What the largest value is looked for of."""
+    """Maxima over control periods."""
 
     angle: Array
     stiffness: Array
@@ -275,52 +270,42 @@ class Peaks(NamedTuple):
     force: Array
 
 
-class Tally(NamedTuple):
-    """All that the metrics need of a run; of one control period, of some, or of all."""
+class MetricAccumulator(NamedTuple):
+    """Sums and maxima from which the metrics follow; of one control period, of some, or of all."""
 
     sums: Sums
     peaks: Peaks
-    unsettled: Array  # the last period in which the stiffness was outside its band; -1 if it never was
+    unsettled: Array  # the last period with the stiffness outside its band; -1 if there is none
 
     @classmethod
-    def nothing(cls, like: Array) -> Tally:
-        """Of no period at all; floats are of the type of `like`."""
+    def empty(cls, like: Array) -> MetricAccumulator:
+        """Of no period; floats are of the type of `like`."""
         zero = jnp.zeros_like(like)
         return cls(Sums(*[zero] * len(Sums._fields)), Peaks(*[zero] * len(Peaks._fields)), jnp.asarray(-1))
 
-    def with_next(self, after: Tally) -> Tally:
-        """Of both."""
-        return Tally(
-            Sums(*(a + b for a, b in zip(self.sums, after.sums, strict=True))),
-            Peaks(*(_larger(a, b) for a, b in zip(self.peaks, after.peaks, strict=True))),
-            jnp.maximum(self.unsettled, after.unsettled),
-        )
+    @classmethod
+    def of(
+        cls,
+        moved: Trajectory,
+        index: ArrayLike,
+        change: Change,
+        stiffness_at_change: ArrayLike,
+        air_before: Sequence[ArrayLike],
+        settling_part: ArrayLike,
+    ) -> MetricAccumulator:
+        """Of single control periods; elementwise, for scalars and for shape (periods,)."""
+        angle_error = jnp.asarray(moved.angle) - moved.desired_angle
+        stiffness_error = jnp.asarray(moved.stiffness) - moved.desired_stiffness
+        estimate_error = jnp.asarray(moved.stiffness_estimate) - moved.stiffness
+        since = jnp.asarray(index) >= change.at
+        settled = jnp.abs(stiffness_error) <= _band(change, stiffness_at_change, settling_part)
+        coupling = jnp.abs(jnp.asarray(moved.angle) - moved.angle_without_step)
+        air = jnp.maximum(moved.air1 - air_before[0], 0.0) + jnp.maximum(moved.air2 - air_before[1], 0.0)
 
+        def count(flag: Array) -> Array:
+            return jnp.asarray(flag).astype(stiffness_error.dtype)
 
-def tally(
-    moved: Trajectory,
-    index: ArrayLike,
-    change: Change,
-    stiffness_at_change: ArrayLike,
-    air_before: Sequence[ArrayLike],
-    settling_part: ArrayLike,
-) -> Tally:
-    """What single control periods add to the metrics; elementwise, for scalars and for shape (periods,)."""
-    angle_error = jnp.asarray(moved.angle) - moved.desired_angle
-    stiffness_error = jnp.asarray(moved.stiffness) - moved.desired_stiffness
-    estimate_error = jnp.asarray(moved.stiffness_estimate) - moved.stiffness
-    since = jnp.asarray(index) >= change.at
-    settled = jnp.abs(stiffness_error) <= _band(change, stiffness_at_change, settling_part)
-    moved_by_change = jnp.abs(jnp.asarray(moved.angle) - moved.undisturbed_angle)
-    kind = stiffness_error.dtype
-
-    taken_in = [jnp.maximum(now - then, 0.0) for now, then in zip((moved.air1, moved.air2), air_before, strict=True)]
-
-    def count(flag: Array) -> Array:
-        return jnp.asarray(flag).astype(kind)
-
-    return Tally(
-        Sums(
+        sums = Sums(
             angle=jnp.square(angle_error),
             stiffness=jnp.square(stiffness_error),
             stiffness_bias=stiffness_error,
@@ -329,59 +314,65 @@ def tally(
             slack=count(moved.slack),
             outside_domain=count(moved.outside_domain),
             overloaded=count(moved.overloaded),
-            air=taken_in[0] + taken_in[1],
-        ),
-        Peaks(
+            air=air,
+        )
+        peaks = Peaks(
             angle=jnp.abs(angle_error),
             stiffness=jnp.abs(stiffness_error),
-            coupling=jnp.where(since, moved_by_change, 0.0),
+            coupling=jnp.where(since, coupling, 0.0),
             excursion=jnp.asarray(moved.excursion),
             force=_larger(moved.force1, moved.force2),
-        ),
-        jnp.where(since & ~settled, index, -1),
-    )
+        )
+        return cls(sums, peaks, jnp.where(since & ~settled, index, -1))
 
+    def merge(self, other: MetricAccumulator) -> MetricAccumulator:
+        """Of the periods of both."""
+        return MetricAccumulator(
+            Sums(*(a + b for a, b in zip(self.sums, other.sums, strict=True))),
+            Peaks(*(_larger(a, b) for a, b in zip(self.peaks, other.peaks, strict=True))),
+            jnp.maximum(self.unsettled, other.unsettled),
+        )
 
-def metrics_of(total: Tally, change: Change, periods: int, period: ArrayLike) -> Metrics:
-    """The metrics from the tally of a whole run of so many control periods [s]."""
-    sums, peaks = total.sums, total.peaks
-    unsettled = jnp.maximum(total.unsettled, change.at - 1)
-    about_mean = sums.stiffness / periods - jnp.square(sums.stiffness_bias / periods)
-    in_band = periods - 1 - unsettled  # how many periods at the end
-    never = (_SETTLED * in_band < periods - change.at) | ((change.at > 0) & ~change.ends)
-    return Metrics(
-        angle_rmse=_root(sums.angle / periods),
-        angle_max=peaks.angle,
-        stiffness_rmse=_root(sums.stiffness / periods),
-        stiffness_max=peaks.stiffness,
-        stiffness_ripple=_root(jnp.where(about_mean < 0, 0.0, about_mean)),  # rounding may take it below
-        stiffness_settling=jnp.where(never, jnp.nan, (unsettled + 1 - change.at) * period),
-        coupling=jnp.where(change.ends, peaks.coupling, jnp.nan),
-        estimate_rmse=_root(sums.estimate / periods),
-        time_saturated=sums.saturated * period,
-        time_slack=sums.slack * period,
-        time_outside_domain=sums.outside_domain * period,
-        time_overloaded=sums.overloaded * period,
-        excursion_max=peaks.excursion,
-        force_max=peaks.force,
-        air=sums.air,
-    )
+    def metrics(self, change: Change, periods: int, period: ArrayLike) -> Metrics:
+        """The metrics of a whole run of so many control periods [s]."""
+        sums, peaks = self.sums, self.peaks
+        unsettled = jnp.maximum(self.unsettled, change.at - 1)
+        about_mean = sums.stiffness / periods - jnp.square(sums.stiffness_bias / periods)
+        in_band = periods - 1 - unsettled  # periods at the end
+        never = (_SETTLED * in_band < periods - change.at) | ((change.at > 0) & ~change.ends)
+        return Metrics(
+            angle_rmse=_root(sums.angle / periods),
+            angle_max=peaks.angle,
+            stiffness_rmse=_root(sums.stiffness / periods),
+            stiffness_max=peaks.stiffness,
+            stiffness_ripple=_root(jnp.where(about_mean < 0, 0.0, about_mean)),  # rounding may take it below
+            stiffness_settling=jnp.where(never, jnp.nan, (unsettled + 1 - change.at) * period),
+            coupling=jnp.where(change.ends, peaks.coupling, jnp.nan),
+            estimate_rmse=_root(sums.estimate / periods),
+            time_saturated=sums.saturated * period,
+            time_slack=sums.slack * period,
+            time_outside_domain=sums.outside_domain * period,
+            time_overloaded=sums.overloaded * period,
+            excursion_max=peaks.excursion,
+            force_max=peaks.force,
+            air=sums.air,
+        )
 
 
 def rms(error: ArrayLike) -> Array:
-    """The root of the mean square; its derivative at no error at all is 0."""
+    """The root mean square; its derivative at zero error is 0."""
     return _root(jnp.mean(jnp.square(jnp.asarray(error))))
 
 
-def settling_band(moved: Trajectory, part: float) -> Array:
-    """Half the width of the band into which the stiffness has to settle [N*m/rad]: a part of the change asked for."""
-    change = last_change(moved.desired_stiffness)
-    return _band(change, jnp.asarray(moved.stiffness)[change.at], part)
+def settling_band(desired_stiffness: ArrayLike, stiffness: ArrayLike, part: float) -> Array:
+    """Half the width of the settling band of the stiffness [N*m/rad]: a fraction of the step of its setpoint."""
+    change = last_change(desired_stiffness)
+    return _band(change, jnp.asarray(stiffness)[change.at], part)
 
 
 def _band(change: Change, stiffness_at_change: ArrayLike, part: ArrayLike) -> Array:
-    asked = jnp.abs(change.after - stiffness_at_change)
-    return jnp.maximum(part * asked, _BAND_FLOOR * jnp.abs(change.after))
+    step = jnp.abs(change.after - stiffness_at_change)
+    return jnp.maximum(part * step, _BAND_FLOOR * jnp.abs(change.after))
 
 
 def _root(mean: Array) -> Array:

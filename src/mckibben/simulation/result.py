@@ -1,19 +1,21 @@
-"""How a run ended."""
+"""The result of a simulated run: its columns, metrics and outcome."""
 
 from __future__ import annotations
 
 import enum
 import functools
+import html
 import os
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.errors import FileError, Problem
-from mckibben.simulation.metrics import SETTLING_PART, Trajectory, compiled_measure
+from mckibben.errors import FileError, Problem, SimulationError
+from mckibben.simulation.metrics import Trajectory, compiled_measure
 from mckibben.storage.files import whole
 from mckibben.units import bar, deg, percent
 
@@ -22,42 +24,45 @@ if TYPE_CHECKING:
 
 
 SWUNG_OVER_AT = 90 * deg
-"""A joint this far from where it should be is lost."""
+"""Angle error beyond which a run has failed."""
 
 
 class Outcome(enum.Enum):
     """How a run ended; the worst that applies."""
 
     COMPLETED = "completed"
-    SATURATED = "completed, with a pressure at its limit part of the time"
-    LEFT_DOMAIN = "completed, but a muscle left its domain or its rating: what happened there is extrapolation"
-    SWUNG_OVER = "lost: the joint swung more than 90 deg away from where it should be"
-    DIVERGED = "diverged: the state is no longer finite"
+    SATURATED = "completed, with a command at a pressure limit part of the time"
+    LEFT_DOMAIN = "completed, but a muscle left its domain or its rating: the law is extrapolated there"
+    SWUNG_OVER = "failed: the angle error exceeded 90 deg"
+    DIVERGED = "diverged: the state is not finite"
     NO_START = "not run: no pressures within limits hold the joint at the start"
 
     @property
-    def lost(self) -> bool:
-        """Whether the run came to no end that is of use."""
+    def failed(self) -> bool:
+        """Whether the run has no usable end: swung over, diverged, or not started."""
         return self in (Outcome.SWUNG_OVER, Outcome.DIVERGED, Outcome.NO_START)
 
 
+BAND: tuple[str, str] = ("lowest_stiffness", "highest_stiffness")
+"""Columns of the attainable stiffness."""
+
 OUTCOMES = tuple(Outcome)
-"""In the order of the codes that `outcomes` gives."""
+"""In the order of the codes of `outcomes`."""
 
 
 def outcomes(
     *, angle_max: ArrayLike, left_domain: ArrayLike, saturated: ArrayLike, started: ArrayLike = True
 ) -> NDArray[np.int8]:
-    """The place of each run's outcome in `OUTCOMES`.
+    """Index of each run's outcome in `OUTCOMES`.
 
     Parameters
     ----------
     angle_max
-        The largest error of the angle [rad]; not finite where the run diverged.
+        The largest angle error [rad]; not finite where the run diverged.
     left_domain, saturated
-        Whether a muscle left its domain or its rating, and whether a command was at a limit.
+        Whether a muscle left its domain or rating, and whether a command was at a limit.
     started
-        Whether there was a state to start from.
+        Whether the initial state exists.
     """
     angle_max = np.asarray(angle_max)
     worst_first = [
@@ -77,19 +82,19 @@ UNITS = {
     "angle": (_ANGLE, "joint angle"),
     "velocity": ("rad/s", "angular velocity"),
     "desired_angle": (_ANGLE, "desired joint angle"),
-    "undisturbed_angle": (_ANGLE, "joint angle without the last change of the desired stiffness"),
+    "angle_without_step": (_ANGLE, "joint angle of the same run without the last change of the desired stiffness"),
     "desired_stiffness": (_STIFFNESS, "desired joint stiffness"),
     "stiffness": (_STIFFNESS, "isobaric joint stiffness of the plant's muscles"),
-    "total_stiffness": (_STIFFNESS, "joint stiffness of the plant's muscles and of gravity"),
-    "stiffness_estimate": (_STIFFNESS, "joint stiffness as the controller's model has it"),
+    "total_stiffness": (_STIFFNESS, "joint stiffness of the plant's muscles and gravity"),
+    "stiffness_estimate": (_STIFFNESS, "controller's estimate of the joint stiffness"),
     "torque": ("N*m", "torque of the muscles"),
-    "friction_torque": ("N*m", "part of the torque that is the muscles' friction"),
-    "creep_torque": ("N*m", "part of the torque that is the muscles' creep"),
-    "friction_compensation": ("N*m", "torque of friction that the controller expects and makes up for"),
-    "velocity_estimate": ("rad/s", "angular velocity as the controller observes it"),
-    "disturbance_estimate": ("N*m", "torque that the controller's model has no cause for"),
-    "strength1_estimate": ("1", "strength of muscle 1 against its law, as the controller believes"),
-    "strength2_estimate": ("1", "strength of muscle 2 against its law, as the controller believes"),
+    "friction_torque": ("N*m", "torque of the muscles' friction"),
+    "creep_torque": ("N*m", "torque of the muscles' creep"),
+    "friction_compensation": ("N*m", "friction torque compensated by the controller"),
+    "velocity_estimate": ("rad/s", "controller's estimate of the angular velocity"),
+    "disturbance_estimate": ("N*m", "controller's estimate of the disturbance torque"),
+    "strength1_estimate": ("1", "controller's estimate of the strength of muscle 1 relative to its law"),
+    "strength2_estimate": ("1", "controller's estimate of the strength of muscle 2 relative to its law"),
     "pressure1": (_PRESSURE, "gauge pressure in muscle 1"),
     "pressure2": (_PRESSURE, "gauge pressure in muscle 2"),
     "command1": (_PRESSURE, "commanded pressure of muscle 1"),
@@ -104,21 +109,21 @@ UNITS = {
     "overloaded": ("1", "a muscle's tension is above its rating"),
     "air1": ("m^3", "air in muscle 1, as a volume at atmospheric pressure"),
     "air2": ("m^3", "air in muscle 2, as a volume at atmospheric pressure"),
-    "excursion": ("1", "how far a contraction is outside its domain"),
+    "excursion": ("1", "distance of a contraction from its domain"),
     "angle_rmse": (_ANGLE, "root mean square error of the angle"),
     "angle_max": (_ANGLE, "largest error of the angle"),
     "stiffness_rmse": (_STIFFNESS, "root mean square error of the stiffness"),
     "stiffness_max": (_STIFFNESS, "largest error of the stiffness"),
-    "stiffness_settling": ("s", "time until the stiffness has settled"),
-    "coupling": (_ANGLE, "angle that the last change of the desired stiffness makes"),
+    "stiffness_settling": ("s", "settling time of the stiffness"),
+    "coupling": (_ANGLE, "largest change of the angle by the last change of the desired stiffness"),
     "estimate_rmse": (_STIFFNESS, "root mean square error of the estimated stiffness"),
     "time_saturated": ("s", "time with a command at a pressure limit"),
     "time_slack": ("s", "time with a muscle slack"),
     "time_outside_domain": ("s", "time with a muscle outside its domain"),
     "time_overloaded": ("s", "time with a muscle above its rated force"),
-    "excursion_max": ("1", "how far a contraction was outside its domain at most"),
+    "excursion_max": ("1", "largest distance of a contraction from its domain"),
     "force_max": ("N", "largest tension"),
-    "air": ("m^3", "air that the muscles take in, as a volume at atmospheric pressure"),
+    "air": ("m^3", "air consumption, as a volume at atmospheric pressure"),
     "stiffness_ripple": (_STIFFNESS, "root mean square of the stiffness error about its mean"),
     "position_kp": ("Pa/rad", "proportional gain of the position loop"),
     "position_ki": ("Pa/(rad*s)", "integral gain of the position loop"),
@@ -126,37 +131,81 @@ UNITS = {
     "stiffness_kp": ("Pa/(N*m/rad)", "proportional gain of the stiffness loop"),
     "stiffness_ki": ("Pa/(N*m*s/rad)", "integral gain of the stiffness loop"),
     "stiffness_kd": ("Pa*s/(N*m/rad)", "derivative gain of the stiffness loop"),
-    "forward_differential": (_PRESSURE, "differential pressure that is given beside the loops"),
-    "forward_cocontraction": (_PRESSURE, "co-contraction that is given beside the loops"),
-    "inverse_error_differential": (_PRESSURE, "differential pressure that the learned inverse was off for the motion"),
-    "inverse_error_cocontraction": (_PRESSURE, "co-contraction that the learned inverse was off for the motion"),
+    "feedforward_differential": (_PRESSURE, "feedforward differential pressure"),
+    "feedforward_cocontraction": (_PRESSURE, "feedforward co-contraction"),
+    "inverse_error_differential": (_PRESSURE, "error of the learned inverse in differential pressure"),
+    "inverse_error_cocontraction": (_PRESSURE, "error of the learned inverse in co-contraction"),
     "lowest_stiffness": (_STIFFNESS, "lowest attainable stiffness at the desired angle"),
     "highest_stiffness": (_STIFFNESS, "highest attainable stiffness at the desired angle"),
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
-    """A simulated run.
+class Columns(Mapping[str, np.ndarray]):
+    """Arrays by name; some are computed when they are first asked for.
 
-    Attributes
+    Parameters
     ----------
-    columns
-        Arrays of shape (periods,), one value a control period, by name: what `Trajectory` lists, the attainable band
-        (``lowest_stiffness``, ``highest_stiffness``), and what the controller reports of itself (such as
-        ``position_kp``).
-    control_period
-        The time between two values [s].
-    outcome
-        How it ended.
-    scenario
-        Text: what made it; may be empty.
+    names
+        All names, in order; repetitions are ignored.
+    known
+        Arrays by name.
+    computed
+        Functions that return further arrays by name, each with the names of these.
     """
 
-    columns: dict[str, np.ndarray]
-    control_period: float
-    outcome: Outcome
-    scenario: str = ""
+    def __init__(
+        self,
+        names: Iterable[str],
+        known: Mapping[str, Any],
+        computed: Iterable[tuple[Iterable[str], Callable[[], Mapping[str, Any]]]] = (),
+    ) -> None:
+        self._names = tuple(dict.fromkeys(names))
+        self._known = dict(known)
+        self._computed = {name: compute for group, compute in computed for name in group}
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self._known and name in self._computed:
+            self._known = dict(self._computed[name]()) | self._known
+        value = self._known[name] = np.asarray(self._known[name])
+        return value
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Columns, (self._names, dict(self))
+
+
+class Result:
+    """A simulated run; ``result["angle"]`` is a column as an array, ``result["time"]`` its times.
+
+    Parameters
+    ----------
+    columns
+        Arrays of shape (periods,), one value per control period, by name: the fields of `Trajectory`, the attainable
+        stiffness (``lowest_stiffness``, ``highest_stiffness``), and the controller's telemetry.
+    control_period
+        Time between two values [s].
+    outcome
+        How it ended; from the columns unless given.
+    scenario
+        Text of the scenario; may be empty.
+    """
+
+    def __init__(
+        self, columns: Mapping[str, Any], control_period: float, outcome: Outcome | None = None, scenario: str = ""
+    ) -> None:
+        self.columns = columns
+        self.control_period = control_period
+        self.scenario = scenario
+        if outcome is not None:
+            self.outcome = outcome
 
     @classmethod
     def of(
@@ -165,50 +214,59 @@ class Result:
         control_period: float,
         *,
         band: tuple[np.ndarray, np.ndarray],
-        telemetry: dict[str, np.ndarray],
+        telemetry: Mapping[str, Any],
         scenario: str = "",
     ) -> Self:
-        """From a trajectory, the attainable band and the controller's telemetry, each of shape (periods,)."""
-        columns = {name: np.asarray(value) for name, value in moved._asdict().items()}
-        columns |= {"lowest_stiffness": band[0], "highest_stiffness": band[1]}
-        columns |= {name: np.asarray(value) for name, value in telemetry.items() if name not in columns}
-        return cls(columns, control_period, _outcome(columns), scenario)
+        """From a trajectory, the attainable stiffness and the controller's telemetry, each of shape (periods,)."""
+        known = moved._asdict() | dict(zip(BAND, band, strict=True))
+        columns = {name: np.asarray(value) for name, value in (known | dict(telemetry) | known).items()}
+        return cls(columns, control_period, scenario=scenario)
 
     @functools.cached_property
-    def table(self) -> xr.Dataset:
-        """The columns along ``time`` [s], each with ``units`` and ``long_name``.
+    def outcome(self) -> Outcome:
+        """How it ended."""
+        return _outcome(self.columns)
 
-        Attributes: ``control_period`` [s] and ``scenario``.
-        """
-        import xarray as xr  # 0.15 s at import, which a run that is only measured need not wait for
-
-        return xr.Dataset(
-            {name: ("time", value, attributes(name)) for name, value in self.columns.items()},
-            coords={"time": ("time", self.times, {"units": "s", "long_name": "time"})},
-            attrs={"control_period": self.control_period, "scenario": self.scenario},
-        )
+    @functools.cached_property
+    def metrics(self) -> dict[str, float]:
+        """The numbers of `mckibben.simulation.metrics.Metrics`, by name, in SI."""
+        moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
+        return {name: float(value) for name, value in compiled_measure(moved, self.control_period)._asdict().items()}
 
     @property
     def times(self) -> np.ndarray:
-        """The start of each control period [s], shape (periods,)."""
-        return np.arange(self.columns["angle"].size) * self.control_period
+        """Start of each control period [s], shape (periods,)."""
+        return np.arange(self["angle"].size) * self.control_period
 
-    @property
-    def trajectory(self) -> Trajectory:
-        """The columns as the metrics take them."""
-        return Trajectory(*(self.columns[name] for name in Trajectory._fields))  # type: ignore[arg-type]
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name == "time":
+            return self.times
+        if name not in self.columns:
+            known = ", ".join(self.columns)
+            raise SimulationError(f"there is no column {name!r}", value=name, remedy=f"there are {known}")
+        return self.columns[name]
 
-    def metrics(self, *, settling_part: float = SETTLING_PART) -> dict[str, float]:
-        """The numbers of `mckibben.simulation.metrics.Metrics`, by name, in SI."""
-        measured = compiled_measure(self.trajectory, self.control_period, settling_part=settling_part)
-        return {name: float(value) for name, value in measured._asdict().items()}
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def __repr__(self) -> str:
+        errors = [
+            f"{axis} RMSE {float(np.sqrt(np.mean((self[axis] - self['desired_' + axis]) ** 2))) / size:.3g} {unit}"
+            for axis, size, unit in (("angle", deg, "deg"), ("stiffness", 1.0, "N*m/rad"))
+        ]
+        duration = self["angle"].size * self.control_period
+        return f"<Result: {duration:g} s, {self.outcome.name.lower()}, {', '.join(errors)}>"
+
+    def _repr_html_(self) -> str:
+        rows = [(UNITS[name][1], f"{value:.4g}", UNITS[name][0]) for name, value in self.metrics.items()]
+        return html_table(self.describe(), ("metric", "value", "unit"), rows)
 
     def describe(self) -> str:
-        """The outcome as a sentence, with how long the run was saturated, slack or outside the domain."""
+        """The outcome as a sentence, with the time saturated, slack or outside the domain."""
         columns, sentence, times = self.columns, self.outcome.value, self.times
         if self.outcome is Outcome.DIVERGED:
-            whole_until = np.flatnonzero(np.isfinite(columns["angle"]))
-            return f"{sentence} after {times[whole_until[-1]] if whole_until.size else 0.0:.4g} s"
+            finite = np.flatnonzero(np.isfinite(columns["angle"]))
+            return f"{sentence} after {times[finite[-1]] if finite.size else 0.0:.4g} s"
         spans = [
             f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"
             for what, mask in (
@@ -222,22 +280,35 @@ class Result:
         return f"{sentence} ({'; '.join(spans)})" if spans else sentence
 
     def to_xarray(self) -> xr.Dataset:
-        """The table, with the outcome as an attribute."""
-        return self.table.assign_attrs(outcome=self.outcome.name)
+        """The columns along ``time`` [s], each with ``units`` and ``long_name``.
+
+        Attributes: ``control_period`` [s], ``scenario`` and ``outcome``.
+        """
+        import xarray as xr  # 0.15 s
+
+        return xr.Dataset(
+            {name: ("time", value, attributes(name)) for name, value in self.columns.items()},
+            coords={"time": ("time", self.times, {"units": "s", "long_name": "time"})},
+            attrs={
+                "control_period": self.control_period,
+                "scenario": self.scenario,
+                "outcome": self.outcome.name,
+            },
+        )
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write everything to a NetCDF file; an existing one is replaced only when the new one is whole."""
+        """Write to a NetCDF file, atomically."""
         with whole(path) as part:
             self.to_xarray().to_netcdf(part, engine="h5netcdf")
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read what `to_netcdf` wrote.
+        """Read a file of `to_netcdf`.
 
         Raises
         ------
         FileError
-            If the file is missing, is no NetCDF file, or lacks something.
+            If the file is missing, is not NetCDF, or lacks a column.
         """
         import xarray as xr
 
@@ -248,28 +319,40 @@ class Result:
             table = xr.load_dataset(path, engine="h5netcdf")
         except Exception as error:  # HDF5 has many ways to say that a file is damaged
             raise FileError(source, [Problem(f"it cannot be read as NetCDF: {error}")]) from error
-        columns = (*Trajectory._fields, "lowest_stiffness", "highest_stiffness")
+        columns = (*Trajectory._fields, *BAND)
         missing = [name for name in columns if name not in table]
         if missing:
-            raise FileError(source, [Problem(f"it is no simulation result: {', '.join(missing)} are not in it")])
+            raise FileError(source, [Problem(f"it is not a simulation result: it lacks {', '.join(missing)}")])
         problems = [
-            Problem("it is no number over time", field=name)
+            Problem("it is not a numeric column over time", field=name)
             for name in columns
             if table[name].dims != ("time",) or table[name].dtype.kind not in "fb"
         ]
         outcome = table.attrs.pop("outcome", None)
         period: Any = table.attrs.get("control_period")
         if outcome not in Outcome.__members__:
-            problems.append(Problem(f"{outcome!r} is no outcome", field="outcome"))
+            problems.append(Problem(f"{outcome!r} is not an outcome", field="outcome"))
         if not isinstance(period, float | np.floating) or not period > 0:
-            problems.append(Problem(f"{period!r} is no time", field="control_period"))
+            problems.append(Problem(f"{period!r} is not a positive time", field="control_period"))
         if problems:
             raise FileError(source, problems)
         values = {str(name): variable.to_numpy() for name, variable in table.data_vars.items()}
         return cls(values, float(period), Outcome[outcome], str(table.attrs.get("scenario", "")))
 
 
-def _outside(columns: dict[str, np.ndarray]) -> str:
+def html_table(title: str, head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A small HTML table for notebooks."""
+
+    def row(cells: Iterable[str], tag: str) -> str:
+        return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+    body = "".join(row(cells, "td") for cells in rows)
+    return (
+        f"<table><caption>{html.escape(title)}</caption><thead>{row(head, 'th')}</thead><tbody>{body}</tbody></table>"
+    )
+
+
+def _outside(columns: Mapping[str, np.ndarray]) -> str:
     furthest = float(columns["excursion"].max())
     pressures = np.concatenate([columns["pressure1"], columns["pressure2"]]) / bar
     how_far = (
@@ -280,17 +363,17 @@ def _outside(columns: dict[str, np.ndarray]) -> str:
     return f"outside the domain ({how_far})"
 
 
-def _peak(columns: dict[str, np.ndarray]) -> float:
+def _peak(columns: Mapping[str, np.ndarray]) -> float:
     return float(max(columns["force1"].max(), columns["force2"].max()))
 
 
 def attributes(name: str) -> dict[str, str]:
-    """The unit and the meaning of a variable, as NetCDF has them."""
+    """Unit and meaning of a variable as NetCDF attributes."""
     units, meaning = UNITS.get(name, ("", name.replace("_", " ")))
     return {"units": units, "long_name": meaning} if units else {"long_name": meaning}
 
 
-def _outcome(columns: dict[str, np.ndarray]) -> Outcome:
+def _outcome(columns: Mapping[str, np.ndarray]) -> Outcome:
     ended = np.isfinite(columns["velocity"][-1])
     code = outcomes(
         angle_max=np.abs(columns["angle"] - columns["desired_angle"]).max() if ended else np.inf,

@@ -1,9 +1,11 @@
-"""Simulate: a plant, a controller and a wish to a result."""
+"""Simulate: a plant, a controller and a reference to a result."""
 
 from __future__ import annotations
 
 import warnings
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,30 +14,29 @@ from jaxtyping import Array, ArrayLike
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, ReachabilityWarning, SimulationError
 from mckibben.joint.attainable import solve_static_and_range
-from mckibben.numerics.batching import by_name
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.batching import cast, named_leaves
+from mckibben.numerics.compiled import compiled, compiled_batch, numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.feasibility import Reach, attainable_band
-from mckibben.simulation.loop import (
+from mckibben.simulation.feasibility import Feasibility, attainable_band
+from mckibben.simulation.loop import Record, compiled_episode
+from mckibben.simulation.metrics import Trajectory, compiled_trajectory
+from mckibben.simulation.problem import (
     AtRest,
-    Record,
-    Run,
-    check_substeps,
-    compiled_episode,
-    described,
+    SimulationProblem,
+    float_type,
+    sample_reference,
     sampling_times,
-    wishes_at,
+    split_problem,
     without_last_change,
 )
-from mckibben.simulation.metrics import Trajectory, compiled_trajectory
-from mckibben.simulation.result import Result
+from mckibben.simulation.result import BAND, Columns, Result
 
 
 class CheckedRun(NamedTuple):
-    """A result, and what was known before the run of the reach of its reference."""
+    """A result, and the static feasibility of its reference."""
 
     result: Result
-    reach: Reach
+    feasibility: Feasibility
 
 
 def simulate(
@@ -47,43 +48,45 @@ def simulate(
     control_period: float = 1e-3,
     substeps: int = 4,
     initial: PlantState | AtRest | None = None,
+    precision: Any = 64,
     scenario: str = "",
 ) -> Result:
     """Run a controller on a plant.
 
-    Commands are held over each control period while the plant is integrated by the classical Runge-Kutta method. The
-    plant limits commands to the pressures that its specimens are rated for; where a law holds for less, a result says
-    for how long its domain was left.
+    Commands are constant over each control period, in which the plant is integrated by the classical Runge-Kutta
+    method. The plant limits commands to the rated pressures of its specimens; the result says for how long a law was
+    outside its domain.
 
     Parameters
     ----------
     plant, controller, reference
-        What is moved, what moves it, and where to.
+        The joint with its load and valves, its controller, and the desired angle and stiffness.
     duration
-        Of the run [s]; a whole number of control periods.
+        Of the run [s]; a multiple of the control period.
     control_period
         The time between two steps of the controller [s].
     substeps
-        Integration steps a control period.
+        Integration steps per control period.
     initial
-        The state at the start, or `AtRest`; at rest at the first desired angle, amid the attainable stiffness, unless
-        given.
+        The initial state, or `AtRest`; at rest at the first desired angle, at mid co-contraction, unless given.
+    precision
+        Bits of the floats in the run: 64, or 32 for some 6 digits.
     scenario
-        Text to keep with the result: what made it.
+        Text to store with the result.
 
     Warns
     -----
     ReachabilityWarning
-        If the joint cannot hold all of the reference: when, and by how much.
+        If the joint cannot statically hold all of the reference: when, and by how much.
 
     Raises
     ------
     SimulationError
-        If the times make no sense together.
+        If an argument is of the wrong type, or the times do not fit together.
     UnreachableError, RangeError
         If no pressures hold the joint at the start, or a muscle would leave its domain there.
     """
-    result, reach = checked_run(
+    result, feasibility = checked_run(
         plant,
         controller,
         reference,
@@ -91,10 +94,11 @@ def simulate(
         control_period=control_period,
         substeps=substeps,
         initial=initial,
+        precision=precision,
         scenario=scenario,
     )
-    if not reach.reachable:
-        warnings.warn(reach.describe(), ReachabilityWarning, stacklevel=2)
+    if not feasibility.feasible:
+        warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=2)
     return result
 
 
@@ -107,52 +111,118 @@ def checked_run(
     control_period: float,
     substeps: int,
     initial: PlantState | AtRest | None,
+    precision: Any = 64,
     scenario: str,
 ) -> CheckedRun:
-    """`simulate`, with the check of the reference as an answer instead of a warning."""
-    check_substeps(substeps)
-    times = sampling_times(duration, control_period)
-    lanes, run, count = described(plant, controller, reference, initial, {})
-    if count is not None:
-        varying = ", ".join(by_name(lanes._asdict()))
+    """`simulate`, with the feasibility of the reference returned instead of warned of."""
+    times = sampling_times(duration, control_period, substeps)
+    kind = float_type(precision)
+    lanes, problem, _ = split_problem(plant, controller, reference, initial, {})
+    if lanes is not None:
+        varying = ", ".join(named_leaves(lanes._asdict()))
         raise ParameterError(f"{varying}: an array in place of a number", remedy="use `simulate_many` for many runs")
-    before = _before(run._replace(controller=None), times)  # whose kind would only compile it anew
-    if not before.exists:
-        _tell_why(plant, initial, float(before.wishes.angle[0]))
-    reach = Reach(times, *(np.asarray(x) for x in (*before.wishes, *before.band)))
-
-    moved, record = run_episode(run.plant, run.controller, before.wishes, before.start, control_period, substeps)
-    telemetry = {name: np.asarray(value) for name, value in record.telemetry.items()}
-    if plant.joint.has_friction:
-        telemetry["friction_torque"] = np.asarray(_friction_torque(run.plant, record.state))
-    if plant.joint.has_creep:
-        telemetry["creep_torque"] = np.asarray(_creep_torque(run.plant, record.state))
-    band = (reach.lowest, reach.highest)
-    return CheckedRun(Result.of(moved, control_period, band=band, telemetry=telemetry, scenario=scenario), reach)
+    checked = _check_start(problem._replace(controller=None), times)  # another controller compiles nothing new
+    parts = problem.plant, problem.controller, checked.setpoints, checked.start
+    if kind != np.float64:
+        parts = cast(parts, kind)
+    band = dict(zip(BAND, checked.band, strict=True))
+    result = _episode_result(*parts, control_period, substeps, known=band, scenario=scenario)  # computes meanwhile
+    if not checked.exists:
+        _raise_why(plant, initial, float(checked.setpoints.angle[0]))
+    return CheckedRun(result, Feasibility(times, *(np.asarray(x) for x in (*checked.setpoints, *checked.band))))
 
 
-class _Before(NamedTuple):
-    """What is known before a run: the wishes, the start and whether it exists, and the attainable stiffness."""
+def run_episode(
+    plant: JointPlant,
+    controller: Controller,
+    setpoints: Setpoint,
+    start: PlantState,
+    control_period: float,
+    substeps: int,
+) -> Result:
+    """The result of an episode from a start that exists, without the attainable stiffness."""
+    plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.complete_state(start)))
+    return _episode_result(plant, controller, setpoints, start, control_period, substeps)
 
-    wishes: Setpoint
+
+def _episode_result(
+    plant: JointPlant,
+    controller: Controller,
+    setpoints: Setpoint,
+    start: PlantState,
+    control_period: float,
+    substeps: int,
+    *,
+    known: Mapping[str, Any] = MappingProxyType({}),
+    scenario: str = "",
+) -> Result:
+    """The result of an episode of `numeric` parts, with further `known` columns.
+
+    Torque, stiffness and forces are computed when they are first asked for, and so is the second episode, without the
+    last change of the stiffness.
+    """
+    period = np.asarray(control_period, setpoints.angle.dtype)
+
+    def run(setpoints: Setpoint) -> Record:
+        return compiled_episode(plant, controller, setpoints, start, period, substeps)[1]
+
+    record = run(setpoints)
+    state, telemetry = record.state, dict(record.telemetry)
+    telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
+    telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
+    immediate = {
+        "angle": state.angle,
+        "velocity": state.velocity,
+        "pressure1": state.pressures[0],
+        "pressure2": state.pressures[1],
+        "desired_angle": setpoints.angle,
+        "desired_stiffness": setpoints.stiffness,
+        "command1": record.command1,
+        "command2": record.command2,
+        **{name: value for name, value in record.telemetry.items() if name != "saturated"},
+        **known,
+    }
+
+    def without_step() -> dict[str, Array]:
+        constant = without_last_change(setpoints)
+        return {"angle_without_step": state.angle if constant is None else run(constant).state.angle}
+
+    def derived() -> dict[str, Array]:
+        moved = compiled_trajectory(plant, setpoints, record, state.angle)._asdict()
+        return {name: value for name, value in moved.items() if name != "angle_without_step"}
+
+    computed: list[tuple[tuple[str, ...], Callable[[], dict[str, Any]]]] = [
+        (Trajectory._fields, derived),
+        (("angle_without_step",), without_step),
+        (("friction_torque",), lambda: {"friction_torque": _friction_torque(plant, state)}),
+        (("creep_torque",), lambda: {"creep_torque": _creep_torque(plant, state)}),
+    ]
+    names = (*Trajectory._fields, *known, *telemetry)
+    return Result(Columns(names, immediate, computed), control_period, scenario=scenario)
+
+
+class _Checked(NamedTuple):
+    """Setpoints, initial state, whether it exists, and the attainable stiffness at the desired angles."""
+
+    setpoints: Setpoint
     start: PlantState
     exists: Array
     band: tuple[Array, Array]
 
 
-@compiled
-def _before(run: Run, times: ArrayLike) -> _Before:
-    """Of a run; the controller does not matter."""
-    wishes = wishes_at(run.reference, times)
-    if isinstance(run.initial, PlantState):
-        return _Before(wishes, *run.start(wishes), attainable_band(run.plant, wishes.angle))
-    # Start and band from one look at the joint: what they share is worked out once.
-    angle, stiffness = run.rest(wishes)
-    angles = jnp.concatenate([angle[None], wishes.angle])
-    torques = -run.plant.load.gravity_torque(angles)
-    found, (lowest, highest) = solve_static_and_range(run.plant.joint, angles, torques, stiffness)
-    start = run.plant.init_state(angle, found.pressures)
-    return _Before(wishes, start, found.exists, (lowest[1:], highest[1:]))
+@compiled_batch
+def _check_start(problem: SimulationProblem, times: ArrayLike) -> _Checked:
+    """The checks before a run, for a problem without controller."""
+    setpoints = sample_reference(problem.reference, times)
+    if isinstance(problem.initial, PlantState):
+        return _Checked(setpoints, *problem.start(setpoints), attainable_band(problem.plant, setpoints.angle))
+    # Start and band in one pass over the angles, which share most of the work.
+    angle, stiffness = problem.rest(setpoints)
+    angles = jnp.concatenate([angle[None], setpoints.angle])
+    torques = -problem.plant.load.gravity_torque(angles)
+    found, (lowest, highest) = solve_static_and_range(problem.plant.joint, angles, torques, stiffness)
+    start = problem.plant.init_state(angle, found.pressures)
+    return _Checked(setpoints, start, found.exists, (lowest[1:], highest[1:]))
 
 
 @compiled
@@ -165,25 +235,9 @@ def _creep_torque(plant: JointPlant, state: PlantState) -> Array:
     return plant.joint.creep_torque(state.angle, state.pressures, state.muscles)
 
 
-def _tell_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:
-    """Raise what `JointPlant.equilibrium` has to say of a start that does not exist."""
+def _raise_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:
+    """Raise the error of `JointPlant.equilibrium` for an initial state that does not exist."""
     angle, stiffness = map(np.asarray, initial if isinstance(initial, AtRest) else AtRest(first_angle))
     angle = first_angle if np.isnan(angle) else float(angle)
     plant.equilibrium(angle, stiffness=None if np.isnan(stiffness) else float(stiffness))
     raise SimulationError(f"the joint cannot start at {angle:g} rad", value=angle, unit="rad")
-
-
-def run_episode(
-    plant: JointPlant,
-    controller: Controller,
-    setpoints: Setpoint,
-    start: PlantState,
-    control_period: float,
-    substeps: int,
-) -> tuple[Trajectory, Record]:
-    """The trajectory and the record of an episode; where the stiffness steps, against one without the step."""
-    plant, controller, start, period = numeric((plant, controller, plant.complete_state(start), control_period))
-    _, record = compiled_episode(plant, controller, setpoints, start, period, substeps)
-    held = without_last_change(setpoints)
-    undisturbed = record if held is None else compiled_episode(plant, controller, held, start, period, substeps)[1]
-    return compiled_trajectory(plant, setpoints, record, undisturbed.state.angle), record

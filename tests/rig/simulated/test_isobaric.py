@@ -72,9 +72,9 @@ def test_the_full_protocol_gives_the_data_of_figure_3(measured):
 def test_it_is_quick():
     rig = SimulatedIsobaricTest(MUSCLE)
     rig.run(SMALL, seed=0)
-    start = time.perf_counter()
+    start = time.process_time()
     rig.run(IsobaricProtocol(slack_steps=1000), seed=0)
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 5
 
 
 def test_the_sensors_noise_is_as_given(measured):

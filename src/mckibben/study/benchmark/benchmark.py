@@ -71,11 +71,11 @@ class Contest:
     def metric(self, controller: str, name: str) -> Numbers:
         """A metric [SI] of each run that began; NaN where the controller lost it."""
         batch = self.batches[controller]
-        return np.where(batch.lost, np.nan, batch.metrics[name])[self.started]
+        return np.where(batch.failed, np.nan, batch.metrics[name])[self.started]
 
     def lost(self, controller: str) -> NDArray[np.bool_]:
         """Which of the runs that began the controller lost."""
-        return self.batches[controller].lost[self.started]
+        return self.batches[controller].failed[self.started]
 
     def cost(self, controller: str) -> Numbers:
         """The cost of each run that began; 1e6 where it was lost."""
@@ -201,7 +201,7 @@ class _Task:
         control = _controller(self.runs, self.controller, table)
         batch = _simulated(self.runs, control, len(values), self.suite.cost.metrics)
         found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
-        found = np.where(np.isfinite(found) & ~batch.lost, np.minimum(found, LOST), LOST)
+        found = np.where(np.isfinite(found) & ~batch.failed, np.minimum(found, LOST), LOST)
         began = _began(batch)
         if not began.any():
             raise _none_begins("training")

@@ -14,33 +14,26 @@ from mckibben.muscle import ChouLaw, ForceLaw, Muscle, NoCreep, NoFriction, Spec
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.calibration import Calibration, calibrations_in, content_of
-from mckibben.rig.protocol import IsobaricProtocol
-from mckibben.rig.steps import IsometricProtocol, IsotonicProtocol, Procedure, Step, steps_of
+from mckibben.rig.steps import Step, steps_of
 from mckibben.study.rig.document import CardSpec, RigTest, SimulatedRigSpec
 from mckibben.study.rig.steps import ProtocolSpec, steps
 
 if TYPE_CHECKING:
     from mckibben.rig.ni import Terminals
 
-_PROCEDURES: Mapping[str, type[Procedure]] = {
-    "isobaric": IsobaricProtocol,
-    "isometric": IsometricProtocol,
-    "isotonic": IsotonicProtocol,
-}
-
 _APART = 1_000_003  # between the seeds of sessions
 
 
 @dataclass(frozen=True)
 class Setup:
-    """A rig that is still closed, and what stands on it."""
+    """A rig that is not opened yet, and its bench."""
 
     backend: MovingBackend
     bench: Bench
 
 
 def build_setup(test: RigTest, session: int = 0) -> Setup:
-    """The rig of a test, which was begun so often before.
+    """The rig of a test; `session` counts its resumptions.
 
     Raises
     ------
@@ -70,13 +63,13 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
 
 
 def build_muscle(test: RigTest) -> Muscle | Specimen:
-    """What is tested: the specimen with its law, or alone where that is not known."""
+    """The specimen with its law, or alone if the law is unknown."""
     specimen = catalog.specimen(test.muscle.specimen)
     return specimen if test.muscle.law is None else Muscle(specimen, _law(test.muscle.law, specimen))
 
 
 def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ...]:
-    """What is done.
+    """The steps of a protocol.
 
     Raises
     ------
@@ -85,7 +78,7 @@ def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ..
     """
     if protocol.steps is not None:
         return steps(protocol.steps)
-    return steps_of(_PROCEDURES[protocol.form](**explicit_fields(getattr(protocol, protocol.form))), of)
+    return steps_of(getattr(protocol, protocol.form).build(), of)
 
 
 def _simulated(
@@ -131,7 +124,7 @@ def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Dri
 
 
 def build_wiring(spec: CardSpec) -> Terminals:
-    """Which terminal goes where."""
+    """Terminals of the card."""
     from mckibben.rig.ni import Terminals
 
     def at(name: str) -> str:

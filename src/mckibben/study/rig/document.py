@@ -11,16 +11,26 @@ from pydantic import Field, ValidationInfo, field_validator
 from mckibben.config.document import Document, to_text
 from mckibben.config.fields import Flag, OneOf, Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
+from mckibben.config.schema import model_of
+from mckibben.rig.bench import Bench, RigLimits
 from mckibben.storage.files import whole
-from mckibben.study.rig.steps import Address, Contraction, Factor, JsonPath, ProtocolSpec, SampleRate, Tension, Way
+from mckibben.study.rig.steps import Address, JsonPath, ProtocolSpec
 from mckibben.study.scenario.plant import CatalogName, CreepSpec, FrictionSpec, Law
-from mckibben.units import BoundedInt, Duration, Force, PositiveTime, Pressure, PressureRate
+from mckibben.units import (
+    BoundedInt,
+    Contraction,
+    Factor,
+    PositiveTime,
+    SampleRate,
+    Tension,
+    Travel,
+)
 
 
-class MuscleSpec(ConfigModel):
-    """What is tested.
+class TestedMuscleSpec(ConfigModel):
+    """Specimen under test.
 
-    With a `law` the boundaries of the test are known beforehand; without one they are found as it goes.
+    With a `law` the boundaries of the test follow from it; without one the test finds them.
     """
 
     specimen: Annotated[str, CatalogName("specimens")]
@@ -31,8 +41,8 @@ class MuscleSpec(ConfigModel):
 class SimulatedRigSpec(ConfigModel):
     """The simulated rig, see `SimulatedRig`.
 
-    What it has in its clamps follows `law` (by default the one of the `muscle`), with friction and creep where they are
-    given. Its `parts` are real, with noise, offsets, play and steps, or ideal, without any of these.
+    Its muscle follows `law` (default: that of `muscle`), with friction and creep where given. Its `parts` are real
+    (noise, offsets, backlash, resolution) or ideal.
     """
 
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
@@ -48,7 +58,7 @@ class DriveSpec(ConfigModel):
 
     steps: Annotated[int, BoundedInt(1, 1_000_000)] | None = None
     reduction: Factor | None = None
-    lead: Way | None = None
+    lead: Travel | None = None
     fastest: SampleRate | None = None
 
 
@@ -98,48 +108,33 @@ class RigSpec(ConfigModel):
         return value
 
 
-class LimitsSpec(ConfigModel):
-    """Safety limits, see `RigLimits`; the force is the rated one unless given."""
+class LimitsSpec(model_of(RigLimits)):
+    """Safety limits; the force is the rated one unless given."""
 
-    pressure: Pressure
     force: Tension | None = None
-    stretch: Way
-    shorten: Way
-    pressure_rate: PressureRate | None = None
-    pressure_error: Pressure | None = None
-    settling: Duration | None = None
-    gap: PositiveTime | None = None
-    frozen: Duration | None = None
-    deviation: Tension | None = None
 
 
-class RecordingSpec(ConfigModel):
-    """Cycle of reading and checking, rate of the record between plateaus, and highest mean
-    force a point is one of a slack muscle.
-    """
-
-    cycle: PositiveTime | None = None
-    between: SampleRate | None = None
-    slack_force: Force | None = None
+class RecordingSpec(model_of(Bench, optional=True)):
+    """Cycle of the safety monitor, sample rate between plateaus, and force below which a point is slack."""
 
 
 class RigTest(ConfigModel):
-    """A test: what is tested, on which rig, within which limits, and how; in SI, `read` and `to_yaml` know the units.
+    """A test: specimen, rig, limits and protocol in SI; `read` and `to_yaml` know the units.
 
     Attributes
     ----------
     name
-        What it is about, in a few words.
+        One line of text.
     muscle
-        What is in the clamps.
+        Specimen and law.
     rig
-        Virtual, or a card.
+        Simulated rig, or a card.
     limits
-        What may not be exceeded.
+        Safety limits.
     recording
-        How often it is watched, and what is recorded between plateaus.
+        Cycle of the safety monitor, sample rate between plateaus.
     protocol
-        What is done.
+        Steps, or a whole test.
 
     Examples
     --------
@@ -149,7 +144,7 @@ class RigTest(ConfigModel):
     """
 
     name: Title = Field(examples=["isobaric test of a new muscle"])
-    muscle: MuscleSpec
+    muscle: TestedMuscleSpec
     rig: RigSpec
     limits: LimitsSpec
     recording: RecordingSpec = RecordingSpec()
@@ -201,7 +196,7 @@ class RigTest(ConfigModel):
 
 
 def read_test(path: str | os.PathLike[str]) -> tuple[RigTest, Document]:
-    """A protocol file, and the lines of what stands in it.
+    """A protocol file, and the lines of its values.
 
     Raises
     ------

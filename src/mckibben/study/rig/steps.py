@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import (
     BeforeValidator,
@@ -16,51 +17,16 @@ from pydantic import (
     model_validator,
 )
 
-from mckibben.config.fields import Flag, OneOf, read_path, write_path
-from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
+from mckibben.config.fields import read_path, write_path
+from mckibben.config.model import ConfigModel, fail_validation
+from mckibben.config.schema import ComponentModel, model_of
 from mckibben.errors import quoted, suggest
 from mckibben.rig import steps as typed
-from mckibben.units import BoundedInt, Duration, Force, Pressure, PressureRate, Quantity, quantity, show
+from mckibben.rig.protocol import IsobaricProtocol
+from mckibben.units import Repeats
 
 _BARE = re.compile(r"[-+]?\d{1,9}(\.\d{0,9})?")
 _ADDRESS = re.compile(r"[A-Za-z0-9_.:/-]{1,80}")
-
-
-class Percent(Quantity):
-    """Marks a ratio that is written in percent."""
-
-    def read(self, value: Any) -> float:
-        """The ratio, checked; one without a unit is a ratio."""
-        if isinstance(value, str) and _BARE.fullmatch(value.strip()) and not self.holds(float(value)):
-            fail_validation(
-                f"{quoted(value)} has no unit, and as a ratio is outside {self.range}", f"write '{value.strip()} %'"
-            )
-        return super().read(value)
-
-    def write(self, value: float) -> str:
-        """Text that `read` takes back to the same float, in percent wherever that is possible."""
-        texts = (show(value, "%", digits) for digits in (15, 16, 17))
-        return next((text for text in texts if quantity(text, "1") == value), super().write(value))
-
-    @property
-    def example(self) -> str:
-        """A value as it is written."""
-        return "'10 %'"
-
-    @property
-    def range(self) -> str:
-        """The range, in words."""
-        return f"{self.lower:g} to {'below ' if self.open_upper else ''}{self.upper:g} %"
-
-
-Contraction = Annotated[float, Percent("1", "%", -50, 80)]
-Share = Annotated[float, Percent("1", "%", 0, 100, open_upper=True)]
-Speed = Annotated[float, Quantity("m/s", "mm/s", 0, 1e3, open_lower=True)]
-Way = Annotated[float, Quantity("m", "mm", 0, 1e4, open_lower=True)]
-Wait = Annotated[float, Quantity("s", "s", 0, 1e6)]
-Tension = Annotated[float, Quantity("N", "N", 0, 1e5, open_lower=True)]
-SampleRate = Annotated[float, Quantity("1/s", "Hz", 0.001, 1e6)]
-Factor = Annotated[float, Quantity("1", "1", 0, 1e6, open_lower=True)]
 
 
 def _read_address(value: object) -> str:
@@ -85,92 +51,62 @@ def _write(value: object, info: SerializationInfo) -> str:
 JsonPath = Annotated[object, BeforeValidator(_read), PlainSerializer(_write, when_used="json")]
 
 
-_MOST = 1_000_000
-Direction = Annotated[str, OneOf(typed.DIRECTIONS[1:])]
-Phase = Annotated[str, OneOf(typed.PHASES[1:])]
+class _AloneSpec(ComponentModel):
+    """A step that may be written as one value."""
 
-
-class MoveSpec(ConfigModel):
-    """Stretch or shorten; ``move: 10 %`` is one with the paper's speed."""
-
-    to: Contraction
-    speed: Speed | None = None
+    alone: ClassVar[str]
 
     @model_validator(mode="before")
     @classmethod
     def _alone(cls, value: Any) -> Any:
-        return {"to": value} if isinstance(value, str) and value else value
+        return {cls.alone: value} if isinstance(value, str) and value else value
 
 
-class DwellSpec(ConfigModel):
+class MoveSpec(model_of(typed.Move, base=_AloneSpec)):
+    """Move: ``move: 10 %``."""
+
+    alone: ClassVar = "to"
+
+
+class DwellSpec(model_of(typed.Dwell, base=_AloneSpec)):
     """Wait: ``dwell: 5 s``."""
 
-    duration: Wait
-
-    @model_validator(mode="before")
-    @classmethod
-    def _alone(cls, value: Any) -> Any:
-        return {"duration": value} if isinstance(value, str) and value else value
+    alone: ClassVar = "duration"
 
 
-class PressuriseSpec(ConfigModel):
-    """Set a pressure; ``pressurise: 2 bar`` is one at once."""
+class PressuriseSpec(model_of(typed.Pressurise, base=_AloneSpec)):
+    """Change of pressure: ``pressurise: 2 bar``."""
 
-    pressure: Pressure
-    rate: PressureRate | None = None
-    holding: Tension | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _alone(cls, value: Any) -> Any:
-        return {"pressure": value} if isinstance(value, str) and value else value
+    alone: ClassVar = "pressure"
 
 
-class HoldForceSpec(ConfigModel):
-    """Move until it pulls with a force; ``hold_force: 100 N``."""
+class HoldForceSpec(model_of(typed.HoldForce, base=_AloneSpec)):
+    """Force feedback: ``hold_force: 100 N``."""
 
-    force: Tension
-    tolerance: Tension | None = None
-    speed: Speed | None = None
-    longest: Duration | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _alone(cls, value: Any) -> Any:
-        return {"force": value} if isinstance(value, str) and value else value
+    alone: ClassVar = "force"
 
 
-class AcquireSpec(ConfigModel):
-    """Take a point; nothing given is the paper's 1000 samples in 1 s."""
-
-    samples: Annotated[int, BoundedInt(1, _MOST)] | None = None
-    duration: Duration | None = None
-    direction: Direction | None = None
-    phase: Phase | None = None
-    keep: Flag | None = None
+class AcquireSpec(model_of(typed.Acquire)):
+    """Acquisition of a point."""
 
 
-class WalkSpec(ConfigModel):
-    """Plateau after plateau; without `to` back to where the walk before began."""
+class WalkSpec(model_of(typed.Walk, optional=True)):
+    """Pass from plateau to plateau; without `to` back to the start of the walk before."""
 
-    to: Contraction | None = None
-    step: Way | None = None
-    speed: Speed | None = None
-    dwell: Wait | None = None
     acquire: AcquireSpec | None = None
-    force: Tension | None = None
-    slack: Annotated[int, BoundedInt(1, 10_000)] | None = None
-    slack_force: Force | None = None
+
+    def build(self, *args: Any, **others: Any) -> Any:
+        return super().build(*args, to=self.to, **others)
 
 
-class VentSpec(ConfigModel):
-    """Let the air out."""
+class VentSpec(model_of(typed.Vent)):
+    """Venting."""
 
 
 class RepeatSpec(ConfigModel):
     """Steps several times."""
 
-    times: Annotated[int, BoundedInt(1, 10_000)]
+    times: Repeats
     steps: tuple[StepSpec, ...]
 
     @field_validator("steps", mode="after")
@@ -180,7 +116,6 @@ class RepeatSpec(ConfigModel):
 
 
 _WORDS = ("vent", "acquire", "walk")
-_ALONE = {"move": "to", "dwell": "duration", "pressurise": "pressure", "hold_force": "force"}
 _KINDS = ("move", "dwell", "pressurise", "hold_force", "acquire", "walk", "vent", "repeat")
 
 
@@ -228,48 +163,35 @@ class StepSpec(ConfigModel):
         inside = _pruned(part.model_dump(mode="json"))
         if not inside and kind in _WORDS:
             return kind
-        return {kind: next(iter(inside.values())) if list(inside) == [_ALONE.get(kind)] else inside}
+        return {kind: next(iter(inside.values())) if list(inside) == [getattr(part, "alone", None)] else inside}
 
     def step(self) -> typed.Step:
         """The step."""
         if self.repeat is not None:
             return typed.Repeat(times=self.repeat.times, steps=steps(self.repeat.steps))
-        if self.walk is not None:
-            given = explicit_fields(self.walk, "acquire", "to")
-            acquire = typed.Acquire(**explicit_fields(self.walk.acquire)) if self.walk.acquire else typed.Acquire()
-            return typed.Walk(to=self.walk.to, acquire=acquire, **given)
-        if self.move is not None:
-            return typed.Move(**explicit_fields(self.move))
-        if self.dwell is not None:
-            return typed.Dwell(duration=self.dwell.duration)
-        if self.pressurise is not None:
-            return typed.Pressurise(**explicit_fields(self.pressurise))
-        if self.hold_force is not None:
-            return typed.HoldForce(**explicit_fields(self.hold_force))
-        return typed.Acquire(**explicit_fields(self.acquire)) if self.acquire is not None else typed.Vent()
+        return next(part for _, part in self if part is not None).build()
 
     @classmethod
     def of(cls, step: typed.Step) -> StepSpec:
         """As it is written."""
-        match step:
-            case typed.Repeat():
-                return cls(repeat=RepeatSpec(times=step.times, steps=tuple(map(cls.of, step.steps))))
-            case typed.Walk():
-                values = _changed(step, "acquire")
-                acquire = _changed(step.acquire)
-                return cls(walk=WalkSpec(**values, acquire=AcquireSpec(**acquire) if acquire else None))
-            case typed.Move():
-                return cls(move=MoveSpec(**_changed(step)))
-            case typed.Dwell():
-                return cls(dwell=DwellSpec(duration=step.duration))
-            case typed.Pressurise():
-                return cls(pressurise=PressuriseSpec(**_changed(step)))
-            case typed.HoldForce():
-                return cls(hold_force=HoldForceSpec(**_changed(step)))
-            case typed.Acquire():
-                return cls(acquire=AcquireSpec(**_changed(step)))
-            case typed.Vent():
-                return cls(vent=VentSpec())
+        if isinstance(step, typed.Repeat):
+            return cls(repeat=RepeatSpec(times=step.times, steps=tuple(map(cls.of, step.steps))))
+        values = _changed(step)
+        if acquire := values.pop("acquire", None):
+            values["acquire"] = AcquireSpec(**_changed(acquire))
+        kind = re.sub(r"(?<!^)(?=[A-Z])", "_", type(step).__name__).lower()
+        return cls.model_validate({kind: _SPECS[kind](**values)})
+
+
+_SPECS: dict[str, Any] = {
+    "move": MoveSpec,
+    "dwell": DwellSpec,
+    "pressurise": PressuriseSpec,
+    "hold_force": HoldForceSpec,
+    "acquire": AcquireSpec,
+    "walk": WalkSpec,
+    "vent": VentSpec,
+}
 
 
 RepeatSpec.model_rebuild()
@@ -280,65 +202,33 @@ def steps(written: tuple[StepSpec, ...]) -> tuple[typed.Step, ...]:
     return tuple(one.step() for one in written)
 
 
-def _changed(step: Any, *without: str) -> dict[str, Any]:
+def _changed(step: Any) -> dict[str, Any]:
     """The fields of a step that differ from their default."""
-    fields = type(step).__dataclass_fields__
     return {
-        name: getattr(step, name)
-        for name, field in fields.items()
-        if name not in without and getattr(step, name) != field.default
+        field.name: getattr(step, field.name)
+        for field in dataclasses.fields(step)
+        if getattr(step, field.name) != _default(field)
     }
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
 
 
 def _pruned(value: Any) -> Any:
     return {key: _pruned(item) for key, item in value.items() if item is not None} if isinstance(value, dict) else value
 
 
-_Count = Annotated[int, BoundedInt(1, 1_000_000)]
-_Repeats = Annotated[int, BoundedInt(1, 10_000)]
+class IsobaricSpec(model_of(IsobaricProtocol)):
+    """Isobaric test."""
 
 
-class IsobaricSpec(ConfigModel):
-    """See `IsobaricProtocol`."""
-
-    pressures: tuple[Pressure, ...] | None = None
-    contraction_min: Contraction | None = None
-    contraction_max: Contraction | None = None
-    step: Way | None = None
-    speed: Speed | None = None
-    dwell: Wait | None = None
-    acquisition: Duration | None = None
-    samples: _Count | None = None
-    repeats: _Repeats | None = None
-    force_reserve: Share | None = None
-    slack_steps: _Repeats | None = None
+class IsometricSpec(model_of(typed.IsometricProtocol)):
+    """Isometric test."""
 
 
-class IsometricSpec(ConfigModel):
-    """See `IsometricProtocol`."""
-
-    contractions: tuple[Contraction, ...] | None = None
-    pressures: tuple[Pressure, ...] | None = None
-    rate: PressureRate | None = None
-    speed: Speed | None = None
-    dwell: Wait | None = None
-    acquisition: Duration | None = None
-    samples: _Count | None = None
-    repeats: _Repeats | None = None
-
-
-class IsotonicSpec(ConfigModel):
-    """See `IsotonicProtocol`."""
-
-    forces: tuple[Tension, ...] | None = None
-    pressures: tuple[Pressure, ...] | None = None
-    rate: PressureRate | None = None
-    tolerance: Force | None = None
-    speed: Speed | None = None
-    dwell: Wait | None = None
-    acquisition: Duration | None = None
-    samples: _Count | None = None
-    repeats: _Repeats | None = None
+class IsotonicSpec(model_of(typed.IsotonicProtocol)):
+    """Isotonic test."""
 
 
 _FORMS = ("isobaric", "isometric", "isotonic", "steps")

@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
-
-import jax.numpy as jnp
 
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
@@ -78,7 +75,7 @@ def run_many(
     *,
     known: Known = (),
     metrics: Sequence[str] = Metrics._fields,
-    precision: Any = jnp.float64,
+    precision: int = 64,
     chunk: int | None = None,
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,

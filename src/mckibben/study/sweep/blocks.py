@@ -17,11 +17,11 @@ import mckibben
 from mckibben.control.base import Reference
 from mckibben.errors import SimulationError
 from mckibben.joint.attainable import is_affine
-from mckibben.numerics.batching import lanes_of, padded
+from mckibben.numerics.batching import lanes_of, pad_chunk
 from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant
 from mckibben.simulation.feasibility import attainable_band
-from mckibben.simulation.loop import sampling_times, wishes_at
+from mckibben.simulation.problem import sample_reference, sampling_times
 from mckibben.study.parameters import Table, lanes
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import run_many
@@ -77,7 +77,7 @@ def attainability(scenario: Scenario, table: Table, size: int) -> dict[str, NDAr
     parts = []
     for start in range(0, rows, size):
         piece = slice(start, min(start + size, rows))
-        answer = _reach(padded(varied, piece, size), shared, moments, size)
+        answer = _reach(pad_chunk(varied, piece, size), shared, moments, size)
         parts.append({name: np.asarray(value)[: piece.stop - start] for name, value in answer.items()})
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
@@ -88,7 +88,7 @@ def _reach(varied: _Wished, shared: _Wished, moments: ArrayLike, size: int) -> d
 
     def missing(lane: _Wished, moment: Array) -> Array:
         plant, reference = eqx.combine(lane, shared)
-        wish = wishes_at(reference, moment)
+        wish = sample_reference(reference, moment)
         low, high = attainable_band(plant, wish.angle)
         return jnp.maximum(low - wish.stiffness, wish.stiffness - high)
 
@@ -162,7 +162,7 @@ class Job:
             full,
             known=self.known,
             metrics=self.metrics,
-            precision=jnp.float32 if self.precision == 32 else jnp.float64,
+            precision=self.precision,
             chunk=self.lanes,
             workers=1,
         )

@@ -11,7 +11,7 @@ from contextlib import closing, contextmanager
 from typing import Any
 
 from mckibben.errors import McKibbenError, ParameterError, SimulationError
-from mckibben.numerics.batching import cores, worked_off
+from mckibben.numerics.batching import cores, map_chunks
 from mckibben.study.sweep.store import Store
 
 Done = Callable[[int], None]
@@ -39,7 +39,7 @@ def on_threads(store: Store, done: Done, workers: int | None = None) -> None:
         store.keep(block, plan.job(plan.part(block)))
         return block
 
-    finished = worked_off(compute, len(missing), 1, workers)
+    finished = map_chunks(compute, len(missing), 1, workers)
     with closing(finished):  # type: ignore[arg-type]  # it is a generator
         for _, block in finished:
             span = plan.span(block)

@@ -101,7 +101,7 @@ class Sweep:
     @property
     def lost(self) -> NDArray[np.bool_]:
         """Which runs came to no end that is of use."""
-        return np.array([outcome.lost for outcome in OUTCOMES])[self.table["outcome"].to_numpy()]
+        return np.array([outcome.failed for outcome in OUTCOMES])[self.table["outcome"].to_numpy()]
 
     def scenario(self, run: int, *, folder: str | os.PathLike[str] = ".") -> Scenario:
         """The scenario of one run, to look at it alone; its controller's model is written out if the plant varied.

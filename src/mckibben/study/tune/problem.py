@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import ParameterError
-from mckibben.numerics.batching import by_name, cores
+from mckibben.numerics.batching import cores, named_leaves
 from mckibben.simulation import differentiate
-from mckibben.simulation.loop import described
+from mckibben.simulation.problem import split_problem
 from mckibben.study.parameters import Known, LogUniform, Over, Table, Uniform, allowed, find_all, known_names, lanes
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.running import rest, run_many
@@ -202,8 +202,8 @@ class TuningProblem:
             if allowed(scenario, {each.name: pair}).all():
                 break
         many = lanes(scenario, {each.name: pair}, known=self.known)
-        varying, _, _ = described(many.plant(), many.control(), many.reference(), rest(many), {})
-        leaves = by_name(varying._asdict())
+        varying, _, _ = split_problem(many.plant(), many.control(), many.reference(), rest(many), {})
+        leaves = named_leaves(varying._asdict()) if varying else {}
         if not leaves or not all(np.array_equal(leaf, pair) for leaf in leaves.values()):
             raise ParameterError(f"{each.name} has no gradient", remedy="use cma or evolution for it")
         return list(leaves)

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import stat
 import subprocess
 import sys
 import threading
@@ -14,11 +15,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 import mckibben
 from mckibben.control import Constant, Sine
 from mckibben.numerics import program_cache
-from mckibben.numerics.program_cache import KeptProgram
+from mckibben.numerics.compiled import Program
 
 TRACED = []
 
@@ -35,8 +37,11 @@ square.__module__ = "mckibben.pretended"  # what comes from elsewhere is not kep
 def folder(tmp_path, monkeypatch):
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)  # beside which nothing is kept
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "programs"))
-    monkeypatch.setattr(lasting, "_files", lambda: program_cache._AT_IMPORT)  # whoever edits ours while the tests run
-    return tmp_path / "programs"
+    jax.config.update("jax_enable_compilation_cache", False)  # a program that JAX took from its cache cannot be stored
+    compilation_cache.reset_cache()
+    yield tmp_path / "programs"
+    jax.config.update("jax_enable_compilation_cache", True)
+    compilation_cache.reset_cache()
 
 
 def asked(program, x=(1.0, 2.0, 3.0), power=2, offset=None):
@@ -46,16 +51,16 @@ def asked(program, x=(1.0, 2.0, 3.0), power=2, offset=None):
 
 def test_without_a_folder_nothing_is_written(tmp_path, monkeypatch):
     monkeypatch.delenv("MCKIBBEN_PROGRAMS_DIR", raising=False)
-    assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_program_is_written_once_and_taken_up_by_the_next(folder):
-    first = asked(KeptProgram(square))
+    first = asked(Program(square))
     files = list(folder.iterdir())
     assert len(files) == 1
     TRACED.clear()
-    again = asked(KeptProgram(square), x=(2.0, 3.0, 4.0))
+    again = asked(Program(square), x=(2.0, 3.0, 4.0))
     assert first["value"].tolist() == [1.5, 4.5, 9.5]
     assert again["value"].tolist() == [4.5, 9.5, 16.5]
     assert float(again["sum"]) == 9.0
@@ -74,7 +79,7 @@ def test_a_program_is_written_once_and_taken_up_by_the_next(folder):
     ids=["shape", "type", "static", "structure"],
 )
 def test_what_makes_another_program_makes_another_file(folder, change):
-    program = KeptProgram(square)
+    program = Program(square)
     asked(program)
     found, expected = asked(program, **change), None
     assert len(list(folder.iterdir())) == 2
@@ -85,35 +90,35 @@ def test_what_makes_another_program_makes_another_file(folder, change):
 
 
 def test_a_damaged_file_is_made_anew(folder):
-    asked(KeptProgram(square))
+    asked(Program(square))
     (file,) = folder.iterdir()
     for content in (b"", b"nonsense", file.read_bytes()[:1000]):
         file.write_bytes(content)
-        assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
+        assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
         assert file.stat().st_size > 1000
 
 
 def test_a_damaged_file_is_not_even_looked_into(folder, monkeypatch):
     """Native code that is damaged crashes the process."""
-    asked(KeptProgram(square))
+    asked(Program(square))
     (file,) = folder.iterdir()
     good = file.read_bytes()
     opened = []
     monkeypatch.setattr(program_cache.pickle, "loads", lambda content: opened.append(content))
     for place in np.linspace(0, len(good) - 1, 9).astype(int):
         file.write_bytes(good[:place] + bytes([good[place] ^ 4]) + good[place + 1 :])
-        assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
+        assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
         assert opened == []
         good = file.read_bytes()
 
 
 def test_the_program_of_another_is_not_taken(folder):
-    asked(KeptProgram(square))
+    asked(Program(square))
     (first,) = folder.iterdir()
-    asked(KeptProgram(square), power=3)
+    asked(Program(square), power=3)
     (second,) = {*folder.iterdir()} - {first}
     shutil.copy(first, second)
-    assert asked(KeptProgram(square), power=3)["value"].tolist() == [1.5, 8.5, 27.5]
+    assert asked(Program(square), power=3)["value"].tolist() == [1.5, 8.5, 27.5]
 
 
 def users_own(factor):
@@ -125,7 +130,7 @@ def users_own(factor):
 
 def test_a_class_of_the_users_that_was_edited_is_the_new_one(folder):
     for factor in (1.0, 7.0):
-        assert asked(KeptProgram(square), offset=users_own(factor))["value"].tolist() == [
+        assert asked(Program(square), offset=users_own(factor))["value"].tolist() == [
             1 + factor,
             4 + factor,
             9 + factor,
@@ -139,33 +144,64 @@ def test_functions_of_one_name_are_not_taken_for_each_other(folder):
             return factor * x
 
         product.__module__ = "mckibben.pretended"
-        return KeptProgram(product)
+        return Program(product)
 
     assert [float(times(factor)(np.asarray(2.0))) for factor in (3.0, 5.0)] == [6.0, 10.0]
-    assert [float(KeptProgram(each)(np.asarray(2.0))) for each in (lambda x: x + 1, lambda x: x + 2)] == [3.0, 4.0]
+    assert [float(Program(each)(np.asarray(2.0))) for each in (lambda x: x + 1, lambda x: x + 2)] == [3.0, 4.0]
     assert not folder.exists()
 
 
-def test_source_that_was_edited_in_the_meantime_is_not_taken_for_what_runs(folder, monkeypatch):
-    files = program_cache._AT_IMPORT
-    for now in ((*files[:-1], (files[-1][0], 1, 1)), files[:-1], ()):
-        monkeypatch.setattr(lasting, "_files", lambda now=now: now)
-        assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
-    monkeypatch.setattr(lasting, "_AT_IMPORT", ())  # as in a zip file
-    assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
-    assert not folder.exists()
+def test_while_the_source_is_edited_nothing_is_written(folder, monkeypatch):
+    monkeypatch.setattr(program_cache, "_source_files", lambda: program_cache._SOURCE[:-1])
+    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("mode", [0o620, 0o602, 0o666])
+def test_a_file_that_others_can_write_is_not_looked_into(folder, monkeypatch, mode):
+    asked(Program(square))
+    (file,) = folder.iterdir()
+    assert file.stat().st_mode & 0o777 == 0o600 and folder.stat().st_mode & 0o777 == 0o700
+    file.chmod(mode)
+    opened = []
+    monkeypatch.setattr(program_cache.pickle, "loads", lambda content: opened.append(content))
+    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    assert opened == [] and file.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_folder_that_others_can_write_or_a_link_is_not_used(folder, tmp_path, monkeypatch):
+    folder.mkdir(mode=0o700)
+    folder.chmod(0o770)
+    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    assert list(folder.iterdir()) == []
+    folder.chmod(0o700)
+    asked(Program(square))
+    (file,) = folder.iterdir()
+    file.rename(tmp_path / "elsewhere")
+    file.symlink_to(tmp_path / "elsewhere")
+    monkeypatch.setattr(program_cache.pickle, "loads", lambda content: 1 / 0)
+    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    assert not file.is_symlink()
+
+
+def test_what_belongs_to_another_user_is_not_private():
+    own = os.stat_result((0o100600, 0, 0, 1, os.getuid(), 0, 1, 0, 0, 0))
+    other = os.stat_result((0o100600, 0, 0, 1, os.getuid() + 1, 0, 1, 0, 0, 0))
+    assert program_cache._is_private(own, stat.S_ISREG)
+    assert not program_cache._is_private(other, stat.S_ISREG)
+    assert not program_cache._is_private(own, stat.S_ISDIR)
 
 
 def test_another_process_takes_it_up_unless_the_source_was_edited_in_between(folder, tmp_path):
     shutil.copytree(Path(mckibben.__file__).parent, tmp_path / "mckibben", ignore=shutil.ignore_patterns("__pycache__"))
     script = (
         "import os, numpy as np, pathlib, mckibben, sys\n"
-        "from mckibben.numerics import kept, elementary\n"
+        "from mckibben.numerics import compiled, elementary\n"
         "file = pathlib.Path(elementary.__file__)\n"
         "assert file.is_relative_to(os.getcwd())\n"
         "for name in sys.argv[1:]:\n"
         "    file.write_text(file.read_text() + '\\n')\n"
-        "print(program_cache.KeptProgram(elementary.exp)(np.asarray(1.0)))\n"
+        "print(compiled.Program(elementary.exp)(np.asarray(1.0)))\n"
     )
     left = []
     for arguments in (["edit"], [], []):
@@ -176,8 +212,7 @@ def test_another_process_takes_it_up_unless_the_source_was_edited_in_between(fol
         assert float(done.stdout) == pytest.approx(np.e, rel=1e-15)
         left.append([(path.name, path.stat().st_mtime_ns) for path in folder.glob("*")])
     assert left[0] == []
-    assert len(left[1]) == 1
-    assert left[2] == left[1]
+    assert len(left[1]) == 1 and left[2] == left[1]
 
 
 @pytest.mark.parametrize("keeps", [True, False])
@@ -195,7 +230,7 @@ def test_threads_that_ask_at_once_wait_for_one_that_makes_it(folder, monkeypatch
         return x * 2 + len(os.environ)
 
     slow.__module__, slow.__qualname__ = "mckibben.pretended", f"slow_{keeps}"
-    program = KeptProgram(slow)
+    program = Program(slow)
 
     def ask(number):
         together.wait()
@@ -213,22 +248,22 @@ def test_threads_that_ask_at_once_wait_for_one_that_makes_it(folder, monkeypatch
 
 def test_another_processor_has_programs_of_its_own(folder, monkeypatch):
     for name in ("this", "that"):
-        monkeypatch.setattr(lasting, "processor", lambda name=name: name)
-        program_cache.surroundings.cache_clear()
-        asked(KeptProgram(square))
+        monkeypatch.setattr(program_cache, "processor", lambda name=name: name)
+        program_cache._environment.cache_clear()
+        asked(Program(square))
     assert len(list(folder.iterdir())) == 2
-    program_cache.surroundings.cache_clear()
+    program_cache._environment.cache_clear()
 
 
 def test_a_folder_that_cannot_be_written_to_stops_nothing(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "file" / "programs"))
-    assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
 
 
 def test_where_jax_keeps_a_cache_of_its_own_nothing_is_kept_twice(folder, monkeypatch, tmp_path):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "theirs"))
-    assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
     assert not folder.exists()
 
 
@@ -239,24 +274,24 @@ def test_a_program_that_does_not_run_again_is_not_kept(folder, monkeypatch):
         raise RuntimeError("no such function")
 
     monkeypatch.setattr(serialize_executable, "deserialize_and_load", unreadable)
-    assert asked(KeptProgram(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
     assert list(folder.glob("*")) == []
 
 
 def test_inside_other_programs_it_is_a_part_of_them(folder):
-    program = KeptProgram(square)
+    program = Program(square)
     slope = jax.grad(lambda x: program({"x": x}, 2, offset=Constant(0.5))["value"])(3.0)
     assert float(slope) == 6.0
     assert not folder.exists()
 
 
 def test_another_context_is_another_program():
-    from mckibben.numerics.batching import many_runs, traced_for
+    from mckibben.numerics.batching import batched_program, trace_mode
 
     seen = []
-    program = KeptProgram(lambda x: (seen.append(traced_for()), x + 1)[1])
+    program = Program(lambda x: (seen.append(trace_mode()), x + 1)[1])
     for _ in range(2):
         program(np.asarray(1.0))
-        with many_runs():
+        with batched_program():
             program(np.asarray(1.0))
     assert seen == [(False, False), (True, True)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from mckibben.numerics.calculus import increasing_root
+from mckibben.numerics.calculus import bracketed_root
 
 
 def cubic(x, shift, power=3.0):
@@ -15,24 +15,24 @@ def cubic(x, shift, power=3.0):
 
 def test_it_is_brents_root():
     shifts = np.array([-7.0, 0.0, 1e-6, 3.0, 900.0])
-    found = jax.jit(lambda s: increasing_root(lambda x: cubic(x, s), -10.0, 10.0))(shifts)
+    found = jax.jit(lambda s: bracketed_root(lambda x: cubic(x, s), -10.0, 10.0))(shifts)
     wanted = [brentq(lambda x, s=s: float(x**3 + x - s), -10, 10, xtol=1e-14) for s in shifts]
     np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-13)
 
 
 def test_a_pole_at_the_end_is_no_obstacle():
-    found = increasing_root(lambda x: jnp.tan(x) - 1e6, 0.0, np.pi / 2 - 1e-9)
+    found = bracketed_root(lambda x: jnp.tan(x) - 1e6, 0.0, np.pi / 2 - 1e-9)
     assert float(found) == pytest.approx(np.arctan(1e6), rel=1e-15)
 
 
 def test_none_is_nan_and_others_are_not_touched():
-    found = increasing_root(lambda x: x - jnp.array([0.5, 2.0, -3.0]), 0.0, 1.0)
+    found = bracketed_root(lambda x: x - jnp.array([0.5, 2.0, -3.0]), 0.0, 1.0)
     np.testing.assert_array_equal(np.isnan(found), [False, True, True])
 
 
 def test_its_derivatives_are_those_of_the_implicit_function():
     def root(s):
-        return increasing_root(lambda x: cubic(x, s), -10.0, 10.0)
+        return bracketed_root(lambda x: cubic(x, s), -10.0, 10.0)
 
     x = float(jax.jit(root)(3.0))
     for derivative in (jax.jacfwd(root), jax.grad(root)):

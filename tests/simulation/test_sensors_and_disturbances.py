@@ -25,11 +25,11 @@ COUNT, NOISE = 0.022 * deg, 4e3
 REAL = SampledSensors(encoder=COUNT, pressure_noise=NOISE, delay=1.0, seed=5)
 PULSES = TorquePulses(0.5, 0.01, 0.02, 0.005)
 START = PlantState(0.05, 0.0, (4e5, 3.6e5))
-WISH = Reference(angle=Constant(0.0), stiffness=Step(13.0, 17.0, AT * PERIOD))
+REFERENCE = Reference(angle=Constant(0.0), stiffness=Step(13.0, 17.0, AT * PERIOD))
 
 
 class Listener(Controller):
-    """Follows its sensors, and the wish for stiffness by a part that is `share` of it; it reports what it was told."""
+    """Follows its sensors, and `share` of the desired stiffness; it reports its measurements."""
 
     share: float = 0.0
     pick: int = 0
@@ -57,12 +57,12 @@ def plant(knee, load):
 @pytest.fixture(scope="module")
 def heard(plant):
     """The record of a short run, what was told in it, and the plant's last state; of 32 bits its types."""
-    wishes = sampled(WISH, PERIODS * PERIOD, PERIOD)[1]
+    setpoints = sampled(REFERENCE, PERIODS * PERIOD, PERIOD)[1]
 
     def heard(sensors=REAL, disturbance=PULSES, *, share=0.0, start=START, step=True, kind=jnp.float64):
         other = JointPlant(plant.joint, plant.load, plant.valve, sensors, disturbance)
-        setpoints = wishes if step else without_last_change(wishes)
-        given = numeric(other), numeric(Listener(share)), setpoints, other.complete_state(numeric(start)), PERIOD
+        asked = setpoints if step else without_last_change(setpoints)
+        given = numeric(other), numeric(Listener(share)), asked, other.complete_state(numeric(start)), PERIOD
         given = cast(jax.tree.map(jnp.asarray, numeric(given)), kind)
         if kind == jnp.float32:
             return jax.eval_shape(lambda *given: episode(*given, 2), *given)[::-1]
@@ -93,17 +93,17 @@ def test_sensors_without_faults_and_pushes_of_nothing_change_nothing(heard, plan
         np.testing.assert_allclose(getattr(plain[0].state, name), getattr(ours[0].state, name), rtol=1e-12, atol=1e-14)
     np.testing.assert_array_equal(plain[1], np.stack([plain[0].state.angle, *plain[0].state.pressures], axis=1))
     np.testing.assert_allclose(plain[1], ours[1], rtol=1e-12)
-    sheltered = JointPlant(plant.joint, plant.load, plant.valve)
-    state, told = sheltered.sample(START, PERIOD)
-    assert sheltered.complete_state(START) == state == START
-    assert told == (START.angle, *START.pressures)
+    ideal = JointPlant(plant.joint, plant.load, plant.valve)
+    state, told = ideal.sample(START, PERIOD)
+    assert ideal.complete_state(START) == state == START
+    assert told == (START.angle, START.pressures)
 
 
 def test_a_run_that_goes_on_hears_and_feels_what_comes_next(heard, alone):
     _, _, final = alone
     record, seen, _ = heard(start=final)
-    assert np.asarray(record.state.io.index).tolist() == list(range(PERIODS + 1, 2 * PERIODS + 1))
-    np.testing.assert_array_equal(seen[0], np.stack(final.io.sensors))
+    assert np.asarray(record.state.io.sample).tolist() == list(range(PERIODS + 1, 2 * PERIODS + 1))
+    np.testing.assert_array_equal(seen[0], np.stack(jax.tree.leaves(final.io.sensors)))
     off = seen[1:, 1] - np.asarray(record.state.pressures[0])[:-1]
     before = alone[1][1:, 1] - np.asarray(alone[0].state.pressures[0])[:-1]
     assert np.abs(off - before).min() > 0  # the noise does not begin anew
@@ -125,11 +125,11 @@ KEPT = ("stiffness_estimate", "angle", "stiffness", "desired_stiffness", "pressu
 
 @pytest.fixture(scope="module")
 def batch(plant):
-    """Seeds, noise, the part of the wish that is followed, and what is reported differ."""
+    """Seeds, noise, the part of the reference that is followed, and what is reported differ."""
     return simulate_many(
         plant,
         Listener(),
-        WISH,
+        REFERENCE,
         over={
             "plant.sensors.seed": [5, 6, 5, 5],
             "plant.sensors.pressure_noise": [NOISE, NOISE, 0.0, NOISE],

@@ -20,7 +20,7 @@ from mckibben.control import (
     Sine,
     SlidingMode,
 )
-from mckibben.control.adaptation import strengthened
+from mckibben.control.adaptation import with_strengths
 from mckibben.joint import Measurement
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState, SampledSensors, Sensors, TorquePulses
@@ -28,7 +28,7 @@ from mckibben.simulation import compiled_episode, sampled
 from mckibben.units import deg
 
 PERIOD, PERIODS = 1e-3, 3000
-WISH = Reference(angle=Sine(8 * deg, 0.6, 0.0, np.pi / 2), stiffness=15.0)
+SLOW = Reference(angle=Sine(8 * deg, 0.6, 0.0, np.pi / 2), stiffness=15.0)
 QUICK = Reference(angle=Sine(8 * deg, 1.6, 0.0, np.pi / 2), stiffness=15.0)
 START = PlantState(8 * deg, 0.0, (3.6e5, 3.9e5))
 SENSORS = SampledSensors(encoder=0.022 * deg, pressure_noise=4e3, delay=0.5, seed=3)
@@ -85,16 +85,16 @@ CONTROLLERS = {
 @pytest.fixture(scope="module")
 def run(knee, load):
     """The record of a controller on a plant with muscles, a mass, a valve and pushes of its own; a program for each."""
-    wished = {wish: sampled(wish, PERIODS * PERIOD, PERIOD)[1] for wish in (WISH, QUICK)}
+    setpoints_of = {reference: sampled(reference, PERIODS * PERIOD, PERIOD)[1] for reference in (SLOW, QUICK)}
     silent = Measurement(np.zeros(PERIODS), (np.zeros(PERIODS),) * 2)
 
-    def run(control, strengths, *, mass=0.5, lag=0.02, pulses=PULSES, sensors=SENSORS, tape=None, wish=WISH):
+    def run(control, strengths, *, mass=0.5, lag=0.02, pulses=PULSES, sensors=SENSORS, tape=None, reference=SLOW):
         told = Tape(sensors, tape or silent, np.asarray(tape is not None))
         heavy = dataclasses.replace(load, mass2=mass)
-        plant = JointPlant(strengthened(knee, strengths), heavy, FirstOrderValve(lag), told, pulses)
+        plant = JointPlant(with_strengths(knee, strengths), heavy, FirstOrderValve(lag), told, pulses)
         start = plant.complete_state(numeric(START))
         given = jax.tree.map(jnp.asarray, numeric((plant, Reporting(control))))
-        return compiled_episode(*given, wished[wish], start, jnp.asarray(PERIOD), 2)[1]
+        return compiled_episode(*given, setpoints_of[reference], start, jnp.asarray(PERIOD), 2)[1]
 
     return run
 
@@ -120,38 +120,38 @@ def adapting(run, knee, load):
     def adapting(spread, strengths=TRUTH, sensors=CLEAN):
         adaptation = LawAdaptation(strength_spread=spread)
         control = dataclasses.replace(CONTROLLERS["sliding, adaptive"](knee, load), adaptation=adaptation)
-        return run(control, strengths, pulses=TorquePulses(0.0, 0.1, 1.0, 0.5), sensors=sensors, wish=QUICK)
+        return run(control, strengths, pulses=TorquePulses(0.0, 0.1, 1.0, 0.5), sensors=sensors, reference=QUICK)
 
     return adapting
 
 
-def believed(record):
+def estimated(record):
     return np.stack([record.telemetry["strength1_estimate"], record.telemetry["strength2_estimate"]])
 
 
 def test_in_the_loop_it_comes_to_the_true_strengths(adapting):
     """Which muscle is the stronger is told at once; how strong both are only by the load that they speed up."""
     for sensors, ratio, both in ((CLEAN, 0.006, 0.02), (SENSORS, 0.01, 0.03)):
-        strengths = believed(adapting(0.06, sensors=sensors))
+        strengths = estimated(adapting(0.06, sensors=sensors))
         np.testing.assert_array_equal(strengths[:, :250], 1.0)
         assert strengths[0, -1] / strengths[1, -1] == pytest.approx(TRUTH[0] / TRUTH[1], rel=ratio)
         assert strengths[:, -1].mean() == pytest.approx(np.mean(TRUTH), abs=both)
 
 
 def test_in_the_loop_it_stays_with_a_model_that_is_right(adapting):
-    np.testing.assert_allclose(believed(adapting(0.06, (1.0, 1.0))), 1.0, atol=0.008)
+    np.testing.assert_allclose(estimated(adapting(0.06, (1.0, 1.0))), 1.0, atol=0.008)
 
 
 def test_a_corrected_law_gives_a_truer_stiffness(adapting, knee):
-    true = eqx.filter_jit(strengthened(knee, TRUTH).stiffness)
+    true = eqx.filter_jit(with_strengths(knee, TRUTH).stiffness)
 
     def off(record):
-        """Of the plant's stiffness from the wish, and of the estimate from the plant's, over the last second."""
+        """Of the plant's stiffness from the reference, and of the estimate from the plant's, over the last second."""
         stiffness = np.asarray(true(record.state.angle, record.state.pressures))
         errors = stiffness - 15.0, np.asarray(record.telemetry["stiffness_estimate"]) - stiffness
         return [np.sqrt(np.mean(each[-1000:] ** 2)) for each in errors]
 
-    (wish_error, estimate_error), (wish_before, estimate_before) = off(adapting(0.06)), off(adapting(1e-6))
+    (reference_error, estimate_error), (reference_before, estimate_before) = off(adapting(0.06)), off(adapting(1e-6))
     assert estimate_before > 0.8
     assert estimate_error < 0.4 * estimate_before
-    assert wish_error < 0.4 * wish_before
+    assert reference_error < 0.4 * reference_before

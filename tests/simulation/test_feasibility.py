@@ -1,4 +1,4 @@
-"""Is a wish within reach: against plain NumPy on the paper's equations, and in words."""
+"""Is a reference within reach: against plain NumPy on the paper's equations, and in words."""
 
 import re
 
@@ -16,7 +16,7 @@ GRID = {"duration": 2.0, "control_period": 0.05}  # all of so many periods share
 attainable = jax.jit(lambda plant, angle: plant.joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle)))
 
 
-def wish(amplitude: float, stiffness: float) -> Reference:
+def reference(amplitude: float, stiffness: float) -> Reference:
     return Reference(angle=Sine(amplitude * deg, 0.5), stiffness=Constant(stiffness))
 
 
@@ -46,7 +46,7 @@ def scanned(paper, angle: float) -> tuple[float, float]:
 @pytest.mark.parametrize("geometry", ["as printed", "pre-contracted"])
 def test_the_band_is_that_of_trying_all_pressures(geometry, printed_plant, plant, paper, paper_precontracted):
     chosen, reference = (printed_plant, paper) if geometry == "as printed" else (plant, paper_precontracted)
-    reach = check_reference(chosen, wish(20.0, 15.0), **GRID)
+    reach = check_reference(chosen, reference(20.0, 15.0), **GRID)
     assert reach.times.shape == (40,)
     for k in range(40):
         angle = 20 * deg * np.sin(np.pi * 0.05 * k)
@@ -56,15 +56,15 @@ def test_the_band_is_that_of_trying_all_pressures(geometry, printed_plant, plant
 
 
 def test_it_is_the_joints_own_attainable_stiffness(plant):
-    reach = check_reference(plant, wish(10.0, 15.0), **GRID)
+    reach = check_reference(plant, reference(10.0, 15.0), **GRID)
     for k in (0, 10, 26):
         band = attainable(plant, float(reach.desired_angle[k]))
         assert [reach.lowest[k], reach.highest[k]] == pytest.approx([float(x) for x in band], rel=1e-9)
 
 
 def test_as_printed_20_deg_cannot_be_held_and_it_says_when_and_by_how_much(printed_plant, paper):
-    reach = check_reference(printed_plant, wish(20.0, 72.5))
-    assert not reach.reachable
+    reach = check_reference(printed_plant, reference(20.0, 72.5))
+    assert not reach.feasible
     beyond = 10.4 * deg  # where one muscle is stretched past 3 %
     np.testing.assert_array_equal(np.isnan(reach.shortfall), np.isnan(reach.lowest))
     lost = np.isnan(reach.shortfall)
@@ -85,7 +85,7 @@ def test_as_printed_20_deg_cannot_be_held_and_it_says_when_and_by_how_much(print
 
 
 def test_a_short_stiffness_alone_names_no_angle(printed_plant):
-    reach = check_reference(printed_plant, wish(5.0, 72.5))
+    reach = check_reference(printed_plant, reference(5.0, 72.5))
     assert not np.isnan(reach.lowest).any()
     assert 5.5 < np.max(reach.shortfall) < 6.2
     assert "no pressures" not in reach.describe()
@@ -101,22 +101,22 @@ def test_what_is_out_of_reach_for_a_part_is_so_just_there(plant):
 
 
 def test_from_below_as_well(plant):
-    reach = check_reference(plant, wish(0.0, 8.0), **GRID)
+    reach = check_reference(plant, reference(0.0, 8.0), **GRID)
     np.testing.assert_allclose(reach.shortfall, reach.lowest - 8.0)
     assert reach.shortfall[0] == pytest.approx(1.96, abs=0.01)
 
 
 def test_pre_contracted_constant_15_is_within_reach(plant):
-    reach = check_reference(plant, wish(10.0, 15.0))
-    assert reach.reachable
+    reach = check_reference(plant, reference(10.0, 15.0))
+    assert reach.feasible
     assert not reach.shortfall.any()
-    assert reach.describe() == "the reference is within reach throughout"
+    assert reach.describe() == "the reference is statically feasible throughout"
 
 
 def test_the_ends_of_the_band_are_within_reach(plant):
     low, high = (float(x) for x in attainable(plant, 0.0))
     for stiffness, reachable in ((low, True), (high, True), (low - 1e-3, False), (high + 1e-3, False)):
-        assert check_reference(plant, wish(0.0, stiffness), **GRID).reachable is reachable
+        assert check_reference(plant, reference(0.0, stiffness), **GRID).feasible is reachable
 
 
 @pytest.mark.parametrize("times", [{"duration": 0.0}, {"duration": -1.0}, {"duration": 1.0005}, {"control_period": 0}])
@@ -124,4 +124,4 @@ def test_times_that_make_no_sense_are_an_error_as_in_simulate(plant, times):
     from mckibben.errors import SimulationError
 
     with pytest.raises(SimulationError):
-        check_reference(plant, wish(0.0, 15.0), **times)
+        check_reference(plant, reference(0.0, 15.0), **times)

@@ -13,14 +13,14 @@ import pytest
 from mckibben.errors import ParameterError, RangeError
 from mckibben.numerics.batching import (
     RANK,
-    by_name,
     cast,
-    check_again,
     lanes_of,
-    leaves_named,
-    padded,
+    map_chunks,
+    named_leaves,
+    pad_chunk,
+    recheck,
+    select_leaves,
     with_leaves,
-    worked_off,
 )
 from mckibben.numerics.checks import check_positive
 
@@ -91,9 +91,9 @@ def test_leaves_inside_tuples_and_dictionaries_vary():
 @pytest.mark.parametrize(
     ("tree", "message"),
     [
-        (Pair(outer(np.ones(2)), np.ones(3)), "right has 3 values, left.first.size has 2; give one of each a run"),
-        (outer(np.ones((2, 2))), r"first.size has the shape \(2, 2\); give a number, or an array of one axis"),
-        (outer(np.ones(0)), "first.size holds no value; give one a run"),
+        (Pair(outer(np.ones(2)), np.ones(3)), "right has 3 values, left.first.size has 2"),
+        (outer(np.ones((2, 2))), r"first.size has the shape \(2, 2\)"),
+        (outer(np.ones(0)), "first.size is empty"),
     ],
 )
 def test_shapes_that_do_not_fit_are_named(tree, message):
@@ -107,7 +107,7 @@ def test_shapes_that_do_not_fit_are_named(tree, message):
 
 
 def test_every_number_has_a_name():
-    assert by_name({"a": outer(), "b": Pair(1, True)}) == {
+    assert named_leaves({"a": outer(), "b": Pair(1, True)}) == {
         "a.first.size": 1.0,
         "a.first.count": 3,
         "a.several.0": 2.0,
@@ -120,16 +120,16 @@ def test_every_number_has_a_name():
 def test_values_by_name_come_where_they_belong_and_nowhere_else():
     before = {"a": outer(), "b": Pair(1.0, 2.0)}
     after = with_leaves(before, {"a.several.1.size": [5.0, 6.0], "b.right": 7, "a.several.0": [8.0]})
-    expected = by_name(before) | {"b.right": 7}
-    found = by_name(after)
+    expected = named_leaves(before) | {"b.right": 7}
+    found = named_leaves(after)
     np.testing.assert_array_equal(found.pop("a.several.1.size"), [5.0, 6.0])
     np.testing.assert_array_equal(found.pop("a.several.0"), [8.0])
     assert found == {name: expected[name] for name in found}
-    assert by_name(before)["a.several.1.size"] == 3.0
+    assert named_leaves(before)["a.several.1.size"] == 3.0
 
 
 def test_whole_numbers_are_floats_where_a_float_stood():
-    after = by_name(with_leaves({"a": outer()}, {"a.first.size": [1, 2], "a.first.count": [1, 2]}))
+    after = named_leaves(with_leaves({"a": outer()}, {"a.first.size": [1, 2], "a.first.count": [1, 2]}))
     assert after["a.first.size"].dtype == np.float64
     assert after["a.first.count"].dtype == np.int64
 
@@ -141,9 +141,7 @@ def test_whole_numbers_are_floats_where_a_float_stood():
 )
 @pytest.mark.parametrize("leaf", ["size", "count"])
 def test_values_that_are_no_numbers_are_refused(bad, leaf):
-    with pytest.raises(
-        ParameterError, match=rf"^the values of a\.first\.{leaf} are no numbers; give one, or"
-    ) as caught:
+    with pytest.raises(ParameterError, match=rf"a\.first\.{leaf}") as caught:
         with_leaves({"a": outer()}, {f"a.first.{leaf}": bad})
     assert caught.value.value is bad
 
@@ -155,17 +153,17 @@ class Seeded(eqx.Module):
 @pytest.mark.parametrize("bad", [0.5, [1.0, 2.0], [np.nan], jnp.ones(2)], ids=repr)
 def test_a_whole_number_by_nature_takes_no_float(bad):
     for tree, name in ((outer(), "a.first.count"), (Seeded(), "a.seed")):
-        with pytest.raises(ParameterError, match=f"^{name} is a whole number; give integers"):
+        with pytest.raises(ParameterError, match=f"^{name} is an integer"):
             with_leaves({"a": tree}, {name: bad})
 
 
 def test_a_float_that_was_written_without_a_point_takes_floats():
-    after = by_name(with_leaves({"a": outer(2), "b": Pair(1, 2)}, {"a.first.size": [0.5], "b.left": [0.5]}))
+    after = named_leaves(with_leaves({"a": outer(2), "b": Pair(1, 2)}, {"a.first.size": [0.5], "b.left": [0.5]}))
     assert (after["a.first.size"].tolist(), after["b.left"].tolist()) == ([0.5], [0.5])
 
 
 def test_short_floats_and_unsigned_integers_are_numbers():
-    after = by_name(
+    after = named_leaves(
         with_leaves(
             {"a": outer()}, {"a.first.size": jnp.ones(2, jnp.bfloat16), "a.first.count": np.arange(2, dtype=np.uint32)}
         )
@@ -183,7 +181,7 @@ def test_one_object_in_two_places_is_changed_in_one():
 
 def test_a_name_that_does_not_exist_is_told_with_the_nearest():
     with pytest.raises(ParameterError, match=r"no parameter 'a.first.sise'; did you mean 'a.first.size'\?") as caught:
-        leaves_named({"a": outer()}, ["a.first.count", "a.first.sise"])
+        select_leaves({"a": outer()}, ["a.first.count", "a.first.sise"])
     assert caught.value.value == "a.first.sise"
     with pytest.raises(ParameterError, match=r"there are a\.first\.size, a\.first\.count, a\.several\.0"):
         with_leaves({"a": outer()}, {"zzzzzzzzzzzzzzzz": 1.0})
@@ -192,7 +190,7 @@ def test_a_name_that_does_not_exist_is_told_with_the_nearest():
 
 
 def test_the_leaves_of_names_come_in_their_order():
-    assert list(leaves_named({"a": outer()}, ["a.several.0", "a.first.size"]).items()) == [
+    assert list(select_leaves({"a": outer()}, ["a.several.0", "a.first.size"]).items()) == [
         ("a.several.0", 2.0),
         ("a.first.size", 1.0),
     ]
@@ -206,8 +204,8 @@ def test_the_leaves_of_names_come_in_their_order():
 def test_numbers_are_checked_again_at_any_depth(name, bad):
     wrong = with_leaves({"a": outer()}, {name: [1.0, bad]})
     with pytest.raises(RangeError, match="Inner: size is"):
-        check_again(Pair(1.0, wrong))
-    check_again(with_leaves({"a": outer()}, {name: [1.0, 2.0]}))
+        recheck(Pair(1.0, wrong))
+    recheck(with_leaves({"a": outer()}, {name: [1.0, 2.0]}))
 
 
 # Types
@@ -243,9 +241,9 @@ def test_whole_numbers_that_are_traced_stay_whole():
 
 def test_a_piece_is_filled_up_with_its_last_lane():
     tree = {"x": np.arange(5), "y": jnp.arange(10.0).reshape(5, 2), "z": None}
-    whole = padded(tree, slice(0, 3), 3)
+    whole = pad_chunk(tree, slice(0, 3), 3)
     np.testing.assert_array_equal(whole["x"], [0, 1, 2])
-    short = padded(tree, slice(3, 5), 4)
+    short = pad_chunk(tree, slice(3, 5), 4)
     np.testing.assert_array_equal(short["x"], [3, 4, 4, 4])
     np.testing.assert_array_equal(short["y"], [[6, 7], [8, 9], [8, 9], [8, 9]])
     assert short["z"] is None
@@ -259,14 +257,14 @@ def test_answers_come_in_order_and_cover_all(count, size, workers):
         time.sleep(0.002 * (count - piece.start) / count)
         return list(range(count))[piece]
 
-    got = list(worked_off(slower_first, count, size, workers))
+    got = list(map_chunks(slower_first, count, size, workers))
     assert [lane for piece, answer in got for lane in answer] == list(range(count))
     assert all(answer == list(range(count))[piece] for piece, answer in got)
     assert {piece.stop - piece.start for piece, _ in got[:-1]} <= {size}
 
 
 def test_nothing_to_do_is_nothing():
-    assert list(worked_off(lambda piece: piece, 0, 4, 2)) == []
+    assert list(map_chunks(lambda piece: piece, 0, 4, 2)) == []
 
 
 class Watch:
@@ -290,7 +288,7 @@ class Watch:
 @pytest.mark.parametrize("workers", [1, 2, 3])
 def test_few_pieces_are_under_way_however_slow_their_reader(workers):
     watch = Watch()
-    for taken, _ in enumerate(worked_off(watch, 40, 1, workers)):
+    for taken, _ in enumerate(map_chunks(watch, 40, 1, workers)):
         time.sleep(0.003)
         assert watch.begun <= taken + 2 * workers  # taken are done with; the one in hand is one of the rest
     assert watch.begun == 40
@@ -304,7 +302,7 @@ def test_several_pieces_are_worked_on_at_once():
         meeting.wait()
         return piece
 
-    assert len(list(worked_off(meet, 3, 1, 3))) == 3
+    assert len(list(map_chunks(meet, 3, 1, 3))) == 3
 
 
 def test_an_error_in_a_piece_is_raised_and_stops_the_rest():
@@ -317,14 +315,14 @@ def test_an_error_in_a_piece_is_raised_and_stops_the_rest():
 
     got = []
     with pytest.raises(ZeroDivisionError, match="piece 5"):
-        got.extend(start for _, start in worked_off(call, 1000, 1, 2))
+        got.extend(start for _, start in map_chunks(call, 1000, 1, 2))
     assert watch.begun <= 5 + 4
     assert watch.running == 0
 
 
 def test_a_reader_that_stops_stops_the_work():
     watch = Watch()
-    answers = worked_off(watch, 1000, 1, 2)
+    answers = map_chunks(watch, 1000, 1, 2)
     next(answers)
     next(answers)
     answers.close()

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 
 from mckibben.control import PID, Constant, Jacobian, Sine
-from mckibben.numerics.program_cache import NamelessError, name_of_code, name_of_structure, name_of_value
+from mckibben.numerics.program_cache import FingerprintError, code_fingerprint, fingerprint, structure_fingerprint
 from mckibben.plant import IdealValve
 
 VALUES = (
     *(None, True, False, 1, 0, 1.0, 0.0, -0.0, 1e-300, "1", "", b"1", 1j),
     *((1,), [1], {1}, frozenset({1}), (1, 2), (1, (2,)), {"a": 1}, {"a": 1.0}, {"b": 1}, ()),
     *(np.dtype("f4"), np.dtype("f8"), Jacobian.SIGN, IdealValve, PID, IdealValve(), Constant(1.0), Constant(2.0)),
-    *(Sine(1.0, 2.0), Sine(2.0, 1.0), name_of_code, name_of_value),
+    *(Sine(1.0, 2.0), Sine(2.0, 1.0), code_fingerprint, fingerprint),
 )
 
 
 def test_different_values_have_different_names():
-    names = [name_of_value(value) for value in VALUES]
+    names = [fingerprint(value) for value in VALUES]
     for (one, first), (other, second) in itertools.combinations(zip(VALUES, names, strict=True), 2):
         assert first != second, (one, other)
 
@@ -31,7 +31,7 @@ def test_different_values_have_different_names():
 def test_the_order_of_a_set_is_not_in_its_name():
     one, other = {0, 8}, {8, 0}
     assert list(one) != list(other)
-    assert name_of_value(one) == name_of_value(other)
+    assert fingerprint(one) == fingerprint(other)
 
 
 class Colour(enum.Enum):
@@ -64,13 +64,13 @@ Pair = collections.namedtuple("Pair", "a b")
     ids=lambda value: type(value).__name__,
 )
 def test_what_is_not_known_has_no_name(value):
-    with pytest.raises(NamelessError):
-        name_of_value(value)
+    with pytest.raises(FingerprintError):
+        fingerprint(value)
 
 
 def test_structures_name_their_classes_in_full():
-    text = name_of_structure(jax.tree.structure({"a": Constant(1.0), "b": (2.0, None)}))
+    text = structure_fingerprint(jax.tree.structure({"a": Constant(1.0), "b": (2.0, None)}))
     assert "mckibben.control.reference.Constant" in text
-    assert text != name_of_structure(jax.tree.structure({"a": Constant(1.0), "c": (2.0, None)}))
-    with pytest.raises(NamelessError, match="Pair"):
-        name_of_structure(jax.tree.structure([Pair(1.0, 2.0)]))
+    assert text != structure_fingerprint(jax.tree.structure({"a": Constant(1.0), "c": (2.0, None)}))
+    with pytest.raises(FingerprintError, match="Pair"):
+        structure_fingerprint(jax.tree.structure([Pair(1.0, 2.0)]))

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from mckibben.control import Setpoint
 from mckibben.joint import AntagonisticJoint, SeriesSpring
-from mckibben.numerics.batching import many_runs
+from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import SETTLING_PART, Metrics, Trajectory, episode, measure, trajectory, without_last_change
-from mckibben.simulation.metrics import Tally, last_change, metrics_of, tally
-from mckibben.simulation.streaming import measured_episode
+from mckibben.simulation.loop import streaming_episode
+from mckibben.simulation.metrics import MetricAccumulator, last_change
 
 PERIOD = 1e-3
 FLAGS = ("saturated", "slack", "outside_domain", "overloaded")
@@ -33,13 +33,13 @@ def folded(moved: Trajectory) -> Metrics:
         total, at_change, air = carried
         index, moment = at
         at_change = jnp.where(index == change.at, moment.stiffness, at_change)
-        added = tally(moment, index, change, at_change, air, SETTLING_PART)
-        return (total.with_next(added), at_change, (moment.air1, moment.air2)), None
+        added = MetricAccumulator.of(moment, index, change, at_change, air, SETTLING_PART)
+        return (total.merge(added), at_change, (moment.air1, moment.air2)), None
 
     nothing = jnp.zeros_like(moved.angle[0])
-    begun = (Tally.nothing(nothing), nothing, (moved.air1[0], moved.air2[0]))
+    begun = (MetricAccumulator.empty(nothing), nothing, (moved.air1[0], moved.air2[0]))
     (total, _, _), _ = jax.lax.scan(following, begun, (jnp.arange(periods), moved))
-    return metrics_of(total, change, periods, PERIOD)
+    return total.metrics(change, periods, PERIOD)
 
 
 both_ways = jax.jit(lambda moved: (folded(moved), measure(moved, PERIOD)))
@@ -62,7 +62,7 @@ numbers = st.one_of(
     st.floats(-20, 20),
     st.sampled_from([0.0, 1.0, 14.0, 1e-300, 1e150, -1e150, np.inf, -np.inf, np.nan]),
 )
-wishes = st.sampled_from([13.0, 13.0, 13.0, 14.0, 15.0])
+setpoints = st.sampled_from([13.0, 13.0, 13.0, 14.0, 15.0])
 
 
 @st.composite
@@ -73,11 +73,11 @@ def trajectories(draw):
     def column(name):
         if name in FLAGS:
             return draw(st.lists(st.booleans(), min_size=size, max_size=size))
-        values = wishes if name == "desired_stiffness" else draw(st.sampled_from([tame, numbers]))
+        values = setpoints if name == "desired_stiffness" else draw(st.sampled_from([tame, numbers]))
         found = np.array(draw(st.lists(values, min_size=size, max_size=size)))
         return np.abs(found) if name in NEVER_NEGATIVE else found
 
-    used = ("angle", "desired_angle", "undisturbed_angle", "desired_stiffness", "stiffness", "stiffness_estimate")
+    used = ("angle", "desired_angle", "angle_without_step", "desired_stiffness", "stiffness", "stiffness_estimate")
     return moved(size, **{name: column(name) for name in (*used, *FLAGS, *NEVER_NEGATIVE)})
 
 
@@ -90,7 +90,7 @@ def test_moment_by_moment_is_as_good_as_the_whole(run):
 def test_a_step_anywhere_is_found(at):
     desired = np.where(np.arange(12) < at, 13.0, 17.0)
     stiffness = 13.0 + 4 * (np.arange(12) >= min(at + 3, 11))
-    run = moved(12, desired_stiffness=desired, stiffness=stiffness, undisturbed_angle=np.linspace(0, 1, 12))
+    run = moved(12, desired_stiffness=desired, stiffness=stiffness, angle_without_step=np.linspace(0, 1, 12))
     found, expected = both_ways(run)
     same(found, expected)
     assert np.isfinite(found.coupling) == (0 < at < 11)
@@ -106,7 +106,7 @@ def test_what_is_in_the_band_only_at_the_end_has_never_settled_in_either_form():
     assert np.isnan(found.stiffness_settling)
 
 
-@pytest.mark.parametrize("name", ["angle", "stiffness", "force1", "force2", "excursion", "undisturbed_angle"])
+@pytest.mark.parametrize("name", ["angle", "stiffness", "force1", "force2", "excursion", "angle_without_step"])
 @pytest.mark.parametrize("place", [0, 5, 11])
 def test_one_moment_that_is_no_number_spoils_the_largest(name, place):
     column = np.ones(12)
@@ -114,7 +114,12 @@ def test_one_moment_that_is_no_number_spoils_the_largest(name, place):
     run = moved(12, desired_stiffness=np.where(np.arange(12) < 5, 13.0, 17.0), **{name: column})
     found, expected = both_ways(run)
     same(found, expected)
-    peak = {"force1": "force_max", "force2": "force_max", "excursion": "excursion_max", "undisturbed_angle": "coupling"}
+    peak = {
+        "force1": "force_max",
+        "force2": "force_max",
+        "excursion": "excursion_max",
+        "angle_without_step": "coupling",
+    }
     peak = peak.get(name, f"{name}_max")
     assert np.isnan(getattr(found, peak)) == (not (peak == "coupling" and place < 5))
 
@@ -133,26 +138,26 @@ def test_no_error_has_no_slope():
     assert float(reverse(1.0)[0]) == pytest.approx(np.sqrt(np.mean(np.linspace(-1, 1, 12) ** 2)))
 
 
-# Whole episodes: the two halves of the wish are the commands of the muscles (see `Playback`).
+# Whole episodes: the two halves of the reference are the commands of the muscles (see `Playback`).
 SIZE = 60
 START = PlantState(jnp.asarray(0.0), jnp.asarray(0.1), (jnp.asarray(3.2e5), jnp.asarray(3.3e5)))
 
 
 def commands(*changes: tuple[int, float]) -> Setpoint:
-    wish = np.full(SIZE, 3.3e5)
+    reference = np.full(SIZE, 3.3e5)
     for at, value in changes:
-        wish[at:] = value
-    return Setpoint(3.2e5 + 3e4 * np.sin(np.arange(SIZE) / 9), wish)
+        reference[at:] = value
+    return Setpoint(3.2e5 + 3e4 * np.sin(np.arange(SIZE) / 9), reference)
 
 
-KEPT = ("angle", "undisturbed_angle", "command2", "slack")
+KEPT = ("angle", "angle_without_step", "command2", "slack")
 
 
 @pytest.fixture(scope="module")
 def on_the_way(plant, playback):
     @functools.partial(jax.jit, static_argnames=("keep", "every", "coupled"))
     def run(setpoints, split, *, keep=KEPT, every=1, coupled=True):
-        return measured_episode(
+        return streaming_episode(
             plant,
             playback,
             setpoints,
@@ -198,11 +203,11 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_an_episode_measured_on_the_way_is_the_episode_measured_afterwards(on_the_way, afterwards, case):
-    wish = CASES[case]
-    change = last_change(wish.stiffness)
+    reference = CASES[case]
+    change = last_change(reference.stiffness)
     split = int(change.at) if change.ends else SIZE
-    final, _, expected = afterwards(wish)
-    found = on_the_way(wish, split)
+    final, _, expected = afterwards(reference)
+    found = on_the_way(reference, split)
     same(found.metrics, expected, rtol=1e-11)
     np.testing.assert_allclose(jax.tree.leaves(found.final), jax.tree.leaves(final), rtol=1e-12)
     assert bool(found.metrics.coupling > 0) == bool(change.ends)
@@ -210,15 +215,15 @@ def test_an_episode_measured_on_the_way_is_the_episode_measured_afterwards(on_th
 
 @pytest.mark.parametrize("earlier", [0, 1, 10, 19])
 def test_leaving_the_step_out_from_an_earlier_period_on_changes_nothing(on_the_way, earlier):
-    wish = CASES["one step"]
-    same(on_the_way(wish, earlier).metrics, on_the_way(wish, 20).metrics)
+    reference = CASES["one step"]
+    same(on_the_way(reference, earlier).metrics, on_the_way(reference, 20).metrics)
 
 
 def test_what_is_kept_is_the_trajectory(on_the_way, afterwards):
-    wish = CASES["two steps"]
-    _, expected, metrics = afterwards(wish)
+    reference = CASES["two steps"]
+    _, expected, metrics = afterwards(reference)
     for every in (1, 4, 60):
-        found = on_the_way(wish, 31, every=every)
+        found = on_the_way(reference, 31, every=every)
         assert {*found.kept} == {*KEPT}
         for name in KEPT:
             column = np.asarray(getattr(expected, name))[::every]
@@ -227,12 +232,13 @@ def test_what_is_kept_is_the_trajectory(on_the_way, afterwards):
 
 
 def test_without_coupling_the_second_run_is_not_computed(on_the_way):
-    wish = CASES["one step"]
-    with_it, without = on_the_way(wish, 20), on_the_way(wish, 20, coupled=False)
+    reference = CASES["one step"]
+    with_it, without = on_the_way(reference, 20), on_the_way(reference, 20, coupled=False)
     assert np.isnan(without.metrics.coupling)
     same(without.metrics, with_it.metrics._replace(coupling=jnp.asarray(np.nan)))
     text = {
-        coupled: str(jax.make_jaxpr(lambda c=coupled: on_the_way(wish, 20, coupled=c))()) for coupled in (True, False)
+        coupled: str(jax.make_jaxpr(lambda c=coupled: on_the_way(reference, 20, coupled=c))())
+        for coupled in (True, False)
     }
     assert "cond[" in text[True]
     assert "cond[" not in text[False]
@@ -247,17 +253,17 @@ def by_differences(function, size: int):
 
 def test_in_reverse_derivatives_are_those_of_finite_differences(plant, playback):
     """With the run beside for the coupling, and periods that are computed again on the way back."""
-    wish = CASES["one step"]
-    change = last_change(wish.stiffness)
+    reference = CASES["one step"]
+    change = last_change(reference.stiffness)
 
     def measures(by, checkpoint):
         mass, delay, pressure, step = jnp.array([0.5, 0.02, 3.2e5, 3e4]) * by
         moved = eqx.tree_at(lambda p: (p.load.mass2, p.valve.time_constant), plant, (mass, delay))
-        stepped = wish._replace(stiffness=3.3e5 + jnp.where(jnp.arange(SIZE) < 20, 0.0, step))
+        stepped = reference._replace(stiffness=3.3e5 + jnp.where(jnp.arange(SIZE) < 20, 0.0, step))
         start = START._replace(pressures=(pressure, START.pressures[1]))
-        with many_runs():
+        with batched_program():
             run = (moved, playback, stepped, start, PERIOD, 1)
-            found = measured_episode(*run, change=change, split=20, checkpoint=checkpoint).metrics
+            found = streaming_episode(*run, change=change, split=20, checkpoint=checkpoint).metrics
         return jnp.stack([found.coupling, found.force_max])
 
     slopes = jax.jit(jax.jacrev(functools.partial(measures, checkpoint=True)))(jnp.ones(4))

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.control.allocation import map_at, pressures_between, torque_first
+from mckibben.control.allocation import linearise, pressure_range, prioritise_torque
 from mckibben.joint import SeriesSpring
 
 torque_and_stiffness = jax.jit(lambda joint, angle, pressures: joint.torque_and_stiffness(angle, pressures))
 
 
 @pytest.fixture(scope="module")
-def wishes():
+def setpoints():
     """Angles, torques, stiffnesses and windows of pressure, many of them out of reach."""
     rng = np.random.default_rng(2)
     lower = rng.uniform(3e5, 4e5, (2, 300))  # taut: of slack muscles the map says nothing
@@ -22,15 +22,15 @@ def wishes():
 
 
 @pytest.fixture(scope="module")
-def answers(knee, wishes):
+def answers(knee, setpoints):
     def one(angle, torque, stiffness, lower, upper):
-        return torque_first(knee.affine_map(angle), torque, stiffness, (lower[0], lower[1]), (upper[0], upper[1]))
+        return prioritise_torque(knee.affine_map(angle), torque, stiffness, (lower[0], lower[1]), (upper[0], upper[1]))
 
-    return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 1, 1)))(*map(jnp.asarray, wishes))
+    return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, 1, 1)))(*map(jnp.asarray, setpoints))
 
 
-def test_no_pressure_within_the_window_does_better(knee, wishes, answers):
-    angle, torque, stiffness, lower, _ = wishes
+def test_no_pressure_within_the_window_does_better(knee, setpoints, answers):
+    angle, torque, stiffness, lower, _ = setpoints
     grid = lower[:, None, None, :] + 2e5 * np.stack(np.meshgrid(*[np.linspace(0, 1, 41)] * 2))[..., None]
     torques, stiffnesses = (np.asarray(x) for x in torque_and_stiffness(knee, angle, (grid[0], grid[1])))
     got, got_stiffness = (np.asarray(x) for x in torque_and_stiffness(knee, angle, answers.pressures))
@@ -43,21 +43,21 @@ def test_no_pressure_within_the_window_does_better(knee, wishes, answers):
     assert np.isfinite(missed).sum() > 50
 
 
-def test_it_stays_within_the_window_and_says_when_it_had_to(knee, wishes, answers):
-    angle, torque, stiffness, lower, upper = wishes
+def test_it_stays_within_the_window_and_says_when_it_had_to(knee, setpoints, answers):
+    angle, torque, stiffness, lower, upper = setpoints
     pressures = np.asarray(answers.pressures)
     assert np.min(np.asarray(knee.tensions(angle, tuple(lower)))) > 0
     assert np.all((pressures >= lower - 1e-6) & (pressures <= upper + 1e-6))
     got = np.asarray(torque_and_stiffness(knee, angle, answers.pressures))
     met = np.all(np.abs(got - [torque, stiffness]) < 1e-6, axis=0)
-    np.testing.assert_array_equal(met, ~np.asarray(answers.cut))
+    np.testing.assert_array_equal(met, ~np.asarray(answers.saturated))
     assert 20 < met.sum() < 280
 
 
 def test_where_no_pressure_moves_the_stiffness_the_torque_is_had_all_the_same(knee):
     flat = knee.affine_map(0.1)
     flat = flat._replace(stiffness=flat.stiffness._replace(slope1=jnp.asarray(0.0), slope2=jnp.asarray(0.0)))
-    pressures, torque, _ = torque_first(flat, 1.0, 15.0, (1e5, 1e5), (3e5, 3e5))
+    pressures, torque, _ = prioritise_torque(flat, 1.0, 15.0, (1e5, 1e5), (3e5, 3e5))
     assert float(flat.torque(pressures)) == pytest.approx(1.0, abs=1e-9) == float(torque)
 
 
@@ -65,7 +65,7 @@ def test_the_map_of_other_joints_is_that_of_small_changes(as_printed):
     springy = dataclasses.replace(as_printed, tendon=SeriesSpring(2e4, 20.0, 0.02))
     pressures = (jnp.asarray(1.5e5), jnp.asarray(2e5))
     nearby = (jnp.asarray(1.54e5), jnp.asarray(2.03e5))
-    found = jax.jit(lambda joint: map_at(joint, 0.05, pressures))(springy)
+    found = jax.jit(lambda joint: linearise(joint, 0.05, pressures))(springy)
     exact = [jax.jit(lambda p: springy.torque_and_stiffness(0.05, p))(p) for p in (pressures, nearby)]
     for here, there, affine in zip(*exact, found, strict=True):
         assert float(affine(pressures)) == pytest.approx(float(here), rel=1e-12)
@@ -73,11 +73,11 @@ def test_the_map_of_other_joints_is_that_of_small_changes(as_printed):
 
 
 def test_pressures_keep_a_tension_and_the_rating(as_printed, knee):
-    lowest, highest = pressures_between(knee, 0.2, 20.0)
+    lowest, highest = pressure_range(knee, 0.2, 20.0)
     slackest, tightest = knee.tensions(0.2, lowest), knee.tensions(0.2, highest)
     assert float(slackest[0]) >= 20.0 - 1e-9 and float(slackest[1]) == pytest.approx(20.0)
     assert float(highest[0]) == float(highest[1]) == 6e5  # the domain of the law
     rated = as_printed.muscle1.specimen.rated_force
-    stretched = pressures_between(as_printed, 0.17, 20.0)[1]
+    stretched = pressure_range(as_printed, 0.17, 20.0)[1]
     assert max(map(float, as_printed.tensions(0.17, stretched))) == pytest.approx(rated)
     assert float(tightest[0]) < rated

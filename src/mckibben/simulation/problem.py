@@ -1,0 +1,180 @@
+"""The simulation problem as one tree of named leaves, and its sampling times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
+
+from mckibben.control.base import Controller, Reference, Setpoint
+from mckibben.errors import SimulationError
+from mckibben.numerics.batching import lanes_of, recheck, with_leaves
+from mckibben.numerics.checks import whole_periods
+from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.elementary import floating
+from mckibben.plant import JointPlant, PlantState
+
+
+class AtRest(NamedTuple):
+    """A start at rest: angle [rad], stiffness [N*m/rad] (NaN: mid co-contraction); numbers, or arrays over runs."""
+
+    angle: ArrayLike
+    stiffness: ArrayLike = math.nan
+
+
+class SimulationProblem(NamedTuple):
+    """Everything that a run is made of; leaves are numbers, or arrays over runs."""
+
+    plant: JointPlant
+    controller: Controller
+    reference: Reference
+    initial: PlantState | AtRest
+
+    def start(self, setpoints: Setpoint) -> tuple[PlantState, Array]:
+        """The initial state for setpoints of shape (periods,), and whether it exists."""
+        if isinstance(self.initial, PlantState):
+            return self.plant.complete_state(jax.tree.map(floating, self.initial)), jnp.asarray(True)
+        return self.plant.find_equilibrium(*self.rest(setpoints))
+
+    def rest(self, setpoints: Setpoint) -> tuple[Array, Array]:
+        """Angle [rad] and stiffness [N*m/rad] of the start at rest."""
+        angle, stiffness = self.initial[:2]
+        return jnp.where(jnp.isnan(angle), setpoints.angle[0], angle), jnp.asarray(stiffness)
+
+
+def split_problem(
+    plant: JointPlant,
+    controller: Controller,
+    reference: Reference,
+    initial: PlantState | AtRest | None,
+    over: Mapping[str, ArrayLike],
+) -> tuple[SimulationProblem | None, SimulationProblem, int | None]:
+    """A problem with other values at named leaves, as its leaves that vary over runs, all others, and the run count.
+
+    Where no leaf varies, the first and the last are None.
+
+    Raises
+    ------
+    SimulationError
+        If an argument is of the wrong type.
+    ParameterError
+        If there is no such leaf, or their arrays are of different lengths.
+    RangeError
+        If an object refuses a value.
+    """
+    problem = SimulationProblem(plant, controller, reference, AtRest(math.nan) if initial is None else initial)
+    _check_types(problem)
+    problem = SimulationProblem(**with_leaves(problem._asdict(), over))
+    count, varying = lanes_of(problem)
+    recheck(problem)
+    return (None, numeric(problem), None) if count is None else (*eqx.partition(numeric(problem), varying), count)
+
+
+_TYPES: dict[str, tuple[type, ...]] = {
+    "plant": (JointPlant,),
+    "controller": (Controller,),
+    "reference": (Reference,),
+    "initial": (PlantState, AtRest),
+}
+
+
+def _check_types(problem: SimulationProblem) -> None:
+    """Raise unless each part is of its type: arguments are easily swapped."""
+    for name, types in _TYPES.items():
+        value = getattr(problem, name)
+        if not isinstance(value, types):
+            given = repr(value) if isinstance(value, int | float | str | None) else f"a {type(value).__name__}"
+            wanted = " or ".join(kind.__name__ for kind in types)
+            swapped = [other for other, kinds in _TYPES.items() if isinstance(value, kinds)]
+            hint = f"; it looks like the {swapped[0]}: are arguments swapped?" if swapped else ""
+            raise SimulationError(f"{name} is {given}", value=value, remedy=f"give a {wanted}{hint}")
+
+
+def check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:
+    """Raise unless `names` is a list of known names."""
+    for name in [names] if isinstance(names, str) else names:
+        if name not in known or isinstance(names, str):
+            raise SimulationError(
+                f"{name!r} is not a {what}" if name not in known else f"{name!r} is a text, not a list",
+                value=name,
+                remedy=f"give a list of {', '.join(known)}",
+            )
+
+
+def float_type(precision: Any) -> Any:
+    """The float type of a precision: 32 or 64 bits, or the type itself."""
+    kinds = {32: np.dtype(np.float32), 64: np.dtype(np.float64)}
+    if isinstance(precision, int):
+        kind = kinds.get(precision)
+    else:
+        kind = next((kind for kind in kinds.values() if kind == precision), None)
+    if kind is None:
+        raise SimulationError(f"precision {precision!r}", value=precision, remedy="give 32 or 64")
+    return kind
+
+
+def sample_reference(reference: Reference, times: ArrayLike) -> Setpoint:
+    """Setpoints at times [s], strongly typed: weakly typed ones would compile everything anew.
+
+    Raises
+    ------
+    SimulationError
+        If a signal is a function that JAX cannot trace.
+    """
+    try:
+        return Setpoint(*(jnp.asarray(setpoint, float) for setpoint in reference(times)))
+    except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
+        raise SimulationError(
+            "a signal of the reference is a function that cannot be compiled",
+            remedy="write it with jax.numpy in place of numpy, and with jnp.where in place of if",
+        ) from error
+
+
+compiled_reference = compiled(sample_reference)
+
+
+def sampled(reference: Reference, duration: float, period: float) -> tuple[NDArray[np.float64], Setpoint]:
+    """Start times [s] of the control periods in a duration, and the setpoints at them.
+
+    Raises
+    ------
+    SimulationError
+        If a time is not positive, or the duration is not a multiple of the period.
+    """
+    times = sampling_times(duration, period)
+    return times, compiled_reference(reference, times)
+
+
+def sampling_times(duration: float, period: float, substeps: int = 1) -> NDArray[np.float64]:
+    """Start times [s] of the control periods in a duration; raises as `sampled` does, and for wrong `substeps`."""
+    if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
+        raise SimulationError(f"substeps is {substeps!r}", value=substeps, remedy="give an integer from 1 up")
+    for name, value in (("duration", duration), ("control period", period)):
+        if not (math.isfinite(value) and value > 0):
+            raise SimulationError(f"the {name} is {value:g} s", value=value, unit="s", remedy="give a positive time")
+    periods = whole_periods(duration, period)
+    if periods is None:
+        raise SimulationError(
+            f"a duration of {duration:.12g} s is not a multiple of the control period of {period:.12g} s",
+            value=duration,
+            unit="s",
+            remedy=f"{max(round(duration / period), 1) * period:.12g} s would be",
+        )
+    return np.arange(periods, dtype=float) * period
+
+
+def without_last_change(setpoints: Setpoint) -> Setpoint | None:
+    """The setpoints without the last change of stiffness; None if it never changes, or changes to the very end."""
+    stiffness = np.asarray(setpoints.stiffness)
+    changes = np.flatnonzero(stiffness[1:] != stiffness[:-1]) + 1
+    if changes.size == 0 or changes[-1] == stiffness.size - 1:
+        return None
+    constant = np.where(np.arange(stiffness.size) >= changes[-1], stiffness[changes[-1] - 1], stiffness)
+    return setpoints._replace(stiffness=constant)  # type: ignore[arg-type]
