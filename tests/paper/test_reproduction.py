@@ -4,7 +4,6 @@ import dataclasses
 import itertools
 import json
 import math
-import types
 from pathlib import Path
 
 import numpy as np
@@ -66,12 +65,17 @@ def of(claims, start: str):
 RUN_KEYS = list(itertools.product([s.key for s in SETTINGS], StiffnessReference))
 
 
-def moved_by(amplitude: float, **metrics) -> types.SimpleNamespace:
-    """As much of a result as a run looks at: the reference, a sine, and metrics."""
-    reference = amplitude * np.sin(np.linspace(0, 2 * np.pi, 1000, endpoint=False))
-    return types.SimpleNamespace(
-        trajectory=types.SimpleNamespace(desired_angle=reference), metrics=lambda **_: {"angle_rmse": 0.5, **metrics}
-    )
+class KnownResult(dict):
+    """Columns of a result with metrics that are given."""
+
+    metrics: dict
+
+
+def moved_by(amplitude: float, **metrics) -> KnownResult:
+    """A result with a sine for reference."""
+    found = KnownResult(desired_angle=amplitude * np.sin(np.linspace(0, 2 * np.pi, 1000, endpoint=False)))
+    found.metrics = {"angle_rmse": 0.5, **metrics}
+    return found
 
 
 def seeded(**columns) -> ControllerRun:
