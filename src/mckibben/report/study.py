@@ -31,6 +31,7 @@ from mckibben.report.style import (
 from mckibben.simulation.metrics import METRICS
 from mckibben.study.sweep.result import main_metrics, spearman
 from mckibben.study.tune import TuningResult
+from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import factor
 
 _FEW = 12  # parameters whose names are drawn
