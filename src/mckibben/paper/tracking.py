@@ -177,7 +177,7 @@ def _tuned_runs(
     return runs
 
 
-def _tune(setting: Setting, generations: int, population: int, progress: Callable[[float], None]) -> Tuned:
+def _tune(setting: Setting, generations: int, population: int, progress: Callable[[float], None]) -> TuningResult:
     scenarios = [pid_scenario(setting, reference) for reference in StiffnessReference]
     scales = {
         "angle_rmse": quantity(setting.angle_scale, "rad") / 10,

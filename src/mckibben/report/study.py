@@ -29,6 +29,7 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.simulation.metrics import METRICS
+from mckibben.study.sweep import SweepResult
 from mckibben.study.sweep.result import main_metrics, spearman
 from mckibben.study.tune import TuningResult
 from mckibben.study.tune.objective import FAILED_COST
