@@ -189,7 +189,7 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
         ((*SMALL, "--cost", "coupling", "--method", "cma"), "coupling is not defined"),
         ((*SMALL, "--cost", "angle_rmse/1 N"), "not a unit of the kind"),
         ((*SMALL, "--margin", "0.5"), "the gain margin is 0.5"),
-        ((*START[:2], *COST, "--out", "kept", "--method", "cma"), "at least two numbers"),
+        ((*START[:2], *COST, "--out", "kept", "--method", "cma"), "at least two parameters"),
         ((*SMALL, "--method", "cma", "--population", "3"), "at least 4"),
         ((*SMALL, "--method", "evolution", "--population", "4"), "at least 5"),
         ((*SMALL, "--iterations", "0"), "iterations is 0"),

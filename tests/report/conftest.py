@@ -14,6 +14,7 @@ from mckibben.paper.tracking import BP, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID,
 from mckibben.simulation import Metrics
 from mckibben.study.parameters import list_parameters, with_values
 from mckibben.study.scenario.running import run_scenario
+from mckibben.study.tune import TuningResult
 
 SEEDS = 3
 
@@ -33,7 +34,7 @@ def reproduction():
         moderate = pid_scenario(setting, StiffnessReference.CONSTANT)
         doubled = {a.name: 2 * a.nominal for a in list_parameters(moderate) if a.name.endswith(("kp", "ki"))}
         found = with_values(moderate, doubled)
-        tuned[setting.key] = Tuned(doubled, (found,), 5.0, 80.0, 100, ("controller.position.ki",), ())
+        tuned[setting.key] = TuningResult(doubled, (found,), 5.0, 80.0, 100, ("controller.position.ki",), ())
         coupling[setting.key] = Coupling(1e-3, 0.1, 1e-14)
         gains = gains_of(found)
         for wish in StiffnessReference:

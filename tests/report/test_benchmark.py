@@ -125,7 +125,7 @@ def test_its_words_and_numbers(text, numbers, contest):
     assert "position.kp 1.2 bar/rad" in words
     assert "--repeat 'PID 3 15'" in words, "a run that there is"
     assert Suite.parse(html.unescape(re.search(r"<summary>.*<code>(.*)</code>", text, re.S)[1])) == contest.suite
-    assert f"Chance alone gives less than {number(1.96 / 15**0.5, 2)}" in words.replace("\u00a0", " ")
+    assert f"Uncorrelated conditions give less than {number(1.96 / 15**0.5, 2)}" in words.replace("\u00a0", " ")
 
 
 def colours(figure):

@@ -241,7 +241,7 @@ def test_a_trial_is_on_disk_before_the_search_goes_on(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("changed", "named"),
     [
-        ({"ranges": {"start.angle": RANGES["start.angle"]}}, "at least two numbers"),
+        ({"ranges": {"start.angle": RANGES["start.angle"]}}, "at least two parameters"),
         ({"population": 3}, "at least 4"),
         ({"method": Method.EVOLUTION, "population": 4}, "at least 5"),
         ({"method": Method.GRADIENT, "cost": Cost.of({"stiffness_settling": 1.0})}, "no gradient"),
