@@ -3,6 +3,7 @@ import importlib
 import inspect
 import os
 import pkgutil
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -107,3 +108,30 @@ def test_only_the_command_line_prints():
         calls = {n.func.id for n in ast.walk(tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
         if not name.startswith(("mckibben.cli", "mckibben.study", "mckibben.storage")):
             assert "print" not in calls, name
+
+
+def test_no_two_public_classes_have_one_name():
+    homes: dict[str, list[str]] = {}
+    for name, path in SOURCES.items():
+        for node in ast.parse(Path(path).read_text()).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes.setdefault(node.name, []).append(name)
+    assert {cls: where for cls, where in homes.items() if len(where) > 1} == {}
+
+
+OLD_WORDS = re.compile(
+    r"\b(wish(es|ed)?|outlook|surroundings|undisturbed|beliefs?|believed|contest|standings|heeded|the watch|sheltered|"
+    r"glued|virtual rig)\b",
+    re.IGNORECASE,
+)
+
+
+def test_texts_use_the_terms_of_the_field():
+    texts = [*(ROOT / "src").rglob("*.py"), *(ROOT / "docs").glob("*.md"), ROOT / "README.md"]
+    found = {
+        f"{path.relative_to(ROOT)}:{number}": line
+        for path in texts
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        if OLD_WORDS.search(line) and "renamed" not in line  # old keys, whose error names the new one
+    }
+    assert found == {}

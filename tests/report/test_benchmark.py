@@ -1,4 +1,4 @@
-"""The figures and the page of a contest: complete, alone, the same bytes each time, one colour a controller."""
+"""The figures and the page of a comparison: complete, alone, the same bytes each time, one colour a controller."""
 
 import base64
 import html
@@ -60,19 +60,19 @@ def made(lost=None):
 
 
 @pytest.fixture(scope="module")
-def contest():
+def result():
     return made([3, 7])
 
 
 @pytest.fixture(scope="module")
-def numbers(contest):
-    return statistics(contest)
+def numbers(result):
+    return statistics(result)
 
 
 @pytest.fixture(scope="module")
-def kept(contest, numbers, tmp_path_factory):
+def kept(result, numbers, tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
-    return write_benchmark(contest, numbers, folder)
+    return write_benchmark(result, numbers, folder)
 
 
 @pytest.fixture(scope="module")
@@ -103,14 +103,14 @@ def test_every_figure_is_embedded_and_lies_beside_the_page(kept, text):
         assert (kept.parent / "figures" / f"{name}.png").stat().st_size > 5000
 
 
-def test_the_same_contest_makes_the_same_bytes(contest, numbers, kept, tmp_path):
-    again = write_benchmark(contest, numbers, tmp_path)
+def test_the_same_contest_makes_the_same_bytes(result, numbers, kept, tmp_path):
+    again = write_benchmark(result, numbers, tmp_path)
     assert again.read_bytes() == kept.read_bytes()
     for path in sorted((kept.parent / "figures").iterdir()):
         assert (tmp_path / "figures" / path.name).read_bytes() == path.read_bytes()
 
 
-def test_its_words_and_numbers(text, numbers, contest):
+def test_its_words_and_numbers(text, numbers, result):
     words = plain(text)
     assert "3 controllers on 16 unseen runs" in words
     assert "Each but as it is was tuned with the same budget: 2 searches of 2 generations of 4 points" in words
@@ -124,7 +124,7 @@ def test_its_words_and_numbers(text, numbers, contest):
     assert "cost 20.5 before, 1.25 tuned" in words
     assert "position.kp 1.2 bar/rad" in words
     assert "--repeat 'PID 3 15'" in words, "a run that there is"
-    assert Suite.parse(html.unescape(re.search(r"<summary>.*<code>(.*)</code>", text, re.S)[1])) == contest.suite
+    assert Suite.parse(html.unescape(re.search(r"<summary>.*<code>(.*)</code>", text, re.S)[1])) == result.suite
     assert f"Uncorrelated conditions give less than {number(1.96 / 15**0.5, 2)}" in words.replace("\u00a0", " ")
 
 
@@ -132,46 +132,46 @@ def colours(figure):
     return {line.get_label(): line.get_color() for axes in figure.axes for line in axes.lines}
 
 
-def test_a_controller_has_one_colour_in_all_figures(contest, numbers):
-    assert numbers["order"] != list(contest.batches), "else there is nothing to see"
-    several = [benchmark_errors(contest), benchmark_references(contest, numbers), benchmark_air(contest, numbers)]
-    for name in contest.batches:
+def test_a_controller_has_one_colour_in_all_figures(result, numbers):
+    assert numbers["order"] != list(result.batches), "else there is nothing to see"
+    several = [benchmark_errors(result), benchmark_references(result, numbers), benchmark_air(result, numbers)]
+    for name in result.batches:
         assert len({colours(figure)[name] for figure in several}) == 1
-    assert len({colours(several[0])[name] for name in contest.batches}) == 3
+    assert len({colours(several[0])[name] for name in result.batches}) == 3
 
 
-def test_errors_are_distributions(contest):
+def test_errors_are_distributions(result):
     """Of the controller that lost 2 of 16 runs the line ends at 14/16."""
-    angle, stiffness = benchmark_errors(contest).axes
+    angle, stiffness = benchmark_errors(result).axes
     for axes, metric, unit in ((angle, "angle_rmse", deg), (stiffness, "stiffness_rmse", 1.0)):
         lines = {line.get_label(): line for line in axes.lines}
-        for name in contest.batches:
+        for name in result.batches:
             values, share = lines[name].get_data()
-            expected = np.sort(contest.metric(name, metric) / unit)
+            expected = np.sort(result.metric(name, metric) / unit)
             expected = expected[np.isfinite(expected)]
             assert np.allclose(values, [expected[0], *expected])
             assert np.allclose(share, np.arange(expected.size + 1) / 16)
     assert lines["as it is"].get_ydata()[-1] == 14 / 16
 
 
-def test_air_and_error_are_drawn_with_the_middle_of_the_runs(contest, numbers):
-    (axes,) = benchmark_air(contest, numbers).axes
+def test_air_and_error_are_drawn_with_the_middle_of_the_runs(result, numbers):
+    (axes,) = benchmark_air(result, numbers).axes
     (mark,) = [line for line in axes.lines if line.get_label() == "decoupling"]
     found = numbers["controllers"]["decoupling"]["metrics"]
     assert mark.get_xydata()[0] == pytest.approx([found["air_L"]["median"], found["angle_rmse_deg"]["median"]])
     across = axes.lines[axes.lines.index(mark) - 2].get_xdata()
-    assert across == pytest.approx(np.percentile(contest.metric("decoupling", "air") * 1e3, [5, 95]))
+    assert across == pytest.approx(np.percentile(result.metric("decoupling", "air") * 1e3, [5, 95]))
 
 
 def test_nobody_has_to_come_through(tmp_path):
     """A controller that lost every run is left out of figures; so is the only one there is. Its name is no markup."""
-    contest = made(range(RUNS))
-    numbers = statistics(contest)
-    assert "as it is" not in colours(benchmark_air(contest, numbers))
+    result = made(range(RUNS))
+    numbers = statistics(result)
+    assert "as it is" not in colours(benchmark_air(result, numbers))
     assert list(_ratios(numbers).rows[-1]) == ["as it is", "– (– to –)", "– (– to –)"]
-    suite = contest.suite.model_copy(update={"name": "<b>&"})
+    suite = result.suite.model_copy(update={"name": "<b>&"})
     name = "as it is"
-    alone = BenchmarkResult(suite, contest.runs, {name: {}}, {}, {name: ()}, {name: contest.batches[name]})
+    alone = BenchmarkResult(suite, result.runs, {name: {}}, {}, {name: ()}, {name: result.batches[name]})
     text = write_benchmark(alone, statistics(alone), tmp_path).read_text(encoding="utf-8")
     assert Page(text).open == []
     assert "<title>&lt;b&gt;&amp;</title>" in text

@@ -53,8 +53,8 @@ def compare(
         check_free(out, _KEPT)
     make_folder(out)
     with long_job(quiet=json, kept=f"the evaluated points are in {searches}; continue with --resume") as bar:
-        contest = run(read, folder=searches, resume=resume, progress=bar)
-    _show(contest, out, json)
+        result = run(read, folder=searches, resume=resume, progress=bar)
+    _show(result, out, json)
 
 
 def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
@@ -96,18 +96,18 @@ def _alone(out: Path, repeat: str) -> str:
     return scenario.dumps()
 
 
-def _show(contest: BenchmarkResult, out: Path, json: bool) -> None:
+def _show(result: BenchmarkResult, out: Path, json: bool) -> None:
     from mckibben import report
     from mckibben.storage.files import to_json, write_json
     from mckibben.study.benchmark.benchmark import statistics, write_table
 
-    numbers = statistics(contest)
+    numbers = statistics(result)
     write_json(out / "results.json", numbers)  # before anything is drawn
-    write_table(contest, out / "runs.nc")
+    write_table(result, out / "runs.nc")
     with atomic_write(out / "suite.yaml", overwrite=True) as part:
-        part.write_text(contest.suite.dumps(folder=out), encoding="utf-8")
-    kept = _tuned_scenarios(contest, out)
-    page = report.write_benchmark(contest, numbers, out)
+        part.write_text(result.suite.dumps(folder=out), encoding="utf-8")
+    kept = _tuned_scenarios(result, out)
+    page = report.write_benchmark(result, numbers, out)
     if json:
         typer.echo(to_json(numbers))
     else:
@@ -163,14 +163,14 @@ def _ratios(against: dict[str, dict[str, float]]) -> list[str]:
     ]
 
 
-def _tuned_scenarios(contest: BenchmarkResult, out: Path) -> int:
+def _tuned_scenarios(result: BenchmarkResult, out: Path) -> int:
     """Write each tuned controller as a scenario with the plant of its model."""
     from mckibben.study.benchmark.benchmark import filename
     from mckibben.study.parameters import with_values
 
     kept = make_folder(out / "controllers")
-    reference = next(iter(contest.suite.references))
-    for name, values in contest.tuned.items():
-        scenario = contest.suite.scenario(name, reference)
+    reference = next(iter(result.suite.references))
+    for name, values in result.tuned.items():
+        scenario = result.suite.scenario(name, reference)
         (with_values(scenario, values) if values else scenario).to_yaml(kept / f"{filename(name)}.yaml")
-    return len(contest.tuned)
+    return len(result.tuned)

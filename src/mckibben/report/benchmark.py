@@ -26,20 +26,20 @@ _NARROW = 3.0  # a smaller ratio gets a linear axis
 
 
 @styled
-def benchmark_errors(contest: BenchmarkResult) -> Figure:
+def benchmark_errors(result: BenchmarkResult) -> Figure:
     """Cumulative distribution of the angle and stiffness errors over the unseen runs, by controller.
 
     Parameters
     ----------
-    contest
+    result
         What `mckibben.study.benchmark.compare` gave.
     """
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots(1, 2, sharey=True)
-    looks = looks_of(contest.batches)
+    looks = looks_of(result.batches)
     for panel, mark, (metric, label, unit) in zip(axes, "ab", _ERRORS, strict=True):
         for name, look in looks.items():
-            _distribution(panel, contest.metric(name, metric) / unit, label=name, **look)
+            _distribution(panel, result.metric(name, metric) / unit, label=name, **look)
         panel.set_xscale("log")
         plain_numbers(panel.xaxis)
         panel.set(xlabel=label, ylim=(0, 1.02))
@@ -56,20 +56,20 @@ def benchmark_errors(contest: BenchmarkResult) -> Figure:
 
 
 @styled
-def benchmark_references(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+def benchmark_references(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
     """Median errors by reference and controller.
 
     Parameters
     ----------
-    contest
+    result
         What `mckibben.study.benchmark.compare` gave.
     numbers
         Its `statistics`.
     """
-    references = list(contest.suite.references)
+    references = list(result.suite.references)
     figure = blank(DOUBLE, 0.9 + 0.42 * len(references))
     axes = figure.subplots(1, 2, sharey=True)
-    looks = looks_of(contest.batches)
+    looks = looks_of(result.batches)
     keys = ("angle_rmse_deg", "stiffness_rmse")
     for panel, mark, key, (_, label, _) in zip(axes, "ab", keys, _ERRORS, strict=True):
         for i, (name, look) in enumerate(looks.items()):
@@ -93,20 +93,20 @@ def benchmark_references(contest: BenchmarkResult, numbers: Mapping[str, Any]) -
 
 
 @styled
-def benchmark_air(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
     """Angle error over air consumption: median and 90 % range of the runs.
 
     Parameters
     ----------
-    contest
+    result
         What `mckibben.study.benchmark.compare` gave.
     numbers
         Its `statistics`.
     """
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots()
-    for name, look in looks_of(contest.batches).items():
-        air, angle = contest.metric(name, "air") * 1e3, contest.metric(name, "angle_rmse") / deg
+    for name, look in looks_of(result.batches).items():
+        air, angle = result.metric(name, "air") * 1e3, result.metric(name, "angle_rmse") / deg
         if not np.isfinite(angle).any():
             continue  # all runs unstable
         (x0, x, x1), (y0, y, y1) = (np.nanpercentile(each, [5, 50, 95]) for each in (air, angle))
@@ -120,12 +120,12 @@ def benchmark_air(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> Figur
     return figure
 
 
-def write_benchmark(contest: BenchmarkResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
+def write_benchmark(result: BenchmarkResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
     """Write `comparison.html` with embedded figures, and the figures as PNG and SVG in `figures/`.
 
     Parameters
     ----------
-    contest
+    result
         What `mckibben.study.benchmark.compare` gave.
     numbers
         Its `statistics`.
@@ -140,14 +140,14 @@ def write_benchmark(contest: BenchmarkResult, numbers: Mapping[str, Any], folder
     folder = Path(folder)
     embedded = [
         EmbeddedFigure(drawn, address_of(*save(drawn.figure, folder / "figures", drawn.name)))
-        for drawn in _figures(contest, numbers)
+        for drawn in _figures(result, numbers)
     ]
     page = folder / _PAGE
     text = template_of("benchmark.html.jinja").render(
         style=style_sheet(),
-        suite=contest.suite,
+        suite=result.suite,
         numbers=numbers,
-        first=next(iter(contest.batches)),
+        first=next(iter(result.batches)),
         figures=embedded,
         tables=[
             _ranking(numbers),
@@ -156,15 +156,15 @@ def write_benchmark(contest: BenchmarkResult, numbers: Mapping[str, Any], folder
             _by_group(numbers, "by_joint", "joint"),
             _dependence(numbers),
         ],
-        tuned=_tuned(contest),
-        text=contest.suite.dumps(folder=folder),
+        tuned=_tuned(result),
+        text=result.suite.dumps(folder=folder),
     )
     with atomic_write(page, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
     return page
 
 
-def _figures(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> list[ReportFigure]:
+def _figures(result: BenchmarkResult, numbers: Mapping[str, Any]) -> list[ReportFigure]:
     runs = numbers["runs"] - numbers["no_start"]
     said = (
         (
@@ -172,19 +172,19 @@ def _figures(contest: BenchmarkResult, numbers: Mapping[str, Any]) -> list[Repor
             "Errors over all unseen runs",
             f"Cumulative distribution of the root mean square error over the {runs} unseen runs. Grey: median and 95th "
             "percentile. Unstable runs count as infinite errors.",
-            benchmark_errors(contest),
+            benchmark_errors(result),
         ),
         (
             "references",
             "Errors by reference",
             "Median errors over the runs with each reference.",
-            benchmark_references(contest, numbers),
+            benchmark_references(result, numbers),
         ),
         (
             "air",
             "Air consumption",
             "Air consumption and angle error: median and 90 % range of the runs.",
-            benchmark_air(contest, numbers),
+            benchmark_air(result, numbers),
         ),
     )
     return [
@@ -292,14 +292,14 @@ def _dependence(numbers: Mapping[str, Any]) -> Table:
     )
 
 
-def _tuned(contest: BenchmarkResult) -> Table:
+def _tuned(result: BenchmarkResult) -> Table:
     rows = []
-    for name, values in contest.tuned.items():
-        costs = contest.training_cost.get(name)
+    for name, values in result.tuned.items():
+        costs = result.training_cost.get(name)
         said = "not tuned" if costs is None else f"cost {number(costs[1])} before, {number(costs[0])} tuned"
         written = [
             f"{each.name.removeprefix('controller.')} {each.parameter.show(values[each.name]).replace('*', '·')}"
-            for each in contest.suite.tuned_over(name)
+            for each in result.suite.tuned_over(name)
         ]
         rows.append((name, said, "; ".join(written)))
     return Table("Tuned parameters.", ("controller", "cost of the training runs", "parameters"), rows)

@@ -111,7 +111,7 @@ class Rows(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class RigRecord:
     """A record in memory.
 
     Attributes
@@ -135,7 +135,7 @@ class Record:
         return len(next(iter(self.columns.values())))
 
 
-def read_record(folder: str | os.PathLike[str]) -> Record:
+def read_record(folder: str | os.PathLike[str]) -> RigRecord:
     """Read a record; what a process that died left of its last chunk is passed over.
 
     Raises
@@ -156,7 +156,7 @@ def read_record(folder: str | os.PathLike[str]) -> Record:
         name: np.concatenate([nothing, *(part[name] for part in rows)]).astype(nothing.dtype, copy=False)
         for name, nothing in empty.items()
     }
-    return Record(header, {column.name: column.unit for column in columns}, found, tuple(events))
+    return RigRecord(header, {column.name: column.unit for column in columns}, found, tuple(events))
 
 
 def header_of(folder: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Column]]:
