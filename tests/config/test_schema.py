@@ -1,5 +1,6 @@
 """Models made from runtime classes; classes of one's own in configuration files."""
 
+import json
 import pickle
 import textwrap
 from pathlib import Path
@@ -7,7 +8,9 @@ from pathlib import Path
 import equinox as eqx
 import jax.numpy as jnp
 import pytest
+from typer.testing import CliRunner
 
+from mckibben.cli import app
 from mckibben.config.schema import default_of, load_extension, model_of
 from mckibben.control import Controller, Signal
 from mckibben.errors import RangeError, ScenarioError
@@ -156,3 +159,19 @@ def test_scenarios_go_to_other_processes():
     for path in sorted((Path(__file__).parents[2] / "examples").glob("*.yaml")):
         scenario = Scenario.read(path)
         assert pickle.loads(pickle.dumps(scenario)) == scenario
+
+
+def test_the_command_line_runs_an_extension_before_it_reads_a_file(tmp_path):
+    (tmp_path / "late.py").write_text(
+        "from mckibben.plant import FirstOrderValve\n\nclass LateValve(FirstOrderValve):\n    pass\n"
+    )
+    text = changed(VALVE, "valve: {class: LateValve, time_constant: 30 ms}").replace(
+        "duration: 10 s", "duration: 50 ms"
+    )
+    (tmp_path / "s.yaml").write_text(text.replace("at: 5 s", "at: 20 ms"))
+    command = ["simulate", str(tmp_path / "s.yaml"), "--json"]
+    with pytest.raises(ScenarioError, match="no class 'LateValve'"):
+        CliRunner().invoke(app, command, catch_exceptions=False)
+    done = CliRunner().invoke(app, ["--extension", str(tmp_path / "late.py"), *command], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert json.loads(done.stdout)["outcome"] == "completed"

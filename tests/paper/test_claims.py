@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import types
 
 import numpy as np
 import pytest
@@ -58,7 +57,7 @@ def run(*, angle_rmse=1.0, settling=0.5) -> ControllerRun:
     for name, value in given.items():
         columns[name] = np.broadcast_to(np.asarray(value, float), (3,)) * (1 if name == "stiffness_settling" else deg)
     reference = 10 * deg * np.sin(np.linspace(0, 2 * np.pi, 1000, endpoint=False))
-    result = types.SimpleNamespace(trajectory=types.SimpleNamespace(desired_angle=reference))
+    result = {"desired_angle": reference}
     return ControllerRun(None, result, Metrics(**columns))
 
 

@@ -44,9 +44,9 @@ def test_infeasible_reference_of_the_geometry_as_printed(printed):
     assert angle.stiffness_change == pytest.approx(np.abs(reach.desired_stiffness - 72.5).max(), abs=0.1)
     stiffness = found[Preserved.STIFFNESS]
     assert stiffness.reference.stiffness == Constant(72.5) and stiffness.stiffness_change == 0
-    assert check_reference(printed, stiffness.reference, **OPTIONS).reachable
+    assert check_reference(printed, stiffness.reference, **OPTIONS).feasible
     larger = dataclasses.replace(stiffness.reference.angle, amplitude=20 * deg * (stiffness.amplitude + 0.02))
-    assert not check_reference(printed, Reference(larger, 72.5), **OPTIONS).reachable
+    assert not check_reference(printed, Reference(larger, 72.5), **OPTIONS).feasible
     assert stiffness.amplitude == pytest.approx(0.12, abs=0.01) and "stiffness unchanged" in stiffness.describe()
     assert "by up to 31" in angle.describe()
 

@@ -110,9 +110,9 @@ def test_the_commands_of_the_criterion_make_the_plant_follow(knee, load, paper_p
     start = PlantState(0.0, a * 2 * np.pi * f, tuple(tried.pressures(0.0, 15.0)[0]))
     with pytest.warns(ReachabilityWarning):  # the reference is pressures, not an angle and a stiffness
         run = simulate(plant, playback, reference, duration=0.5, initial=start)
-    moved = run["angle"].to_numpy()
-    np.testing.assert_allclose(moved, a * np.sin(2 * np.pi * f * run["time"].to_numpy()), atol=0.05 * deg)
-    np.testing.assert_allclose(run["stiffness"].to_numpy(), 15.0, atol=0.02)
+    moved = run["angle"]
+    np.testing.assert_allclose(moved, a * np.sin(2 * np.pi * f * run["time"]), atol=0.05 * deg)
+    np.testing.assert_allclose(run["stiffness"], 15.0, atol=0.02)
 
 
 def test_a_stiffness_that_changes_costs_the_valve_its_rate(knee, load):

@@ -45,13 +45,13 @@ def scanned(paper, angle: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("geometry", ["as printed", "pre-contracted"])
 def test_the_band_is_that_of_trying_all_pressures(geometry, printed_plant, plant, paper, paper_precontracted):
-    chosen, reference = (printed_plant, paper) if geometry == "as printed" else (plant, paper_precontracted)
+    chosen, knee = (printed_plant, paper) if geometry == "as printed" else (plant, paper_precontracted)
     reach = check_reference(chosen, reference(20.0, 15.0), **GRID)
     assert reach.times.shape == (40,)
     for k in range(40):
         angle = 20 * deg * np.sin(np.pi * 0.05 * k)
         assert reach.desired_angle[k] == pytest.approx(angle, abs=1e-12)
-        low, high = scanned(reference, angle)
+        low, high = scanned(knee, angle)
         np.testing.assert_allclose([reach.lowest[k], reach.highest[k]], [low, high], rtol=0, atol=2e-3)
 
 

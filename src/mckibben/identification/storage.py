@@ -101,7 +101,8 @@ def read_fit(path: Path) -> Fit:
 
 def law_types() -> dict[str, type[ForceLaw]]:
     """Force laws by name: those of mckibben, and classes of one's own that are imported."""
-    return {**{law.__name__: law for law in concrete_subclasses(ForceLaw) if law.parameters()}, **LAWS}
+    own = {law.__name__: law for law in concrete_subclasses(ForceLaw) if law.parameters()}
+    return {**LAWS, **{name: law for name, law in own.items() if name not in LAWS}}
 
 
 class _Section(ConfigModel):

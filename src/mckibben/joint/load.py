@@ -45,7 +45,7 @@ class Load(eqx.Module):
     >>> load = catalog.load("knee-table-2")
     >>> torque = load.required_torque(0.0, 0.5, 20.0)
     >>> round(float(torque), 3), round(float(load.acceleration(0.0, 0.5, torque)), 9)
-    (0.179, 20.0)
+    (0.172, 20.0)
     """
 
     mass1: Mass

@@ -285,8 +285,3 @@ def computed_once(function: Callable[P, R]) -> Callable[P, R]:
         return compute_once(lambda: function(*args, **kwargs))
 
     return once
-
-
-def apart(function: Callable[..., R], *args: object, witness: ArrayLike) -> R:
-    """Former name of `compute_once`."""
-    return compute_once(function, *args)

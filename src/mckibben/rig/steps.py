@@ -105,9 +105,8 @@ class Pressurise:
     def describe(self) -> str:
         """Description as text."""
         rate = f" at {self.rate / bar:g} bar/s" if self.rate is not None else ""
-        return f"pressurise to {self.pressure / bar:g} bar{rate}" + (
-            f", holding {self.holding:g} N" if self.holding is not None else ""
-        )
+        holding = f", holding {self.holding:g} N" if self.holding is not None else ""
+        return f"pressurise to {self.pressure / bar:g} bar{rate}{holding}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -331,15 +330,8 @@ def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[S
     )
 
     def walk(to: float | None, acquire: Acquire, *, force: float | None = None, slack: int | None = None) -> Walk:
-        return Walk(
-            to=to,
-            step=protocol.step,
-            speed=protocol.speed,
-            dwell=protocol.dwell,
-            acquire=acquire,
-            force=force,
-            slack=slack,
-        )
+        each = {"step": protocol.step, "speed": protocol.speed, "dwell": protocol.dwell}
+        return Walk(to=to, acquire=acquire, force=force, slack=slack, **each)
 
     steps: list[Step] = []
     if isinstance(of, Muscle):

@@ -15,7 +15,7 @@ from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.errors import FileError, Problem, SimulationError
-from mckibben.simulation.metrics import Trajectory, compiled_measure
+from mckibben.simulation.metrics import METRICS, Trajectory, compiled_measure
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg, percent
 
@@ -258,7 +258,7 @@ class Result:
         return f"<Result: {duration:g} s, {self.outcome.name.lower()}, {', '.join(errors)}>"
 
     def _repr_html_(self) -> str:
-        rows = [(UNITS[name][1], f"{value:.4g}", UNITS[name][0]) for name, value in self.metrics.items()]
+        rows = [(UNITS[name][1], f"{self.metrics[name] / size:.4g}", unit) for name, unit, size in METRICS.values()]
         return html_table(self.describe(), ("metric", "value", "unit"), rows)
 
     def describe(self) -> str:
