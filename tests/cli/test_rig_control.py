@@ -12,7 +12,7 @@ from mckibben.rig.record import read_record
 from mckibben.simulation import Result
 from mckibben.simulation.metrics import in_shown_units
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.running import run_scenario
+from mckibben.study.scenario.building import run_scenario
 
 ROOT = Path(__file__).parents[2]
 NAME = "pre-contracted-step-pid"

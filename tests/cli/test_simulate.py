@@ -9,7 +9,7 @@ import pytest
 from mckibben.simulation import Result
 from mckibben.simulation.metrics import METRICS
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.running import run_scenario
+from mckibben.study.scenario.building import run_scenario
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted(p.stem for p in (ROOT / "examples").glob("*.yaml"))

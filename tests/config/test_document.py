@@ -12,8 +12,7 @@ from mckibben.errors import ScenarioError
 from mckibben.identification import Fit, read_law
 from mckibben.realtime.config import JointRig
 from mckibben.study.benchmark.suite import Suite
-from mckibben.study.rig.building import read_calibrations
-from mckibben.study.rig.document import RigTest
+from mckibben.study.rig.document import RigTest, read_calibrations
 from mckibben.study.scenario import Scenario
 
 READERS = [Scenario.read, Suite.read, RigTest.read, JointRig.read, read_law, Fit.from_yaml]

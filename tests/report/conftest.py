@@ -13,7 +13,7 @@ from mckibben.paper.settings import SETTINGS, StiffnessReference, bp_scenario, g
 from mckibben.paper.tracking import BP, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun, Coupling, Tracking
 from mckibben.simulation import Metrics
 from mckibben.study.parameters import list_parameters, with_values
-from mckibben.study.scenario.running import run_scenario
+from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune import TuningResult
 
 SEEDS = 3

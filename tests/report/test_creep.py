@@ -7,7 +7,7 @@ from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.identification.creep import identify_creep
 from mckibben.muscle import MaxwellCreep, Muscle, NoCreep
-from mckibben.report.hysteresis import relaxation
+from mckibben.report.identification import relaxation
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar
 

@@ -7,7 +7,7 @@ from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.identification.hysteresis import identify_hysteresis
 from mckibben.muscle import Muscle
-from mckibben.report.hysteresis import loops
+from mckibben.report.identification import loops
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, mm, percent
 

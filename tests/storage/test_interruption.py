@@ -6,8 +6,7 @@ import threading
 
 import pytest
 
-from mckibben.storage import interruption
-from mckibben.storage.interruption import SIGNALS, handle_signals
+from mckibben.storage.files import SIGNALS, handle_signals
 
 
 @pytest.fixture(params=SIGNALS)

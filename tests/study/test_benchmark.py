@@ -11,7 +11,7 @@ from mckibben.simulation import Metrics
 from mckibben.study.benchmark import BenchmarkResult, Suite, benchmark, compare, draw, evaluate
 from mckibben.study.benchmark.benchmark import _controller
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.running import run_scenario
+from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune import read_trials
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import deg

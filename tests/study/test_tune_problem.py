@@ -8,7 +8,7 @@ import pytest
 from mckibben.errors import ParameterError
 from mckibben.study.parameters import LogUniform, Uniform, find_parameter, sweep_parameters, with_values
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.running import run_scenario
+from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune import Cost, Term
 from mckibben.study.tune.objective import FAILED_COST, SMOOTH, TuningProblem
 from mckibben.units import bar, deg, mm

@@ -9,15 +9,69 @@ M. Martens and I. Boblan, "Modeling the Static Force of a Festo Pneumatic Muscle
 
 from __future__ import annotations
 
+import difflib
+import functools
 import importlib
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-from mckibben.catalog.publications import cite, names
+from mckibben.errors import NotInCatalogError
 
 if TYPE_CHECKING:
     from mckibben.catalog.entries import dataset, geometry, joint, law, load, specimen
 
 __all__ = ["cite", "dataset", "geometry", "joint", "law", "load", "names", "specimen"]
+
+KINDS = ("specimens", "laws", "datasets", "geometries", "loads", "joints")
+FOLDER = resources.files("mckibben.catalog")
+
+
+def names(kind: str) -> list[str]:
+    """Return the names of a kind: "specimens", "laws", "datasets", "geometries", "loads" or "joints"."""
+    if kind not in KINDS:
+        raise NotInCatalogError(f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}")
+    return [name for publication in _publications() for name in publication.get(kind, {})]
+
+
+def cite(name: str) -> str:
+    """Return the source of an entry, the place in it, and notes."""
+    found = [
+        (publication, publication[kind][name])
+        for publication in _publications()
+        for kind in KINDS
+        if name in publication.get(kind, {})
+    ]
+    if not found:
+        raise _unknown("entry", name, [known for kind in KINDS for known in names(kind)])
+    publication = found[0][0]
+    places = "; ".join(dict.fromkeys(entry["where"] for _, entry in found))
+    return "\n".join([publication["source"], f"({places})", *(f"- {note}" for note in publication.get("notes", []))])
+
+
+def find(kind: str, name: str) -> tuple[dict[str, Any], str]:
+    """Return an entry in the units of its source, and the source."""
+    for publication in _publications():
+        if name in publication.get(kind, {}):
+            return publication[kind][name], publication["source"]
+    raise _unknown(_SINGULAR[kind], name, names(kind))
+
+
+_SINGULAR: dict[str, str] = dict(zip(KINDS, ("specimen", "law", "dataset", "geometry", "load", "joint"), strict=True))
+
+
+@functools.cache
+def _publications() -> tuple[dict[str, Any], ...]:
+    from ruamel.yaml import YAML
+
+    reader = YAML(typ="safe", pure=True)
+    files = sorted((f for f in FOLDER.iterdir() if f.name.endswith(".yaml")), key=lambda f: f.name)
+    return tuple(reader.load(file.read_text(encoding="utf-8")) for file in files)
+
+
+def _unknown(kind: str, name: str, known: list[str]) -> NotInCatalogError:
+    close = difflib.get_close_matches(name, known, 1, cutoff=0.4)
+    remedy = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(dict.fromkeys(known))}"
+    return NotInCatalogError(f"the catalog has no {kind} {name!r}", value=name, remedy=remedy)
 
 
 def __getattr__(name: str) -> Any:

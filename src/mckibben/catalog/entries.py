@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-from mckibben.catalog.publications import FOLDER, find
+from mckibben.catalog import FOLDER, find
 from mckibben.joint import AntagonisticJoint, KneeGeometry, Load
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.units import quantity

@@ -13,14 +13,11 @@ import typer
 
 import mckibben
 from mckibben.cli.compare import compare
-from mckibben.cli.envelope import envelope
-from mckibben.cli.identify import identify, validate
+from mckibben.cli.identify import identify, points, validate
 from mckibben.cli.options import Json, Out, metric, notify, progress, table
-from mckibben.cli.plan import plan
-from mckibben.cli.points import points
+from mckibben.cli.plan import envelope, plan
 from mckibben.cli.rig import rig
-from mckibben.cli.sweep import sweep
-from mckibben.cli.tune import tune
+from mckibben.cli.sweep import sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning
 from mckibben.storage.files import make_folder
 
@@ -93,7 +90,7 @@ def simulate(
     read = Scenario.read(scenario)
     from mckibben.simulation.metrics import METRICS, in_shown_units
     from mckibben.storage.files import to_json, write_json
-    from mckibben.study.scenario.running import run_scenario
+    from mckibben.study.scenario.building import run_scenario
 
     result, feasibility = run_scenario(read, source=str(scenario))
     infeasible = "" if feasibility.feasible else feasibility.describe()

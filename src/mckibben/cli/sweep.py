@@ -1,19 +1,22 @@
-"""`mckibben sweep`: runs of a scenario over ranges of its parameters."""
+"""`mckibben sweep` and `mckibben tune`."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mckibben.cli.options import Json, long_job, required_folder, table
+from mckibben.cli.options import Json, long_job, metric, required_folder, table
+from mckibben.errors import McKibbenError, ParameterError, ScenarioError
+from mckibben.storage.files import atomic_write
 
 if TYPE_CHECKING:
     from mckibben.study.scenario import Scenario
     from mckibben.study.sweep import SweepResult
+    from mckibben.study.tune import TuningResult
 
 
 def sweep(
@@ -158,3 +161,185 @@ def _time(seconds: float) -> str:
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"
+
+
+_METHODS = ("gradient", "evolution", "cma")
+
+
+def tune(
+    scenarios: Annotated[
+        list[Path], typer.Argument(metavar="SCENARIO.yaml...", help="Scenarios whose costs are combined.")
+    ],
+    parameters: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="'NAME=RANGE'",
+            help="Parameter and its range, such as 'controller.position.kp=0.2..20 bar/rad log' or "
+            "'load.damping=+-50 %'; a name alone spans 0.01 to 100 times its value. Repeatable (default: all gains). "
+            "`mckibben sweep SCENARIO.yaml --list` lists the names.",
+        ),
+    ] = None,
+    known: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Tuned plant parameter that the controller's model follows, or 'all'; repeatable. By default the "
+            "controller's model keeps the values of the file.",
+        ),
+    ] = None,
+    cost: Annotated[
+        str, typer.Option(metavar="TERMS", help="Sum of metrics, each divided by its scale.")
+    ] = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
+    method: Annotated[str, typer.Option(metavar="|".join(_METHODS), help="Search method.")] = "gradient",
+    margin: Annotated[
+        float,
+        typer.Option(
+            metavar="FACTOR",
+            help="Gain margin: the cost also covers gains FACTOR times as large.",
+        ),
+    ] = 1.5,
+    worst: Annotated[bool, typer.Option("--worst", help="Minimise the worst scenario, not the mean.")] = False,
+    starts: Annotated[int, typer.Option(metavar="N", help="Starting points of the gradient method.")] = 4,
+    iterations: Annotated[int, typer.Option(metavar="N", help="Steps of each descent, or generations.")] = 30,
+    population: Annotated[int, typer.Option(metavar="N", help="Points per generation.")] = 32,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the search.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Output folder: history, tuned scenarios, figure.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue the search in DIR.")] = False,
+    json: Json = False,
+) -> None:
+    """Minimise a cost over gains or other parameters of scenarios; a search can be resumed."""
+    out = required_folder(out, "search")
+    if method not in _METHODS:
+        raise ParameterError(f"{method!r} is not a method", value=method, remedy=f"choose one of {', '.join(_METHODS)}")
+    from mckibben.storage.files import check_free
+    from mckibben.study.scenario import Scenario
+
+    read = [Scenario.read(path) for path in scenarios]
+    from mckibben.study.tune import Method, parse_cost, parse_ranges
+    from mckibben.study.tune import tune as run
+
+    ranges = parse_ranges(parameters or [], read[0])
+    asked = parse_cost(cost, gain_margin=margin, worst=worst)
+    history = out / "history.journal"
+    if not resume and not history.exists():  # an existing search is reported by `run`
+        check_free(out, ("results.json", "tuning.png", "tuning.svg", *_tuned_names(scenarios)))
+    with long_job(quiet=json, kept=f"the evaluated points are in {history}; continue with --resume") as bar:
+        status = None if bar is None else _Status(bar)
+        tuned = run(
+            read,
+            ranges,
+            asked,
+            method=Method(method),
+            starts=starts,
+            iterations=iterations,
+            population=population,
+            seed=seed,
+            history=history,
+            resume=resume,
+            known="all" if known == ["all"] else known or (),
+            progress=status and status.part,
+            least=status and status.least,
+        )
+    _show_tuned(tuned, read, scenarios, ranges, out, json)
+
+
+def _show_tuned(
+    tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges: Any, out: Path, json: bool
+) -> None:
+    from mckibben import report
+    from mckibben.simulation.metrics import METRICS
+    from mckibben.storage.files import to_json, write_json
+
+    kept = _keep_scenarios(tuned, paths, out)
+    runs = [
+        {"scenario": old.name, "before": _metrics(old), "tuned": _metrics(new)}
+        for old, new in zip(before, tuned.scenarios, strict=True)
+    ]
+    shown_values = {each.name: each.parameter.show(tuned.values[each.name]) for each in ranges}
+    numbers = {
+        "cost_before": tuned.cost_before,
+        "cost": tuned.cost,
+        "evaluated": tuned.evaluated,
+        "at_bound": list(tuned.at_bound),
+        "values": {name: {"si": tuned.values[name], "shown": text} for name, text in shown_values.items()},
+        "runs": runs,
+    }
+    write_json(out / "results.json", numbers)
+    report.save(report.tuning(tuned), out, "tuning")
+    if json:
+        typer.echo(to_json(numbers))
+    else:
+        rows = [
+            (each.name, each.parameter.show(each.parameter.nominal) if each.parameter.nominal is not None else "-", now)
+            for each, now in zip(ranges, shown_values.values(), strict=True)
+        ]
+        table(
+            f"cost {metric('cost', tuned.cost_before)} -> {tuned.cost:.4g}, {tuned.evaluated} points evaluated",
+            ("parameter", "before", "tuned"),
+            rows,
+        )
+        for run in runs:
+            changes = [(name, run["before"][name], value) for name, value in run["tuned"].items()]
+            rows = [
+                (METRICS[n][0].replace("_", " "), metric(n, old), metric(n, new), METRICS[n][1])
+                for n, old, new in changes
+            ]
+            table(run["scenario"], ("metric", "before", "tuned", "unit"), rows)
+        if tuned.at_bound:
+            typer.echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
+    typer.echo(f"wrote {', '.join(kept)}, history.journal, results.json, tuning.png and tuning.svg to {out}", err=json)
+
+
+def _metrics(scenario: Scenario) -> dict[str, float]:
+    """Metrics in shown units; NaN if the scenario cannot be run (an untuned one may be infeasible)."""
+    from mckibben.simulation.metrics import METRICS, in_shown_units
+    from mckibben.study.scenario.building import run_scenario
+
+    try:
+        return in_shown_units(run_scenario(scenario).result.metrics)
+    except McKibbenError:
+        return dict.fromkeys(METRICS, float("nan"))
+
+
+def _keep_scenarios(tuned: TuningResult, paths: list[Path], out: Path) -> list[str]:
+    """Write the tuned scenarios, editing the user's text in place where its relative paths still hold."""
+    from mckibben.study.parameters import edit_scenario
+    from mckibben.study.scenario import Scenario
+
+    names = _tuned_names(paths)
+    for name, scenario, path in zip(names, tuned.scenarios, paths, strict=True):
+        text = edit_scenario(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
+        try:
+            same = Scenario.parse(text, folder=out) == scenario
+        except ScenarioError:
+            same = False
+        if not same:  # a relative path in it does not hold in the new folder
+            scenario.to_yaml(out / name)
+            continue
+        with atomic_write(out / name, overwrite=True) as part:
+            part.write_text(text, encoding="utf-8")
+    return names
+
+
+def _tuned_names(paths: list[Path]) -> list[str]:
+    """Unique file names of the tuned scenarios."""
+    names: list[str] = []
+    for i, path in enumerate(paths, start=1):
+        name = f"{path.stem}-tuned.yaml"
+        names.append(name if name not in names else f"{path.stem}-tuned-{i}.yaml")
+    return names
+
+
+class _Status:
+    """Progress of a search with the lowest cost so far."""
+
+    def __init__(self, bar: Callable[[str, float], None]) -> None:
+        self._bar, self._least = bar, ""
+
+    def part(self, part: float) -> None:
+        self._bar(f"searching{self._least}", part)
+
+    def least(self, cost: float) -> None:
+        self._least = f", lowest cost {cost:.4g}"

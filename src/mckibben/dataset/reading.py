@@ -31,11 +31,11 @@ def read_sheet(path: Path, mapping: Mapping[str, str]) -> RawTable:
         return header in mapping or parse_header(header, unit) is not None
 
     if data.startswith(b"TDSm"):
-        from mckibben.dataset.tdms import read_tdms
+        from mckibben.dataset.logger_files import read_tdms
 
         return read_tdms(path, data)
     if data.startswith(b"PK\x03\x04"):
-        from mckibben.dataset.excel import read_excel
+        from mckibben.dataset.logger_files import read_excel
 
         return read_excel(path, data, known)
     if data.startswith(_HDF5) or data[512:520] == _HDF5:

@@ -1,4 +1,4 @@
-"""Validation of force laws against measured points, by pressure and direction."""
+"""Validation and cross-validation of force laws."""
 
 from __future__ import annotations
 

@@ -3,17 +3,13 @@
 from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, scaled_law
 from mckibben.muscle.chou import ChouLaw
 from mckibben.muscle.creep import Creep, CreepState, MaxwellCreep, NoCreep
-from mckibben.muscle.exponential import ExponentialLaw
+from mckibben.muscle.exponential import ExponentialLaw, SarosiLaw, TripleExponentialLaw
 from mckibben.muscle.friction import Friction, FrictionState, MaxwellSlip, NoFriction
-from mckibben.muscle.hunt import HuntLaw
 from mckibben.muscle.martens_boblan import MartensBoblanLaw
 from mckibben.muscle.muscle import NO_STATE, Muscle, MuscleState, forces
-from mckibben.muscle.repperger import ReppergerLaw
-from mckibben.muscle.reynolds import ReynoldsLaw
-from mckibben.muscle.sarosi import SarosiLaw
+from mckibben.muscle.phenomenological import HuntLaw, ReppergerLaw, ReynoldsLaw
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
-from mckibben.muscle.triple_exponential import TripleExponentialLaw
 from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
 
 LAWS: dict[str, type[ForceLaw]] = {

@@ -30,7 +30,7 @@ from mckibben.simulation import (
     sampled,
 )
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.running import run_scenario
+from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune import Cost, Method, TuningResult, gain_ranges, tune
 from mckibben.units import quantity
 

@@ -28,15 +28,8 @@ _GEOMETRY, _MUSCLES = ("connector_length", "joint_radius", "joint_length"), ("mu
 DESIGN_LENGTHS = (*_GEOMETRY, "muscle_length", *_MUSCLES)
 """Design variables by name; `muscle_length` is the initial length of both muscles."""
 
-CONSTRAINTS = (
-    "minimum contraction of muscle 1",
-    "minimum contraction of muscle 2",
-    "maximum contraction of muscle 1",
-    "maximum contraction of muscle 2",
-    "attainable torque",
-    "lowest attainable stiffness",
-    "highest attainable stiffness",
-)
+_LIMITS = [f"{end} contraction of muscle {i}" for end in ("minimum", "maximum") for i in (1, 2)]
+CONSTRAINTS = (*_LIMITS, "attainable torque", "lowest attainable stiffness", "highest attainable stiffness")
 """Constraints of a design, in the order of `constraint_margins`."""
 
 _CONTRACTION_SCALE, _TENSION_SCALE, _STIFFNESS_SCALE = 1 * percent, 10.0, 0.05
@@ -112,15 +105,7 @@ def parse_target(text: str, *, torque_reserve: float = 0.0) -> DesignTarget:
 
 @dataclass(frozen=True)
 class DesignVariable:
-    """A length to choose.
-
-    Attributes
-    ----------
-    name
-        One of `DESIGN_LENGTHS`.
-    lower, upper
-        Bounds [m].
-    """
+    """A length to choose, one of `DESIGN_LENGTHS`, and its bounds [m]."""
 
     name: str
     lower: float

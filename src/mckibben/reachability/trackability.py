@@ -26,8 +26,8 @@ from mckibben.reachability.trajectory import (
     reference_trajectory,
     smoothed,
 )
-from mckibben.simulation.feasibility import attainable_band
 from mckibben.simulation.problem import sampling_times
+from mckibben.simulation.simulate import attainable_band
 from mckibben.units import deg
 
 MAX_SMOOTHING = 0.25

@@ -24,7 +24,7 @@ from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import JointMonitor
-from mckibben.storage.interruption import handle_signals
+from mckibben.storage.files import handle_signals
 from mckibben.units import bar
 
 _PRIORITY = 20  # of 1 to 99: above ordinary processes, below those of the system

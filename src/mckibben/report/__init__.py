@@ -1,14 +1,12 @@
 """Figures and the HTML report; the only place that imports matplotlib. Drawing takes numbers and returns figures."""
 
 from mckibben.report.benchmark import benchmark_air, benchmark_errors, benchmark_references, write_benchmark
-from mckibben.report.experiment_design import planned
 from mckibben.report.figures import ReportFigure, figures
-from mckibben.report.hysteresis import loops, relaxation
-from mckibben.report.identification import force_bands, profile_likelihood, ranking
+from mckibben.report.identification import force_bands, loops, profile_likelihood, ranking, relaxation
 from mckibben.report.joint import attainable_stiffness, torque_stiffness_map
 from mckibben.report.muscle import isobaric, isobaric_curves, law_comparison, measured_muscles
 from mckibben.report.page import write_report
-from mckibben.report.study import sweep, tuning
+from mckibben.report.study import planned, sweep, tuning
 from mckibben.report.style import house_style, save
 from mckibben.report.tracking import control_results, controller_comparison, error_curves, gain_histories, tracking
 

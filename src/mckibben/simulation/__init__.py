@@ -2,7 +2,6 @@
 
 from mckibben.simulation.batch import Batch, simulate_many
 from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
-from mckibben.simulation.feasibility import Feasibility, check_reference
 from mckibben.simulation.loop import compiled_episode, episode
 from mckibben.simulation.metrics import (
     SETTLING_PART,
@@ -17,7 +16,7 @@ from mckibben.simulation.metrics import (
 )
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
 from mckibben.simulation.result import Outcome, Result
-from mckibben.simulation.simulate import CheckedRun, checked_run, run_episode, simulate
+from mckibben.simulation.simulate import CheckedRun, Feasibility, check_reference, checked_run, run_episode, simulate
 
 __all__ = [
     "SETTLING_PART",

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from mckibben.errors import ScenarioError
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig import steps as typed
-from mckibben.study.rig.building import build_steps, read_calibrations
-from mckibben.study.rig.document import RigTest, read_test
+from mckibben.study.rig.document import RigTest, build_steps, read_calibrations, read_test
 from mckibben.study.rig.running import check
 from mckibben.study.rig.steps import StepSpec
 from mckibben.units import bar, mm, percent

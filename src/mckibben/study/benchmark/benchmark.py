@@ -27,8 +27,7 @@ from mckibben.study.parameters import batched, valid_rows
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.result import spearman
 from mckibben.study.tune.objective import FAILED_COST
-from mckibben.study.tune.search import Method, by_cma, check_method
-from mckibben.study.tune.space import SearchSpace, Vector
+from mckibben.study.tune.search import Method, SearchSpace, Vector, by_cma, check_method
 from mckibben.study.tune.tune import CostEvaluator, TuningHistory
 
 if TYPE_CHECKING:

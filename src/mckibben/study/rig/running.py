@@ -26,15 +26,13 @@ from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.session import VENTED, ProgressCallback
 from mckibben.rig.steps import Step, describe_steps
-from mckibben.storage.files import check_free, file_lock, make_folder
-from mckibben.storage.interruption import handle_signals
-from mckibben.study.rig.building import Setup, build_setup, build_steps
-from mckibben.study.rig.document import RigTest
+from mckibben.storage.files import check_free, file_lock, handle_signals, make_folder
+from mckibben.study.rig.document import RigTest, Setup, build_setup, build_steps
 from mckibben.units import bar, mm, percent
 
 if TYPE_CHECKING:
     from mckibben.rig.ni import ChannelStatus
-    from mckibben.study.rig.building import Setup
+    from mckibben.study.rig.document import Setup
 
 
 def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
@@ -55,8 +53,7 @@ def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
     if protocol is None:
         yield from map(_status_line, channel_status())
         return
-    from mckibben.study.rig.building import build_setup, build_wiring, read_calibrations
-    from mckibben.study.rig.document import read_test
+    from mckibben.study.rig.document import build_setup, build_wiring, read_calibrations, read_test
 
     test, document = read_test(protocol)
     card = test.rig.nidaqmx

@@ -1,8 +1,7 @@
 """Tuning: scenario parameters of least cost, by gradient, differential evolution or CMA-ES."""
 
 from mckibben.study.tune.objective import Cost, Term, parse_cost
-from mckibben.study.tune.search import Method
-from mckibben.study.tune.space import SearchSpace, gain_ranges, parse_ranges
+from mckibben.study.tune.search import Method, SearchSpace, gain_ranges, parse_ranges
 from mckibben.study.tune.tune import TuningResult, read_trials, tune
 
 __all__ = [

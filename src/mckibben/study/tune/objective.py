@@ -26,8 +26,8 @@ from mckibben.study.parameters import (
     valid_rows,
 )
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.running import initial_state, run_many
-from mckibben.study.tune.space import SearchSpace, Vector, is_gain
+from mckibben.study.scenario.building import initial_state, run_many
+from mckibben.study.tune.search import SearchSpace, Vector, is_gain
 from mckibben.units import quantity
 
 SMOOTH = (

@@ -23,8 +23,7 @@ from mckibben.storage.journal import Journal, JournalReader, header_differences,
 from mckibben.study.parameters import Distribution, Known, SweptParameter, sweep_parameters, with_values
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune.objective import FAILED_COST, Cost, TuningProblem
-from mckibben.study.tune.search import Method, by_cma, by_evolution, by_gradient, check_method
-from mckibben.study.tune.space import SearchSpace, Vector
+from mckibben.study.tune.search import Method, SearchSpace, Vector, by_cma, by_evolution, by_gradient, check_method
 
 FORMAT, VERSION = "mckibben tuning history", 2
 _TRIAL = b"T"

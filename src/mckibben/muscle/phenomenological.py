@@ -1,4 +1,4 @@
-"""Law of Hunt and co-workers, given as the pressure over force and contraction."""
+"""Phenomenological force laws: Repperger, Reynolds and Hunt."""
 
 from __future__ import annotations
 
@@ -8,11 +8,112 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import ForceLaw, Parameter
+from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root
 from mckibben.numerics.checks import check_positive
 from mckibben.units import kPa, percent
+
+
+class ReppergerLaw(PressureAffineLaw):
+    r"""Spring whose stiffness increases with pressure, unloaded at full contraction.
+
+    .. math:: F = (k_0 + k_1 p)\,(\varepsilon_0 - \varepsilon)
+
+    The source has a spring with two stiffnesses, inflated and deflated, and a transient force. This static form is
+    ours: the stiffness is affine in pressure, and the force is zero at one contraction.
+
+    Parameters
+    ----------
+    k0, k1
+        Stiffness [N] of the deflated muscle and its increase with pressure [N/Pa], per unit of contraction.
+    rest
+        Contraction eps0 [-] without force.
+    domain
+        Domain of the data behind it.
+
+    References
+    ----------
+    D. Repperger, K. Johnson and C. Phillips, "A VSC position tracking system involving a large scale pneumatic muscle
+    actuator", IEEE Conf. Decision and Control (1998) 4302-4307.
+
+    Examples
+    --------
+    >>> from mckibben.units import bar
+    >>> law = ReppergerLaw(k0=200.0, k1=300.0 / bar, rest=25 * percent)
+    >>> round(float(law.force(5 * percent, 6 * bar)), 1)
+    400.0
+    """
+
+    k0: float
+    k1: float
+    rest: float
+    domain: Domain = Domain()
+
+    equation = "F = (k0 + k1 p) (eps0 - eps)"
+    source = "after Repperger et al. 1998, at rest (form ours)"
+    linear_parameters = (
+        Parameter("k0", "N", "N/percent", "spring, deflated"),
+        Parameter("k1", "N/Pa", "N/(bar*percent)", "spring, per pressure"),
+    )
+    shape_parameters = (Parameter("rest", "1", "percent", "contraction without force", 1 * percent, 60 * percent),)
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        remaining = self.rest - jnp.asarray(contraction)
+        return self.k0 * remaining, self.k1 * remaining
+
+
+class ReynoldsLaw(PressureAffineLaw):
+    r"""Contractile force and linear spring: the static part of the three-element model.
+
+    .. math:: F = (f_0 + f_1 p) - (k_0 + k_1 p)\,\varepsilon
+
+    The source writes :math:`M\ddot x + B(p)\dot x + K(p) x = F_{ce}(p) - M g` with the shortening x in mm: K is here
+    per unit of contraction, K l0. The damper B(p) is left out; see `mckibben.muscle.Friction`.
+
+    Parameters
+    ----------
+    f0, f1
+        Contractile force [N] and its increase with pressure [N/Pa].
+    k0, k1
+        Stiffness [N] and its increase with pressure [N/Pa], per unit of contraction.
+    domain
+        Domain of the data behind it.
+
+    References
+    ----------
+    D. Reynolds, D. Repperger, C. Phillips and G. Bandry, "Modeling the dynamic characteristics of pneumatic muscle",
+    Annals of Biomedical Engineering 31 (2003) 310-317.
+
+    Examples
+    --------
+    The published muscle, made of a bicycle tube (179.2 + 1.39 P, 5.71 + 0.0307 P; N, mm, kPa); its length of 250 mm is
+    our assumption:
+
+    >>> from mckibben.units import kPa, percent
+    >>> law = ReynoldsLaw(f0=179.2, f1=1.39 / kPa, k0=5.71 * 250, k1=0.0307 * 250 / kPa)
+    >>> round(float(law.force(10 * percent, 400 * kPa)), 1)
+    285.4
+    """
+
+    f0: float
+    f1: float
+    k0: float
+    k1: float
+    domain: Domain = Domain()
+
+    equation = "F = (f0 + f1 p) - (k0 + k1 p) eps"
+    source = "Reynolds et al. 2003, at rest"
+    linear_parameters = (
+        Parameter("f0", "N", "N", "contractile force"),
+        Parameter("f1", "N/Pa", "N/bar", "contractile force, per pressure"),
+        Parameter("k0", "N", "N/percent", "spring"),
+        Parameter("k1", "N/Pa", "N/(bar*percent)", "spring, per pressure"),
+    )
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        eps = jnp.asarray(contraction)
+        return self.f0 - self.k0 * eps, self.f1 - self.k1 * eps
 
 
 class HuntLaw(ForceLaw):
