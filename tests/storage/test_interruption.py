@@ -6,6 +6,7 @@ import threading
 
 import pytest
 
+from mckibben.storage import files
 from mckibben.storage.files import SIGNALS, handle_signals
 
 
@@ -22,7 +23,7 @@ def test_a_signal_is_told_and_a_later_one_interrupts(number, monkeypatch):
         os.kill(os.getpid(), number)
         os.kill(os.getpid(), number)  # as a terminal that closes
         assert told == 2 * [number]
-        monkeypatch.setattr(interruption, "_REPEAT_INTERVAL", -1.0)
+        monkeypatch.setattr(files, "_REPEAT_INTERVAL", -1.0)
         for again in (3, 4):
             with pytest.raises(KeyboardInterrupt):
                 os.kill(os.getpid(), number)

@@ -126,9 +126,10 @@ def condition_number(jacobian: NDArray[np.float64]) -> float:
 
 
 def unidentifiable(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[str]:
-    """Parameters with a part in the least identifiable direction."""
-    _, _, directions = _decompose(jacobian)
-    share = np.abs(directions[-1])
+    """Parameters with a part in the null space, or in the least identifiable direction where there is none."""
+    _, singular, directions = _decompose(jacobian)
+    null = singular <= max(_SINGULAR * singular[0], singular[-1])
+    share = np.linalg.norm(directions[null], axis=0)
     return [name for name, part in zip(names, share, strict=True) if part > 0.05 * share.max()]
 
 
@@ -141,6 +142,7 @@ def _decompose(jacobian: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]
     return lengths, singular, directions
 
 
+_SINGULAR = 1e-10  # singular values of the null space, relative to the largest
 _DECISIVE = 1e-8  # of the information in a direction: if the other groups have less, one group alone determines it
 
 Pairs = tuple[NDArray[np.float64], NDArray[np.float64]]

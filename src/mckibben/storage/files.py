@@ -17,7 +17,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 
 from mckibben.errors import FileError, McKibbenWarning, Problem
 
@@ -247,7 +246,7 @@ def json_ready(value: Any) -> Any:
         return {key: json_ready(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [json_ready(item) for item in value]
-    if isinstance(value, np.generic):
+    if type(value).__module__ == "numpy" and getattr(value, "ndim", 1) == 0:  # a scalar, without importing NumPy
         return json_ready(value.item())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
