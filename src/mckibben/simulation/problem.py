@@ -71,9 +71,10 @@ def split_problem(
     """
     problem = SimulationProblem(plant, controller, reference, AtRest(math.nan) if initial is None else initial)
     _check_types(problem)
-    problem = SimulationProblem(**with_leaves(problem._asdict(), over))
+    if over:  # else each object has checked its values when it was made
+        problem = SimulationProblem(**with_leaves(problem._asdict(), over))
+        recheck(problem)
     count, varying = lanes_of(problem)
-    recheck(problem)
     return (None, numeric(problem), None) if count is None else (*eqx.partition(numeric(problem), varying), count)
 
 
