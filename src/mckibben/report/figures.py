@@ -65,8 +65,8 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "fig4-law-comparison",
         "identification",
         "Fig. 4: measured force, experimental law and Chou's law",
-        "Validation on a second test at the paper's four pressures: loading (blue) and unloading (orange) data, the law "
-        "identified from the first test (purple) and Chou's law of the specimen (green). The experimental law lies "
+        "Validation on a second test at the paper's four pressures: loading (blue) and unloading (orange) data, the "
+        "law identified from the first test (purple) and Chou's law of the specimen (green). The former lies "
         "between the two directions; Chou's models neither the rubber nor the ends of the muscle. The simulated muscle "
         "follows Eq. 3, so this validates the method; the next figure has measured muscles.",
         "Panels of force over contraction, one a pressure, with points of both directions and the curves of both laws.",
