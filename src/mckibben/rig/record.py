@@ -214,7 +214,7 @@ def passages(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
 
 
 def rows_in(folder: str | os.PathLike[str]) -> int:
-    """How many rows a record has."""
+    """Number of rows of a record."""
     return max((one.first + len(next(iter(one.columns.values()))) for one in _rows(folder)), default=0)
 
 
@@ -281,7 +281,7 @@ class Point:
 
     @classmethod
     def of(cls, event: Event) -> Self:
-        """Of an event."""
+        """The point that an event describes."""
         return cls(**event.data)
 
 

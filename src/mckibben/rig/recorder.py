@@ -20,7 +20,7 @@ from mckibben.storage.files import make_folder
 from mckibben.storage.journal import Journal, pack, pack_json
 
 PERIOD = 0.25
-"""How often [s] what was appended is written and brought to the disk."""
+"""Interval [s] at which appended rows are written and synced to the disk."""
 
 _MOST_PENDING = 1 << 20  # bytes: an append waits while more than that is to be written
 _RESERVE = 1 << 22  # bytes kept free for what is pending, and for the reason, when the disk is full

@@ -69,12 +69,12 @@ class Batch:
 
     @property
     def outcomes(self) -> list[Outcome]:
-        """How each run ended."""
+        """Outcome of each run."""
         return [OUTCOMES[code] for code in self["outcome"]]
 
     @property
     def failed(self) -> NDArray[np.bool_]:
-        """Which runs have no usable end."""
+        """Mask of the failed runs."""
         return np.array([outcome.failed for outcome in OUTCOMES])[self["outcome"]]
 
     def __getitem__(self, name: str) -> NDArray[Any]:

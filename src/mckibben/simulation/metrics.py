@@ -279,7 +279,7 @@ class MetricAccumulator(NamedTuple):
 
     @classmethod
     def empty(cls, like: Array) -> MetricAccumulator:
-        """Of no period; floats are of the type of `like`."""
+        """Accumulator before the first period, with the float type of `like`."""
         zero = jnp.zeros_like(like)
         return cls(Sums(*[zero] * len(Sums._fields)), Peaks(*[zero] * len(Peaks._fields)), jnp.asarray(-1))
 
@@ -293,7 +293,7 @@ class MetricAccumulator(NamedTuple):
         air_before: Sequence[ArrayLike],
         settling_part: ArrayLike,
     ) -> MetricAccumulator:
-        """Of single control periods; elementwise, for scalars and for shape (periods,)."""
+        """Accumulators of single control periods, elementwise: scalars or shape (periods,)."""
         angle_error = jnp.asarray(moved.angle) - moved.desired_angle
         stiffness_error = jnp.asarray(moved.stiffness) - moved.desired_stiffness
         estimate_error = jnp.asarray(moved.stiffness_estimate) - moved.stiffness
@@ -326,7 +326,7 @@ class MetricAccumulator(NamedTuple):
         return cls(sums, peaks, jnp.where(since & ~settled, index, -1))
 
     def merge(self, other: MetricAccumulator) -> MetricAccumulator:
-        """Of the periods of both."""
+        """Accumulator of the periods of both."""
         return MetricAccumulator(
             Sums(*(a + b for a, b in zip(self.sums, other.sums, strict=True))),
             Peaks(*(_larger(a, b) for a, b in zip(self.peaks, other.peaks, strict=True))),

@@ -28,7 +28,7 @@ SWUNG_OVER_AT = 90 * deg
 
 
 class Outcome(enum.Enum):
-    """How a run ended; the worst that applies."""
+    """Outcome of a run; the worst that applies."""
 
     COMPLETED = "completed"
     SATURATED = "completed, with a command at a pressure limit part of the time"
@@ -224,7 +224,7 @@ class Result:
 
     @functools.cached_property
     def outcome(self) -> Outcome:
-        """How it ended."""
+        """Outcome of the run."""
         return _outcome(self.columns)
 
     @functools.cached_property

@@ -25,7 +25,6 @@ from mckibben.rig import steps as typed
 from mckibben.rig.protocol import IsobaricProtocol
 from mckibben.units import Repeats
 
-_BARE = re.compile(r"[-+]?\d{1,9}(\.\d{0,9})?")
 _ADDRESS = re.compile(r"[A-Za-z0-9_.:/-]{1,80}")
 
 
