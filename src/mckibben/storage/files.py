@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import math
 import os
@@ -59,6 +60,7 @@ except ImportError:  # Windows
     fcntl = None
 
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
+_PIECE = 1 << 20  # bytes read at once
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of file systems without locks
 
 
@@ -110,6 +112,38 @@ def _rename_new(temporary: Path, path: Path) -> None:
     except OSError:  # no hard links here
         check_free(path.parent, [path.name])
         temporary.replace(path)
+
+
+_SEAL = b"# sha256 "
+_SEALED = len(_SEAL) + 64 + 1
+
+
+def sealed(content: bytes | memoryview) -> bytes:
+    """The content with its checksum in a last line: a comment in YAML, and bytes that HDF5 does not read."""
+    return b"".join((content, _SEAL, hashlib.sha256(content).hexdigest().encode(), b"\n"))
+
+
+def check_seal(path: Path) -> None:
+    """Check the checksum in the last line of a file; files without one, written by hand or by others, pass.
+
+    Raises
+    ------
+    FileError
+        If the content has changed since it was written.
+    """
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - _SEALED, 0))
+        last = file.read()
+        if not last.startswith(_SEAL) or not last.endswith(b"\n"):
+            return
+        file.seek(0)
+        digest = hashlib.sha256()
+        for start in range(0, size - _SEALED, _PIECE):
+            digest.update(file.read(min(_PIECE, size - _SEALED - start)))
+    if digest.hexdigest().encode() != last[len(_SEAL) : -1]:
+        remedy = "make it again; or, if the change was meant, remove the last line (# sha256 ...)"
+        raise FileError(str(path), [Problem("it is damaged: it has changed since it was written", remedy=remedy)])
 
 
 def sync_folder(path: Path) -> None:

@@ -6,7 +6,6 @@ import errno
 import hashlib
 import io
 import os
-import shutil
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -103,8 +102,6 @@ class SweepStore:
     def write_table(self, swept: SweepResult) -> None:
         """Write the table."""
         with self.explain_full_disk():
-            if shutil.disk_usage(self.folder).free < 1.2 * swept.table.nbytes + 200_000:  # HDF5 fails badly then
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             swept.to_netcdf(self.folder / TABLE)
             assert self._journal is not None
             self._journal.append(pack(_TABLE, 0, self._digest()))
