@@ -23,6 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -143,6 +144,7 @@ def work(report: int, cuts: str) -> None:
         os.fsync = synced.sync
     from mckibben.cli import main
 
+    warnings.simplefilter("always")  # of each command, not of the first one alone
     for line in sys.stdin:
         job = json.loads(line)
         out = Path(job["out"])
@@ -154,7 +156,7 @@ def work(report: int, cuts: str) -> None:
                 main()
             except SystemExit as end:
                 code = end.code or 0
-        tell(end=code, files=listing(out) if out.is_dir() else {})
+        tell(end=code, files=listing(out) if out != Path() and out.is_dir() else {})
 
 
 class Worker:
@@ -172,8 +174,9 @@ class Worker:
         os.close(write)
 
     def begin(self, arguments: tuple[str, ...], out: Path) -> None:
-        """Start a command."""
-        job = {"arguments": [*arguments, "--out", str(out)], "out": str(out), "log": str(self.log)}
+        """Start a command that writes to a folder."""
+        job = {"arguments": [*arguments, "--out", str(out)] if out != Path() else arguments, "out": str(out)}
+        job["log"] = str(self.log)
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(job) + "\n")
         self._process.stdin.flush()
@@ -186,20 +189,22 @@ class Worker:
         *lines, self._rest = self._rest.split(b"\n")
         return [json.loads(line) for line in lines]
 
-    def end(self) -> dict:
-        """Wait for the end of the command."""
-        while True:
+    def end(self, within: float = 300.0) -> dict:
+        """Wait so long [s] for the end of the command."""
+        deadline = time.monotonic() + within
+        while time.monotonic() < deadline:
             for told in self.reports():
                 if "end" in told and "files" in told:
                     return told
             if self._process.poll() is not None:
                 raise AssertionError(f"the process died ({self._process.returncode}): {self.log.read_text()[-2000:]}")
             time.sleep(5e-3)
+        raise AssertionError(f"the command did not end within {within:g} s: {self.log.read_text()[-2000:]}")
 
-    def run(self, arguments: tuple[str, ...], out: Path) -> dict:
-        """Run a command to its end."""
+    def run(self, arguments: tuple[str, ...], out: Path = Path(), *, within: float = 300.0) -> dict:
+        """Run a command to its end; without a folder it has all its options."""
         self.begin(arguments, out)
-        return self.end()
+        return self.end(within)
 
     def stop(self) -> None:
         """Stop the process as a power cut would, but for its going on later."""

@@ -346,9 +346,14 @@ def test_a_full_disk_loses_nothing(kept, scenario, tmp_path, monkeypatch):
     with pytest.raises(FileError, match="the disk is full; 32 of 72 runs are kept; make room, and continue"):
         sweep(scenario, OVER, out=tmp_path, workers=1, **SOME)
     monkeypatch.undo()
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(1, 1, 0))
+
+    def no_room(path, content):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", no_room)
     with pytest.raises(FileError, match="the disk is full; 72 of 72 runs are kept"):
         sweep(scenario, out=tmp_path, resume=True)
+    assert not [path for path in tmp_path.iterdir() if path.suffix in (".nc", ".part")]
     monkeypatch.undo()
     assert sweep(scenario, out=tmp_path, resume=True).computed == 0
     assert table_of(tmp_path) == table_of(kept[1])

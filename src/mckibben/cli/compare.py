@@ -72,21 +72,13 @@ def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
 
 def _alone(out: Path, repeat: str) -> str:
     """Return one run of a finished comparison as the text of a scenario."""
-    import json
+    from mckibben.study.benchmark import draw
+    from mckibben.study.benchmark.benchmark import read_runs
 
-    from mckibben.study.benchmark import Suite, draw
-
-    kept = out / "results.json"
+    kept = out / "runs.nc"  # it has a checksum
     if not kept.is_file():
         raise ParameterError(f"{out} holds no comparison", remedy="run it first, without --repeat")
-    try:
-        numbers = json.loads(kept.read_text(encoding="utf-8"))
-        tuned = {each: found["tuned"] for each, found in numbers["controllers"].items()}
-        count = int(numbers["runs"])
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        remedy = "run the comparison again in another folder"
-        raise FileError(str(kept), [Problem("it is damaged, or no result of a comparison", remedy=remedy)]) from None
-    suite = Suite.read(out / "suite.yaml")
+    suite, tuned, count = read_runs(kept)
     name, _, run = repeat.rpartition(" ")
     if name not in tuned:
         raise ParameterError(f"there is no controller {name!r}", value=name, remedy=f"known are {', '.join(tuned)}")

@@ -121,6 +121,31 @@ def check_seal(path: Path) -> None:
         raise FileError(str(path), [Problem("it is damaged: it has changed since it was written", remedy=remedy)])
 
 
+_WRITE_ERRORS = {
+    errno.ENOSPC: "the disk is full",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "the file is larger than this process may write",
+    errno.EROFS: "the disk can no longer be written to",
+    errno.EIO: "the disk fails",
+}
+
+
+@contextmanager
+def explain_write_errors(folder: Path, kept: Callable[[], str], remedy: str) -> Iterator[None]:
+    """Raise a `FileError` that says what is kept, where a disk is full or fails, or the folder has vanished."""
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error, FileNotFoundError) and not folder.is_dir():
+            problem = Problem("the folder has vanished, with what was kept in it", remedy="begin anew")
+        elif error.errno in _WRITE_ERRORS:
+            listed = kept()
+            problem = Problem(_WRITE_ERRORS[error.errno] + (f"; {listed}" if listed else ""), remedy=remedy)
+        else:
+            raise
+        raise FileError(str(folder), [problem]) from error
+
+
 def sync_folder(path: Path) -> None:
     """Make new names in a folder durable, where the system can."""
     if hasattr(os, "O_DIRECTORY"):

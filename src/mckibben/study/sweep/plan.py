@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -118,7 +119,7 @@ class SweepPlan:
             "format": FORMAT,
             "version": VERSION,
             "scenario": scenario.dumps(folder=folder),
-            "source": source,
+            "source": Path(source).name if Path(source).is_absolute() else source,
             "over": [each.text for each in swept],
             "known": list(known),
             "design": method,
