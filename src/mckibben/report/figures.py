@@ -110,9 +110,8 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "joint",
         "Torque, stiffness and angle of the knee",
         "Minimum and maximum stiffness over angle and muscle torque, and their difference, the range of "
-        "co-contraction. "
-        "Grey: not attainable. Dashed: static torque of the load, along which the previous figure is drawn. Each row "
-        "has its own colour scale.",
+        "co-contraction. Grey: not attainable. Dashed: static torque of the load, along which the previous figure is "
+        "drawn. Each row has its own colour scale.",
         "Colour maps over angle and torque, one row a geometry; the attainable region is a tilted patch.",
         torque_stiffness_map(maps),
     )
@@ -173,8 +172,7 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
         "tracking",
         "PID and BP with moderate and tuned gains",
         f"Median (dot) and worst (end of the line) over {seeds} seeds of the network, logarithmic axes; left is "
-        "better. "
-        "PID has no seeds.",
+        "better. PID has no seeds.",
         "Dot plots of angle error, stiffness error and settling time for five controllers in two geometries.",
         controller_comparison(found),
     )
