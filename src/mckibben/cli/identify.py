@@ -50,21 +50,17 @@ _LEADING_NUMBER = re.compile(r"^[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
 
 
 def points(
-    recording: Annotated[
-        Path, Argument(metavar="RECORDING", help="Pressure and force against time: CSV, .xlsx, .mat, .tdms, .lvm, .nc.")
-    ],
+    recording: Annotated[Path, Argument(metavar="RECORDING", help="CSV, .xlsx, .mat, .tdms, .lvm or .nc, over time.")],
     out: Annotated[
-        Path | None, Option(metavar="FILE", help="Output file: .csv, or .nc with the spread of the force.")
+        Path | None, Option(metavar="FILE", help="New file: .csv, or .nc with the spread of the force.")
     ] = None,
-    isometric: Annotated[
-        bool, Option("--isometric", help="Isometric test: points at pressure levels at a fixed length.")
-    ] = False,
+    isometric: Annotated[bool, Option("--isometric", help="Points at pressure levels at a fixed length.")] = False,
     levels: Annotated[
-        str, Option(metavar="'1, 2, 3 bar'", help="Pressure levels of --isometric (default: evenly spaced).")
+        str, Option(metavar="'1, 2, 3 bar'", help="Levels of --isometric (default: evenly spaced).")
     ] = "",
     count: Annotated[int, Option(metavar="N", help="Number of evenly spaced levels of --isometric.")] = 12,
     contraction: Annotated[
-        str, Option(metavar="RATIO", help="Contraction of the recording, such as '10 %', if no column gives it.")
+        str, Option(metavar="RATIO", help="Contraction, such as '10 %', if no column gives it.")
     ] = "",
     pressure_tolerance: Annotated[str, Option(metavar="PRESSURE", help="Tolerance of a plateau.")] = "2 kPa",
     contraction_tolerance: Annotated[
@@ -204,9 +200,7 @@ def identify(
     level: Annotated[float, Option(help="Confidence level of the intervals.")] = _LEVEL,
     profile: Annotated[bool, Option("--profile", help="Profile likelihood of the shape parameters.")] = False,
     bootstrap: Annotated[int, Option(metavar="N", help="Block bootstrap with N resamples.")] = 0,
-    hysteresis: Annotated[
-        bool, Option("--hysteresis", help="Identify friction and sensor drift with the law.")
-    ] = False,
+    hysteresis: Annotated[bool, Option("--hysteresis", help="Identify friction and drift with the law.")] = False,
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     column: Column = None,

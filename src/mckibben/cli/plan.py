@@ -53,36 +53,22 @@ def plan(
     joint: Annotated[
         str, Option(metavar="JOINT", help="Joint of stiffness and torque: of the catalog, or a scenario file.")
     ] = "knee-table-2",
-    contraction: Annotated[
-        str, Option(metavar="RANGE", help="Limits, such as '0..20 %'; the specimen's range unless given.")
-    ] = "",
-    pressure: Annotated[
-        str, Option(metavar="RANGE", help="Limits, such as '1..6 bar'; the specimen's range unless given.")
-    ] = "",
-    contraction_step: Annotated[
-        str, Option(metavar="STEP", help="Resolution of the rig, '1 mm' or '0.5 %'; 1 mm unless given.")
-    ] = "",
-    pressure_step: Annotated[str, Option(metavar="STEP", help="Resolution of the rig.")] = "0.25 bar",
+    contraction: Annotated[str, Option(metavar="RANGE", help="Limits, '0..20 %' (default: the specimen's).")] = "",
+    pressure: Annotated[str, Option(metavar="RANGE", help="Limits, '1..6 bar' (default: the specimen's).")] = "",
+    contraction_step: Annotated[str, Option(metavar="STEP", help="Resolution, '0.5 %' or '1 mm' (default).")] = "",
+    pressure_step: Annotated[str, Option(metavar="STEP", help="Resolution of the rig's pressure.")] = "0.25 bar",
     directions: Annotated[
-        str, Option(metavar="|".join(_DIRECTIONS), help="Directions that the rig can measure in.")
+        str, Option(metavar="|".join(_DIRECTIONS), help="Directions that the rig measures.")
     ] = "both",
     repeats: Annotated[int, Option(metavar="N", help="How often a point may be planned.")] = 2,
-    friction: Annotated[
-        bool | None, Option(help="Friction is an unknown; where directions are recorded unless given.")
-    ] = None,
-    noise: Annotated[
-        str, Option(metavar="FORCE", help="Standard deviation of a point; from the residuals unless given.")
-    ] = "",
-    stroke_error: Annotated[
-        str, Option(metavar="FORCE", help="Error shared by a stroke; from the residuals unless given.")
-    ] = "",
+    friction: Annotated[bool | None, Option(help="Friction is unknown (default: if directions are recorded).")] = None,
+    noise: Annotated[str, Option(metavar="FORCE", help="Error of a point (default: from the residuals).")] = "",
+    stroke_error: Annotated[str, Option(metavar="FORCE", help="Error of a stroke (default: from the residuals).")] = "",
     guess: Annotated[
         str,
         Option(metavar="LAW", help="Fit file or law of the catalog to linearise about where the data determine none."),
     ] = "",
-    specimen: Annotated[
-        str, Option(metavar="NAME", help="Specimen, for range and rating; the one named in the data unless given.")
-    ] = "",
+    specimen: Annotated[str, Option(metavar="NAME", help="Specimen (default: the one named in the data).")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     column: Column = None,

@@ -32,17 +32,10 @@ _INTERVAL = 0.25  # s
 
 def control(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario; see examples/.")],
-    out: Annotated[Path | None, Option("--out", metavar="DIR", help="Folder of record and results.")] = None,
-    rig: Annotated[
-        Path | None,
-        Option("--rig", metavar="RIG.yaml", help="Rig to run on, see examples/rig/joint-rig.yaml; else simulated."),
-    ] = None,
-    unpaced: Annotated[
-        bool, Option("--unpaced", help="Run the simulated joint as fast as possible, not in real time.")
-    ] = False,
-    ideal: Annotated[
-        bool, Option("--ideal", help="Simulated joint with ideal sensors, starting as `mckibben simulate` does.")
-    ] = False,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder of record and results.")] = None,
+    rig: Annotated[Path | None, Option(metavar="RIG.yaml", help="Rig, see examples/rig/ (default: simulated).")] = None,
+    unpaced: Annotated[bool, Option("--unpaced", help="Run the simulated joint as fast as possible.")] = False,
+    ideal: Annotated[bool, Option("--ideal", help="Ideal sensors, and the start of `mckibben simulate`.")] = False,
     duration: Annotated[str, Option(metavar="TIME", help="Duration, '60 s'; else the scenario's.")] = "",
     json: Json = False,
 ) -> None:
@@ -203,13 +196,11 @@ Protocol = Annotated[Path, Argument(metavar="PROTOCOL.yaml", help="Protocol; see
 @rig.command()
 def run(
     protocol: Protocol,
-    out: Annotated[Path | None, Option("--out", metavar="DIR", help="Folder of protocol, record and dataset.")] = None,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder of protocol, record and dataset.")] = None,
     resume: Annotated[bool, Option("--resume", help="Resume the test in DIR at the next point.")] = False,
-    dry_run: Annotated[
-        bool, Option("--dry-run", help="Print the steps, their duration and all violations; move nothing.")
-    ] = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="Print steps, duration and violations; move nothing.")] = False,
     standing_at: Annotated[
-        str, Option(metavar="CONTRACTION", help="With --resume: position of the motor, if it is not known.")
+        str, Option(metavar="CONTRACTION", help="With --resume: position of the motor, if unknown.")
     ] = "",
     json: Json = False,
 ) -> None:
@@ -263,7 +254,7 @@ def data(folder: Annotated[Path, Argument(metavar="DIR", help="A folder of `rig 
 @rig.command()
 def check(
     protocol: Annotated[
-        Path | None, Argument(metavar="[PROTOCOL.yaml]", help="Protocol to check; none: the connected devices.")
+        Path | None, Argument(metavar="[PROTOCOL.yaml]", help="Protocol (default: check the devices).")
     ] = None,
 ) -> None:
     """Show the status of each channel, and all violations of a protocol."""

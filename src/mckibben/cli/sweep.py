@@ -41,23 +41,17 @@ def sweep(
     ] = None,
     known: Known = None,
     list_: Annotated[bool, Option("--list", help="List the parameters that can be varied, and exit.")] = False,
-    design: Annotated[
-        str | None, Option(metavar="KIND", help="Design: sobol (default), random, or grid (full factorial).")
-    ] = None,
-    samples: Annotated[
-        int | None, Option(metavar="N", help="Number of runs (default 1024); a grid has its own.")
-    ] = None,
+    design: Annotated[str | None, Option(metavar="KIND", help="Design: sobol (default), random or grid.")] = None,
+    samples: Annotated[int | None, Option(metavar="N", help="Number of runs (default 1024), not of a grid.")] = None,
     seed: Annotated[int | None, Option(metavar="N", help="Seed of the design (default 0).")] = None,
     metrics: Annotated[
         list[str] | None,
         Option(metavar="NAME,NAME", help="Metrics to compute, such as angle_rmse,coupling (default: all)."),
     ] = None,
     precision: Annotated[
-        int | None, Option(metavar="BITS", help="64 (default) or 32 bits: half the time, about 6 digits.")
+        int | None, Option(metavar="BITS", help="64 (default), or 32: half the time, 6 digits.")
     ] = None,
-    out: Annotated[
-        Path | None, Option(metavar="DIR", help="Output folder; each block of runs is kept when it is done.")
-    ] = None,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Output folder, for each finished block.")] = None,
     resume: Annotated[bool, Option("--resume", help="Continue the sweep in DIR with its options.")] = False,
     dask: Annotated[
         str | None,
@@ -174,7 +168,7 @@ def tune(
     ] = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
     method: Annotated[str, Option(metavar="|".join(_METHODS), help="Search method.")] = "gradient",
     margin: Annotated[
-        float, Option(metavar="FACTOR", help="Gain margin: the cost also covers gains FACTOR times as large.")
+        float, Option(metavar="FACTOR", help="Gain margin: the cost covers gains so many times larger.")
     ] = 1.5,
     worst: Annotated[bool, Option("--worst", help="Minimise the worst scenario, not the mean.")] = False,
     starts: Annotated[int, Option(metavar="N", help="Starting points of the gradient method.")] = 4,

@@ -71,10 +71,10 @@ def model_of(
     **fields: Any,
 ) -> Any:
     """The model of a runtime class, from unit and range of its fields; those with a default may be left out."""
-    declared = runtime.__dataclass_fields__
+    declared, hints = runtime.__dataclass_fields__, get_type_hints(runtime, include_extras=True)
     made = {key: one for key, one in fields.items() if key not in declared}
-    for key, annotation in _annotations(runtime, signal).items():
-        annotation = fields.get(key, annotation)
+    for key in declared:
+        annotation = fields[key] if key in fields else _annotation(hints[key], signal)
         if key in without or annotation is None:
             continue
         if isinstance(annotation, tuple):
@@ -95,13 +95,8 @@ def named_model(name: str, base: Any, fields: Mapping[str, Any]) -> Any:
     return model
 
 
-def _annotations(runtime: type, signal: Any) -> dict[str, Any]:
-    """The annotation of each field in a file; None for a field that is in no file."""
-    hints = get_type_hints(runtime, include_extras=True)
-    return {name: _annotation(hints[name], signal) for name in runtime.__dataclass_fields__}
-
-
 def _annotation(hint: Any, signal: Any) -> Any:
+    """The annotation of a field in a file; None for a field that is in no file."""
     if get_origin(hint) in (Union, UnionType):  # such as Seed | Array
         return next(filter(None, (_annotation(one, signal) for one in get_args(hint))), None)
     if get_origin(hint) is Literal:

@@ -62,17 +62,9 @@ def isobaric_curves(dataset: IsobaricDataset) -> Figure:
         along = np.linspace(max(up[0], down[0]), min(up[-1], down[-1]), 400)
         middle = (np.interp(along, up, force_up) + np.interp(along, down, force_down)) / 2
         place = int(np.argmin(np.abs(middle / top - 0.05 - 0.6 * (along - left) / (right - left))))
-        axes.text(
-            along[place],
-            middle[place],
-            f"{level / bar:g}",
-            color=colour,
-            fontsize=7,
-            fontweight="bold",
-            ha="center",
-            va="center",
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
-        )
+        look = {"color": colour, "fontsize": 7, "fontweight": "bold", "ha": "center", "va": "center"}
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
+        axes.text(along[place], middle[place], f"{level / bar:g}", bbox=box, **look)
     axes.set(xlabel=_CONTRACTION, ylabel=_FORCE, ylim=(-0.015 * top, 1.04 * top))
     handles = [
         Line2D([], [], color="#444444", label="loading (being stretched)"),
@@ -122,18 +114,12 @@ def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
 def measured_muscles(found: Mapping[str, tuple[IsobaricDataset, Fit | None]]) -> Figure:
     """Datasets side by side, each with its fit and residuals."""
     residuals = any(fit for _, fit in found.values())
-    width = DOUBLE if len(found) > 1 else 5.4
-    figure = blank(width, 5.0 if residuals else 3.4)
-    grid = figure.subplots(
-        1 + residuals,
-        len(found),
-        squeeze=False,
-        sharex="col",
-        gridspec_kw={"height_ratios": [2.4, 1] if residuals else [1]},
-    )
+    figure = blank(DOUBLE if len(found) > 1 else 5.4, 5.0 if residuals else 3.4)
+    heights = [2.4, 1] if residuals else [1]
+    grid = figure.subplots(len(heights), len(found), squeeze=False, sharex="col", height_ratios=heights)
     low = min(float(data.levels.min()) for data, _ in found.values()) / bar
     high = max(float(data.levels.max()) for data, _ in found.values()) / bar
-    scale, colours = Normalize(low, max(high, low + 0.1)), pressure_colours()
+    scale = Normalize(low, max(high, low + 0.1))
     for i, (name, (data, fit)) in enumerate(found.items()):
         data = data.plateau_means()
         axes = grid[0, i]
@@ -148,8 +134,7 @@ def measured_muscles(found: Mapping[str, tuple[IsobaricDataset, Fit | None]]) ->
             _coloured(grid[1, i], taut, difference, scale)
             grid[1, i].axhline(0, color="#444444", linewidth=0.7)
             grid[1, i].set(xlabel=_CONTRACTION, ylabel="measured − fitted [N]" if i == 0 else "")
-            rmse = float(np.sqrt(np.mean(difference**2)))
-            beside(grid[1, i], f"RMSE {rmse:.2f} N")
+            beside(grid[1, i], f"RMSE {np.sqrt(np.mean(difference**2)):.2f} N")
         else:
             axes.set_xlabel(_CONTRACTION)
         if len(found) > 1:
@@ -159,13 +144,8 @@ def measured_muscles(found: Mapping[str, tuple[IsobaricDataset, Fit | None]]) ->
         axes.set(ylabel=_FORCE if i == 0 else "")
         axes.set_ylim(bottom=-0.03 * float(data.force.max()))
         axes.legend(handles=_handles(data, fit), loc="upper right")
-    figure.colorbar(
-        ScalarMappable(norm=scale, cmap=colours),
-        ax=list(grid.ravel()),
-        label="pressure [bar]",
-        fraction=0.04,
-        aspect=40,
-    )
+    shades = ScalarMappable(scale, pressure_colours())
+    figure.colorbar(shades, ax=list(grid.ravel()), label="pressure [bar]", fraction=0.04, aspect=40)
     return figure
 
 

@@ -197,17 +197,9 @@ def _metric(axes: Axes, one: _Input, swept: SweepResult, metric: str) -> None:
         size = float(np.clip(900 / max(x.size, 1), 1.5, 9.0))
         axes.scatter(x[inside], y[inside], s=size, color=BLUE, alpha=0.35, linewidths=0, rasterized=True, label="run")
     else:
-        axes.hexbin(
-            x[inside],
-            y[inside],
-            gridsize=(32, 18),
-            xscale="log" if one.log and x.min() > 0 else "linear",
-            yscale="log" if log else "linear",
-            bins="log",
-            cmap=part_of("Blues", 50, 200),
-            linewidths=0,
-            rasterized=True,
-        )
+        scales = {"xscale": "log" if one.log and x.min() > 0 else "linear", "yscale": "log" if log else "linear"}
+        look = {"gridsize": (32, 18), "bins": "log", "cmap": part_of("Blues", 50, 200), "linewidths": 0}
+        axes.hexbin(x[inside], y[inside], rasterized=True, **scales, **look)
     if log:
         log_ticks(axes.yaxis, 1.0, 3.0)
     _median(axes, _Input(one.name, one.unit, x, one.log), y)
@@ -357,18 +349,11 @@ def _planned_points(axes: Axes, found: ExperimentPlan) -> list[Line2D]:
     for cluster in clusters:
         x = np.array([found.points[i].contraction / percent for i in cluster])
         right = x.max() < (low + high) / 2
-        axes.annotate(
-            ", ".join(str(number + 1) for number in cluster),
-            (x.max() if right else x.min(), float(np.mean([found.points[i].pressure / bar for i in cluster]))),
-            xytext=(6 if right else -6, 0),
-            textcoords="offset points",
-            ha="left" if right else "right",
-            va="center",
-            fontsize=7,
-            fontweight="bold",
-            zorder=5,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6},
-        )
+        place = x.max() if right else x.min(), float(np.mean([found.points[i].pressure / bar for i in cluster]))
+        side = {"xytext": (6 if right else -6, 0), "textcoords": "offset points", "ha": "left" if right else "right"}
+        look = {"va": "center", "fontsize": 7, "fontweight": "bold", "zorder": 5}
+        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6}
+        axes.annotate(", ".join(str(number + 1) for number in cluster), place, bbox=box, **side, **look)
     return list(used.values())
 
 

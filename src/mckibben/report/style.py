@@ -28,15 +28,8 @@ from mckibben.dataset import IsobaricDataset
 SINGLE, DOUBLE = 3.5, 7.2
 """Widths of one and of two columns of a journal [inches]."""
 
-BLACK, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = (
-    "#111111",
-    "#E69F00",
-    "#56B4E9",
-    "#009E73",
-    "#0072B2",
-    "#D55E00",
-    "#CC79A7",
-)
+BLACK, ORANGE, SKY, GREEN = "#111111", "#E69F00", "#56B4E9", "#009E73"
+BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 """The colour-blind safe palette of Okabe and Ito."""
 BAND = "#DBE2E9"
 
@@ -198,18 +191,8 @@ def note_off_scale(
         worst = int(np.nanargmax(out))
         sentences.append(f"{name} {minus(values[worst], '.3g')} {unit} at {times[worst]:.2f} s")
     if sentences:
-        axes.text(
-            0.985,
-            0.03 if bottom else 0.97,
-            "off scale: " + "\n".join(sentences),
-            transform=axes.transAxes,
-            ha="right",
-            va="bottom" if bottom else "top",
-            fontsize=6.5,
-            color="#555555",
-            bbox=_HALO,
-            zorder=5,
-        )
+        place = {"y": 0.03, "va": "bottom"} if bottom else {"y": 0.97, "va": "top"}
+        beside(axes, "off scale: " + "\n".join(sentences), fontsize=6.5, color="#555555", **place)
 
 
 def minus(value: float, form: str = ".1f") -> str:

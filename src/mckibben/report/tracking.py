@@ -342,17 +342,8 @@ def _dots(
             axes.annotate(text, (end, y), (-6, 0), textcoords="offset points", ha="right", va="center", fontsize=6.5)
             continue
         axes.plot([median, worst if worst <= end else end], [y, y], color=look["color"], linewidth=1.8, alpha=0.55)
-        axes.plot(
-            median,
-            y,
-            linestyle="",
-            marker=look["marker"],
-            markersize=5,
-            markeredgewidth=1.1,
-            color=look["color"],
-            markerfacecolor=look["color"] if k == 0 else "white",
-            zorder=3,
-        )
+        dot = {**look, "linestyle": "", "markersize": 5, "markeredgewidth": 1.1}
+        axes.plot(median, y, markerfacecolor=look["color"] if k == 0 else "white", zorder=3, **dot)
     axes.set_xscale("log")
     axes.set_xlim(smallest / 1.6, end)
     log_ticks(axes.xaxis, *(1.0, 2.0, 5.0) if end / smallest < 60 else (1.0,))
