@@ -25,15 +25,7 @@ _LARGEST = 2**30  # bytes of a workbook's content
 
 
 def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> RawTable:
-    """Read the sheets of a workbook that have a header. Formulas are read as their saved values.
-
-    With one such sheet the columns are named as in it; with several ``sheet/column``.
-
-    Raises
-    ------
-    DatasetError
-        If openpyxl is not installed, the file cannot be read, or no sheet has a column.
-    """
+    """Columns of the sheets with a header (formulas as saved values); with several named ``sheet/column``."""
     try:
         from openpyxl import load_workbook
     except ImportError:
@@ -122,15 +114,7 @@ def _name(cell: object) -> str:
 
 
 def read_tdms(path: Path, data: bytes) -> RawTable:
-    """Read the channels of a TDMS file, named ``group/channel``, with the units of their properties.
-
-    Scaled channels are read scaled; the increment of waveforms is the sampling interval.
-
-    Raises
-    ------
-    DatasetError
-        If npTDMS is not installed, the file cannot be read, or it holds no channel.
-    """
+    """Scaled channels of a TDMS file, named ``group/channel``; the increment of waveforms is the interval."""
     try:
         from nptdms import TdmsFile
     except ImportError:

@@ -54,19 +54,7 @@ class CorruptFileError(Exception):
 
 
 def variables(data: bytes) -> Iterator[tuple[str, Value]]:
-    r"""Variables of a file, by name.
-
-    Raises
-    ------
-    CorruptFileError
-        If the file is truncated or inconsistent.
-
-    Examples
-    --------
-    >>> old = struct.pack("<5i", 0, 2, 1, 0, 2) + b"p\0" + struct.pack("<2d", 1.0, 2.5)
-    >>> list(variables(old))
-    [('p', array([[1. ], [2.5]]))]
-    """
+    """Variables of a file, by name."""
     if not data.startswith(b"MATLAB"):
         yield from _version_4(data)
         return

@@ -18,24 +18,7 @@ _SIGNATURE, _HEADER, _PART = b"GCOL\x01\x00\x00\x00", 16, 16
 
 
 def global_heaps_are_valid(content: bytes | mmap.mmap) -> bool:
-    """Check the global heap collections of an HDF5 file: their objects must fill each collection.
-
-    HDF5 File Format Specification 3.0, III.E. Files with lengths other than 8 bytes are not checked.
-
-    Parameters
-    ----------
-    content
-        Content of the file.
-
-    Examples
-    --------
-    >>> heap = b"GCOL" + bytes([1, 0, 0, 0]) + (56).to_bytes(8, "little")
-    >>> text = (1).to_bytes(8, "little") + (3).to_bytes(8, "little") + b"bar" + bytes(5)
-    >>> global_heaps_are_valid(heap + text + bytes(8) + (16).to_bytes(8, "little"))
-    True
-    >>> global_heaps_are_valid(heap + text + bytes(8) + (0).to_bytes(8, "little"))
-    False
-    """
+    """True if objects fill each global heap (HDF5 File Format 3.0, III.E; lengths of 8 bytes only)."""
     at = content.find(_SIGNATURE)
     while at >= 0:
         size = int.from_bytes(content[at + 8 : at + _HEADER], "little")
@@ -68,15 +51,7 @@ _TABLE_REMEDY = "save its columns: s = table2struct(t, 'ToScalar', true); save('
 
 
 def read_matlab(path: Path, data: bytes) -> RawTable:
-    """Read the variables of a file of versions 4 to 7.
-
-    A column is a vector, named as the variable (``p``) or field (``rig.p``), or a column of a matrix (``rig(:,2)``).
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be read, or holds no column.
-    """
+    """Columns of a file of versions 4 to 7: vectors, fields (``rig.p``), columns of matrices (``rig(:,2)``)."""
     sheet = RawTable(kind=RowProblem)
     try:
         for name, value in variables(data):
@@ -87,13 +62,7 @@ def read_matlab(path: Path, data: bytes) -> RawTable:
 
 
 def read_hdf5(path: Path, data: bytes) -> RawTable:
-    """Read an HDF5 file: one of MATLAB 7.3, whose columns are named as above, or another, with ``group/name``.
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be read, or holds no column.
-    """
+    """Columns of an HDF5 file: MATLAB 7.3, named as above, or another, named ``group/name``."""
     import h5py
 
     if not global_heaps_are_valid(data):

@@ -75,33 +75,25 @@ def read_dataset(
     (both with a unit). Decimal commas are read unless the delimiter is a comma.
 
     Required are ``pressure_*`` (bar, kPa, MPa, Pa, mbar or psi; gauge), ``force_*`` (N or kN) and
-    ``contraction_*`` (percent or ratio) or ``length_*`` (mm, m or cm). Read where present: ``direction``, ``phase``,
-    ``repeat``, ``time_*`` (s, ms or min) and ``set_pressure_*``, which may have empty cells. ``Pressure [bar]``,
-    ``p / kPa`` and the like are equivalent, as are units in a row under the header or in the properties of a channel.
-    Other columns are listed in the attribute ``ignored_columns``.
+    ``contraction_*`` (percent or ratio) or ``length_*`` (mm, m or cm). Read where present: ``direction`` (loading,
+    unloading or a synonym; 1 and -1 are refused, as their meaning differs), ``phase``, ``repeat``, ``time_*`` (s, ms or
+    min) and ``set_pressure_*``, which may have empty cells. ``Pressure [bar]``, ``p / kPa`` and the like are equivalent,
+    as are units in a row under the header or in the properties of a channel. Other columns are listed in the attribute
+    ``ignored_columns``.
 
     Parameters
     ----------
-    path
-        File to read.
     columns
         Header of the file to one of the names above: ``{"Druck [bar]": "pressure_bar"}``. In files with
         groups or structs: ``group/channel``, ``struct.field``, ``matrix(:,2)``, ``sheet/header``.
     initial_length
         Length of the deflated muscle [m]: required where the file has lengths and no contractions, inferred where it
         has both.
-    specimen
-        Name of the muscle's type; if empty, from the file.
-    slack_force
-        Force [N] up to which the muscle counts as slack; unless given, from the file, or 0.
+    specimen, slack_force
+        Name of the muscle's type, and force [N] up to which it counts as slack; unless given, from the file.
     on_corrupt
         "raise": a truncated row, or a cell without a number, is an error. "report": such rows are left out with a
         warning, and the attribute ``repairs`` lists them.
-
-    Returns
-    -------
-    IsobaricDataset
-        In SI units, the points in the order of the file.
 
     Raises
     ------
@@ -113,11 +105,6 @@ def read_dataset(
     McKibbenWarning
         If the unit of pressure or contraction is implausible, contractions are beyond those of any muscle, or rows are
         left out.
-
-    Notes
-    -----
-    A direction is loading (also load, stretching, lengthening) or unloading (unload, shortening). The numbers 1 and -1
-    are refused: their meaning is a convention (Hunt 2017 has +1 for shortening).
     """
     path = Path(path)
     if path.suffix.lower() == ".nc":
@@ -177,15 +164,13 @@ def read_recording(
     slack_force: float | None = None,
     on_corrupt: OnCorrupt = "raise",
 ) -> Recording:
-    """Read a raw recording from a file of any format of `read_dataset`, with the same column names.
+    """Read a raw recording from a file of any format of `read_dataset`, with its columns and arguments.
 
     Required are pressure and force. The time is a column, or follows from `sample_rate` or the waveforms of a TDMS
     file. A length is converted to a contraction. A file named ``*.nc`` was written by `Recording.to_netcdf`.
 
     Parameters
     ----------
-    path, columns, initial_length, specimen, slack_force
-        As for `read_dataset`.
     contraction
         Contraction of the test [-], where the file has neither contractions nor lengths.
     sample_rate

@@ -82,7 +82,7 @@ class Recording:
         source: str = "",
         slack_force: float = 0.0,
     ) -> Self:
-        """Make a recording from arrays in SI units.
+        """Make a recording from arrays in SI units; raises a `DatasetError` with every problem.
 
         Parameters
         ----------
@@ -92,11 +92,6 @@ class Recording:
             Shape (samples,), or one number for all: [-], [Pa].
         specimen, initial_length, source, slack_force
             As for `IsobaricDataset.of`.
-
-        Raises
-        ------
-        DatasetError
-            With every problem.
         """
         given = {"time": time, "pressure": pressure, "force": force}
         given |= {"contraction": contraction, "set_pressure": set_pressure}
@@ -167,13 +162,12 @@ class Recording:
         Parameters
         ----------
         pressure_tolerance, contraction_tolerance, force_tolerance
-            A segment is steady while means over a twentieth of `dwell` stay within this [Pa], [-], [N] of its
-            middle. A force that creeps is no reason to drop a plateau: it is looked at only where a tolerance is given.
+            A segment is steady while means over a twentieth of `dwell` stay within this [Pa], [-], [N] of its middle.
+            The force, which may creep, is looked at only where a tolerance is given.
         dwell
             A segment is steady for at least so long [s].
         settle
-            Its beginning that is left out of the means [s]; below `dwell`. A twentieth of `dwell` is left out at either
-            end anyhow: friction changes sides in the first instant of a motion.
+            Its beginning that is left out of the means [s], besides a twentieth of `dwell` at either end.
         level_tolerance
             Plateau pressures that follow each other closer than this [Pa] belong to one level, whose mean (in whole
             kPa) is the set pressure of them all; unless the record has set pressures.
@@ -182,10 +176,10 @@ class Recording:
 
         Returns
         -------
-        Points
+        ExtractedPoints
             The dataset has ``force_spread`` and ``time`` (the middle of each segment). ``direction`` is that of the
-            last motion before a plateau; where the length did not change since the plateau before it, the direction is
-            not known (it is no loading or unloading), and ``phase`` says whether the muscle was filled or vented.
+            last motion before a plateau; where the length did not change, ``phase`` says whether the muscle was filled
+            or vented.
 
         Raises
         ------
@@ -222,10 +216,8 @@ class Recording:
 
         Parameters
         ----------
-        levels
+        levels, count
             Pressures [Pa]; `count` evenly spaced ones inside the range of the recording unless given.
-        count
-            Number of levels.
         contraction
             Contraction of the test [-]; the recorded one unless given.
         contraction_tolerance
@@ -241,7 +233,7 @@ class Recording:
 
         Returns
         -------
-        Points
+        ExtractedPoints
             The dataset has ``phase`` ("filling" or "venting"), ``repeat`` (the filling or venting's number, from 0),
             ``set_pressure`` (the level) and ``force_spread`` (about the line); no direction.
 
@@ -267,13 +259,7 @@ class Recording:
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file that `to_netcdf` wrote.
-
-        Raises
-        ------
-        DatasetError
-            If the file is not there, is no NetCDF file, or does not hold a recording.
-        """
+        """Read a file that `to_netcdf` wrote; raises a `DatasetError` if it is missing or no recording."""
         return load_validated(Path(path), cls)
 
 

@@ -50,12 +50,7 @@ VARIABLES: Mapping[str, Variable] = {
 
 
 def normalize(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
-    """Normalised table of an `IsobaricDataset`, and all problems found.
-
-    Columns become float64 (`repeat` int64, `direction` and `phase` text) and read-only; samples are not copied. Every
-    variable gets its `units` and `long_name`, the table its four attributes. Other variables pass through. With
-    problems the table is not normalised.
-    """
+    """Normalised read-only table of an `IsobaricDataset`, and all problems found; samples are not copied."""
     problems = list(_structure(table))
     if problems:
         return table, problems
@@ -201,11 +196,7 @@ def _finite(value: object) -> float | None:
 
 
 def format_range(values: np.ndarray) -> str:
-    """Range of values as text.
-
-    >>> format_range(np.array([1.0, 2.5])), format_range(np.array([3.0, 3.0]))
-    ('1..2.5', '3')
-    """
+    """Range of values as text: 1..2.5."""
     low, high = f"{values.min():.4g}", f"{values.max():.4g}"
     return low if low == high else f"{low}..{high}"
 
@@ -220,13 +211,7 @@ def write_netcdf(table: xr.Dataset, path: Path) -> None:
 
 
 def load_netcdf(path: Path) -> xr.Dataset:
-    """Read a NetCDF file.
-
-    Raises
-    ------
-    DatasetError
-        If the file is missing or no NetCDF file.
-    """
+    """Read a NetCDF file; raises a `DatasetError` if it is missing or damaged."""
     try:
         with path.open("rb") as file:  # so that what the system objects to is told from what is wrong with the content
             if file.seek(0, 2) > 0:
@@ -244,13 +229,7 @@ Held = TypeVar("Held")
 
 
 def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
-    """Object made of the table of a NetCDF file; errors name the file.
-
-    Raises
-    ------
-    DatasetError
-        As `load_netcdf`, or with the problems that `make` finds.
-    """
+    """Object made of the table of a NetCDF file; errors name the file."""
     table = load_netcdf(path)
     try:
         return make(table)
@@ -313,11 +292,7 @@ def _cells(values: np.ndarray) -> list[str]:
 
 
 def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()) -> str:
-    """Table for a notebook: a title, a header, rows, and notes below.
-
-    >>> html_table("<Fit>", ["a"], [[1]], ["note"])
-    '<p>&lt;Fit&gt;</p><table><tr><th>a</th></tr><tr><td>1</td></tr></table><p>note</p>'
-    """
+    """Table for a notebook: a title, a header, rows, and notes below."""
 
     def row(cells: Sequence[object], tag: str) -> str:
         return "<tr>" + "".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"

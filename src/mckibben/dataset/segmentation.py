@@ -28,28 +28,7 @@ class Segments(NamedTuple):
 def steady_segments(
     signals: Sequence[tuple[NDArray[np.float64], float]], broken: NDArray[np.bool_], dwell: int
 ) -> Segments:
-    """Find the segments in which every signal stays within its tolerance.
-
-    Means over a twentieth of the dwell are compared, which suppresses noise. A dwell is steady where the means of each
-    signal lie within twice its tolerance; overlapping steady dwells make a segment, whose ends are trimmed to where
-    every mean is within the tolerance of the segment's middle half.
-
-    Parameters
-    ----------
-    signals
-        Pairs of samples, shape (n,), and tolerance.
-    broken
-        Shape (n,): samples that no segment may contain.
-    dwell
-        Minimum number of samples of a segment.
-
-    Examples
-    --------
-    >>> stairs = np.repeat([0.0, 1.0, 5.0], [40, 3, 57])
-    >>> found = steady_segments([(stairs, 0.1)], np.zeros(100, bool), 20)
-    >>> found.first, found.last
-    (array([ 0, 43]), array([ 40, 100]))
-    """
+    """Segments of at least `dwell` samples in which the means of each signal stay within its tolerance."""
     count = len(broken)
     none = np.empty(0, np.int64)
     if count < dwell:
@@ -226,27 +205,7 @@ def plateaus(
 
 
 def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], int]:
-    """Level of each pressure: the mean, in whole kPa, of its cluster.
-
-    Parameters
-    ----------
-    pressures
-        Shape (n,) [Pa].
-    tolerance
-        Sorted pressures closer than this [Pa] are one cluster; a cluster wider than three times this has no level.
-
-    Returns
-    -------
-    levels
-        Shape (n,) [Pa]; NaN without a level.
-    chained
-        Number of pressures without a level.
-
-    Examples
-    --------
-    >>> levels_of(np.array([99.2e3, 200.3e3, 101.0e3]), 10e3)
-    (array([100000., 200000., 100000.]), 0)
-    """
+    """Mean pressure of each cluster [whole kPa], NaN in too wide ones, and the number of points in these."""
     order = np.argsort(pressures, kind="stable")
     ranked = pressures[order]
     group = np.concatenate([[0], np.cumsum(np.diff(ranked) > tolerance)])
@@ -270,10 +229,7 @@ def _approach(
     contraction_tolerance: float,
     pressure_tolerance: float,
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
-    """Direction and phase of each plateau, by the last motion before it.
-
-    It is told by the last sample outside of twice the tolerance, else by the plateau before; never across a gap.
-    """
+    """Direction and phase of each plateau, by the last motion before it, never across a gap."""
     before = np.concatenate([[0], last[:-1]])
     breaks = np.append(0, np.flatnonzero(broken))
     parted = breaks[np.searchsorted(breaks, first, side="right") - 1]  # where the part that a plateau is in begins

@@ -47,16 +47,14 @@ class Bootstrap:
 
     Attributes
     ----------
-    law
-        Fit to all points.
+    law, at_bound
+        Fit to all points, and its parameters at a bound, shape (parameters,): these have no errors and no intervals.
     by, blocks
         Kind and number of the blocks.
     draws
         Shape (refits, parameters), in SI, in the order of the law's parameters.
     failed
         Number of draws that did not determine the law, and were repeated.
-    at_bound
-        Shape (parameters,): parameters at a bound in the fit to all points; they have no errors and no intervals.
     """
 
     law: ForceLaw
@@ -129,16 +127,10 @@ class Bootstrap:
 
 
 def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None = None) -> Bootstrap:
-    """Refit a law to blocks of its points drawn with replacement.
+    """Refit a law, by a `Fit`, to blocks of its points drawn with replacement.
 
     Parameters
     ----------
-    fit
-        Result of `identify`.
-    refits
-        Number of refits.
-    seed
-        Seed of the draws.
     by
         Kind of block. Unless given, repeats of the test if there are at least eight; else strokes, where directions,
         phases or repeats are known; else pressures.

@@ -24,12 +24,7 @@ from mckibben.units import bar, factor
 class LeaveOnePressureOut:
     """Leave-one-pressure-out cross-validation: each pressure is predicted by the fit to all others.
 
-    Attributes
-    ----------
-    rmse, max_error
-        Over all points [N].
-    by_pressure
-        RMSE [N] by pressure [Pa].
+    Errors [N] over all points, and RMSE [N] by pressure [Pa].
     """
 
     rmse: float
@@ -39,15 +34,7 @@ class LeaveOnePressureOut:
 
 @dataclass(frozen=True)
 class DatasetSummary:
-    """Dataset of a fit.
-
-    Attributes
-    ----------
-    specimen, source
-        Attributes of the dataset.
-    pressures
-        Levels [Pa] of the points used, ascending.
-    """
+    """Dataset of a fit: its attributes, and the ascending levels [Pa] of the points used."""
 
     specimen: str
     source: str
@@ -84,13 +71,10 @@ class Fit:
         Number of taut plateaus, and of slack ones, which are left out.
     leave_one_pressure_out
         Cross-validation errors; None where they cannot be had, as a warning explains.
-    warnings
-        Reasons not to rely on the results.
-    dataset
-        Summary of the data.
+    warnings, dataset
+        Reasons not to rely on the results, and summary of the data.
     residuals
-        Shape (points_used,): measured minus fitted force [N], in the order of the taut points; None if read from a
-        file.
+        Shape (points_used,): measured minus fitted force [N] of the taut points; None if read from a file.
     robust
         Cluster-robust standard errors, on which the intervals rest; None with too few groups, as a warning explains.
     regression
@@ -127,8 +111,6 @@ class Fit:
 
         Parameters
         ----------
-        level
-            Confidence level.
         by
             Points that may share an error; unless given, those of a stroke, or of a pressure where strokes are not
             known. ``Grouping.POINT`` gives the classical intervals.
@@ -147,7 +129,7 @@ class Fit:
     def force_intervals(
         self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95, by: Grouping | None = None
     ) -> ForceIntervals:
-        """Pointwise confidence interval and prediction interval of the force [N].
+        """Pointwise confidence interval and prediction interval of the force [N], negative where the muscle is slack.
 
         Parameters
         ----------
@@ -155,11 +137,6 @@ class Fit:
             Contraction [-] and pressure [Pa]; they broadcast.
         level, by
             As for `intervals`.
-
-        Returns
-        -------
-        ForceIntervals
-            Intervals of the law's force, which may be negative where the muscle is slack.
 
         Raises
         ------
@@ -271,13 +248,7 @@ class Fit:
 
     @classmethod
     def from_yaml(cls, path: str | os.PathLike[str]) -> Fit:
-        """Read a file that `to_yaml` wrote.
-
-        Raises
-        ------
-        ScenarioError
-            With every problem of the file and its line.
-        """
+        """Read a file that `to_yaml` wrote; raises a `ScenarioError` with every problem and its line."""
         from mckibben.identification.storage import read_fit
 
         return read_fit(Path(path))

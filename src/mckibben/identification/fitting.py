@@ -38,15 +38,8 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     ----------
     law_type
         Class of the law, such as `ExponentialLaw`.
-    dataset
-        Measured points.
     domain
         Domain of the law; by default the contractions and pressure levels of the points used.
-
-    Returns
-    -------
-    Fit
-        Law with standard errors, correlations, residuals, cross-validation errors and warnings.
 
     Raises
     ------
@@ -239,29 +232,7 @@ _ROUNDING = 1e-9  # of the largest force
 
 
 def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
-    """Check that a taut muscle's force is defined, falls with contraction and rises with pressure.
-
-    Parameters
-    ----------
-    law
-        Law to check.
-    domain
-        Range of a grid, edges included; the law's own unless given.
-
-    Returns
-    -------
-    str
-        First violation; empty where there is none.
-
-    Examples
-    --------
-    >>> from mckibben import catalog
-    >>> unphysical(catalog.law("lei-mas-10-180n"))
-    ''
-    >>> from mckibben.muscle import ReynoldsLaw
-    >>> unphysical(ReynoldsLaw(100.0, 1e-3, 500.0, -2e-2, Domain(0.0, 0.2, 0.0, 6e5)))
-    'its force rises with contraction at 0 % and 0.375 bar'
-    """
+    """First violation, on a grid, of a defined force that falls with contraction and rises with pressure."""
     box = law.domain if domain is None else domain
     contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
     pressure = np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
@@ -285,15 +256,9 @@ _SAME_CONTRACTION = 0.1 * percent
 
 @dataclass(frozen=True)
 class ResidualCorrelation:
-    """Correlation of the residuals of neighbouring points.
+    """Correlation of the residuals of neighbouring points; None for fewer than ten pairs.
 
-    Attributes
-    ----------
-    along_contraction, along_pressure
-        Correlation of neighbours on the same curve, and of neighbours at the same contraction (to 0.1 %) on
-        neighbouring curves; None for fewer than ten pairs.
-    pairs_contraction, pairs_pressure
-        Numbers of pairs.
+    Neighbours are on the same curve (along contraction), or at the same contraction on the next (along pressure).
     """
 
     along_contraction: float | None
@@ -330,16 +295,7 @@ def without_direction_means(residuals: NDArray[np.float64], points: IsobaricData
 
 
 def residual_correlation(points: IsobaricDataset, residuals: NDArray[np.float64]) -> ResidualCorrelation:
-    """Correlation of neighbouring residuals [N], shape (points,).
-
-    Examples
-    --------
-    >>> pressure, contraction = (values.ravel() for values in np.meshgrid(np.arange(1, 7) * 1e5, np.arange(8) / 40))
-    >>> points = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.ones(48))
-    >>> found = residual_correlation(points, np.cos(20 * contraction))
-    >>> round(found.along_contraction, 2), round(found.along_pressure, 2), found.pattern
-    (0.9, 1.0, 'contraction and pressure')
-    """
+    """Correlation of neighbouring residuals [N], shape (points,)."""
     residuals = without_direction_means(residuals, points)
     passes = np.zeros(len(points), np.int64)
     for name in ("direction", "phase", "repeat"):

@@ -27,15 +27,7 @@ from mckibben.units import bar, mm, show
 
 @dataclass(frozen=True, eq=False)
 class SensorDrift:
-    """Zero drift of the force sensor, linear between knots.
-
-    Attributes
-    ----------
-    time
-        Knots, shape (knots,), in the dataset's time [s].
-    offset, standard_errors
-        Zero offset and its standard errors, shape (knots,) [N].
-    """
+    """Zero offset of the force sensor and its errors [N], linear between knots [s]; shape (knots,) each."""
 
     time: NDArray[np.float64]
     offset: NDArray[np.float64]
@@ -57,11 +49,9 @@ class HysteresisFit:
         Static law, midway between loading and unloading; its domain is the range of the points.
     friction
         Hysteresis; its viscous part is 0, as points measured at rest do not determine it.
-    standard_errors
-        By parameter, in SI: those of the law unless it was given, ``half_width``, ``growth`` and
+    standard_errors, correlations
+        By parameter, in SI, and in their order: those of the law unless it was given, ``half_width``, ``growth`` and
         ``presliding_length``; NaN where the data do not determine one.
-    correlations
-        Shape (parameters, parameters), in the order of `standard_errors`; NaN where not determined.
     drift
         Drift of the force sensor; None where the points show none.
     rmse, max_error
@@ -69,12 +59,8 @@ class HysteresisFit:
     tension, friction_force, offset, residuals
         Shape (points,), in the order of the dataset: force of the law, of friction, offset of the sensor, and measured
         minus modelled force [N]. Slack points count only where there is a drift.
-    points_used, points_slack
-        Number of points used, and of slack ones.
-    warnings
-        Reasons not to rely on the results.
-    dataset
-        Summary of the data.
+    points_used, points_slack, warnings, dataset
+        Number of points used, and of slack ones; reasons not to rely on the results; summary of the data.
     """
 
     law: ForceLaw
@@ -103,13 +89,7 @@ class HysteresisFit:
         return Muscle(specimen, self.law, self.friction)
 
     def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
-        """Plateau means of the identified dataset without friction and drift, for the fit of a static law.
-
-        Raises
-        ------
-        IdentificationError
-            If it is another dataset.
-        """
+        """Plateau means of the identified dataset without friction and drift, for the fit of a static law."""
         means = dataset.plateau_means()
         if len(means) != len(self.residuals) or not np.allclose(means.force, self.force + self.residuals):
             raise IdentificationError(
@@ -178,9 +158,9 @@ def identify_hysteresis(
 ) -> HysteresisFit:
     """Fit a law and its friction to all points of an isobaric test, in the order of time.
 
-    The force at a point is that of the law, that of friction after the loading path to there, and the sensor's offset.
-    All parameters are estimated together by least squares, so the law is midway between the branches, also near the
-    reversals. Each path begins on the branch of its first stroke: loading before an unloading stroke and vice versa.
+    The force at a point is that of the law, that of friction after the loading path to there, and the sensor's offset,
+    all estimated together by least squares. Each path begins on the branch of its first stroke: loading before an
+    unloading stroke and vice versa.
 
     The drift of the sensor is none, a straight line, or linear with a knot for each path with slack points, whichever
     has the least Bayesian information criterion. It needs times; without slack points it is at most a line from 0.
@@ -190,8 +170,8 @@ def identify_hysteresis(
     law
         Class of the law to fit; or a law (or fit) that is known.
     dataset
-        Dataset with directions and the initial length, with nominal pressures where measured ones scatter. Its rows
-        are in the order of the test, or it has times.
+        Directions, initial length, and nominal pressures where measured ones scatter, in the order of the test or with
+        times.
     drift
         True to estimate a drift.
     elements

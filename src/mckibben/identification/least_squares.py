@@ -33,21 +33,14 @@ from mckibben.muscle import ForceLaw, Parameter
 def design_matrix(
     law: ForceLaw, names: Sequence[str], contraction: ArrayLike, pressure: ArrayLike
 ) -> NDArray[np.float64]:
-    """Derivative of the force with respect to named parameters.
+    """Derivative of the force with respect to named parameters, shape (n, len(names)) [N per SI unit].
 
     Parameters
     ----------
     law
         Force law with values for all parameters; those of the linear ones do not matter.
-    names
-        Parameters of the law, in the order of the columns.
     contraction, pressure
         Shape (n,): [-], [Pa].
-
-    Returns
-    -------
-    ndarray
-        Shape (n, len(names)): [N] per SI unit of the parameter.
 
     Examples
     --------
@@ -105,19 +98,7 @@ _AT_BOUND = 1e-6  # distance from a bound in the unit cube
 
 @dataclass(frozen=True)
 class UnitCube:
-    """Shape parameters scaled to 0..1 between their bounds: logarithmically where both bounds are positive.
-
-    Parameters
-    ----------
-    parameters
-        Parameters with finite bounds.
-
-    Examples
-    --------
-    >>> cube = UnitCube((Parameter("decay", "1", "1/percent", "", 1.0, 100.0),))
-    >>> cube.values([0.5])
-    [10.0]
-    """
+    """Shape parameters scaled to 0..1 between their bounds: logarithmically where both are positive."""
 
     parameters: tuple[Parameter, ...]
 
@@ -147,21 +128,7 @@ class UnitCube:
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """Weighted least-squares problem of a force law.
-
-    The law is evaluated at all points, also at those of weight 0: subsets of one dataset share compiled code.
-
-    Parameters
-    ----------
-    law_type
-        Class of the law.
-    contraction, pressure, force
-        Shape (n,): [-], [Pa], [N].
-    kept
-        Shape (n,): False for points that do not count.
-    weights
-        Shape (n,): weight of each squared residual; 1 unless given.
-    """
+    """Weighted least-squares problem of a law; subsets (`kept`) of one dataset share compiled code."""
 
     law_type: type[ForceLaw]
     contraction: NDArray[np.float64] = field(repr=False)
@@ -231,23 +198,7 @@ class FitProblem:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Solution of a least-squares problem.
-
-    Attributes
-    ----------
-    problem
-        The problem.
-    values
-        Shape (parameters,), in SI, linear ones first.
-    position
-        Shape parameters in the unit cube.
-    cost
-        Sum of squared residuals [N^2].
-    triangle
-        R factor of the Jacobian, up to the scale of its columns; shape (parameters, parameters).
-    converged
-        True if the solver met its tolerance.
-    """
+    """Solution of a least-squares problem: values in SI, linear ones first; cost [N^2]."""
 
     problem: FitProblem = field(repr=False)
     values: NDArray[np.float64]
@@ -278,21 +229,7 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Linear least-squares solution at one shape, and the projected problem around it.
-
-    Attributes
-    ----------
-    position, values
-        Shape in the unit cube; all parameters [SI].
-    cost
-        Sum of squared residuals [N^2]; infinite where the law has no force at one of the points.
-    triangle
-        R factor of the Jacobian with respect to linear parameters and position; shape (parameters, parameters).
-    residuals
-        Projected residuals, shape (shape,).
-    following
-        Derivative of the optimal linear parameters with respect to the position, shape (linear, shape).
-    """
+    """Linear least-squares solution at one shape, and the projected problem around it."""
 
     position: NDArray[np.float64]
     values: NDArray[np.float64]
@@ -314,11 +251,7 @@ class Projection:
 
 
 def project(problem: FitProblem, position: NDArray[np.float64], guess: NDArray[np.float64] | None = None) -> Projection:
-    """Solve for the linear parameters at a position of the shape in the unit cube.
-
-    The projected Jacobian is that of the force at the `guess` of the linear parameters, shape (linear,): it is exact if
-    they are optimal.
-    """
+    """Linear parameters at a position of the shape; the projected Jacobian is that at their `guess`."""
     linear, shape = problem.linear, len(position)
     values = np.concatenate([np.zeros(linear) if guess is None else guess, problem.cube.values(position)])
     rows = problem.columns_and_residuals(values)
@@ -348,20 +281,7 @@ def solve(
     *,
     fixed: int | None = None,
 ) -> Solution:
-    """Solve a least-squares problem from a position of the shape in the unit cube.
-
-    By a Gauss-Newton method on the projected residual with a secant update of the second-order term; where that does
-    not converge, by the trust region of `scipy.optimize.least_squares`.
-
-    Parameters
-    ----------
-    problem
-        Problem to solve.
-    start
-        Shape (shape,).
-    fixed
-        Index of a shape parameter that keeps its starting value.
-    """
+    """Gauss-Newton on the projected residual with a secant second-order term, else a trust region."""
     solution = _gauss_newton(problem, start, fixed)
     if solution.converged or not np.isfinite(solution.cost):
         return solution
@@ -446,10 +366,7 @@ _MAX_EVALUATIONS = 300
 
 
 def _trust_region(problem: FitProblem, start: NDArray[np.float64], fixed: int | None) -> Solution:
-    """Trust region with Kaufman's approximation of the projected Jacobian.
-
-    References: M. Branch, T. Coleman and Y. Li, SIAM J. Sci. Comput. 21 (1999) 1-23; L. Kaufman, BIT 15 (1975) 49-57.
-    """
+    """Trust region with Kaufman's approximation of the projected Jacobian (BIT 15, 1975, 49-57)."""
     from scipy.optimize import least_squares  # 0.3 s, and few fits need it
 
     free = np.delete(np.arange(len(start)), [] if fixed is None else fixed)

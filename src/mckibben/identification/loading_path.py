@@ -27,21 +27,7 @@ _ORDER_REMEDY = "give the time of each point, or rows in the order in which they
 
 @dataclass(frozen=True, eq=False)
 class LoadingPaths:
-    """Loading paths of a test: the points at constant pressure, in the order of time.
-
-    Attributes
-    ----------
-    place
-        Shape (points, paths): row of the dataset of each point; short paths are padded with their last row.
-    counts
-        Shape (paths,): number of points of each path.
-    side
-        Shape (paths,): branch of the hysteresis on which each begins: 1 loading (stretched), -1 unloading.
-    length
-        Shape (rows,): length of the muscle [m].
-    step
-        Median displacement between points [m].
-    """
+    """Loading paths of a test: the points at constant pressure, in the order of time."""
 
     place: NDArray[np.int64] = field(repr=False)
     counts: NDArray[np.int64]
@@ -69,13 +55,7 @@ class LoadingPaths:
 
     @classmethod
     def of(cls, means: IsobaricDataset) -> LoadingPaths:
-        """Loading paths of a dataset of plateau means.
-
-        Raises
-        ------
-        IdentificationError
-            If it has not both directions, no initial length, or rows that are not in the order of a test.
-        """
+        """Loading paths of a dataset of plateau means; raises `IdentificationError` if it has none."""
         table = means.table
         if "direction" not in table or len(means.directions) < 2:
             which = f"{means.directions[0]} alone" if len(means.directions) else "no directions"
@@ -126,17 +106,7 @@ class LoadingPaths:
 
 @dataclass(frozen=True, eq=False)
 class DriftBasis:
-    """Basis of a piecewise linear sensor drift: offset = points @ amplitudes.
-
-    Attributes
-    ----------
-    points
-        Shape (rows, amplitudes).
-    time
-        Knots [s], shape (knots,).
-    at_knots
-        Basis at the knots, shape (knots, amplitudes).
-    """
+    """Basis of a piecewise linear sensor drift: offset = points @ amplitudes."""
 
     points: NDArray[np.float64]
     time: NDArray[np.float64]
@@ -144,19 +114,7 @@ class DriftBasis:
 
     @classmethod
     def candidates(cls, paths: LoadingPaths, means: IsobaricDataset) -> list[DriftBasis]:
-        """No drift, a straight line, and a knot for each path with slack points: from the simplest to the freest.
-
-        Slack points determine the sensor's zero; without them the line begins at 0. Without times there is no drift.
-
-        Examples
-        --------
-        >>> data = IsobaricDataset.of(
-        ...     pressure=[1e5] * 8, contraction=[0, 0.1, 0.2, 0.3, 0.3, 0.2, 0.1, 0], force=[80, 40, 10, 0] * 2,
-        ...     direction=["unloading"] * 4 + ["loading"] * 4, time=np.arange(8.0), initial_length=0.2)
-        >>> none, line = DriftBasis.candidates(LoadingPaths.of(data), data)
-        >>> line.points.ravel()
-        array([0., 1., 2., 3., 4., 5., 6., 7.])
-        """
+        """No drift, a line, a knot for each path with slack points, which determine the sensor's zero."""
         none = cls(np.empty((len(means), 0)), np.empty(0), np.empty((0, 0)))
         if "time" not in means.table:
             return [none]
@@ -188,20 +146,7 @@ def _hats(time: NDArray[np.float64], knots: NDArray[np.float64]) -> NDArray[np.f
 
 
 def loop_half_width(means: IsobaricDataset, taut: NDArray[np.bool_]) -> float:
-    """Median half-difference [N] between the directions at the same pressure and contraction.
-
-    Parameters
-    ----------
-    means
-        Dataset with directions.
-    taut
-        Shape (rows,): points to compare.
-
-    Raises
-    ------
-    IdentificationError
-        If no points were measured in both directions, or the directions do not differ significantly.
-    """
+    """Median half-difference [N] between the directions at the same pressure and contraction."""
     keys = np.stack([means.levels.round(-2), means.contraction.round(5)], axis=1)
     place = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
     loading = means.table["direction"].to_numpy() == "loading"
@@ -239,23 +184,7 @@ _WIDEST = 1e5  # N
 
 @dataclass(frozen=True, eq=False)
 class PathDependentModel:
-    """Force along loading paths: law, Maxwell-slip friction (`MaxwellSlip.along`), and sensor drift.
-
-    Parameters
-    ----------
-    template
-        Law with values for all of its parameters.
-    paths, means
-        Loading paths of a test, and its plateau means.
-    drift
-        Basis of the sensor drift.
-    used
-        Shape (rows,): points whose residuals count; the paths lead through all.
-    reference_pressure
-        Reference pressure of the friction [Pa].
-    elements
-        Number of Maxwell-slip elements.
-    """
+    """Force along loading paths: law, Maxwell-slip friction (`MaxwellSlip.along`), and sensor drift."""
 
     template: ForceLaw
     paths: LoadingPaths

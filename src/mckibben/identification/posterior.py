@@ -41,15 +41,7 @@ _FEWEST_EFFECTIVE = 100
 
 
 class Noise(enum.Enum):
-    """Distribution of the errors of plateau means.
-
-    Attributes
-    ----------
-    GAUSSIAN
-        Normal distribution.
-    STUDENT
-        Student t distribution: outliers weigh less.
-    """
+    """Distribution of the errors of plateau means; for Student t outliers weigh less."""
 
     GAUSSIAN = "gaussian"
     STUDENT = "student"
@@ -69,10 +61,8 @@ class Posterior:
         Draws of the noise parameters: ``sigma`` [N], with groups ``tau`` [N], with Student ``freedom`` [-].
     by
         Grouping of the random effects; None without.
-    r_hat, effective
-        Largest potential scale reduction, and smallest effective sample size.
-    divergences
-        Number of divergent transitions.
+    r_hat, effective, divergences
+        Largest potential scale reduction, smallest effective sample size, and number of divergent transitions.
     warnings
         Convergence problems.
     """
@@ -118,22 +108,14 @@ def posterior(
     chains: int = 2,
     seed: int = 0,
 ) -> Posterior:
-    """Sample the posterior of the parameters.
+    """Sample the posterior of the parameters of a `Fit`, where the chains start; they run one after the other.
 
     Parameters
     ----------
-    fit
-        Result of `identify`, where the chains start.
-    noise
-        Distribution of the errors.
     by
         Grouping of the random effects, such as `Grouping.STROKE`; none unless given.
     draws, warmup
         Draws of each chain, and discarded adaptation steps before them.
-    chains
-        Number of chains, run one after the other.
-    seed
-        Seed of the sampler.
 
     Raises
     ------

@@ -43,10 +43,6 @@ class Profile:
 
     Attributes
     ----------
-    name, estimate
-        Parameter, and its estimate in SI.
-    level
-        Confidence level of the intervals.
     interval
         Profile interval in SI; an end is infinite where the data do not bound the parameter within its range.
     wald
@@ -79,16 +75,7 @@ class Profile:
 
 
 def profile(fit: Fit, name: str, *, level: float = 0.95, by: Grouping | None = None) -> Profile:
-    """Profile likelihood of a shape parameter, and its confidence interval.
-
-    Parameters
-    ----------
-    fit
-        Result of `identify`.
-    name
-        Shape parameter, such as "decay".
-    level, by
-        As for `Fit.intervals`.
+    """Profile likelihood of a shape parameter, such as "decay", of a `Fit`, and its confidence interval.
 
     Raises
     ------

@@ -35,23 +35,17 @@ _SUPPORTED = 2.0  # difference of AICc up to which a model has substantial suppo
 
 @dataclass(frozen=True)
 class RankedLaw:
-    """Entry of a ranking.
+    """Entry of a ranking: a law by the name of its class.
 
     Attributes
     ----------
-    law
-        Name of the class.
-    fit
-        Fit to all taut points; None where it was refused.
-    refused
-        Reason why there is no fit.
+    fit, refused
+        Fit to all taut points; None where it was refused, for that reason.
     cross_validation
         Errors by kind of block, "pressure", "direction", "phase" and "repeat", as far as recorded; without the mean
         difference between the directions, which is friction.
     aicc
         Corrected Akaike information criterion; NaN with too few points.
-    residual_correlation
-        Correlation of neighbouring residuals.
     flags
         Reasons not to take the law for this muscle, such as a parameter at its bound.
     remarks
@@ -103,12 +97,8 @@ class Ranking:
 
     Attributes
     ----------
-    entries
-        One per law.
-    points
-        Taut plateau means of all fits.
-    slack
-        Number of slack points left out.
+    points, slack
+        Taut plateau means of all fits, and number of slack points left out.
     missing
         Reason why a kind of block is not available, by its name.
     """
@@ -137,13 +127,7 @@ class Ranking:
         return next((e for e in fitted if not e.flags and _nearly_as_good(e, first)), first)
 
     def of(self, law: str) -> RankedLaw:
-        """Entry of a law by the name of its class.
-
-        Raises
-        ------
-        IdentificationError
-            If it was not ranked.
-        """
+        """Entry of a law by the name of its class; an `IdentificationError` if it was not ranked."""
         for entry in self.entries:
             if entry.law == law:
                 return entry
@@ -194,19 +178,8 @@ def rank(
 ) -> Ranking:
     """Fit laws to a dataset and rank them by their cross-validation errors.
 
-    Parameters
-    ----------
-    dataset
-        Measured points.
-    laws
-        Classes of laws; all unless given.
-    progress
-        Called with the current law and the fraction done, 0 to 1.
-
-    Returns
-    -------
-    Ranking
-        A law that the points do not determine is listed with the reason.
+    A law that the points do not determine is listed with the reason; `progress` is called with the current law and the
+    fraction done, 0 to 1.
 
     Raises
     ------

@@ -30,17 +30,7 @@ MOST_BLOCKS = 200
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Errors at blocks of points, each predicted by the fit to all other blocks.
-
-    Whole blocks and not single points: the neighbours of a point on its own curve all but determine it.
-
-    Attributes
-    ----------
-    residuals
-        Shape (points,): measured minus predicted force [N]; NaN for points that belong to no block.
-    by_block
-        RMSE [N] of each block.
-    """
+    """Errors [N] at blocks of points, each predicted by the fit to all others; NaN for points of no block."""
 
     residuals: NDArray[np.float64] = field(repr=False)
     by_block: Mapping[float | str, float]
@@ -79,20 +69,7 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[NDArray[np.float64] | None
 
 
 def cross_validate(problem: FitProblem, full: Solution, blocks: ArrayLike) -> CrossValidation:
-    """Fit the law, its shape included, to all blocks but one, and predict that one; for each block.
-
-    Parameters
-    ----------
-    problem, full
-        Problem of all points, and its solution, where each refit starts.
-    blocks
-        Shape (points,): number or text of the block of each point; an empty text for none.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the other blocks do not determine the law.
-    """
+    """Fit the law, shape included, to all blocks but one, and predict that one; for each block."""
     blocks = np.asarray(blocks)
     everything = problem.subset(np.ones(len(blocks), bool))
     residuals = np.full(len(blocks), np.nan)
@@ -120,17 +97,7 @@ _FAR_SMALLER = 0.5  # with the right law, 12 of 1000 data sets of 5 groups are b
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """Points of a fit and the least-squares solution.
-
-    Attributes
-    ----------
-    points
-        Taut plateau means.
-    problem, solution
-        Least-squares problem and its solution.
-    at_bound
-        Shape (parameters,): parameters at a bound of their range, which have no standard error.
-    """
+    """Points of a fit and the least-squares solution."""
 
     points: IsobaricDataset = field(repr=False)
     problem: FitProblem = field(repr=False)
@@ -144,13 +111,7 @@ class Regression:
 
     @cached_property
     def default_grouping(self) -> tuple[Grouping, str]:
-        """Grouping of the errors unless another is asked for, and the reason where points count as independent.
-
-        Strokes where directions, phases or repeats are known, else pressures. Points count as independent with fewer
-        than five groups, if most groups are a single point, if one group alone determines a parameter, or if all
-        parameters are at a bound. The choice depends on where was measured, never on the measured forces: a choice by
-        the residuals would invalidate the intervals.
-        """
+        """Grouping by where was measured, never by the residuals, which would invalidate the intervals."""
         if self.at_bound.all():
             return Grouping.POINT, "all parameters are at a bound, so that none has an error"
         by = finest_grouping(self.points)
@@ -175,12 +136,7 @@ class Regression:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """Signs that the cluster-robust errors are too small.
-
-        A misspecified law leaves residuals of one shape in every group. What all groups have in common does not
-        scatter between groups, so the cluster-robust errors hardly contain it. The test is on the uncertainty of the
-        force over all points: that of single parameters is often that small by chance.
-        """
+        """Signs that the cluster-robust errors are too small."""
         by = self.default_grouping[0]
         if by is Grouping.POINT:
             return ()
@@ -198,13 +154,7 @@ class Regression:
         )
 
     def error_model(self, by: Grouping | None = None) -> ErrorModel:
-        """Error model of the free parameters for a grouping of the points; the default one unless given.
-
-        Raises
-        ------
-        IdentificationError
-            If the groups are not recorded, are fewer than two, or one alone determines a parameter.
-        """
+        """Error model of the free parameters for a grouping of the points; the default one unless given."""
         by = self.default_grouping[0] if by is None else by
         if by is Grouping.POINT:
             return self._independent

@@ -20,19 +20,7 @@ _CLOCK_ERROR = 0.05  # s, of the times of points
 
 @dataclass(frozen=True, eq=False)
 class TimedLoadingPaths:
-    """Loading paths with the durations of moves and plateaus.
-
-    Attributes
-    ----------
-    paths
-        Loading paths.
-    moving, before
-        Shape (points, paths): duration of the move to each point, and from the end of the last one to its end [s].
-    slack
-        Shape (points, paths).
-    dwell
-        Time from the end of a move to the first sample [s].
-    """
+    """Loading paths with the durations of moves and plateaus [s]."""
 
     paths: LoadingPaths
     moving: NDArray[np.float64] = field(repr=False)
@@ -42,13 +30,7 @@ class TimedLoadingPaths:
 
     @classmethod
     def of(cls, means: IsobaricDataset, dwell: float, speed: float, acquisition: float) -> TimedLoadingPaths:
-        """Paths of plateau means, with dwell and duration of the samples [s], and speed of the moves [m/s].
-
-        Raises
-        ------
-        IdentificationError
-            As `LoadingPaths.of`, or if move, dwell and samples take longer than the time between two points.
-        """
+        """Paths of plateau means, with dwell and duration of the samples [s], and speed of the moves [m/s]."""
         if len(means.directions) < 2:
             raise IdentificationError(
                 "the dataset has not both directions: sensor drift cannot be told from creep",
@@ -104,19 +86,7 @@ class TimedLoadingPaths:
 
 
 class RelaxationCurves(NamedTuple):
-    """Samples of each plateau, averaged in blocks, less their mean.
-
-    Attributes
-    ----------
-    values
-        Shape (rows, blocks), in the unit of the samples.
-    weight
-        Fraction of the samples in each block, shape (blocks,).
-    edges
-        First sample of each block, shape (blocks,).
-    times
-        Shape (samples,) [s].
-    """
+    """Samples of each plateau, averaged in blocks, less their mean."""
 
     values: NDArray[np.float64]
     weight: NDArray[np.float64]
@@ -189,10 +159,7 @@ class MaxwellElementFit:
         return math.exp(float(found.x))  # type: ignore[attr-defined]
 
     def uncertainty(self, tau: float, used: NDArray[np.bool_]) -> tuple[dict[str, float], float, float]:
-        """Standard errors of stiffness and time constant, their correlation, and the variance inflation.
-
-        The last is the ratio of the cluster-robust to the classical variance of the time constant.
-        """
+        """Standard errors of stiffness and time constant, their correlation, and the variance inflation."""
         small = 1e-4
         after, before = (self._by_stiffness(tau * math.exp(sign * small)) for sign in (1, -1))
         columns, residuals = self._columns_and_residuals(tau, used)

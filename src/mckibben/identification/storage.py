@@ -80,22 +80,13 @@ def write_fit(fit: Fit, path: Path) -> None:
 def read_law(path: str | os.PathLike[str]) -> ForceLaw:
     """Read the law of a file that `Fit.to_yaml` wrote, or of one written by hand with its first sections.
 
-    Raises
-    ------
-    ScenarioError
-        With every problem of the file and its line.
+    Raises a `ScenarioError` with every problem of the file and its line.
     """
     return _read(path, complete=False).force_law()
 
 
 def read_fit(path: Path) -> Fit:
-    """Read a file that `write_fit` wrote.
-
-    Raises
-    ------
-    ScenarioError
-        With every problem of the file and its line.
-    """
+    """Read a file that `write_fit` wrote; raises a `ScenarioError` with every problem and its line."""
     return _read(path, complete=True).fit()
 
 

@@ -18,22 +18,7 @@ _BLOCK = 6144
 
 
 def tsqr_r(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """R factor of the QR decomposition, shape (k, k), of a matrix of shape (n, k), n >= k, by blocks of rows.
-
-    R of the columns [A, y] gives the least-squares solution of A x = y, its residual, and the condition number of A.
-
-    References
-    ----------
-    J. Demmel et al., "Communication-optimal parallel and sequential QR and LU factorizations", SIAM J. Sci.
-    Comput. 34 (2012) A206-A239.
-
-    Examples
-    --------
-    >>> matrix = np.vander(np.linspace(0, 1, 5000), 6)
-    >>> r = tsqr_r(matrix)
-    >>> bool(np.allclose(r.T @ r, matrix.T @ matrix)), bool(np.all(np.tril(r, -1) == 0))
-    (True, True)
-    """
+    """R factor (k, k) of a matrix (n, k) by blocks of rows (Demmel et al., SIAM J. Sci. Comput. 34, 2012, A206)."""
     count, width = matrix.shape
     most = max(_BLOCK // max(width, 1), 2 * width)
     if count <= most:
@@ -63,17 +48,7 @@ CONDITION_LIMIT = 1e10
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Classical uncertainty of least-squares estimates.
-
-    Attributes
-    ----------
-    standard_errors
-        Shape (parameters,), in the unit of each; NaN at a bound.
-    correlations
-        Shape (parameters, parameters); NaN in the rows and columns of parameters at a bound.
-    standard_deviation
-        s [N], of a plateau mean about the law.
-    """
+    """Classical standard errors and correlations (NaN at a bound), and s [N] of a plateau mean about the law."""
 
     standard_errors: NDArray[np.float64]
     correlations: NDArray[np.float64]
@@ -83,25 +58,7 @@ class Uncertainty:
 def uncertainty(
     jacobian: NDArray[np.float64], residuals: NDArray[np.float64], at_bound: NDArray[np.bool_]
 ) -> Uncertainty:
-    """Standard errors and correlations of the parameters that are not at a bound.
-
-    Parameters
-    ----------
-    jacobian
-        Shape (points, parameters): derivative of the force [N] with respect to the parameters.
-    residuals
-        Shape (points,) [N]; more points than free parameters.
-    at_bound
-        Shape (parameters,).
-
-    Examples
-    --------
-    The mean of four numbers: s is their standard deviation, and the standard error is s/2.
-
-    >>> u = uncertainty(np.ones((4, 1)), np.array([1.0, -1.0, 2.0, -2.0]), np.array([False]))
-    >>> round(u.standard_deviation, 4), u.standard_errors.round(4)
-    (1.8257, array([0.9129]))
-    """
+    """Uncertainty of the parameters not at a bound, of a Jacobian (points, parameters) and residuals [N]."""
     count = jacobian.shape[1]
     free = np.flatnonzero(~at_bound)
     lengths, singular, directions = _decompose(jacobian[:, free])
@@ -163,15 +120,7 @@ class ErrorModel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class IndependentErrors:
-    """Independent errors of equal variance: covariance s^2 (X^T X)^-1 with n - k degrees of freedom.
-
-    Parameters
-    ----------
-    triangle
-        R factor of the Jacobian, shape (k, k).
-    residual_variance
-        s^2 [N^2], and its degrees of freedom.
-    """
+    """Independent errors of equal variance: covariance s^2 (X^T X)^-1 with n - k degrees of freedom."""
 
     triangle: NDArray[np.float64]
     residual_variance: tuple[float, float]
@@ -190,36 +139,7 @@ class IndependentErrors:
 
 @dataclass(frozen=True, eq=False)
 class ClusterRobustErrors:
-    """Cluster-robust covariance CR2 with Satterthwaite degrees of freedom: points of a group may share an error.
-
-    Parameters
-    ----------
-    triangle
-        R factor of the Jacobian, shape (k, k).
-    scores
-        Q_g^T A_g e_g, shape (groups, k).
-    own, shared
-        Q_g^T A_g^2 Q_g and Q_g^T A_g Q_g, shape (groups, k, k).
-    decisive
-        Groups without which the parameters are not determined: with them there is no such estimate.
-    residual_variance
-        Variance of a single plateau mean about the law [N^2], from the corrected residuals A_g e_g, and its degrees of
-        freedom.
-
-    References
-    ----------
-    R. Bell and D. McCaffrey, Survey Methodology 28 (2002) 169-181; J. Pustejovsky and E. Tipton, J. Business and
-    Economic Statistics 36 (2018) 672-683.
-
-    Examples
-    --------
-    The mean of four numbers, each a group: the textbook's s/2, with 3 degrees of freedom.
-
-    >>> model = ClusterRobustErrors.of(np.ones((4, 1)), np.array([1.0, -1.0, 2.0, -2.0]), np.arange(4))
-    >>> variance, freedom = model.variance(np.ones((1, 1)))
-    >>> round(float(np.sqrt(variance[0])), 4), round(float(freedom[0]), 4)
-    (0.9129, 3.0)
-    """
+    """Cluster-robust covariance CR2 with Satterthwaite degrees of freedom: points of a group share an error."""
 
     triangle: NDArray[np.float64]
     scores: NDArray[np.float64]
@@ -271,13 +191,7 @@ class ClusterRobustErrors:
 def _residual_variance(
     residuals: NDArray[np.float64], starts: NDArray[np.int64], sizes: NDArray[np.int64], parameters: int
 ) -> tuple[float, float]:
-    r"""Mean square of the residuals, and its degrees of freedom given their correlation within groups.
-
-    For n normal errors of equal variance with the correlation matrix R, :math:`e^T e` has the mean
-    :math:`\sigma^2 n` and the variance :math:`2 \sigma^4\,\mathrm{tr}\,R^2`, so :math:`n^2 / \mathrm{tr}\,R^2` degrees
-    of freedom; with one correlation :math:`\rho` within groups of the sizes :math:`m_g` the trace is
-    :math:`n + \rho^2 \sum_g m_g (m_g - 1)`. The parameters are subtracted in proportion.
-    """
+    """Mean square e^T e / n of the residuals, and n^2 / tr R^2 degrees of freedom less the parameters."""
     count = len(residuals)
     square = float(residuals @ residuals) / count
     pairs = int(np.sum(sizes * (sizes - 1)))
@@ -303,8 +217,8 @@ class Grouping(enum.Enum):
     POINT
         Every plateau mean is a group: independent errors, the classical formula.
     STROKE
-        Points of one pass at one pressure: same level, repeat and `approach_labels`, as far as recorded. A zero error
-        of the force sensor, creep or friction common to a pass then counts as one error.
+        Points of one pass: same level, repeat and direction or phase, as far as recorded. A zero error of the force
+        sensor, creep or friction common to a pass then counts as one error.
     PRESSURE
         Points of one pressure level; their common error includes the misfit of the law there.
     REPEAT
@@ -322,24 +236,7 @@ class Grouping(enum.Enum):
 
 
 def group_labels(points: IsobaricDataset, grouping: Grouping) -> NDArray[np.int64]:
-    """Group number of each point, from 0 without gaps, shape (points,).
-
-    Raises
-    ------
-    IdentificationError
-        If repeats are asked for and not recorded.
-
-    Examples
-    --------
-    >>> points = IsobaricDataset.of(
-    ...     pressure=[1e5, 1e5, 2e5, 2e5],
-    ...     contraction=[0, 0.1, 0, 0.1],
-    ...     force=[80, 40, 170, 90],
-    ...     direction=["loading", "unloading", "loading", "loading"],
-    ... )
-    >>> group_labels(points, Grouping.STROKE), group_labels(points, Grouping.PRESSURE)
-    (array([0, 1, 2, 2]), array([0, 0, 1, 1]))
-    """
+    """Group number of each point, from 0 without gaps, shape (points,)."""
     if grouping is Grouping.POINT:
         return np.arange(len(points))
     columns: list[np.ndarray] = []
@@ -358,24 +255,7 @@ def group_labels(points: IsobaricDataset, grouping: Grouping) -> NDArray[np.int6
 
 
 def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
-    """Direction or phase of the pass that each point belongs to, shape (points,); empty where neither is known.
-
-    The direction counts, or the phase where no direction is known at the same level and repeat. A point without a label
-    of its own, such as the first of a stroke after filling, belongs to the next labelled point of its level and repeat,
-    or to the last one.
-
-    Examples
-    --------
-    >>> points = IsobaricDataset.of(
-    ...     pressure=[1e5, 1e5, 1e5, 2e5, 2e5],
-    ...     contraction=[0, 0.1, 0, 0.1, 0.1],
-    ...     force=[80, 40, 84, 90, 80],
-    ...     direction=["", "unloading", "loading", "", ""],
-    ...     phase=["filling", "", "", "filling", "venting"],
-    ... )
-    >>> approach_labels(points).tolist()
-    ['unloading', 'unloading', 'loading', 'filling', 'venting']
-    """
+    """Direction, else phase, of each point's pass; a point without takes the next labelled one of its level."""
     direction, phase = (
         points.table[name].to_numpy() if name in points.table else np.full(len(points), "", "<U9")
         for name in ("direction", "phase")
