@@ -28,45 +28,28 @@ ACCEPTED: Mapping[str, tuple[str, ...]] = {
 # Other names, accepted only with a unit. None whose sign or zero is ambiguous, such as strain or displacement. Letters
 # are case-sensitive: f is a frequency and T a temperature.
 _NAMES: Mapping[str, str] = {
-    "p": "pressure",
-    "P": "pressure",
-    "gauge pressure": "pressure",
-    "muscle pressure": "pressure",
-    "measured pressure": "pressure",
-    "F": "force",
-    "tension": "force",
-    "axial force": "force",
-    "muscle force": "force",
-    "measured force": "force",
-    "pull": "force",
-    "relative contraction": "contraction",
-    "contraction ratio": "contraction",
-    "epsilon": "contraction",
-    "ε": "contraction",
-    "muscle length": "length",
-    "t": "time",
-    "elapsed time": "time",
-    "set pressure": "set_pressure",
-    "pressure setpoint": "set_pressure",
-    "nominal pressure": "set_pressure",
-    "p_set": "set_pressure",
+    name: quantity
+    for quantity, others in (
+        ("pressure", ("p", "P", "gauge pressure", "muscle pressure", "measured pressure")),
+        ("force", ("F", "tension", "axial force", "muscle force", "measured force", "pull")),
+        ("contraction", ("relative contraction", "contraction ratio", "epsilon", "ε")),
+        ("length", ("muscle length",)),
+        ("time", ("t", "elapsed time")),
+        ("set_pressure", ("set pressure", "pressure setpoint", "nominal pressure", "p_set")),
+    )
+    for name in others
 }
 _SYMBOLS = frozenset(name for name in _NAMES if len(name) == 1)
 
 _SPELLED: Mapping[str, str] = {
     "%": "percent",
-    "-": "ratio",
-    "1": "ratio",
-    "sec": "s",
-    "second": "s",
-    "seconds": "s",
+    **dict.fromkeys(("-", "1"), "ratio"),
+    **dict.fromkeys(("sec", "second", "seconds"), "s"),
     "milliseconds": "ms",
-    "newton": "N",
-    "newtons": "N",
-    "pascal": "Pa",
     "minutes": "min",
-    "millimeters": "mm",
-    "millimetres": "mm",
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    "pascal": "Pa",
+    **dict.fromkeys(("millimeters", "millimetres"), "mm"),
 }
 
 _CLASSIC = re.compile(rf"({'|'.join(ACCEPTED)})(?:[_ ](.+))?", re.IGNORECASE | re.ASCII)

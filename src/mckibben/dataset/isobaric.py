@@ -277,7 +277,7 @@ class IsobaricDataset:
         repeats: ArrayLike | None = None,
         directions: str | Sequence[str] | None = None,
     ) -> tuple[Self, Self]:
-        """Split into training points and held-out ones: those at any given level [Pa, within 0.01 bar], repeat or direction.
+        """Split into training points and those at any given level [Pa, within 0.01 bar], repeat or direction.
 
         Raises
         ------

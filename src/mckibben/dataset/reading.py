@@ -77,9 +77,9 @@ def read_dataset(
     Required are ``pressure_*`` (bar, kPa, MPa, Pa, mbar or psi; gauge), ``force_*`` (N or kN) and
     ``contraction_*`` (percent or ratio) or ``length_*`` (mm, m or cm). Read where present: ``direction`` (loading,
     unloading or a synonym; 1 and -1 are refused, as their meaning differs), ``phase``, ``repeat``, ``time_*`` (s, ms or
-    min) and ``set_pressure_*``, which may have empty cells. ``Pressure [bar]``, ``p / kPa`` and the like are equivalent,
-    as are units in a row under the header or in the properties of a channel. Other columns are listed in the attribute
-    ``ignored_columns``.
+    min) and ``set_pressure_*``, which may have empty cells. ``Pressure [bar]``, ``p / kPa`` and the like are
+    equivalent, as are units in a row under the header or in the properties of a channel. Other columns are listed in
+    the attribute ``ignored_columns``.
 
     Parameters
     ----------

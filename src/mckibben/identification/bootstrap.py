@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
@@ -24,7 +24,10 @@ from mckibben.identification.least_squares import FitProblem, Solution, project,
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
+    Bools,
+    Floats,
     Grouping,
+    Ints,
     condition_number,
     finest_grouping,
     group_labels,
@@ -60,9 +63,9 @@ class Bootstrap:
     law: ForceLaw
     by: Grouping
     blocks: int
-    draws: NDArray[np.float64] = field(repr=False)
+    draws: Floats = field(repr=False)
     failed: int
-    at_bound: NDArray[np.bool_] = field(repr=False)
+    at_bound: Bools = field(repr=False)
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -109,11 +112,11 @@ class Bootstrap:
     def _correction(self) -> float:
         return float(np.sqrt(self.blocks / (self.blocks - 1)))
 
-    def _deviation(self, draws: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _deviation(self, draws: Floats) -> Floats:
         lower, upper = np.quantile(draws, _CENTRAL, axis=0)
         return (upper - lower) / 2 * self._correction
 
-    def _percentiles(self, draws: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _percentiles(self, draws: Floats, level: float) -> tuple[Floats, Floats]:
         from scipy.special import ndtr
 
         check_level(level)
@@ -149,7 +152,7 @@ def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None
     blocks = int(labels.max()) + 1
     generator = np.random.default_rng(seed)
     starts = _starts(regression)
-    draws: list[NDArray[np.float64]] = []
+    draws: list[Floats] = []
     failed = 0
     while len(draws) < refits:
         counts = generator.multinomial(blocks, np.full(blocks, 1 / blocks)).astype(np.float64)
@@ -169,7 +172,7 @@ def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None
     return Bootstrap(fit.law, by, blocks, np.array(draws), failed, regression.at_bound)
 
 
-def _starts(regression: Regression) -> list[NDArray[np.float64]]:
+def _starts(regression: Regression) -> list[Floats]:
     """Position of the fit in the unit cube, then other local minima, best first."""
     from scipy.ndimage import minimum_filter  # 0.1 s, which no import of the package should wait for
 
@@ -189,7 +192,7 @@ def _starts(regression: Regression) -> list[NDArray[np.float64]]:
     return starts
 
 
-def _refit(problem: FitProblem, starts: list[NDArray[np.float64]]) -> Solution:
+def _refit(problem: FitProblem, starts: list[Floats]) -> Solution:
     """Best solution from several starts; of equally good ones the first."""
     best, *others = sorted((solve(problem, start) for start in starts), key=lambda found: not found.converged)
     for other in others:
@@ -198,7 +201,7 @@ def _refit(problem: FitProblem, starts: list[NDArray[np.float64]]) -> Solution:
     return best
 
 
-def _blocks(regression: Regression, by: Grouping | None) -> tuple[Grouping, NDArray[np.int64]]:
+def _blocks(regression: Regression, by: Grouping | None) -> tuple[Grouping, Ints]:
     points = regression.points
     if by is None:
         by = Grouping.REPEAT if len(points.repeats) >= _FEWEST_BLOCKS else finest_grouping(points)

@@ -13,6 +13,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import DatasetSummary
 from mckibben.identification.relaxation import MaxwellElementFit, RelaxationCurves, TimedLoadingPaths
+from mckibben.identification.uncertainty import Bools, Floats
 from mckibben.muscle import MaxwellCreep, NoCreep
 from mckibben.units import percent, show
 
@@ -55,8 +56,8 @@ class CreepFit:
     correlation: float
     time_constant_interval: tuple[float, float]
     relative_stiffness: float
-    initial_force: NDArray[np.float64]
-    mean_force: NDArray[np.float64]
+    initial_force: Floats
+    mean_force: Floats
     common_rate: float
     interval: float
     points_used: int
@@ -68,7 +69,7 @@ class CreepFit:
         """True if the data show creep."""
         return isinstance(self.creep, MaxwellCreep)
 
-    def relaxation(self, times: ArrayLike) -> NDArray[np.float64]:
+    def relaxation(self, times: ArrayLike) -> Floats:
         """Force of creep [N] at each point at times [s] after its first sample; shape (points, times)."""
         times = np.asarray(times, np.float64)
         if isinstance(self.creep, NoCreep):
@@ -246,7 +247,7 @@ def _samples(dataset: IsobaricDataset) -> NDArray:
     return dataset.table["force_samples"].to_numpy()
 
 
-def _check_directions(paths: TimedLoadingPaths, used: NDArray[np.bool_]) -> None:
+def _check_directions(paths: TimedLoadingPaths, used: Bools) -> None:
     for side, word in ((1, "stretching"), (-1, "shortening")):
         count = int(np.count_nonzero(used & (paths.sides == side)))
         if count < _FEWEST_PLATEAUS:
@@ -258,9 +259,7 @@ def _check_directions(paths: TimedLoadingPaths, used: NDArray[np.bool_]) -> None
             )
 
 
-def _drift(
-    slopes: NDArray[np.float64], paths: TimedLoadingPaths, used: NDArray[np.bool_]
-) -> tuple[float, float, float]:
+def _drift(slopes: Floats, paths: TimedLoadingPaths, used: Bools) -> tuple[float, float, float]:
     """Rate against the direction of the move, its standard error, and the common rate of both directions [N/s]."""
     _check_directions(paths, used)
     up, down = (slopes[used & (paths.sides == side)] for side in (1, -1))
@@ -269,9 +268,7 @@ def _drift(
     return rate, max(error, 1e-300), float(down.mean() + up.mean()) / 2
 
 
-def _insignificant(
-    element: MaxwellElementFit, used: NDArray[np.bool_], found: CreepFit, span: float, dwell: float
-) -> list[str]:
+def _insignificant(element: MaxwellElementFit, used: Bools, found: CreepFit, span: float, dwell: float) -> list[str]:
     """Warnings where there is no significant creep."""
     bound = element.stiffness_and_rate(span, used)[0] + _SIGNIFICANT * element.stiffness_error(span, used)
     onwards = (
@@ -308,7 +305,7 @@ def _pressure_warning(
     dataset: IsobaricDataset,
     interval: float,
     paths: TimedLoadingPaths,
-    used: NDArray[np.bool_],
+    used: Bools,
     rate: float,
     means: IsobaricDataset,
 ) -> list[str]:

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import html_table
 from mckibben.errors import IdentificationError
 from mckibben.identification.intervals import ForceIntervals, Interval, RobustErrors, parameter_interval
 from mckibben.identification.regression import Regression
-from mckibben.identification.uncertainty import Grouping
+from mckibben.identification.uncertainty import Floats, Grouping
 from mckibben.muscle import Domain, ForceLaw
 from mckibben.units import bar, factor
 
@@ -83,7 +83,7 @@ class Fit:
 
     law: ForceLaw
     standard_errors: Mapping[str, float]
-    correlations: NDArray[np.float64]
+    correlations: Floats
     rmse: float
     max_error: float
     points_used: int
@@ -91,7 +91,7 @@ class Fit:
     leave_one_pressure_out: LeaveOnePressureOut | None
     warnings: tuple[str, ...]
     dataset: DatasetSummary
-    residuals: NDArray[np.float64] | None = None
+    residuals: Floats | None = None
     robust: RobustErrors | None = None
     regression: Regression | None = None
 
@@ -101,7 +101,7 @@ class Fit:
         return {p.name: float(getattr(self.law, p.name)) for p in self.law.parameters()}
 
     @property
-    def covariance(self) -> NDArray[np.float64]:
+    def covariance(self) -> Floats:
         """Classical covariance, shape (parameters, parameters), in products of SI units."""
         errors = np.array([self.standard_errors[name] for name in self.estimates])
         return self.correlations * np.outer(errors, errors)

@@ -15,6 +15,8 @@ from mckibben.identification.least_squares import FitProblem, Solution, grid_sea
 from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
+    Bools,
+    Floats,
     Grouping,
     condition_number,
     uncertainty,
@@ -133,9 +135,7 @@ def _within_validity(law_type: type[ForceLaw], points: IsobaricDataset) -> Isoba
     return IsobaricDataset(points.table.assign(contraction=("point", contraction)))
 
 
-def _check_determined(
-    problem: FitProblem, solution: Solution, at_bound: NDArray[np.bool_], points: IsobaricDataset
-) -> None:
+def _check_determined(problem: FitProblem, solution: Solution, at_bound: Bools, points: IsobaricDataset) -> None:
     free = solution.jacobian[:, ~at_bound]
     names = [name for name, out in zip(problem.names, at_bound, strict=True) if not out]
     number = condition_number(free)
@@ -163,7 +163,7 @@ def _check_determined(
         )
 
 
-def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: NDArray[np.bool_]) -> list[str]:
+def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: Bools) -> list[str]:
     warnings = []
     for p, value, bound in zip(law_type.parameters(), solution.values, at_bound, strict=True):
         low, high = show(p.lower, p.shown), show(p.upper, p.shown)
@@ -177,7 +177,7 @@ def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: NDAr
     return warnings
 
 
-def _correlation_warnings(names: tuple[str, ...], correlations: NDArray[np.float64]) -> list[str]:
+def _correlation_warnings(names: tuple[str, ...], correlations: Floats) -> list[str]:
     return [
         f"{names[i]} and {names[j]} are correlated by {correlations[i, j]:+.5f}: the data determine a combination of "
         "them, and each alone badly"
@@ -187,7 +187,7 @@ def _correlation_warnings(names: tuple[str, ...], correlations: NDArray[np.float
     ]
 
 
-def _friction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64], grouping: Grouping) -> list[str]:
+def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Grouping) -> list[str]:
     """Warnings of residuals that differ by direction or phase, and so are not independent."""
     warnings = []
     rms = float(np.sqrt(np.mean(residuals**2)))
@@ -283,7 +283,7 @@ class ResidualCorrelation:
         return " and ".join(found)
 
 
-def without_direction_means(residuals: NDArray[np.float64], points: IsobaricDataset) -> NDArray[np.float64]:
+def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Floats:
     """Residuals [N] less the mean of each direction and phase, which is friction and no error of a static law."""
     rest = np.array(residuals, float)
     for name in ("direction", "phase"):
@@ -294,7 +294,7 @@ def without_direction_means(residuals: NDArray[np.float64], points: IsobaricData
     return rest
 
 
-def residual_correlation(points: IsobaricDataset, residuals: NDArray[np.float64]) -> ResidualCorrelation:
+def residual_correlation(points: IsobaricDataset, residuals: Floats) -> ResidualCorrelation:
     """Correlation of neighbouring residuals [N], shape (points,)."""
     residuals = without_direction_means(residuals, points)
     passes = np.zeros(len(points), np.int64)
@@ -309,9 +309,7 @@ def residual_correlation(points: IsobaricDataset, residuals: NDArray[np.float64]
     return ResidualCorrelation(curve, place, curve_pairs, place_pairs)
 
 
-def _lag_one(
-    residuals: NDArray[np.float64], within: tuple[NDArray, NDArray], along: NDArray[np.float64]
-) -> tuple[float | None, int]:
+def _lag_one(residuals: Floats, within: tuple[NDArray, NDArray], along: Floats) -> tuple[float | None, int]:
     """Correlation of consecutive points within groups, and the number of pairs."""
     order = np.lexsort((along, within[1], within[0]))
     same = np.ones(len(order) - 1, bool)

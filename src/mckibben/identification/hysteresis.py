@@ -6,7 +6,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import html_table
@@ -20,7 +19,14 @@ from mckibben.identification.loading_path import (
     PathDependentModel,
     loop_half_width,
 )
-from mckibben.identification.uncertainty import CONDITION_LIMIT, condition_number, uncertainty, unidentifiable
+from mckibben.identification.uncertainty import (
+    CONDITION_LIMIT,
+    Bools,
+    Floats,
+    condition_number,
+    uncertainty,
+    unidentifiable,
+)
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
 from mckibben.units import bar, mm, show
 
@@ -29,9 +35,9 @@ from mckibben.units import bar, mm, show
 class SensorDrift:
     """Zero offset of the force sensor and its errors [N], linear between knots [s]; shape (knots,) each."""
 
-    time: NDArray[np.float64]
-    offset: NDArray[np.float64]
-    standard_errors: NDArray[np.float64]
+    time: Floats
+    offset: Floats
+    standard_errors: Floats
 
     @property
     def rate(self) -> float:
@@ -66,21 +72,21 @@ class HysteresisFit:
     law: ForceLaw
     friction: MaxwellSlip
     standard_errors: dict[str, float]
-    correlations: NDArray[np.float64]
+    correlations: Floats
     drift: SensorDrift | None
     rmse: float
     max_error: float
-    tension: NDArray[np.float64]
-    friction_force: NDArray[np.float64]
-    offset: NDArray[np.float64]
-    residuals: NDArray[np.float64]
+    tension: Floats
+    friction_force: Floats
+    offset: Floats
+    residuals: Floats
     points_used: int
     points_slack: int
     warnings: tuple[str, ...]
     dataset: DatasetSummary
 
     @property
-    def force(self) -> NDArray[np.float64]:
+    def force(self) -> Floats:
         """Modelled force at each point [N], shape (points,)."""
         return self.tension + self.friction_force + self.offset
 
@@ -150,11 +156,7 @@ _VAGUE = 0.3  # relative standard error above which a parameter is not determine
 
 
 def identify_hysteresis(
-    law: type[ForceLaw] | ForceLaw | Fit,
-    dataset: IsobaricDataset,
-    *,
-    drift: bool = True,
-    elements: int = 6,
+    law: type[ForceLaw] | ForceLaw | Fit, dataset: IsobaricDataset, *, drift: bool = True, elements: int = 6
 ) -> HysteresisFit:
     """Fit a law and its friction to all points of an isobaric test, in the order of time.
 
@@ -261,13 +263,13 @@ class _Solution:
 
     values: dict[str, float]
     free: tuple[str, ...]
-    offsets: NDArray[np.float64]
-    residuals: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
-    active: NDArray[np.bool_]
+    offsets: Floats
+    residuals: Floats
+    jacobian: Floats
+    active: Bools
     converged: bool
-    errors: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.empty(0))
-    correlations: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.empty(0))
+    errors: Floats = dataclasses.field(default_factory=lambda: np.empty(0))
+    correlations: Floats = dataclasses.field(default_factory=lambda: np.empty(0))
 
     @property
     def cost(self) -> float:
@@ -333,7 +335,7 @@ def _least_squares(
     unbounded = np.full(model.drift.points.shape[1], np.inf)
     initial = np.clip([start[name] for name in free], lower, upper)
 
-    def values(x: NDArray[np.float64]) -> dict[str, float]:
+    def values(x: Floats) -> dict[str, float]:
         return {**start, **dict(zip(free, x[:count].tolist(), strict=True))}
 
     answer = least_squares(
@@ -374,9 +376,7 @@ def _solve(model: PathDependentModel, start: dict[str, float], free: tuple[str, 
     return dataclasses.replace(found, errors=known.standard_errors, correlations=known.correlations)
 
 
-def _result(
-    model: PathDependentModel, found: _Solution, taut: NDArray[np.bool_], warnings: tuple[str, ...]
-) -> HysteresisFit:
+def _result(model: PathDependentModel, found: _Solution, taut: Bools, warnings: tuple[str, ...]) -> HysteresisFit:
     means, used, basis = model.means, model.used, model.drift
     tension, force = model.components(found.values)
     offset = basis.points @ found.offsets

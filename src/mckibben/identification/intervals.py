@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import RangeError
 from mckibben.identification.least_squares import design_matrix
-from mckibben.identification.uncertainty import ErrorModel, Grouping
+from mckibben.identification.uncertainty import ErrorModel, Floats, Grouping
 from mckibben.muscle import ForceLaw
 
 
@@ -41,11 +41,11 @@ class IntervalEstimate:
     """Estimate of a quantity with its pointwise t interval; all arrays have the shape of `value`."""
 
     level: float
-    value: NDArray[np.float64]
-    standard_error: NDArray[np.float64]
-    degrees_of_freedom: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    value: Floats
+    standard_error: Floats
+    degrees_of_freedom: Floats
+    lower: Floats
+    upper: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,18 +67,14 @@ def check_level(level: float) -> float:
     return level
 
 
-def t_quantile(level: float, freedom: ArrayLike) -> NDArray[np.float64]:
+def t_quantile(level: float, freedom: ArrayLike) -> Floats:
     """Half-width of a two-sided t interval in standard errors."""
     from scipy.special import stdtrit
 
     return np.asarray(stdtrit(np.minimum(freedom, 1e12), (1 + check_level(level)) / 2))
 
 
-def t_interval(
-    level: float,
-    value: ArrayLike,
-    variances: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
-) -> IntervalEstimate:
+def t_interval(level: float, value: ArrayLike, variances: Sequence[tuple[Floats, Floats]]) -> IntervalEstimate:
     """T interval of a sum of independent variances V, with Satterthwaite's (sum V)^2 / sum(V^2/nu)."""
     value = np.asarray(value, np.float64)
     total = np.sum([variance for variance, _ in variances], axis=0).reshape(value.shape)
@@ -98,7 +94,7 @@ def parameter_interval(estimate: float, error: float, freedom: float, level: flo
     return Interval(estimate - half_width, estimate + half_width)
 
 
-def variance_of(model: ErrorModel, gradients: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def variance_of(model: ErrorModel, gradients: Floats) -> tuple[Floats, Floats]:
     """Variance and degrees of freedom, shape (...), for gradients of shape (..., parameters)."""
     variance, freedom = model.variance(gradients.reshape(-1, gradients.shape[-1]))
     return variance.reshape(gradients.shape[:-1]), freedom.reshape(gradients.shape[:-1])
@@ -115,9 +111,7 @@ def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, 
     return design_matrix(law, free, *padded)[:count]
 
 
-def law_forces(
-    law_type: type[ForceLaw], draws: ArrayLike, contraction: ArrayLike, pressure: ArrayLike
-) -> NDArray[np.float64]:
+def law_forces(law_type: type[ForceLaw], draws: ArrayLike, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
     """Force [N] of each of many laws, shape (draws, ...), from parameters in SI, shape (draws, parameters)."""
     contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
     return np.asarray(_forces(law_type, np.asarray(draws, np.float64), contraction, pressure))

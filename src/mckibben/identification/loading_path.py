@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.least_squares import design_matrix
+from mckibben.identification.uncertainty import Bools, Floats, Ints
 from mckibben.muscle import ForceLaw, MaxwellSlip, forces
 from mckibben.muscle.friction import MIN_HALF_WIDTH, play_response, polygon, smooth_limit
 
@@ -29,24 +29,24 @@ _ORDER_REMEDY = "give the time of each point, or rows in the order in which they
 class LoadingPaths:
     """Loading paths of a test: the points at constant pressure, in the order of time."""
 
-    place: NDArray[np.int64] = field(repr=False)
-    counts: NDArray[np.int64]
-    side: NDArray[np.float64]
-    length: NDArray[np.float64] = field(repr=False)
+    place: Ints = field(repr=False)
+    counts: Ints
+    side: Floats
+    length: Floats = field(repr=False)
     step: float
 
     @property
-    def displacement(self) -> NDArray[np.float64]:
+    def displacement(self) -> Floats:
         """Displacement [m] to each point from the one before, shape (points, paths); 0 at the first."""
         length = self.length[self.place]
         return np.diff(length, axis=0, prepend=length[:1])
 
     @property
-    def rows(self) -> list[NDArray[np.int64]]:
+    def rows(self) -> list[Ints]:
         """Rows of each path in the order of time."""
         return [self.place[:count, path] for path, count in enumerate(self.counts)]
 
-    def scattered(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def scattered(self, values: Floats) -> Floats:
         """Values by point and path, shape (points, paths, ...), as rows of the dataset, shape (rows, ...)."""
         scattered = np.empty((len(self.length), *values.shape[2:]))
         for path, place in enumerate(self.rows):
@@ -108,9 +108,9 @@ class LoadingPaths:
 class DriftBasis:
     """Basis of a piecewise linear sensor drift: offset = points @ amplitudes."""
 
-    points: NDArray[np.float64]
-    time: NDArray[np.float64]
-    at_knots: NDArray[np.float64]
+    points: Floats
+    time: Floats
+    at_knots: Floats
 
     @classmethod
     def candidates(cls, paths: LoadingPaths, means: IsobaricDataset) -> list[DriftBasis]:
@@ -134,7 +134,7 @@ class DriftBasis:
         return self.points.shape[1] > 1
 
 
-def _hats(time: NDArray[np.float64], knots: NDArray[np.float64]) -> NDArray[np.float64]:
+def _hats(time: Floats, knots: Floats) -> Floats:
     """Linear interpolation between knots, extrapolated beyond them; shape (points, knots)."""
     left = np.clip(np.searchsorted(knots, time) - 1, 0, len(knots) - 2)
     part = (time - knots[left]) / (knots[left + 1] - knots[left])
@@ -145,7 +145,7 @@ def _hats(time: NDArray[np.float64], knots: NDArray[np.float64]) -> NDArray[np.f
     return basis
 
 
-def loop_half_width(means: IsobaricDataset, taut: NDArray[np.bool_]) -> float:
+def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
     """Median half-difference [N] between the directions at the same pressure and contraction."""
     keys = np.stack([means.levels.round(-2), means.contraction.round(5)], axis=1)
     place = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
@@ -190,7 +190,7 @@ class PathDependentModel:
     paths: LoadingPaths
     means: IsobaricDataset = field(repr=False)
     drift: DriftBasis = field(repr=False)
-    used: NDArray[np.bool_] = field(repr=False)
+    used: Bools = field(repr=False)
     reference_pressure: float
     elements: int
 
@@ -219,7 +219,7 @@ class PathDependentModel:
         share, stiffness = polygon(self.elements)
         return float(np.log(self.paths.step / (2 * (share / stiffness).max())))
 
-    def bounds(self, names: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def bounds(self, names: Sequence[str]) -> tuple[Floats, Floats]:
         """Lower and upper bounds of the named parameters."""
         given = {p.name: (p.lower, p.upper) for p in type(self.template).shape_parameters}
         given |= {
@@ -229,17 +229,17 @@ class PathDependentModel:
         lower, upper = zip(*(given.get(name, (-np.inf, np.inf)) for name in names), strict=True)
         return np.array(lower, float), np.array(upper, float)
 
-    def components(self, values: Mapping[str, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def components(self, values: Mapping[str, float]) -> tuple[Floats, Floats]:
         """Tension of the law and friction force [N] at each row, shape (rows,)."""
         tension = self._tension(values)
         return tension, self._friction(tension[:, None], [values])[:, 0]
 
-    def residuals(self, values: Mapping[str, float], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residuals(self, values: Mapping[str, float], offsets: Floats) -> Floats:
         """Modelled minus measured force [N] at the points used."""
         tension, friction = self.components(values)
         return (tension + friction + self.drift.points @ offsets - self.means.force)[self.used]
 
-    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> NDArray[np.float64]:
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> Floats:
         """Derivative of the modelled force at the points used by the named parameters and the drift amplitudes."""
         tension = self._tension(values)
         of_law = [name for name in names if name in self.law_names]
@@ -266,10 +266,10 @@ class PathDependentModel:
     def _pressure_range(self) -> float:
         return max(float(np.abs(self.means.pressure - self.reference_pressure).max()), 1.0)
 
-    def _tension(self, values: Mapping[str, float]) -> NDArray[np.float64]:
+    def _tension(self, values: Mapping[str, float]) -> Floats:
         return np.maximum(forces(self.law(values), self.means.contraction, self.means.pressure), 0.0)
 
-    def _friction(self, tension: NDArray[np.float64], sets: Sequence[Mapping[str, float]]) -> NDArray[np.float64]:
+    def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
         half_width, growth, log_presliding = (np.array([values[name] for values in sets]) for name in FRICTION)
         above = self.means.pressure - self.reference_pressure

@@ -26,14 +26,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mckibben.errors import IdentificationError, ParameterError, RangeError
 from mckibben.identification.fit import Fit
 from mckibben.identification.intervals import Interval, IntervalEstimate, check_level, law_forces
 from mckibben.identification.least_squares import UnitCube
 from mckibben.identification.regression import Regression
-from mckibben.identification.uncertainty import Grouping, group_labels
+from mckibben.identification.uncertainty import Floats, Grouping, group_labels
 from mckibben.muscle import ForceLaw
 
 _RHAT = 1.05
@@ -68,8 +68,8 @@ class Posterior:
     """
 
     law: ForceLaw
-    draws: NDArray[np.float64] = field(repr=False)
-    noise: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    draws: Floats = field(repr=False)
+    noise: Mapping[str, Floats] = field(repr=False)
     by: Grouping | None
     r_hat: float
     effective: float

@@ -22,14 +22,13 @@ import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.errors import IdentificationError, ParameterError
 from mckibben.identification.fit import Fit
 from mckibben.identification.intervals import Interval, parameter_interval, t_quantile
 from mckibben.identification.least_squares import Solution, solve
 from mckibben.identification.regression import Regression
-from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition_number
+from mckibben.identification.uncertainty import CONDITION_LIMIT, Floats, Grouping, condition_number
 from mckibben.units import show
 
 _CURVE_POINTS = 41
@@ -62,8 +61,8 @@ class Profile:
     level: float
     interval: Interval
     wald: Interval
-    values: NDArray[np.float64] = field(repr=False)
-    root: NDArray[np.float64] = field(repr=False)
+    values: Floats = field(repr=False)
+    root: Floats = field(repr=False)
     threshold: float
     by: Grouping
     reasons: tuple[str, ...]

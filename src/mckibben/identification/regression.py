@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
@@ -15,10 +15,13 @@ from mckibben.identification.intervals import ForceIntervals, RobustErrors, chec
 from mckibben.identification.least_squares import FitProblem, Solution, solve
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
+    Bools,
     ClusterRobustErrors,
     ErrorModel,
+    Floats,
     Grouping,
     IndependentErrors,
+    Ints,
     condition_number,
     finest_grouping,
     group_labels,
@@ -32,7 +35,7 @@ MOST_BLOCKS = 200
 class CrossValidation:
     """Errors [N] at blocks of points, each predicted by the fit to all others; NaN for points of no block."""
 
-    residuals: NDArray[np.float64] = field(repr=False)
+    residuals: Floats = field(repr=False)
     by_block: Mapping[float | str, float]
 
     @property
@@ -54,7 +57,7 @@ class NotIdentifiableError(Exception):
         self.block, self.reason = block, reason
 
 
-def pressure_blocks(points: IsobaricDataset) -> tuple[NDArray[np.float64] | None, str]:
+def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
     """Pressure level [Pa] of each point, or None and the reason why pressures are no blocks."""
     levels = points.levels
     count = len(np.unique(levels))
@@ -102,10 +105,10 @@ class Regression:
     points: IsobaricDataset = field(repr=False)
     problem: FitProblem = field(repr=False)
     solution: Solution = field(repr=False)
-    at_bound: NDArray[np.bool_] = field(repr=False)
+    at_bound: Bools = field(repr=False)
 
     @property
-    def free(self) -> NDArray[np.int64]:
+    def free(self) -> Ints:
         """Indices of the parameters that are not at a bound."""
         return np.flatnonzero(~self.at_bound)
 
@@ -212,13 +215,13 @@ class Regression:
             self._models[by] = ClusterRobustErrors.of(jacobian, residuals, self._labels(by))
         return self._models[by]
 
-    def _labels(self, by: Grouping) -> NDArray[np.int64]:
+    def _labels(self, by: Grouping) -> Ints:
         if by not in self._group_labels:
             self._group_labels[by] = group_labels(self.points, by)
         return self._group_labels[by]
 
     @cached_property
-    def _group_labels(self) -> dict[Grouping, NDArray[np.int64]]:
+    def _group_labels(self) -> dict[Grouping, Ints]:
         return {}
 
     @cached_property

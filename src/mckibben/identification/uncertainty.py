@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
 # Numbers in a block: so few that OpenBLAS does not wake threads, which beside XLA cost 100 times the work.
 _BLOCK = 6144
 
 
-def tsqr_r(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def tsqr_r(matrix: Floats) -> Floats:
     """R factor (k, k) of a matrix (n, k) by blocks of rows (Demmel et al., SIAM J. Sci. Comput. 34, 2012, A206)."""
     count, width = matrix.shape
     most = max(_BLOCK // max(width, 1), 2 * width)
@@ -31,7 +35,7 @@ def tsqr_r(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     return tsqr_r(factors.reshape(blocks * width, width))
 
 
-def _tsqr(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _tsqr(matrix: Floats) -> tuple[Floats, Floats]:
     """Q, shape (n, k), and R; orthogonalised twice, so Q is orthogonal to rounding."""
     q, r = matrix, np.eye(matrix.shape[1])
     for _ in range(2):
@@ -50,14 +54,12 @@ CONDITION_LIMIT = 1e10
 class Uncertainty:
     """Classical standard errors and correlations (NaN at a bound), and s [N] of a plateau mean about the law."""
 
-    standard_errors: NDArray[np.float64]
-    correlations: NDArray[np.float64]
+    standard_errors: Floats
+    correlations: Floats
     standard_deviation: float
 
 
-def uncertainty(
-    jacobian: NDArray[np.float64], residuals: NDArray[np.float64], at_bound: NDArray[np.bool_]
-) -> Uncertainty:
+def uncertainty(jacobian: Floats, residuals: Floats, at_bound: Bools) -> Uncertainty:
     """Uncertainty of the parameters not at a bound, of a Jacobian (points, parameters) and residuals [N]."""
     count = jacobian.shape[1]
     free = np.flatnonzero(~at_bound)
@@ -74,7 +76,7 @@ def uncertainty(
     return Uncertainty(errors, correlations, deviation)
 
 
-def condition_number(jacobian: NDArray[np.float64]) -> float:
+def condition_number(jacobian: Floats) -> float:
     """Condition number of a Jacobian with columns scaled to unit length; infinite where singular."""
     _, singular, _ = _decompose(jacobian)
     if not len(singular):
@@ -82,7 +84,7 @@ def condition_number(jacobian: NDArray[np.float64]) -> float:
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
 
 
-def unidentifiable(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[str]:
+def unidentifiable(jacobian: Floats, names: Sequence[str]) -> list[str]:
     """Parameters with a part in the null space, or in the least identifiable direction where there is none."""
     _, singular, directions = _decompose(jacobian)
     null = singular <= max(_SINGULAR * singular[0], singular[-1])
@@ -90,7 +92,7 @@ def unidentifiable(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[
     return [name for name, part in zip(names, share, strict=True) if part > 0.05 * share.max()]
 
 
-def _decompose(jacobian: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def _decompose(jacobian: Floats) -> tuple[Floats, ...]:
     """Column lengths; singular values and right singular vectors, as rows, of the columns at unit length."""
     factor = tsqr_r(jacobian)
     lengths = np.linalg.norm(factor, axis=0)
@@ -102,13 +104,13 @@ def _decompose(jacobian: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]
 _SINGULAR = 1e-10  # singular values of the null space, relative to the largest
 _DECISIVE = 1e-8  # of the information in a direction: if the other groups have less, one group alone determines it
 
-Pairs = tuple[NDArray[np.float64], NDArray[np.float64]]
+Pairs = tuple[Floats, Floats]
 
 
 class ErrorModel(Protocol):
     """Covariance of the estimates."""
 
-    def variance(self, gradients: NDArray[np.float64]) -> Pairs:
+    def variance(self, gradients: Floats) -> Pairs:
         """Variance and degrees of freedom, shape (m,) each, of quantities with gradients of shape (m, parameters)."""
         ...
 
@@ -122,16 +124,16 @@ class ErrorModel(Protocol):
 class IndependentErrors:
     """Independent errors of equal variance: covariance s^2 (X^T X)^-1 with n - k degrees of freedom."""
 
-    triangle: NDArray[np.float64]
+    triangle: Floats
     residual_variance: tuple[float, float]
 
     @classmethod
-    def of(cls, jacobian: NDArray[np.float64], residuals: NDArray[np.float64]) -> IndependentErrors:
+    def of(cls, jacobian: Floats, residuals: Floats) -> IndependentErrors:
         """Error model from a Jacobian, shape (points, parameters), and residuals, shape (points,)."""
         freedom = len(residuals) - jacobian.shape[1]
         return cls(tsqr_r(jacobian), (float(residuals @ residuals / freedom), float(freedom)))
 
-    def variance(self, gradients: NDArray[np.float64]) -> Pairs:
+    def variance(self, gradients: Floats) -> Pairs:
         z = _solve(self.triangle, gradients)
         square, freedom = self.residual_variance
         return square * np.einsum("mi,mi->m", z, z), np.full(len(z), freedom)
@@ -141,17 +143,15 @@ class IndependentErrors:
 class ClusterRobustErrors:
     """Cluster-robust covariance CR2 with Satterthwaite degrees of freedom: points of a group share an error."""
 
-    triangle: NDArray[np.float64]
-    scores: NDArray[np.float64]
-    own: NDArray[np.float64]
-    shared: NDArray[np.float64]
+    triangle: Floats
+    scores: Floats
+    own: Floats
+    shared: Floats
     decisive: tuple[int, ...]
     residual_variance: tuple[float, float]
 
     @classmethod
-    def of(
-        cls, jacobian: NDArray[np.float64], residuals: NDArray[np.float64], labels: NDArray[np.int64]
-    ) -> ClusterRobustErrors:
+    def of(cls, jacobian: Floats, residuals: Floats, labels: Ints) -> ClusterRobustErrors:
         """Error model from a Jacobian, shape (points, parameters), residuals and group numbers, shape (points,)."""
         order = np.argsort(labels, kind="stable")
         starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
@@ -174,7 +174,7 @@ class ClusterRobustErrors:
         variance = _residual_variance(corrected, starts, sizes, jacobian.shape[1])
         return cls(triangle, scores, own, shared, decisive, variance)
 
-    def variance(self, gradients: NDArray[np.float64]) -> Pairs:
+    def variance(self, gradients: Floats) -> Pairs:
         z = _solve(self.triangle, gradients)
         variance = np.sum((z @ self.scores.T) ** 2, axis=1)
         # Omega_gh = delta_gh z'D_g z - w_g'w_h with w_g = E_g z; its trace and square sum without forming it.
@@ -188,9 +188,7 @@ class ClusterRobustErrors:
             return variance, np.where(trace > 0, trace**2 / square_sum, np.inf)
 
 
-def _residual_variance(
-    residuals: NDArray[np.float64], starts: NDArray[np.int64], sizes: NDArray[np.int64], parameters: int
-) -> tuple[float, float]:
+def _residual_variance(residuals: Floats, starts: Ints, sizes: Ints, parameters: int) -> tuple[float, float]:
     """Mean square e^T e / n of the residuals, and n^2 / tr R^2 degrees of freedom less the parameters."""
     count = len(residuals)
     square = float(residuals @ residuals) / count
@@ -202,7 +200,7 @@ def _residual_variance(
     return square, (count - parameters) / (1 + correlation**2 * pairs / count)
 
 
-def _solve(triangle: NDArray[np.float64], gradients: NDArray[np.float64]) -> NDArray[np.float64]:
+def _solve(triangle: Floats, gradients: Floats) -> Floats:
     """R^-T c for each gradient, shape (m, k)."""
     lengths = np.linalg.norm(triangle, axis=0)
     lengths[lengths == 0] = 1.0
@@ -235,7 +233,7 @@ class Grouping(enum.Enum):
         return f"{count} {self.value}{'' if count == 1 else 's'}"
 
 
-def group_labels(points: IsobaricDataset, grouping: Grouping) -> NDArray[np.int64]:
+def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:
     """Group number of each point, from 0 without gaps, shape (points,)."""
     if grouping is Grouping.POINT:
         return np.arange(len(points))
@@ -281,7 +279,7 @@ def finest_grouping(points: IsobaricDataset) -> Grouping:
     return Grouping.STROKE if has_passes else Grouping.PRESSURE
 
 
-def _row_numbers(columns: Sequence[np.ndarray]) -> NDArray[np.int64]:
+def _row_numbers(columns: Sequence[np.ndarray]) -> Ints:
     """Number of each row among the sorted distinct rows."""
     number = np.zeros(len(columns[0]), np.int64)
     for column in columns:  # one after the other: numbers sort faster than rows

@@ -6,13 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import html_table
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
+from mckibben.identification.uncertainty import Bools
 from mckibben.muscle import ForceLaw, forces
 from mckibben.units import bar
 
@@ -217,7 +218,7 @@ def _named(laws: Sequence[ForceLaw]) -> dict[str, ForceLaw]:
     return named
 
 
-def _groups(points: IsobaricDataset) -> Iterator[tuple[float | None, str | None, NDArray[np.bool_]]]:
+def _groups(points: IsobaricDataset) -> Iterator[tuple[float | None, str | None, Bools]]:
     """Masks of all points, each direction, each pressure, each pressure and direction; empty ones left out."""
     directions = points.table["direction"].to_numpy() if "direction" in points.table else None
     known = [str(d) for d in np.unique(directions)] if directions is not None else []
