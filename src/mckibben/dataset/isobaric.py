@@ -13,7 +13,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.schema import assemble, format_range, load_validated, normalize, write_csv, write_netcdf
+from mckibben.dataset.schema import (
+    VARIABLES,
+    assemble,
+    format_range,
+    load_validated,
+    normalize,
+    write_csv,
+    write_netcdf,
+)
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, percent
 
@@ -109,7 +117,7 @@ class IsobaricDataset:
     table: xr.Dataset
 
     def __post_init__(self) -> None:
-        table, problems = normalize(self.table)
+        table, problems = normalize(self.table, VARIABLES)
         if problems:
             raise DatasetError("dataset", problems)
         object.__setattr__(self, "table", table)
@@ -168,7 +176,7 @@ class IsobaricDataset:
             "force_samples": force_samples,
             "pressure_samples": pressure_samples,
         }
-        table, problems = assemble({name: values for name, values in variables.items() if values is not None})
+        table, problems = assemble(variables, VARIABLES)
         if problems:
             raise DatasetError("dataset", problems)
         return cls(

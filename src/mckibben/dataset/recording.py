@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -15,19 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.isometric import isometric
 from mckibben.dataset.points import ExtractedPoints
-from mckibben.dataset.schema import format_range, load_validated, normalize_attributes, value_problems, write_netcdf
+from mckibben.dataset.schema import RECORDED, assemble, format_range, load_validated, normalize, write_netcdf
 from mckibben.dataset.segmentation import plateaus
-from mckibben.errors import DatasetError, Problem
+from mckibben.errors import DatasetError
 from mckibben.units import bar, kPa, percent
-
-_VARIABLES: Mapping[str, tuple[str, str]] = {
-    "time": ("s", "time"),
-    "pressure": ("Pa", "gauge pressure"),
-    "force": ("N", "axial pull"),
-    "contraction": ("1", "contraction, positive when shorter"),
-    "set_pressure": ("Pa", "nominal gauge pressure"),
-}
-_NEEDED = ("time", "pressure", "force")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,7 +53,7 @@ class Recording:
     table: xr.Dataset
 
     def __post_init__(self) -> None:
-        table, problems = _conform(self.table)
+        table, problems = normalize(self.table, RECORDED)
         if problems:
             raise DatasetError("recording", problems)
         object.__setattr__(self, "table", table)
@@ -93,22 +83,15 @@ class Recording:
         specimen, initial_length, source, slack_force
             As for `IsobaricDataset.of`.
         """
-        given = {"time": time, "pressure": pressure, "force": force}
-        given |= {"contraction": contraction, "set_pressure": set_pressure}
-        arrays = {name: np.asarray(values) for name, values in given.items() if values is not None}
-        count = arrays["time"].size
-        for name in ("contraction", "set_pressure"):
-            if name in arrays and arrays[name].ndim == 0:
-                arrays[name] = np.full(count, arrays[name])
-        problems = [
-            Problem(f"has shape {array.shape} where time has ({count},)", field=name)
-            for name, array in arrays.items()
-            if array.shape != (count,)
-        ]
+        length = np.size(time)
+        variables = {"time": time, "pressure": pressure, "force": force}
+        for name, values in (("contraction", contraction), ("set_pressure", set_pressure)):
+            variables[name] = np.full(length, values) if values is not None and np.ndim(values) == 0 else values
+        table, problems = assemble(variables, RECORDED)
         if problems:
             raise DatasetError("recording", problems)
         attrs = {"specimen": specimen, "source": source, "slack_force": slack_force, "initial_length": initial_length}
-        return cls(xr.Dataset({name: ("sample", array) for name, array in arrays.items()}, attrs=attrs))
+        return cls(table.assign_attrs(attrs))
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -261,28 +244,3 @@ class Recording:
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
         """Read a file that `to_netcdf` wrote; raises a `DatasetError` if it is missing or no recording."""
         return load_validated(Path(path), cls)
-
-
-def _conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
-    """Normalised table of a recording, and all problems found."""
-    problems = [Problem("is missing", field=name) for name in _NEEDED if name not in table]
-    columns: dict[str, tuple[str, np.ndarray, dict[str, str]]] = {}
-    for name, (unit, long_name) in _VARIABLES.items():
-        if name not in table:
-            continue
-        array = table[name]
-        if array.dims != ("sample",) or array.dtype.kind not in "fiu":
-            problems.append(Problem("is no column of numbers along sample", field=name))
-            continue
-        if (said := array.attrs.get("units", unit)) != unit:
-            problems.append(Problem(f"is in {said!r}", field=name, remedy=f"give it in {unit!r}"))
-        values = np.asarray(array.to_numpy(), np.float64).view()
-        values.setflags(write=False)
-        problems += value_problems(name, values, "sample")
-        columns[name] = "sample", values, {"units": unit, "long_name": long_name}
-    attrs, wrong = normalize_attributes(table.attrs)
-    problems += wrong
-    if not problems:
-        table = table.assign(columns)
-        table.attrs = attrs
-    return table, problems
