@@ -84,7 +84,8 @@ def format_list(values: np.ndarray, most: int = 24) -> str:
 class IsobaricDataset:
     """Points of isobaric tests: pressure, contraction and force.
 
-    Made by `of` or `read_dataset`; two are equal where ``a.table.identical(b.table)``.
+    Made by `of` or `read_dataset`; two are equal where ``a.table.identical(b.table)``. A `DatasetError` lists variables
+    that are missing, or of the wrong shape, unit or range.
 
     Attributes
     ----------
@@ -96,11 +97,6 @@ class IsobaricDataset:
         ``sample`` the raw ``force_samples`` [N] and ``pressure_samples`` [Pa], where kept. Attributes:
         ``specimen``, ``source``, ``slack_force`` [N] and, where known, ``initial_length`` [m]; ``repairs`` and
         ``ignored_columns`` of the file it was read from, where there is something to say.
-
-    Raises
-    ------
-    DatasetError
-        If a variable is missing, of the wrong shape or unit, or holds an impossible value.
 
     Examples
     --------

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.dataset.columns import is_unit
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, unreadable
 from mckibben.errors import DatasetError, Problem
 
 _ROWS = 1_048_576  # of a sheet of Excel
@@ -43,9 +43,7 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
     except DatasetError:
         raise
     except Exception as error:  # openpyxl raises nearly every kind on a damaged file
-        text = (str(error) or type(error).__name__).splitlines()[0]
-        problem = Problem(f"cannot be read as a workbook: {text}", remedy="save it again, or as CSV")
-        raise DatasetError(str(path), [problem]) from error
+        raise unreadable(path, "a workbook", error, "save it again, or as CSV") from error
     sheet = RawTable(kind=RowProblem)
     found = {title: _table(rows, known) for title, rows in tables.items()}
     filled = {title: channels for title, channels in found.items() if channels}
@@ -136,9 +134,7 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
     except DatasetError:
         raise
     except Exception as error:  # npTDMS raises nearly every kind on a damaged file
-        text = (str(error) or type(error).__name__).splitlines()[0]
-        problem = Problem(f"cannot be read as TDMS: {text}", remedy="copy it again from where it was written")
-        raise DatasetError(str(path), [problem]) from error
+        raise unreadable(path, "TDMS", error, "copy it again from where it was written") from error
     sheet.corrupt += [RowProblem(f"npTDMS: {text[:120]}") for text in dict.fromkeys(warned)]
     if status.incomplete_final_segment:
         lost = sum(c.expected_length - c.read_length for c in (status.channel_statuses or {}).values())

@@ -17,20 +17,8 @@ from numpy.typing import NDArray
 
 _LARGEST = 2**31  # bytes that a compressed variable may hold
 _DEEPEST = 20  # arrays in arrays
-_KINDS = {
-    1: "i1",
-    2: "u1",
-    3: "i2",
-    4: "u2",
-    5: "i4",
-    6: "u4",
-    7: "f4",
-    9: "f8",
-    12: "i8",
-    13: "u8",
-    16: "u1",
-    17: "u2",
-}
+_INTEGERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 12: "i8", 13: "u8", 16: "u1", 17: "u2"}
+_KINDS = {**_INTEGERS, 7: "f4", 9: "f8"}
 _KINDS_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _CHAR, _FIRST_NUMBER, _LAST_NUMBER, _OPAQUE = 1, 2, 4, 6, 15, 17

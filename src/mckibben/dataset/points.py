@@ -136,6 +136,10 @@ class SampleAccount:
         found = np.bincount(self.of, minlength=len(self.reasons))
         return {reason: int(n) for reason, n in zip(self.reasons, found, strict=True) if n or reason == "used"}
 
+    def describe(self, rest: str) -> str:
+        """`counts` and notes as indented text."""
+        return format_counts(self.counts(rest), self.notes).replace("\n", "\n  ")
+
     def _breaks(self, gap: float | None) -> NDArray[np.bool_]:
         """Samples after a gap or a clock that went back."""
         time = self.table["time"].to_numpy()

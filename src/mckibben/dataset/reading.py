@@ -6,10 +6,9 @@ import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.dataset.columns import parse_header
 from mckibben.dataset.isobaric import IsobaricDataset
@@ -115,28 +114,32 @@ def read_dataset(
     file = ColumnConverter(read_sheet(path, mapping), mapping, initial_length, _NEEDED)
     attrs = file.attributes(path, specimen, slack_force)
     data, found = file.settle(path, file.columns(), on_corrupt)
-    try:
-        dataset = IsobaricDataset.of(**data, initial_length=file.initial_length, **attrs)
-    except DatasetError as error:  # what an argument brought in
-        raise DatasetError(str(path), error.problems) from None
-    for text in _implausible(dataset.contraction):
-        warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=2)
-    return IsobaricDataset(dataset.table.assign_attrs(found)) if found else dataset
-
-
-def _implausible(contraction: NDArray[np.float64]) -> list[str]:
-    if not len(contraction):
-        return []
-    low, high = float(contraction.min()), float(contraction.max())
-    if low >= _PLAUSIBLE[0] and high <= _PLAUSIBLE[1]:
-        return []
-    return [
-        f"contractions reach from {low * 100:.3g} to {high * 100:.3g} %, and a muscle stretches by a few percent and "
-        "shortens by 25 to 35; check the initial length, the unit of the lengths, and the sign (positive = shorter)"
-    ]
+    contraction = data["contraction"]
+    low, high = contraction.min(initial=0.0), contraction.max(initial=0.0)
+    dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
+    if low < _PLAUSIBLE[0] or high > _PLAUSIBLE[1]:
+        warnings.warn(
+            f"{path}: contractions reach from {low * 100:.3g} to {high * 100:.3g} %, and a muscle stretches by a few "
+            "percent and shortens by 25 to 35; check the initial length, the unit of the lengths, and the sign "
+            "(positive = shorter)",
+            McKibbenWarning,
+            stacklevel=2,
+        )
+    return dataset
 
 
 Kind = TypeVar("Kind", IsobaricDataset, Recording)
+
+
+def _made(
+    kind: type[Kind], path: Path, data: Mapping[str, Any], attrs: Mapping[str, Any], found: Mapping[str, str]
+) -> Kind:
+    """Dataset or recording of the columns of a file; an error of an argument names the file."""
+    try:
+        made = kind.of(**data, **attrs)
+    except DatasetError as error:
+        raise DatasetError(str(path), error.problems) from None
+    return kind(made.table.assign_attrs(found)) if found else made
 
 
 def _from_netcdf(kind: type[Kind], path: Path, columns: Mapping[str, str] | None, **given: float | str | None) -> Kind:
@@ -181,12 +184,7 @@ def read_recording(
     Raises
     ------
     DatasetError
-        With every problem of the file, its line and column.
-
-    Warns
-    -----
-    McKibbenWarning
-        As `read_dataset`.
+        As `read_dataset`, which has the warnings too.
     """
     path = Path(path)
     if path.suffix.lower() == ".nc":
@@ -221,8 +219,4 @@ def read_recording(
     data, found = file.settle(path, data, on_corrupt)
     if contraction is not None:
         data["contraction"] = np.full(len(data["pressure"]), contraction)
-    try:
-        recording = Recording.of(**data, initial_length=file.initial_length, **attrs)
-    except DatasetError as error:  # what an argument brought in
-        raise DatasetError(str(path), error.problems) from None
-    return Recording(recording.table.assign_attrs(found)) if found else recording
+    return _made(Recording, path, data, {"initial_length": file.initial_length, **attrs}, found)

@@ -12,11 +12,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.isometric import isometric
-from mckibben.dataset.points import ExtractedPoints
+from mckibben.dataset.isometric import BAND, LEAST, fixed_contraction, lines_through, pressure_levels, split_phases
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, extracted_points
 from mckibben.dataset.schema import RECORDED, assemble, format_range, load_validated, normalize, write_netcdf
-from mckibben.dataset.segmentation import plateaus
-from mckibben.errors import DatasetError
+from mckibben.dataset.segmentation import approaches, levels_of, steady_segments
+from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, kPa, percent
 
 
@@ -25,18 +25,14 @@ class Recording:
     """Samples of a test in the order of time, made by `of` or `read_recording`.
 
     Points are extracted by `plateaus`, where pressure and contraction were constant, or by `isometric`, where a muscle
-    of a fixed length was filled and vented.
+    of a fixed length was filled and vented. A `DatasetError` lists variables that are missing, or of the wrong shape,
+    unit or range.
 
     Attributes
     ----------
     table
         Along ``sample``: ``time`` [s], ``pressure`` [Pa, gauge], ``force`` [N]; where known ``contraction`` [-] and
         ``set_pressure`` [Pa]. Attributes as those of `IsobaricDataset`.
-
-    Raises
-    ------
-    DatasetError
-        If a variable is missing, of the wrong shape or unit, or not finite.
 
     Examples
     --------
@@ -84,7 +80,7 @@ class Recording:
             As for `IsobaricDataset.of`.
         """
         length = np.size(time)
-        variables = {"time": time, "pressure": pressure, "force": force}
+        variables: dict[str, ArrayLike | None] = {"time": time, "pressure": pressure, "force": force}
         for name, values in (("contraction", contraction), ("set_pressure", set_pressure)):
             variables[name] = np.full(length, values) if values is not None and np.ndim(values) == 0 else values
         table, problems = assemble(variables, RECORDED)
@@ -170,15 +166,87 @@ class Recording:
             If an argument has no meaning, the contraction is not known, or nothing was steady for so long; the error
             says what was left out and why.
         """
-        return plateaus(
+        check_positive("pressure_tolerance", pressure_tolerance, "Pa")
+        check_positive("contraction_tolerance", contraction_tolerance, "1")
+        check_positive("dwell", dwell, "s")
+        check_positive("dwell - settle", dwell - settle, "s")
+        check_positive("settle", settle, "s", may_be_zero=True)
+        check_positive("level_tolerance", level_tolerance, "Pa")
+        if force_tolerance is not None:
+            check_positive("force_tolerance", force_tolerance, "N")
+        if self.contraction is None:
+            raise RangeError(
+                "the recording has no contraction",
+                remedy="give contraction=... where it was fixed, or columns of lengths and initial_length, when "
+                "reading it",
+            )
+        time, pressure, contraction, force = self.time, self.pressure, self.contraction, self.force
+        account = SampleAccount(self.table, gap)
+        forward = np.diff(time)
+        forward = forward[forward > 0]
+        if not len(forward):
+            raise RangeError("the time of the recording does not pass", remedy="give its sample rate when reading it")
+        interval = float(np.median(forward))
+        signals = [(pressure, pressure_tolerance), (contraction, contraction_tolerance)]
+        if force_tolerance is not None:
+            signals.append((force, force_tolerance))
+        least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
+        found = steady_segments(signals, account.broken | (account.of >= 0), least)
+        account.assign_reason(found.drifting, "drifting")
+        first, last = found.first, found.last
+        firsts = zip(first, last, strict=True)
+        begins = first + np.array([np.searchsorted(time[a:b], time[a] + settle) for a, b in firsts], np.int64)
+        begins, ends = np.maximum(begins, first + found.edge), last - found.edge
+        # from the first to the last sample, and an interval: each stands for one
+        whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
+        for a, b in zip(first[~whole], last[~whole], strict=True):
+            account.assign_reason(slice(a, b), "steady too shortly")
+        for a, b, c, d in zip(first[whole], begins[whole], ends[whole], last[whole], strict=True):
+            account.assign_reason(slice(a, b), "settling")
+            account.assign_reason(slice(c, d), "at the end of a plateau")
+        first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
+        if not len(first):
+            raise RangeError(
+                f"nothing in the recording is steady for {dwell:g} s\n  {account.describe('not steady')}",
+                value=dwell,
+                unit="s",
+                remedy="allow a larger pressure_tolerance or contraction_tolerance, or a shorter dwell; for a record "
+                "that is never steady at a fixed length use isometric",
+            )
+        samples = ends - begins
+        owner = np.repeat(np.arange(len(first)), samples)
+        at = np.arange(len(owner)) + np.repeat(begins - np.concatenate([[0], np.cumsum(samples)[:-1]]), samples)
+        account.assign_reason(at, "used")
+
+        def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            middle = values[begins]  # subtracted, so that sums of many samples keep their digits
+            return middle + np.bincount(owner, values[at] - middle[owner]) / samples
+
+        p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(time)
+        spread = np.sqrt(np.bincount(owner, (force[at] - f[owner]) ** 2) / samples)
+        if "set_pressure" in self.table:
+            set_pressure = mean(self.table["set_pressure"].to_numpy())
+        else:
+            set_pressure, wide = levels_of(p, level_tolerance)
+            if wide:
+                account.notes.append(
+                    f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
+                )
+        levels = {"contraction": (c, contraction_tolerance), "pressure": (p, pressure_tolerance)}
+        direction, phase = approaches(self.table, account.broken, first, last, levels)
+        return extracted_points(
             self.table,
-            pressure_tolerance=pressure_tolerance,
-            contraction_tolerance=contraction_tolerance,
-            force_tolerance=force_tolerance,
-            dwell=dwell,
-            settle=settle,
-            level_tolerance=level_tolerance,
-            gap=gap,
+            account,
+            "not steady",
+            samples,
+            pressure=p,
+            contraction=c,
+            force=f,
+            direction=direction if np.any(direction != "") else None,
+            phase=phase if np.any(phase != "") else None,
+            time=t,
+            set_pressure=set_pressure,
+            force_spread=spread,
         )
 
     def isometric(
@@ -225,15 +293,70 @@ class Recording:
         RangeError
             If an argument has no meaning, the contraction is not known, or no level was passed.
         """
-        return isometric(
+        check_positive("reversal", reversal, "Pa")
+        check_positive("contraction_tolerance", contraction_tolerance, "1")
+        time, pressure, force = self.time, self.pressure, self.force
+        if not len(time):
+            raise RangeError("the recording has no samples")
+        account = SampleAccount(self.table, gap)
+        held = fixed_contraction(self.table, contraction, contraction_tolerance, account)
+        usable = account.of < 0
+        wanted = pressure_levels(pressure[usable], levels, count)
+        spacing = np.diff(wanted).min() if len(wanted) > 1 else np.inf
+        if band is None:
+            band = float(min(spacing / 2, np.ptp(wanted) / BAND)) if len(wanted) > 1 else 10 * kPa
+        check_positive("band", band, "Pa")
+        if 2 * band > spacing * (1 + 1e-9):
+            raise RangeError(
+                f"bands of {band:g} Pa around levels {spacing:g} Pa apart overlap",
+                value=band,
+                upper=spacing / 2,
+                unit="Pa",
+            )
+        phases = split_phases(pressure, account.broken, reversal)
+        account.assign_reason(phases.of < 0, "at rest or turning")
+        usable = account.of < 0
+
+        nearest = np.clip(np.searchsorted(wanted, pressure), 1, len(wanted) - 1) if len(wanted) > 1 else 0
+        if len(wanted) > 1:
+            nearest = np.where(pressure - wanted[nearest - 1] < wanted[nearest] - pressure, nearest - 1, nearest)
+        offset = pressure - wanted[nearest]
+        near = usable & (np.abs(offset) <= band)
+        account.assign_reason(usable & ~near, "between levels")
+        cell = (phases.of * len(wanted) + nearest)[near]
+        sums = lines_through(cell, offset[near], force[near], time[near], len(phases.rising) * len(wanted))
+        account.assign_reason(near, "used")
+
+        good = (sums.samples >= LEAST) & (sums.below < 0) & (sums.above > 0)
+        index = np.flatnonzero(good)
+        few = np.flatnonzero(~good)
+        account.of[np.flatnonzero(near)[~good[cell]]] = -1
+        account.assign_reason(near, "too few at a level")
+        for number, rising in enumerate(phases.rising):
+            missed = [wanted[i % len(wanted)] for i in few if i // len(wanted) == number]
+            if missed:
+                what = f"{'filling' if rising else 'venting'} {phases.repeat[number]}"
+                shown = ", ".join(f"{level / bar:g}" for level in missed[:8]) + (" ..." if len(missed) > 8 else "")
+                account.notes.append(f"{what} does not pass {shown} bar")
+        if not len(index):
+            raise RangeError(
+                f"no level is passed\n  {account.describe('between levels')}",
+                remedy="give levels inside the range of the pressure, a wider band, or a smaller reversal",
+            )
+        phase_of, level_of = index // len(wanted), wanted[index % len(wanted)]
+        return extracted_points(
             self.table,
-            levels=levels,
-            count=count,
-            contraction=contraction,
-            contraction_tolerance=contraction_tolerance,
-            band=band,
-            reversal=reversal,
-            gap=gap,
+            account,
+            "between levels",
+            sums.samples[index],
+            pressure=level_of,
+            contraction=np.full(len(index), held),
+            force=sums.force[index],
+            phase=np.where(phases.rising, "filling", "venting")[phase_of],
+            repeat=phases.repeat[phase_of],
+            time=sums.time[index],
+            set_pressure=level_of,
+            force_spread=sums.spread[index],
         )
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:

@@ -15,6 +15,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from mckibben.dataset.matlab import global_heaps_are_valid
+from mckibben.dataset.sheet import unreadable
 from mckibben.errors import DatasetError, Problem
 from mckibben.storage.files import atomic_write
 
@@ -232,7 +233,7 @@ def load_netcdf(path: Path) -> xr.Dataset:
     except ImportError:
         raise
     except Exception as error:  # h5py and h5netcdf raise nearly every kind on a damaged file
-        raise DatasetError(str(path), [Problem(f"cannot be read as NetCDF: {_reason(error)}")]) from error
+        raise unreadable(path, "NetCDF", error, "") from error
 
 
 Held = TypeVar("Held")
@@ -245,11 +246,6 @@ def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
         return make(table)
     except DatasetError as error:
         raise DatasetError(str(path), error.problems) from None
-
-
-def _reason(error: Exception) -> str:
-    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return text.splitlines()[0]
 
 
 CSV_COLUMNS = {
@@ -299,6 +295,13 @@ def _cells(values: np.ndarray) -> list[str]:
     if values.dtype.kind == "f":
         return ["" if value != value else repr(value) for value in values.tolist()]
     return [str(value) or "unknown" for value in values.tolist()]  # directions and phases
+
+
+def text_table(rows: Sequence[Sequence[str]], left: Iterable[int]) -> list[str]:
+    """Lines of a table, the columns `left` aligned to the left and the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    aligned = ["<" if i in left else ">" for i in range(len(widths))]
+    return ["  ".join(f"{c:{a}{w}}" for c, a, w in zip(row, aligned, widths, strict=True)).rstrip() for row in rows]
 
 
 def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()) -> str:

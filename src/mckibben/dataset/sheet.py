@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import Problem
+from mckibben.errors import DatasetError, Problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,12 @@ class RawTable:
     def unit(self) -> str:
         """Name of a line of this file."""
         return "line" if self.kind is Problem else "row"
+
+
+def unreadable(path: Path, what: str, error: Exception, remedy: str = "save it again") -> DatasetError:
+    """Error of a file that a library cannot read."""
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return DatasetError(str(path), [Problem(f"cannot be read as {what}: {text.splitlines()[0]}", remedy=remedy)])
 
 
 def as_column(cells: Sequence[object]) -> list[str] | NDArray[np.float64]:

@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import NamedTuple
@@ -320,13 +321,7 @@ def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros
     if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
         units["X_Value"] = "s"
     sheet.channels = [
-        RawColumn(
-            each.name,
-            each.cells,
-            each.lines,
-            "time" if each.name == "X_Value" else "",
-            each.unit or units.get(each.name, ""),
-        )
+        replace(each, short="time" if each.name == "X_Value" else "", unit=each.unit or units.get(each.name, ""))
         for each in sheet.channels
     ]
     return sheet

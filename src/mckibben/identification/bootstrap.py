@@ -52,8 +52,6 @@ class Bootstrap:
     ----------
     law, at_bound
         Fit to all points, and its parameters at a bound, shape (parameters,): these have no errors and no intervals.
-    by, blocks
-        Kind and number of the blocks.
     draws
         Shape (refits, parameters), in SI, in the order of the law's parameters.
     failed

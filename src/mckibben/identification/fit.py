@@ -11,12 +11,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import html_table
+from mckibben.dataset.schema import html_table, text_table
 from mckibben.errors import IdentificationError
-from mckibben.identification.intervals import ForceIntervals, Interval, RobustErrors, parameter_interval
+from mckibben.identification.intervals import (
+    ForceIntervals,
+    Interval,
+    RobustErrors,
+    check_level,
+    force_gradients,
+    parameter_interval,
+    t_interval,
+)
 from mckibben.identification.regression import Regression
-from mckibben.identification.uncertainty import Floats, Grouping
-from mckibben.muscle import Domain, ForceLaw
+from mckibben.identification.uncertainty import Floats, Grouping, correlated_pairs
+from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.units import bar, factor
 
 
@@ -67,8 +75,6 @@ class Fit:
         Shape (parameters, parameters), in the order of `estimates`.
     rmse, max_error
         Root mean square and largest absolute residual [N].
-    points_used, points_slack
-        Number of taut plateaus, and of slack ones, which are left out.
     leave_one_pressure_out
         Cross-validation errors; None where they cannot be had, as a warning explains.
     warnings, dataset
@@ -143,7 +149,16 @@ class Fit:
         IdentificationError
             As `intervals`; and if the fit was read from a file, which does not hold the points.
         """
-        return self.require_regression().force_intervals(self.law, contraction, pressure, level=level, by=by)
+        check_level(level)
+        regression = self.require_regression()
+        contraction, pressure = np.asarray(contraction, float), np.asarray(pressure, float)
+        value = forces(self.law, contraction, pressure)
+        free = [regression.problem.names[i] for i in regression.free]
+        model = regression.error_model(by)
+        of_law = variance, freedom = model.variance(force_gradients(self.law, free, contraction, pressure))
+        square, residual_freedom = model.residual_variance
+        scatter = np.full_like(variance, square), np.full_like(freedom, residual_freedom)
+        return ForceIntervals(t_interval(level, value, [of_law]), t_interval(level, value, [of_law, scatter]))
 
     def require_regression(self) -> Regression:
         """Return the regression, or raise an `IdentificationError` if the fit was read from a file."""
@@ -166,14 +181,7 @@ class Fit:
 
     def strongest_correlations(self, count: int = 3) -> list[tuple[str, str, float]]:
         """Pairs of parameters with the largest absolute correlation, largest first."""
-        names = list(self.estimates)
-        pairs = [
-            (names[i], names[j], float(self.correlations[i, j]))
-            for i in range(len(names))
-            for j in range(i + 1, len(names))
-            if np.isfinite(self.correlations[i, j])
-        ]
-        return sorted(pairs, key=lambda pair: -abs(pair[2]))[:count]
+        return correlated_pairs(list(self.estimates), self.correlations)[:count]
 
     def report(self, level: float = 0.95) -> str:
         """Fit as text: parameters in published units, errors, intervals, correlations, warnings."""
@@ -184,7 +192,7 @@ class Fit:
             f"{self.points_slack} slack left out; {len(levels)} pressures {levels.min():g}..{levels.max():g} bar",
             f"domain: {self.law.domain}",
             "",
-            *_aligned(self._rows(level)),
+            *text_table(self._rows(level), (0, 3, 4, 5)),
             self._error_note(),
             "",
             f"residuals: RMSE {self.rmse:.3g} N, maximum {self.max_error:.3g} N",
@@ -252,14 +260,3 @@ class Fit:
         from mckibben.identification.storage import read_fit
 
         return read_fit(Path(path))
-
-
-def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(
-            cell.rjust(width) if 1 <= i <= 2 else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]

@@ -6,7 +6,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
@@ -18,7 +17,10 @@ from mckibben.identification.uncertainty import (
     Bools,
     Floats,
     Grouping,
+    Ints,
     condition_number,
+    correlated_pairs,
+    row_numbers,
     uncertainty,
     unidentifiable,
 )
@@ -82,7 +84,11 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     grouping, ungrouped = regression.default_grouping
 
     warnings = _bound_warnings(law_type, solution, at_bound)
-    warnings += _correlation_warnings(problem.names, found.correlations)
+    warnings += [
+        f"{a} and {b} are correlated by {correlation:+.5f}: the data determine a combination of them, each alone badly"
+        for a, b, correlation in correlated_pairs(problem.names, found.correlations)
+        if abs(correlation) > _STRONG_CORRELATION
+    ]
     warnings += _friction_warnings(points, residuals, grouping)
     warnings += regression.warnings
     warnings += [f"the standard errors are for independent points: {ungrouped}"] if ungrouped else []
@@ -175,16 +181,6 @@ def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: Bool
         elif not p.lower <= value <= p.upper:
             warnings.append(f"{p.name} = {show(value, p.shown)} is outside its range {low} .. {high}")
     return warnings
-
-
-def _correlation_warnings(names: tuple[str, ...], correlations: Floats) -> list[str]:
-    return [
-        f"{names[i]} and {names[j]} are correlated by {correlations[i, j]:+.5f}: the data determine a combination of "
-        "them, and each alone badly"
-        for i in range(len(names))
-        for j in range(i + 1, len(names))
-        if abs(correlations[i, j]) > _STRONG_CORRELATION
-    ]
 
 
 def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Grouping) -> list[str]:
@@ -297,24 +293,18 @@ def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Float
 def residual_correlation(points: IsobaricDataset, residuals: Floats) -> ResidualCorrelation:
     """Correlation of neighbouring residuals [N], shape (points,)."""
     residuals = without_direction_means(residuals, points)
-    passes = np.zeros(len(points), np.int64)
-    for name in ("direction", "phase", "repeat"):
-        if name in points.table:
-            codes = np.unique(points.table[name].to_numpy(), return_inverse=True)[1].reshape(-1)
-            passes = passes * (int(codes.max()) + 1) + codes
-    levels = np.unique(points.levels, return_inverse=True)[1].reshape(-1)
-    places = np.round(points.contraction / _SAME_CONTRACTION)
-    curve, curve_pairs = _lag_one(residuals, (passes, levels), points.contraction)
-    place, place_pairs = _lag_one(residuals, (passes, places), points.levels)
+    passes = [points.table[name].to_numpy() for name in ("direction", "phase", "repeat") if name in points.table]
+    curves = row_numbers([*passes, points.levels])
+    places = row_numbers([*passes, np.round(points.contraction / _SAME_CONTRACTION)])
+    curve, curve_pairs = _lag_one(residuals, curves, points.contraction)
+    place, place_pairs = _lag_one(residuals, places, points.levels)
     return ResidualCorrelation(curve, place, curve_pairs, place_pairs)
 
 
-def _lag_one(residuals: Floats, within: tuple[NDArray, NDArray], along: Floats) -> tuple[float | None, int]:
+def _lag_one(residuals: Floats, group: Ints, along: Floats) -> tuple[float | None, int]:
     """Correlation of consecutive points within groups, and the number of pairs."""
-    order = np.lexsort((along, within[1], within[0]))
-    same = np.ones(len(order) - 1, bool)
-    for group in within:
-        same &= group[order][1:] == group[order][:-1]
+    order = np.lexsort((along, group))
+    same = np.diff(group[order]) == 0
     pairs = int(np.count_nonzero(same))
     if pairs < _FEWEST_PAIRS:
         return None, pairs

@@ -106,19 +106,14 @@ class HysteresisFit:
         return IsobaricDataset(means.table.assign(force=("point", force)))
 
     def _rows(self) -> list[tuple[str, str, str, str]]:
-        friction, errors = self.friction, self.standard_errors
+        friction, errors, length = self.friction, self.standard_errors, self.friction.presliding_length
         reference = f"at {show(friction.reference_pressure, 'bar', 3)}"
         return [
             (name, value, f"{error:.2g}" if np.isfinite(error) else "-", unit)
             for name, value, error, unit in (
                 ("half width", f"{friction.half_width:.4g}", errors["half_width"], f"N {reference}"),
                 ("growth", f"{friction.growth * bar:.3g}", errors["growth"] * bar, "N/bar"),
-                (
-                    "presliding length",
-                    f"{friction.presliding_length / mm:.4g}",
-                    errors["presliding_length"] / mm,
-                    "mm",
-                ),
+                ("presliding length", f"{length / mm:.4g}", errors["presliding_length"] / mm, "mm"),
             )
         ]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
@@ -81,22 +80,17 @@ class LoadingPaths:
         moves = np.concatenate([np.diff(length[path]) for path in paths])
         labels = np.concatenate([loading[path[1:]] for path in paths])
         moved = np.abs(moves) > 1e-9
+        count = int(np.count_nonzero(moved))
         wrong = int(np.count_nonzero(moved & ((moves > 0) != labels)))
-        if wrong > _MISLABELLED * np.count_nonzero(moved) or not moved.any():
-            raise IdentificationError(
-                f"{wrong} of {np.count_nonzero(moved)} moves go against the direction of their point: the rows are not "
-                "in the order of the test",
-                value=wrong,
-                remedy=_ORDER_REMEDY,
-            )
         reversals = sum(int(np.count_nonzero(np.diff(loading[path]))) for path in paths)
-        if reversals > _REVERSALS * np.count_nonzero(moved):
-            raise IdentificationError(
-                f"the direction changes {reversals} times in {np.count_nonzero(moved)} moves: the rows are not in the "
-                "order of the test",
-                value=reversals,
-                remedy=_ORDER_REMEDY,
-            )
+        for found, share, text in (
+            (wrong, _MISLABELLED, f"{wrong} of {count} moves go against the direction of their point"),
+            (reversals, _REVERSALS, f"the direction changes {reversals} times in {count} moves"),
+        ):
+            if found > share * count or not count:
+                raise IdentificationError(
+                    f"{text}: the rows are not in the order of the test", value=found, remedy=_ORDER_REMEDY
+                )
         longest = max(map(len, paths))
         place = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths], axis=1)
         side = np.array([-1.0 if loading[path[0]] else 1.0 for path in paths])
@@ -248,7 +242,8 @@ class PathDependentModel:
         others = [name for name in names if name not in self.law_names]
         # All difference quotients of the friction in one pass along the paths.
         by_law = _TENSION_STEP / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-300)
-        steps = np.array([*by_law, *map(self._difference_step, others)])
+        pressures = max(float(np.abs(self.means.pressure - self.reference_pressure).max()), 1.0)
+        steps = np.array([*by_law, *(_RELATIVE_STEP / (pressures if name == "growth" else 1.0) for name in others)])
         moved = [dict(values) for _ in names]
         for k, name in enumerate(others):
             moved[len(of_law) + k][name] += steps[len(of_law) + k]
@@ -258,13 +253,6 @@ class PathDependentModel:
         slopes = (friction[:, 1:] - friction[:, :1]) / steps
         slopes[:, : len(of_law)] += columns
         return np.concatenate([slopes, self.drift.points], axis=1)[self.used]
-
-    def _difference_step(self, name: str) -> float:
-        return _RELATIVE_STEP / (self._pressure_range if name == "growth" else 1.0)
-
-    @cached_property
-    def _pressure_range(self) -> float:
-        return max(float(np.abs(self.means.pressure - self.reference_pressure).max()), 1.0)
 
     def _tension(self, values: Mapping[str, float]) -> Floats:
         return np.maximum(forces(self.law(values), self.means.contraction, self.means.pressure), 0.0)

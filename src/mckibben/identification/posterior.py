@@ -59,12 +59,8 @@ class Posterior:
         Shape (draws, parameters), in SI, in the order of the law's parameters.
     noise
         Draws of the noise parameters: ``sigma`` [N], with groups ``tau`` [N], with Student ``freedom`` [-].
-    by
-        Grouping of the random effects; None without.
     r_hat, effective, divergences
         Largest potential scale reduction, smallest effective sample size, and number of divergent transitions.
-    warnings
-        Convergence problems.
     """
 
     law: ForceLaw

@@ -28,7 +28,6 @@ BLOCKS = ("pressure", "direction", "phase", "repeat")
 """Kinds of cross-validation blocks."""
 
 _STRONG = 0.999  # correlation of two parameters
-_VARIANCE = 1  # the residual variance is a parameter too
 _AS_GOOD = 1.5  # times the least error
 _SUPPORTED = 2.0  # difference of AICc up to which a model has substantial support (Burnham and Anderson 2002, sec. 2.6)
 
@@ -284,7 +283,7 @@ def _nearly_as_good(entry: RankedLaw, first: RankedLaw) -> bool:
 
 def _aicc(residuals: np.ndarray, parameters: int) -> float:
     """Corrected Akaike information criterion for normal errors of unknown variance (Hurvich and Tsai 1989)."""
-    count, total = len(residuals), parameters + _VARIANCE
+    count, total = len(residuals), parameters + 1  # and the residual variance
     freedom = count - total - 1
     if freedom <= 0:
         return math.nan

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.intervals import ForceIntervals, RobustErrors, check_level, force_gradients, t_interval
+from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.least_squares import FitProblem, Solution, solve
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
@@ -26,7 +26,6 @@ from mckibben.identification.uncertainty import (
     finest_grouping,
     group_labels,
 )
-from mckibben.muscle import ForceLaw, forces
 
 MOST_BLOCKS = 200
 
@@ -118,7 +117,7 @@ class Regression:
         if self.at_bound.all():
             return Grouping.POINT, "all parameters are at a bound, so that none has an error"
         by = finest_grouping(self.points)
-        labels = self._labels(by)
+        labels = group_labels(self.points, by)
         count = int(labels.max()) + 1
         if count < _FEWEST_GROUPS:
             return Grouping.POINT, f"{by.counted(count)} are too few to estimate a common error"
@@ -180,25 +179,9 @@ class Regression:
         errors[self.free] = np.sqrt(variance)
         return RobustErrors(
             by,
-            int(self._labels(by).max()) + 1,
+            int(group_labels(self.points, by).max()) + 1,
             dict(zip(names, errors.tolist(), strict=True)),
             dict(zip(names, freedom.tolist(), strict=True)),
-        )
-
-    def force_intervals(
-        self, law: ForceLaw, contraction: ArrayLike, pressure: ArrayLike, *, level: float, by: Grouping | None
-    ) -> ForceIntervals:
-        """`Fit.force_intervals`."""
-        check_level(level)
-        contraction, pressure = np.asarray(contraction, float), np.asarray(pressure, float)
-        value = forces(law, contraction, pressure)
-        free = [self.problem.names[i] for i in self.free]
-        model = self.error_model(by)
-        variance, freedom = model.variance(force_gradients(law, free, contraction, pressure))
-        square, residual_freedom = model.residual_variance
-        scatter = np.full_like(variance, square), np.full_like(freedom, residual_freedom)
-        return ForceIntervals(
-            t_interval(level, value, [(variance, freedom)]), t_interval(level, value, [(variance, freedom), scatter])
         )
 
     @cached_property
@@ -212,17 +195,8 @@ class Regression:
     def _cluster_robust(self, by: Grouping) -> ClusterRobustErrors:
         if by not in self._models:
             jacobian, residuals = self.solution.jacobian[:, self.free], self.solution.residuals
-            self._models[by] = ClusterRobustErrors.of(jacobian, residuals, self._labels(by))
+            self._models[by] = ClusterRobustErrors.of(jacobian, residuals, group_labels(self.points, by))
         return self._models[by]
-
-    def _labels(self, by: Grouping) -> Ints:
-        if by not in self._group_labels:
-            self._group_labels[by] = group_labels(self.points, by)
-        return self._group_labels[by]
-
-    @cached_property
-    def _group_labels(self) -> dict[Grouping, Ints]:
-        return {}
 
     @cached_property
     def _models(self) -> dict[Grouping, ClusterRobustErrors]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import enum
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,13 @@ def uncertainty(jacobian: Floats, residuals: Floats, at_bound: Bools) -> Uncerta
     return Uncertainty(errors, correlations, deviation)
 
 
+def correlated_pairs(names: Sequence[str], correlations: Floats) -> list[tuple[str, str, float]]:
+    """Pairs of parameters and their known correlations, largest absolute one first."""
+    pairs = [(*pair, float(correlations[pair])) for pair in itertools.combinations(range(len(names)), 2)]
+    known = [(names[i], names[j], value) for i, j, value in pairs if np.isfinite(value)]
+    return sorted(known, key=lambda pair: -abs(pair[2]))
+
+
 def condition_number(jacobian: Floats) -> float:
     """Condition number of a Jacobian with columns scaled to unit length; infinite where singular."""
     _, singular, _ = _decompose(jacobian)
@@ -107,25 +114,12 @@ _DECISIVE = 1e-8  # of the information in a direction: if the other groups have 
 Pairs = tuple[Floats, Floats]
 
 
-class ErrorModel(Protocol):
-    """Covariance of the estimates."""
-
-    def variance(self, gradients: Floats) -> Pairs:
-        """Variance and degrees of freedom, shape (m,) each, of quantities with gradients of shape (m, parameters)."""
-        ...
-
-    @property
-    def residual_variance(self) -> tuple[float, float]:
-        """Variance of a single plateau mean about the law [N^2], and its degrees of freedom."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class IndependentErrors:
     """Independent errors of equal variance: covariance s^2 (X^T X)^-1 with n - k degrees of freedom."""
 
-    triangle: Floats
-    residual_variance: tuple[float, float]
+    triangle: Floats  # R factor of the Jacobian, (k, k)
+    residual_variance: tuple[float, float]  # of a single plateau mean about the law [N^2], and its degrees of freedom
 
     @classmethod
     def of(cls, jacobian: Floats, residuals: Floats) -> IndependentErrors:
@@ -134,6 +128,7 @@ class IndependentErrors:
         return cls(tsqr_r(jacobian), (float(residuals @ residuals / freedom), float(freedom)))
 
     def variance(self, gradients: Floats) -> Pairs:
+        """Variance and degrees of freedom, shape (m,) each, for gradients of shape (m, parameters)."""
         z = _solve(self.triangle, gradients)
         square, freedom = self.residual_variance
         return square * np.einsum("mi,mi->m", z, z), np.full(len(z), freedom)
@@ -143,12 +138,14 @@ class IndependentErrors:
 class ClusterRobustErrors:
     """Cluster-robust covariance CR2 with Satterthwaite degrees of freedom: points of a group share an error."""
 
-    triangle: Floats
-    scores: Floats
-    own: Floats
-    shared: Floats
-    decisive: tuple[int, ...]
-    residual_variance: tuple[float, float]
+    # R. Bell and D. McCaffrey, Survey Methodology 28 (2002) 169-181; J. Pustejovsky and E. Tipton, J. Business and
+    # Economic Statistics 36 (2018) 672-683.
+    triangle: Floats  # R factor of the Jacobian, (k, k)
+    scores: Floats  # Q_g^T A_g e_g, (groups, k)
+    own: Floats  # Q_g^T A_g^2 Q_g, (groups, k, k)
+    shared: Floats  # Q_g^T A_g Q_g
+    decisive: tuple[int, ...]  # groups without which the parameters are not determined
+    residual_variance: tuple[float, float]  # from the corrected residuals A_g e_g, and its degrees of freedom
 
     @classmethod
     def of(cls, jacobian: Floats, residuals: Floats, labels: Ints) -> ClusterRobustErrors:
@@ -175,6 +172,7 @@ class ClusterRobustErrors:
         return cls(triangle, scores, own, shared, decisive, variance)
 
     def variance(self, gradients: Floats) -> Pairs:
+        """As that of `IndependentErrors`."""
         z = _solve(self.triangle, gradients)
         variance = np.sum((z @ self.scores.T) ** 2, axis=1)
         # Omega_gh = delta_gh z'D_g z - w_g'w_h with w_g = E_g z; its trace and square sum without forming it.
@@ -186,6 +184,10 @@ class ClusterRobustErrors:
         square_sum = np.sum((own - squares) ** 2 - squares**2, axis=1) + np.sum(total**2, axis=(1, 2))
         with np.errstate(invalid="ignore"):  # a zero gradient has variance 0 and no degrees of freedom
             return variance, np.where(trace > 0, trace**2 / square_sum, np.inf)
+
+
+ErrorModel = IndependentErrors | ClusterRobustErrors
+"""Covariance of the estimates."""
 
 
 def _residual_variance(residuals: Floats, starts: Ints, sizes: Ints, parameters: int) -> tuple[float, float]:
@@ -249,7 +251,7 @@ def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:
             "the data do not say which repeat a point belongs to",
             remedy="record a column 'repeat', or group by stroke or by pressure",
         )
-    return _row_numbers(columns)
+    return row_numbers(columns)
 
 
 def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
@@ -259,7 +261,7 @@ def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
         for name in ("direction", "phase")
     )
     repeat = [points.table["repeat"].to_numpy()] if "repeat" in points.table else []
-    cells = _row_numbers([points.levels, *repeat])
+    cells = row_numbers([points.levels, *repeat])
     has_direction = np.bincount(cells, direction != "") > 0
     order = np.argsort(cells, kind="stable")
     own, cell = np.where(has_direction[cells], direction, phase)[order], cells[order]
@@ -279,7 +281,7 @@ def finest_grouping(points: IsobaricDataset) -> Grouping:
     return Grouping.STROKE if has_passes else Grouping.PRESSURE
 
 
-def _row_numbers(columns: Sequence[np.ndarray]) -> Ints:
+def row_numbers(columns: Sequence[np.ndarray]) -> Ints:
     """Number of each row among the sorted distinct rows."""
     number = np.zeros(len(columns[0]), np.int64)
     for column in columns:  # one after the other: numbers sort faster than rows

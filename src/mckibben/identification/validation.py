@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import html_table
+from mckibben.dataset.schema import html_table, text_table
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
@@ -79,16 +79,7 @@ class Validation:
 
     def report(self) -> str:
         """Table as text."""
-        rows = [_HEADER, *map(_row, self.errors)]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-        lines = [
-            "  ".join(
-                cell.ljust(width) if i in (0, 2) else cell.rjust(width)
-                for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-            ).rstrip()
-            for row in rows
-        ]
-        return "\n".join([self._title, *lines])
+        return "\n".join([self._title, *text_table([_HEADER, *map(_row, self.errors)], (0, 2))])
 
     @property
     def _title(self) -> str:
