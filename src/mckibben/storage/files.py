@@ -174,11 +174,21 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def check_free(folder: Path, names: Iterable[str]) -> None:
+def make_subfolder(folder: Path, name: str) -> Path:
+    """Create a folder in another unless it exists; `FileError` if it is a symbolic link, which is not followed."""
+    if (folder / name).is_symlink():
+        problem = Problem("it is a symbolic link", field=name, remedy="remove it, or choose another folder")
+        raise FileError(str(folder), [problem])
+    return make_folder(folder / name)
+
+
+_ELSEWHERE = "choose another folder, or move what is there out of the way"
+
+
+def check_free(folder: Path, names: Iterable[str], remedy: str = _ELSEWHERE) -> None:
     """Raise `FileError` with all of some files that exist in a folder, which need not exist itself."""
     existing = [name for name in names if os.path.lexists(folder / name)]
     if existing:
-        remedy = "choose another folder, or move what is there out of the way"
         raise FileError(str(folder), [Problem("it is there already", field=name, remedy=remedy) for name in existing])
 
 
