@@ -110,7 +110,7 @@ def check_seal(path: Path) -> None:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(size - _SEALED, 0))
         last = file.read()
-        if not last.startswith(_SEAL) or not last.endswith(b"\n"):
+        if len(last) < _SEALED or not last.startswith(_SEAL) or not last.endswith(b"\n"):
             return
         file.seek(0)
         digest = hashlib.sha256()
