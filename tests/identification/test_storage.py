@@ -133,7 +133,7 @@ def test_a_changed_digit_is_found_and_meant_changes_are_possible(fit, tmp_path):
     path = tmp_path / "fit.yaml"
     fit.to_yaml(path)
     text = path.read_text()
-    changed = text.replace("estimate: ", "estimate: 1", 1)
+    changed = text.replace("estimate: -", "estimate: -1", 1)
     path.write_text(changed)
     with pytest.raises(FileError, match="it has changed since it was written"):
         read_law(path)
