@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from mckibben.errors import Problem, RigError, SilentError
-from mckibben.rig.protocol import refuse_problems
+from mckibben.errors import Problem, RigError, SilentError, refuse_problems
 
 _TIMEOUT = -200284
 _OVERWRITTEN = -200279
@@ -60,6 +59,11 @@ class Driver:
         """Model and serial number of each device, by name."""
         with self.translated("the devices"):
             return {device.name: (device.product_type, f"{device.serial_num:X}") for device in self._system().devices}
+
+    def reset(self, device: str) -> None:
+        """Abort the tasks of a device, whose lines and outputs rest then."""
+        with self.translated(device):
+            self._system().devices[device].reset_device()
 
     def close(self) -> None:
         """Close the connection."""
