@@ -20,8 +20,9 @@ from typing import Any
 
 from mckibben.errors import FileError, McKibbenWarning, Problem
 
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Signals that stop a job: Ctrl-C, termination and a closed terminal."""
+_SIGNAL_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+SIGNALS = tuple(getattr(signal, name) for name in _SIGNAL_NAMES if hasattr(signal, name))
+"""Signals that stop a job: Ctrl-C, termination, a closed terminal and Ctrl-\\."""
 
 _REPEAT_INTERVAL = 1.0  # s
 
@@ -161,10 +162,13 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
-    """Create a folder and its parents unless they exist; `FileError` if it cannot be created."""
+    """Create a folder and its parents unless they exist, synced; `FileError` if it cannot be created."""
     path = Path(path)
+    made = [one for one in (path, *path.parents) if not one.exists()]
     try:
         path.mkdir(parents=True, exist_ok=True)
+        for one in made:
+            sync_folder(one.parent)
     except FileExistsError as error:
         raise FileError(str(path), [Problem("it is a file", remedy="give a folder")]) from error
     except OSError as error:
@@ -218,7 +222,7 @@ def _lock(path: Path, task: str) -> int:
             if not _try_flock(file, path, task):
                 message = f"the file system of {path.parent} has no locks: take care that one process alone is {task}"
                 warnings.warn(message, McKibbenWarning, stacklevel=4)
-            if not _is_same(path, file):  # its last holder removed it meanwhile
+            if not is_same_file(path, file):  # its last holder removed it meanwhile
                 os.close(file)
                 continue
             os.ftruncate(file, 0)
@@ -246,10 +250,11 @@ def _try_flock(file: int, path: Path, task: str) -> bool:
     return True
 
 
-def _is_same(path: Path, file: int) -> bool:
+def is_same_file(path: Path, file: int) -> bool:
+    """Whether a path still names an open file, which may have been removed or moved."""
     try:
         return os.path.samestat(path.stat(), os.fstat(file))
-    except FileNotFoundError:
+    except OSError:
         return False
 
 
