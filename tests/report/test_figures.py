@@ -175,7 +175,7 @@ def test_names_are_text_and_not_mathematics(name, reproduction, tmp_path):
     assert {name, "other"} <= set(texts(figure))
     data = catalog.dataset("festo-tool-10mm")
     titled = isobaric(IsobaricDataset(data.table.assign_attrs(specimen=name)))
-    assert titled.axes[0].get_title() == name
+    assert titled.axes[0].get_title(loc="left") == name
     fits = measured_muscles({name: (data, None), "other": (data, None)})
     for drawn in (figure, titled, fits):
         assert save(drawn, tmp_path, "odd", preview=True)[0].stat().st_size > 5000
