@@ -178,3 +178,10 @@ class DatasetError(FileError):
 
 class ScenarioError(FileError):
     """A scenario, suite, protocol, fit or calibration file cannot be read."""
+
+
+def refuse_problems(what: str, problems: Sequence[Problem]) -> None:
+    """Raise a `RangeError` with all problems, if there are any."""
+    if problems:
+        heading = f"{what}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
+        raise RangeError("\n  ".join([heading, *map(str, problems)]))
