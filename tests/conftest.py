@@ -28,7 +28,7 @@ gc.set_threshold(100_000, 10, 10)  # as the command does: looking for garbage to
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # run in the background: what the tests start would ignore Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Compilation is two thirds of the time of the tests; an older code generator takes a third off it, with the same numbers.
+# Two thirds of the time of the tests is compilation; an older code generator takes a third off, with the same numbers.
 # With MCKIBBEN_FULL_COMPILATION set, programs are compiled as users do. Older versions abort at flags unknown to them.
 if "MCKIBBEN_FULL_COMPILATION" not in os.environ and jax.__version_info__ >= (0, 10):
     flags = os.environ.get("XLA_FLAGS", "")
