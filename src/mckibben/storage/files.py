@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import math
 import os
@@ -56,6 +57,7 @@ except ImportError:  # Windows
     fcntl = None
 
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
+_PIECE = 1 << 20  # bytes read at once
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of file systems without locks
 
 
@@ -86,6 +88,63 @@ def _rename_new(temporary: Path, path: Path) -> None:
     except OSError:  # no hard links here
         check_free(path.parent, [path.name])
         temporary.replace(path)
+
+
+_SEAL = b"# sha256 "
+_SEALED = len(_SEAL) + 64 + 1
+
+
+def sealed(content: bytes | memoryview) -> bytes:
+    """The content with its checksum in a last line: a comment in YAML, and bytes that HDF5 does not read."""
+    return b"".join((content, _SEAL, hashlib.sha256(content).hexdigest().encode(), b"\n"))
+
+
+def check_seal(path: Path) -> None:
+    """Check the checksum in the last line of a file; files without one, written by hand or by others, pass.
+
+    Raises
+    ------
+    FileError
+        If the content has changed since it was written.
+    """
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - _SEALED, 0))
+        last = file.read()
+        if len(last) < _SEALED or not last.startswith(_SEAL) or not last.endswith(b"\n"):
+            return
+        file.seek(0)
+        digest = hashlib.sha256()
+        for start in range(0, size - _SEALED, _PIECE):
+            digest.update(file.read(min(_PIECE, size - _SEALED - start)))
+    if digest.hexdigest().encode() != last[len(_SEAL) : -1]:
+        remedy = "make it again; or, if the change was meant, remove the last line (# sha256 ...)"
+        raise FileError(str(path), [Problem("it is damaged: it has changed since it was written", remedy=remedy)])
+
+
+_WRITE_ERRORS = {
+    errno.ENOSPC: "the disk is full",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "the file is larger than this process may write",
+    errno.EROFS: "the disk can no longer be written to",
+    errno.EIO: "the disk fails",
+}
+
+
+@contextmanager
+def explain_write_errors(folder: Path, kept: Callable[[], str], remedy: str) -> Iterator[None]:
+    """Raise a `FileError` that says what is kept, where a disk is full or fails, or the folder has vanished."""
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error, FileNotFoundError) and not folder.is_dir():
+            problem = Problem("the folder has vanished, with what was kept in it", remedy="begin anew")
+        elif error.errno in _WRITE_ERRORS:
+            listed = kept()
+            problem = Problem(_WRITE_ERRORS[error.errno] + (f"; {listed}" if listed else ""), remedy=remedy)
+        else:
+            raise
+        raise FileError(str(folder), [problem]) from error
 
 
 def sync_folder(path: Path) -> None:
@@ -119,11 +178,21 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def check_free(folder: Path, names: Iterable[str]) -> None:
+def make_subfolder(folder: Path, name: str) -> Path:
+    """Create a folder in another unless it exists; `FileError` if it is a symbolic link, which is not followed."""
+    if (folder / name).is_symlink():
+        problem = Problem("it is a symbolic link", field=name, remedy="remove it, or choose another folder")
+        raise FileError(str(folder), [problem])
+    return make_folder(folder / name)
+
+
+_ELSEWHERE = "choose another folder, or move what is there out of the way"
+
+
+def check_free(folder: Path, names: Iterable[str], remedy: str = _ELSEWHERE) -> None:
     """Raise `FileError` with all of some files that exist in a folder, which need not exist itself."""
     existing = [name for name in names if os.path.lexists(folder / name)]
     if existing:
-        remedy = "choose another folder, or move what is there out of the way"
         raise FileError(str(folder), [Problem("it is there already", field=name, remedy=remedy) for name in existing])
 
 

@@ -15,7 +15,7 @@ from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
 from mckibben.config.schema import ComponentModel, PartOf, model_of, named_model
 from mckibben.control import Constant, Multisine, Samples, Signal, Sine, Step
 from mckibben.errors import Problem, ScenarioError, UnitError
-from mckibben.units import Angle, Instant, Phase, Stiffness, factor
+from mckibben.units import NUMBER, Angle, Instant, Phase, Stiffness, factor
 
 _LARGEST = 64 * 2**20
 
@@ -69,10 +69,8 @@ def _column(header: list[str], name: str, unit: str, problems: list[Problem]) ->
 
 
 def _number(row: list[str], place: int, scale: float) -> float:
-    try:
-        return float(row[place]) * scale
-    except (ValueError, IndexError):
-        return math.nan
+    text = row[place].strip() if place < len(row) else ""
+    return float(text) * scale if NUMBER.fullmatch(text) else math.nan  # not 1_0, nor digits of other scripts
 
 
 MOST_SAMPLES = 2000
