@@ -56,7 +56,9 @@ def _tell(pipe: IO[bytes], text: bytes) -> None:
 def main() -> None:
     """Wait for the end of the standard input, which comes with the end of the test's process, and vent."""
     if resource is not None:
-        resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+        most = resource.getrlimit(resource.RLIMIT_AS)[1]
+        if most == resource.RLIM_INFINITY or most > _MEMORY:
+            resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, most))
     told, answer = sys.stdin.buffer, sys.stdout.buffer
     settings = json.loads(told.readline())
     wiring = Terminals(**settings["wiring"])
