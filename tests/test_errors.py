@@ -11,6 +11,7 @@ from mckibben.errors import (
     Problem,
     RangeError,
     UnitError,
+    printable,
 )
 
 
@@ -90,3 +91,19 @@ def test_a_simple_error_survives_a_trip_to_another_process():
     copy = pickle.loads(pickle.dumps(error))
     assert str(copy) == str(error)
     assert (copy.value, copy.lower, copy.upper, copy.unit, copy.remedy) == (3, 0.0, 1.0, "m", "less")
+
+
+@pytest.mark.parametrize("char", ["\x1b", "\r", "\x00", "\u202e", "\u200b", "\udcff"])
+def test_what_a_terminal_would_obey_is_escaped(char):
+    shown = printable(f"a{char}b\nü \N{GRINNING FACE}")
+    assert char not in shown
+    assert shown == f"a{char.encode('unicode_escape').decode()}b\nü \N{GRINNING FACE}"
+    assert char not in str(RangeError(f"name {char}", remedy=char))
+    assert char not in str(FileError("f.yaml", [Problem(char, field=char, remedy=char)]))
+
+
+def test_messages_are_of_limited_length():
+    long = "x" * 100_000
+    assert len(str(RangeError(long, remedy=long))) < 2100
+    assert len(str(FileError("f.yaml", [Problem(long, field=long, remedy=long)] * 100))) < 70_000
+    assert RangeError(long).message == long

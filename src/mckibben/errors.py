@@ -9,7 +9,17 @@ from dataclasses import dataclass
 LONGEST_VALUE = 80
 """Characters of a value in a message."""
 
-_LONGEST_MESSAGE = 2000
+_LONGEST_MESSAGE = 1000
+
+
+def printable(text: str, longest: int | None = None) -> str:
+    """The text with control, format and other unprintable characters but line ends escaped, and at most so long."""
+    if longest is not None and len(text) > longest:
+        text = f"{text[: longest - 3]}..."
+    if text.isascii() and text.isprintable():
+        return text
+    keep = "\n\t\u00a0"
+    return "".join(c if c.isprintable() or c in keep else c.encode("unicode_escape").decode() for c in text)
 
 
 def quoted(value: object) -> str:
@@ -44,9 +54,11 @@ class DomainWarning(McKibbenWarning):
 class McKibbenError(Exception):
     """Base class of all errors of mckibben: a message, and the offending `value` of a `field` in its unit.
 
-    ``str(error)`` is ``"message; remedy"``; `remedy` may be replaced before the error is shown, for example by the
-    option of a command.
+    ``str(error)`` is ``"message; remedy"``, each of limited length; `remedy` may be replaced before the error is shown,
+    for example by the option of a command.
     """
+
+    longest = _LONGEST_MESSAGE
 
     def __init__(
         self,
@@ -69,7 +81,8 @@ class McKibbenError(Exception):
         self.remedy = remedy
 
     def __str__(self) -> str:
-        return f"{self.message}; {self.remedy}" if self.remedy else self.message
+        message = printable(self.message, self.longest)
+        return f"{message}; {printable(self.remedy, _LONGEST_MESSAGE)}" if self.remedy else message
 
 
 class UnitError(McKibbenError, ValueError):
@@ -143,9 +156,9 @@ class Problem:
     def __str__(self) -> str:
         where = [f"line {self.line}"] if self.line is not None else []
         where += [self.field] if self.field else []
-        message = self.message if len(self.message) <= _LONGEST_MESSAGE else f"{self.message[:_LONGEST_MESSAGE]}..."
-        text = ": ".join([", ".join(where), message]) if where else message
-        return f"{text}; {self.remedy}" if self.remedy else text
+        message = printable(self.message, _LONGEST_MESSAGE)
+        text = ": ".join([printable(", ".join(where), _LONGEST_MESSAGE), message]) if where else message
+        return f"{text}; {printable(self.remedy, _LONGEST_MESSAGE)}" if self.remedy else text
 
 
 class FileError(McKibbenError, ValueError):
@@ -157,6 +170,7 @@ class FileError(McKibbenError, ValueError):
     """
 
     shown = 20
+    longest = 100_000  # each problem is short
 
     def __init__(self, source: str, problems: Sequence[Problem]) -> None:
         self.source = source
