@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -16,8 +17,14 @@ from mckibben.rig.backend import Backend
 from mckibben.rig.ni.backend import NiBackend
 from mckibben.rig.ni.driver import Driver, Terminals
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
+
 _READY, _DONE = b"ready\n", b"done\n"
 _ATTEMPTS, _PAUSE = 50, 0.1  # of venting; s between them
+_LONGEST, _MEMORY = 60, 4 << 30  # s and bytes after which it is ended: nobody else watches it
 
 
 @contextlib.contextmanager
@@ -48,6 +55,10 @@ def _tell(pipe: IO[bytes], text: bytes) -> None:
 
 def main() -> None:
     """Wait for the end of the standard input, which comes with the end of the test's process, and vent."""
+    if resource is not None:
+        most = resource.getrlimit(resource.RLIMIT_AS)[1]
+        if most == resource.RLIM_INFINITY or most > _MEMORY:
+            resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, most))
     told, answer = sys.stdin.buffer, sys.stdout.buffer
     settings = json.loads(told.readline())
     wiring = Terminals(**settings["wiring"])
@@ -55,8 +66,10 @@ def main() -> None:
     answer.flush()
     if told.readline() == _DONE:
         return
+    if resource is not None:
+        signal.alarm(_LONGEST)
     for _ in range(_ATTEMPTS):
-        with contextlib.suppress(RigError):
+        with contextlib.suppress(Exception):
             _vent(wiring, settings["server"])
             return
         time.sleep(_PAUSE)
