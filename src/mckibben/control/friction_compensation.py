@@ -52,9 +52,7 @@ class FrictionCompensation(Controller):
 
     def __check_init__(self) -> None:
         check_kind(
-            "FrictionCompensation",
-            controller=(self.controller, Controller),
-            model=(self.model, AntagonisticJoint),
+            "FrictionCompensation", controller=(self.controller, Controller), model=(self.model, AntagonisticJoint)
         )
         if not self.model.has_friction:
             raise RangeError(
@@ -68,11 +66,7 @@ class FrictionCompensation(Controller):
         return FrictionCompensationState(self.controller.init(measurement), muscles, zero, jnp.asarray(False))
 
     def step(
-        self,
-        state: FrictionCompensationState,
-        setpoint: Setpoint,
-        measurement: Measurement,
-        period: ArrayLike,
+        self, state: FrictionCompensationState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[FrictionCompensationState, tuple[Scalar, Scalar]]:
         inner, (command1, command2) = self.controller.step(state.inner, setpoint, measurement, period)
         pressures = measurement.pressures

@@ -67,12 +67,7 @@ class PID(Loop):
         )
 
     def step(
-        self,
-        state: PIDState,
-        setpoint: ArrayLike,
-        measured: ArrayLike,
-        sensitivity: ArrayLike,
-        period: ArrayLike,
+        self, state: PIDState, setpoint: ArrayLike, measured: ArrayLike, sensitivity: ArrayLike, period: ArrayLike
     ) -> tuple[PIDState, Scalar]:
         error = jnp.asarray(setpoint) - measured
         derivative = self.derivative(state, setpoint, measured, period)
