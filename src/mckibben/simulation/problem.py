@@ -155,9 +155,9 @@ def sampling_times(duration: float, period: float, substeps: int = 1) -> NDArray
         raise SimulationError(f"substeps is {substeps!r}", value=substeps, remedy="give an integer from 1 up")
     for name, value in (("duration", duration), ("control_period", period)):
         if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
-            raise SimulationError(
-                f"{name} is {value!r}", field=name, value=value, lower=0.0, unit="s", remedy="give a positive time in s"
-            )
+            given = f"{value:g} s" if isinstance(value, Real) else repr(value)
+            text = f"the {name.replace('_', ' ')} is {given}"
+            raise SimulationError(text, field=name, value=value, lower=0.0, unit="s", remedy="give a positive time")
     periods = whole_periods(duration, period)
     if periods is None:
         raise SimulationError(
