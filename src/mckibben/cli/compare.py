@@ -6,28 +6,38 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from mckibben.cli.options import Json, long_job, metric, required_folder, table
+from mckibben.cli.options import Json, keeping, long_job, metric, required_folder, table
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.storage.files import atomic_write, make_folder
+from mckibben.storage.files import atomic_write, check_free, make_folder, make_subfolder, to_json, write_json
 
 if TYPE_CHECKING:
     from mckibben.study.benchmark import BenchmarkResult, Suite
 
+# title, metric, statistic
+_COLUMNS = (
+    ("angle rmse, deg", "angle_rmse_deg", "median"),
+    ("95 %", "angle_rmse_deg", "percentile_95"),
+    ("stiffness rmse", "stiffness_rmse", "median"),
+    ("95 %", "stiffness_rmse", "percentile_95"),
+    ("coupling, deg", "coupling_deg", "median"),
+    ("air, L", "air_L", "median"),
+)
 _KEPT = ("results.json", "runs.nc", "suite.yaml", "comparison.html")
 
 
 def compare(
-    suite: Annotated[Path, typer.Argument(metavar="SUITE.yaml", help="Suite file; see examples/comparison.")],
+    suite: Annotated[Path, Argument(metavar="SUITE.yaml", help="Suite file; see examples/comparison.")],
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Output folder: searches, all runs, tuned scenarios, report.")
+        Path | None, Option(metavar="DIR", help="Output folder: searches, all runs, tuned scenarios, report.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue the searches in DIR.")] = False,
-    runs: Annotated[int | None, typer.Option(metavar="N", help="Number of unseen runs, overriding the suite.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="A tenth of the tuning budget, at most 128 runs.")] = False,
+    resume: Annotated[bool, Option("--resume", help="Continue the searches in DIR.")] = False,
+    runs: Annotated[int | None, Option(metavar="N", help="Number of unseen runs, overriding the suite.")] = None,
+    quick: Annotated[bool, Option("--quick", help="A tenth of the tuning budget, at most 128 runs.")] = False,
     repeat: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="'CONTROLLER RUN'",
             help="Print one run of the comparison in DIR as a scenario for `mckibben simulate`, such as 'PID 17'.",
         ),
@@ -42,7 +52,6 @@ def compare(
     if repeat is not None:
         typer.echo(_alone(out, repeat), nl=False)
         return
-    from mckibben.storage.files import check_free
     from mckibben.study.benchmark import compare as run
 
     searches = out / "tuning"
@@ -52,6 +61,8 @@ def compare(
             raise FileError(str(searches), [Problem("there are histories of searches already", remedy=remedy)])
         check_free(out, _KEPT)
     make_folder(out)
+    for name in ("tuning", "figures"):
+        make_subfolder(out, name)
     with long_job(quiet=json, kept=f"the evaluated points are in {searches}; continue with --resume") as bar:
         result = run(read, folder=searches, resume=resume, progress=bar)
     _show(result, out, json)
@@ -72,21 +83,13 @@ def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
 
 def _alone(out: Path, repeat: str) -> str:
     """Return one run of a finished comparison as the text of a scenario."""
-    import json
+    from mckibben.study.benchmark import draw
+    from mckibben.study.benchmark.benchmark import read_runs
 
-    from mckibben.study.benchmark import Suite, draw
-
-    kept = out / "results.json"
+    kept = out / "runs.nc"  # it has a checksum
     if not kept.is_file():
         raise ParameterError(f"{out} holds no comparison", remedy="run it first, without --repeat")
-    try:
-        numbers = json.loads(kept.read_text(encoding="utf-8"))
-        tuned = {each: found["tuned"] for each, found in numbers["controllers"].items()}
-        count = int(numbers["runs"])
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        remedy = "run the comparison again in another folder"
-        raise FileError(str(kept), [Problem("it is damaged, or no result of a comparison", remedy=remedy)]) from None
-    suite = Suite.read(out / "suite.yaml")
+    suite, tuned, count = read_runs(kept)
     name, _, run = repeat.rpartition(" ")
     if name not in tuned:
         raise ParameterError(f"there is no controller {name!r}", value=name, remedy=f"known are {', '.join(tuned)}")
@@ -98,16 +101,16 @@ def _alone(out: Path, repeat: str) -> str:
 
 def _show(result: BenchmarkResult, out: Path, json: bool) -> None:
     from mckibben import report
-    from mckibben.storage.files import to_json, write_json
     from mckibben.study.benchmark.benchmark import statistics, write_table
 
     numbers = statistics(result)
-    write_json(out / "results.json", numbers)  # before anything is drawn
-    write_table(result, out / "runs.nc")
-    with atomic_write(out / "suite.yaml", overwrite=True) as part:
-        part.write_text(result.suite.dumps(folder=out), encoding="utf-8")
-    kept = _tuned_scenarios(result, out)
-    page = report.write_benchmark(result, numbers, out)
+    with keeping(out, "make room, and continue with --resume"):
+        write_json(out / "results.json", numbers)  # before anything is drawn
+        write_table(result, out / "runs.nc")
+        with atomic_write(out / "suite.yaml", overwrite=True) as part:
+            part.write_text(result.suite.dumps(folder=out), encoding="utf-8")
+        kept = _tuned_scenarios(result, out)
+        page = report.write_benchmark(result, numbers, out)
     if json:
         typer.echo(to_json(numbers))
     else:
@@ -121,24 +124,15 @@ def _show(result: BenchmarkResult, out: Path, json: bool) -> None:
 def _tables(numbers: dict[str, Any]) -> None:
     found = numbers["controllers"]
 
-    def cell(name: str, key: str, what: str = "median") -> str:
+    def cell(name: str, key: str, what: str) -> str:
         spread = found[name]["metrics"][key]
         return "-" if spread is None else metric(key, spread[what])
 
     table(
         f"{numbers['suite']}: {numbers['runs'] - numbers['no_start']} unseen runs",
-        ("controller", "angle rmse, deg", "95 %", "stiffness rmse", "95 %", "coupling, deg", "air, L", "unstable"),
+        ("controller", *(title for title, _, _ in _COLUMNS), "unstable"),
         [
-            (
-                name,
-                cell(name, "angle_rmse_deg"),
-                cell(name, "angle_rmse_deg", "percentile_95"),
-                cell(name, "stiffness_rmse"),
-                cell(name, "stiffness_rmse", "percentile_95"),
-                cell(name, "coupling_deg"),
-                cell(name, "air_L"),
-                str(found[name]["unstable"]),
-            )
+            (name, *(cell(name, key, what) for _, key, what in _COLUMNS), str(found[name]["unstable"]))
             for name in numbers["order"]
         ],
     )
@@ -168,7 +162,7 @@ def _tuned_scenarios(result: BenchmarkResult, out: Path) -> int:
     from mckibben.study.benchmark.benchmark import filename
     from mckibben.study.parameters import with_values
 
-    kept = make_folder(out / "controllers")
+    kept = make_subfolder(out, "controllers")
     reference = next(iter(result.suite.references))
     for name, values in result.tuned.items():
         scenario = result.suite.scenario(name, reference)

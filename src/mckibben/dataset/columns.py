@@ -28,45 +28,28 @@ ACCEPTED: Mapping[str, tuple[str, ...]] = {
 # Other names, accepted only with a unit. None whose sign or zero is ambiguous, such as strain or displacement. Letters
 # are case-sensitive: f is a frequency and T a temperature.
 _NAMES: Mapping[str, str] = {
-    "p": "pressure",
-    "P": "pressure",
-    "gauge pressure": "pressure",
-    "muscle pressure": "pressure",
-    "measured pressure": "pressure",
-    "F": "force",
-    "tension": "force",
-    "axial force": "force",
-    "muscle force": "force",
-    "measured force": "force",
-    "pull": "force",
-    "relative contraction": "contraction",
-    "contraction ratio": "contraction",
-    "epsilon": "contraction",
-    "ε": "contraction",
-    "muscle length": "length",
-    "t": "time",
-    "elapsed time": "time",
-    "set pressure": "set_pressure",
-    "pressure setpoint": "set_pressure",
-    "nominal pressure": "set_pressure",
-    "p_set": "set_pressure",
+    name: quantity
+    for quantity, others in (
+        ("pressure", ("p", "P", "gauge pressure", "muscle pressure", "measured pressure")),
+        ("force", ("F", "tension", "axial force", "muscle force", "measured force", "pull")),
+        ("contraction", ("relative contraction", "contraction ratio", "epsilon", "ε")),
+        ("length", ("muscle length",)),
+        ("time", ("t", "elapsed time")),
+        ("set_pressure", ("set pressure", "pressure setpoint", "nominal pressure", "p_set")),
+    )
+    for name in others
 }
 _SYMBOLS = frozenset(name for name in _NAMES if len(name) == 1)
 
 _SPELLED: Mapping[str, str] = {
     "%": "percent",
-    "-": "ratio",
-    "1": "ratio",
-    "sec": "s",
-    "second": "s",
-    "seconds": "s",
+    **dict.fromkeys(("-", "1"), "ratio"),
+    **dict.fromkeys(("sec", "second", "seconds"), "s"),
     "milliseconds": "ms",
-    "newton": "N",
-    "newtons": "N",
-    "pascal": "Pa",
     "minutes": "min",
-    "millimeters": "mm",
-    "millimetres": "mm",
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    "pascal": "Pa",
+    **dict.fromkeys(("millimeters", "millimetres"), "mm"),
 }
 
 _CLASSIC = re.compile(rf"({'|'.join(ACCEPTED)})(?:[_ ](.+))?", re.IGNORECASE | re.ASCII)
@@ -93,25 +76,7 @@ def names(quantity: str) -> str:
 
 
 def parse_header(header: str, unit: str = "") -> Header | None:
-    """Parse a header; None if it names no accepted quantity with its unit.
-
-    Case-insensitive, except for a leading m in a unit: MPa is not mPa, mbar is not Mbar.
-
-    Parameters
-    ----------
-    header
-        Name of a column.
-    unit
-        Its unit, where the file has it elsewhere; a unit in the name has priority.
-
-    Examples
-    --------
-    >>> parse_header("Pressure_KPA"), parse_header("p / kPa"), parse_header("Force", "N")
-    (Header(quantity='pressure', unit='kPa'), Header(quantity='pressure', unit='kPa'),
-     Header(quantity='force', unit='N'))
-    >>> [parse_header(text) for text in ("pressure_mPa", "Pressure", "Pressure (bar abs)", "T / s")]
-    [None, None, None, None]
-    """
+    """Quantity and unit of a header, None if unknown; case counts only in a leading m: MPa is not mPa."""
     for quantity, spelled in _readings(header, unit):
         for known in ACCEPTED[quantity] or ("",):
             if _same_unit(spelled, known, quantity):
@@ -120,13 +85,7 @@ def parse_header(header: str, unit: str = "") -> Header | None:
 
 
 def unit_error(header: str, unit: str = "") -> str:
-    """Error of a header that names a quantity with a wrong unit; empty where there is none.
-
-    >>> unit_error("pressure_mPa"), unit_error("Pressure [psia]")
-    ("'mPa' is not a unit of pressure here", "'psia' is absolute; a gauge pressure is needed")
-    >>> unit_error("pressure_sensor"), unit_error("pressure_bar"), unit_error("p / W")
-    ('', '', '')
-    """
+    """Error of a header that names a quantity with a wrong unit; empty where there is none."""
     if parse_header(header, unit):
         return ""
     known = {name.lower() for name in units.UNITS}
@@ -140,11 +99,7 @@ def unit_error(header: str, unit: str = "") -> str:
 
 
 def is_unit(text: str) -> bool:
-    """True if a cell is a unit, as in a row of units under the header.
-
-    >>> [is_unit(text) for text in ("[bar]", "%", "N", "-", "1", "loading", "")]
-    [True, True, True, True, False, False, False]
-    """
+    """True if a cell is a unit, as in a row of units under the header."""
     bare = _bare(text)
     known = {unit for accepted in ACCEPTED.values() for unit in accepted}
     return bare != "1" and bare != "" and any(_same_unit(bare, unit, "pressure") for unit in known)
@@ -204,28 +159,7 @@ class Layout:
 
 
 def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[str]) -> Layout:
-    """Find the columns of known quantities in a file.
-
-    Parameters
-    ----------
-    sheet
-        Columns of the file.
-    mapping
-        Names in the file to accepted headers; these have priority.
-    needed
-        Required quantities; a length may stand for a contraction.
-
-    Examples
-    --------
-    >>> from mckibben.dataset.sheet import RawColumn
-    >>> headers = ["Druck [bar]", "contraction_percent", "note"]
-    >>> sheet = RawTable([RawColumn(header, [], []) for header in headers], header_line=1)
-    >>> layout = find_columns(sheet, {"Druck [bar]": "pressure_bar"}, ["pressure", "contraction", "force"])
-    >>> layout.places["pressure"], layout.ignored
-    ((0, Header(quantity='pressure', unit='bar')), ['note'])
-    >>> print(*layout.problems)
-    line 1: no column for force; the file has 'Druck [bar]', 'contraction_percent', 'note'; name it force_N ...
-    """
+    """Find the columns of known quantities; `mapping` (name in the file to header) has priority."""
     layout = Layout(ignored=list(sheet.ignored))
     header = sheet.names
     shown = ", ".join(map(repr, header[:_SHOWN])) + (f" ... ({len(header)} in all)" if len(header) > _SHOWN else "")

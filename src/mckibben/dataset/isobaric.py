@@ -13,7 +13,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.schema import assemble, format_range, load_validated, normalize, write_csv, write_netcdf
+from mckibben.dataset.schema import (
+    VARIABLES,
+    assemble,
+    format_range,
+    load_validated,
+    normalize,
+    write_csv,
+    write_netcdf,
+)
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, percent
 
@@ -21,23 +29,7 @@ _BLOCK = 32768  # samples worked on at a time: 256 KiB of floats stay in a core'
 
 
 def mean_and_std(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and standard deviation of each row, computed in blocks that stay in cache.
-
-    Parameters
-    ----------
-    samples
-        Shape (points, samples), of any float type; sums are in float64.
-
-    Returns
-    -------
-    mean, deviation
-        Shape (points,), in the unit of the samples.
-
-    Examples
-    --------
-    >>> mean_and_std(np.array([[1.0, 3.0], [5.0, 5.0]]))
-    (array([2., 5.]), array([1., 0.]))
-    """
+    """Mean and standard deviation of each row, in float64, by blocks that stay in cache."""
     points, count = samples.shape
     mean, spread = np.empty(points), np.empty(points)
     rows = max(1, _BLOCK // count)
@@ -52,13 +44,7 @@ def mean_and_std(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 def at_levels(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: float = 1e3) -> NDArray[np.bool_]:
-    """Mask of the points whose level is within `tolerance` of any of the pressures, all in Pa.
-
-    Raises
-    ------
-    RangeError
-        If there is no point at one of the pressures.
-    """
+    """Mask of the points whose level is within `tolerance` of any of the pressures [Pa]; each must have one."""
     wanted = np.atleast_1d(np.asarray(pressures, dtype=np.float64)).ravel()
     close = np.abs(levels[:, None] - wanted) <= tolerance
     if len(missing := wanted[~np.any(close, axis=0)]):
@@ -72,13 +58,7 @@ def at_levels(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: floa
 
 
 def equal_to(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.bool_]:
-    """Mask of the points whose entry in a column is one of the values; an empty column is not recorded.
-
-    Raises
-    ------
-    RangeError
-        If one of the values is not in the column, or none is given.
-    """
+    """Mask of the points whose entry in a column is one of the values; each must have one."""
     wanted = np.atleast_1d(np.asarray(values)).ravel()
     present = np.unique(column)
     if missing := sorted(set(wanted.tolist()) - set(present.tolist())):
@@ -104,7 +84,8 @@ def format_list(values: np.ndarray, most: int = 24) -> str:
 class IsobaricDataset:
     """Points of isobaric tests: pressure, contraction and force.
 
-    Made by `of` or `read_dataset`; two are equal where ``a.table.identical(b.table)``.
+    Made by `of` or `read_dataset`; two are equal where ``a.table.identical(b.table)``. A `DatasetError` lists variables
+    that are missing, or of the wrong shape, unit or range.
 
     Attributes
     ----------
@@ -116,11 +97,6 @@ class IsobaricDataset:
         ``sample`` the raw ``force_samples`` [N] and ``pressure_samples`` [Pa], where kept. Attributes:
         ``specimen``, ``source``, ``slack_force`` [N] and, where known, ``initial_length`` [m]; ``repairs`` and
         ``ignored_columns`` of the file it was read from, where there is something to say.
-
-    Raises
-    ------
-    DatasetError
-        If a variable is missing, of the wrong shape or unit, or holds an impossible value.
 
     Examples
     --------
@@ -137,7 +113,7 @@ class IsobaricDataset:
     table: xr.Dataset
 
     def __post_init__(self) -> None:
-        table, problems = normalize(self.table)
+        table, problems = normalize(self.table, VARIABLES)
         if problems:
             raise DatasetError("dataset", problems)
         object.__setattr__(self, "table", table)
@@ -161,7 +137,7 @@ class IsobaricDataset:
         source: str = "",
         slack_force: float = 0.0,
     ) -> Self:
-        """Make a dataset from arrays in SI units.
+        """Make a dataset from arrays in SI units; raises a `DatasetError` with every problem.
 
         Parameters
         ----------
@@ -171,27 +147,18 @@ class IsobaricDataset:
             Shape (points,): "loading" or "unloading", empty where it is not known.
         phase
             Shape (points,): "filling" or "venting" where the pressure was changed at a fixed length, else empty.
-        repeat
-            Shape (points,): integers from 0 up.
-        time
-            Shape (points,) [s].
+        repeat, time
+            Shape (points,): integers from 0 up, and [s].
         set_pressure
             Shape (points,): nominal pressure [Pa], NaN where it is not known.
         force_samples, pressure_samples
             Shape (points, samples): raw samples [N], [Pa], not copied.
-        specimen
-            Name of the muscle's type.
+        specimen, source
+            Name of the muscle's type, and source of the data.
         initial_length
             Length of the deflated muscle [m].
-        source
-            Source of the data.
         slack_force
             Force [N] up to which the muscle counts as slack. Set it above the noise of the rig.
-
-        Raises
-        ------
-        DatasetError
-            With every problem: shapes that do not match, values that are not finite or out of range.
         """
         variables = {
             "pressure": pressure,
@@ -205,7 +172,7 @@ class IsobaricDataset:
             "force_samples": force_samples,
             "pressure_samples": pressure_samples,
         }
-        table, problems = assemble({name: values for name, values in variables.items() if values is not None})
+        table, problems = assemble(variables, VARIABLES)
         if problems:
             raise DatasetError("dataset", problems)
         return cls(
@@ -303,10 +270,7 @@ class IsobaricDataset:
     def at(self, pressures: ArrayLike, tolerance: float = 1e3) -> Self:
         """Points whose level [Pa] is within `tolerance` [Pa] of any of the given pressures [Pa].
 
-        Raises
-        ------
-        RangeError
-            If there is no point at one of them; the error names the pressures that there are.
+        Raises a `RangeError` if there is no point at one of them; the error names the pressures that there are.
         """
         return self.select(at_levels(self.levels, pressures, tolerance))
 
@@ -317,19 +281,7 @@ class IsobaricDataset:
         repeats: ArrayLike | None = None,
         directions: str | Sequence[str] | None = None,
     ) -> tuple[Self, Self]:
-        """Split into training and held-out points by whole pressures, repeats or directions.
-
-        Parameters
-        ----------
-        pressures
-            Levels [Pa], matched within 0.01 bar.
-        repeats, directions
-            As in the dataset.
-
-        Returns
-        -------
-        train, held_out
-            `held_out` has the points at any of the given values, `train` all others.
+        """Split into training points and those at any given level [Pa, within 0.01 bar], repeat or direction.
 
         Raises
         ------
@@ -354,8 +306,7 @@ class IsobaricDataset:
     def plateau_means(self) -> Self:
         """Dataset with the mean pressure and force of the raw samples, without the samples.
 
-        ``force_spread`` is the standard deviation of the samples of each point [N] (`numpy.std`). A dataset without
-        samples is returned unchanged.
+        ``force_spread`` is their standard deviation [N]. A dataset without samples is returned unchanged.
         """
         columns: dict[str, NDArray[np.float64]] = {}
         if "force_samples" in self.table:
@@ -373,20 +324,13 @@ class IsobaricDataset:
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file that `to_netcdf` wrote.
-
-        Raises
-        ------
-        DatasetError
-            If the file is not there, is no NetCDF file, or does not hold an isobaric dataset.
-        """
+        """Read a file that `to_netcdf` wrote; raises a `DatasetError` if it is missing or no dataset."""
         return load_validated(Path(path), cls)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the plateau means as CSV text in SI units atomically; `read_dataset` reads the same numbers back.
+        """Write the plateau means as CSV in SI units atomically; `read_dataset` reads the same numbers back.
 
-        The attributes are comment lines at the top. Samples, their standard deviation and other variables are left
-        out: `to_netcdf` keeps them.
+        The attributes are comment lines at the top; samples and other variables are left out: `to_netcdf` keeps them.
         """
         write_csv(self.plateau_means().table, Path(path))
 

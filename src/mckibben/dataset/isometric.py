@@ -1,98 +1,22 @@
-"""Points of a recording at a fixed length: force at given pressures, separately for filling and venting."""
+"""Phases of a recording at a fixed length, and force over pressure in each filling and venting."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, extracted_points, format_counts
+from mckibben.dataset.points import SampleAccount
 from mckibben.errors import RangeError
-from mckibben.units import bar, kPa
 
-_LEAST = 3  # samples of a point
+LEAST = 3  # samples of a point
 _SMOOTHED = 2000  # means by which the turns of the pressure are found: at most so many
-_BAND = 40  # parts of the range of the levels
+BAND = 40  # parts of the range of the levels
 
 
-def isometric(
-    table: xr.Dataset,
-    *,
-    levels: ArrayLike | None,
-    count: int,
-    contraction: float | None,
-    contraction_tolerance: float,
-    band: float | None,
-    reversal: float,
-    gap: float | None,
-) -> ExtractedPoints:
-    """`Recording.isometric` for the recording's table."""
-    check_positive("reversal", reversal, "Pa")
-    check_positive("contraction_tolerance", contraction_tolerance, "1")
-    time, pressure, force = (table[name].to_numpy() for name in ("time", "pressure", "force"))
-    if not len(time):
-        raise RangeError("the recording has no samples")
-    account = SampleAccount(table, gap)
-    held = _held(table, contraction, contraction_tolerance, account)
-    usable = account.of < 0
-    wanted = _levels(pressure[usable], levels, count)
-    spacing = np.diff(wanted).min() if len(wanted) > 1 else np.inf
-    if band is None:
-        band = float(min(spacing / 2, np.ptp(wanted) / _BAND)) if len(wanted) > 1 else 10 * kPa
-    check_positive("band", band, "Pa")
-    if 2 * band > spacing * (1 + 1e-9):
-        raise RangeError(
-            f"bands of {band:g} Pa around levels {spacing:g} Pa apart overlap", value=band, upper=spacing / 2, unit="Pa"
-        )
-    phases = _phases(pressure, account.broken, reversal)
-    account.assign_reason(phases.of < 0, "at rest or turning")
-    usable = account.of < 0
-
-    nearest = np.clip(np.searchsorted(wanted, pressure), 1, len(wanted) - 1) if len(wanted) > 1 else 0
-    if len(wanted) > 1:
-        nearest = np.where(pressure - wanted[nearest - 1] < wanted[nearest] - pressure, nearest - 1, nearest)
-    offset = pressure - wanted[nearest]
-    near = usable & (np.abs(offset) <= band)
-    account.assign_reason(usable & ~near, "between levels")
-    cell = (phases.of * len(wanted) + nearest)[near]
-    sums = _Lines.through(cell, offset[near], force[near], time[near], len(phases.rising) * len(wanted))
-    account.assign_reason(near, "used")
-
-    good = (sums.samples >= _LEAST) & (sums.below < 0) & (sums.above > 0)
-    index = np.flatnonzero(good)
-    few = np.flatnonzero(~good)
-    account.of[np.flatnonzero(near)[~good[cell]]] = -1
-    account.assign_reason(near, "too few at a level")
-    for number, rising in enumerate(phases.rising):
-        missed = [wanted[i % len(wanted)] for i in few if i // len(wanted) == number]
-        if missed:
-            what = f"{'filling' if rising else 'venting'} {phases.repeat[number]}"
-            shown = ", ".join(f"{level / bar:g}" for level in missed[:8]) + (" ..." if len(missed) > 8 else "")
-            account.notes.append(f"{what} does not pass {shown} bar")
-    if not len(index):
-        counts = account.counts("between levels")
-        raise RangeError(
-            "no level is passed\n  " + format_counts(counts, account.notes).replace("\n", "\n  "),
-            remedy="give levels inside the range of the pressure, a wider band, or a smaller reversal",
-        )
-    phase_of, level_of = index // len(wanted), wanted[index % len(wanted)]
-    return extracted_points(
-        table,
-        account,
-        "between levels",
-        sums.samples[index],
-        pressure=level_of,
-        contraction=np.full(len(index), held),
-        force=sums.force[index],
-        phase=np.where(phases.rising, "filling", "venting")[phase_of],
-        repeat=phases.repeat[phase_of],
-        time=sums.time[index],
-        set_pressure=level_of,
-        force_spread=sums.spread[index],
-    )
-
-
-def _held(table: xr.Dataset, contraction: float | None, tolerance: float, account: SampleAccount) -> float:
+def fixed_contraction(table: xr.Dataset, contraction: float | None, tolerance: float, account: SampleAccount) -> float:
     """Contraction of the test [-]."""
     if "contraction" not in table:
         if contraction is None:
@@ -119,7 +43,8 @@ def _held(table: xr.Dataset, contraction: float | None, tolerance: float, accoun
     return held if contraction is None else float(contraction)
 
 
-def _levels(pressure: NDArray[np.float64], levels: ArrayLike | None, count: int) -> NDArray[np.float64]:
+def pressure_levels(pressure: NDArray[np.float64], levels: ArrayLike | None, count: int) -> NDArray[np.float64]:
+    """The given levels, or so many evenly spaced inside the range of the pressure [Pa]."""
     if levels is not None:
         wanted = np.unique(np.asarray(levels, np.float64).ravel())
         if not len(wanted) or not np.isfinite(wanted).all():
@@ -134,17 +59,15 @@ def _levels(pressure: NDArray[np.float64], levels: ArrayLike | None, count: int)
     return low + (high - low) * (np.arange(count) + 0.5) / count
 
 
-class _Phases:
+class Phases(NamedTuple):
     """Phases of a recording: number by sample (-1 at reversal or rest); direction and repeat by phase."""
 
-    def __init__(self, of: NDArray[np.int64], rising: NDArray[np.bool_]) -> None:
-        self.of = of
-        self.rising = rising
-        up = np.cumsum(rising) - 1
-        self.repeat = np.where(rising, up, np.arange(len(rising)) - up - 1)
+    of: NDArray[np.int64]
+    rising: NDArray[np.bool_]
+    repeat: NDArray[np.int64]
 
 
-def _phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], reversal: float) -> _Phases:
+def split_phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], reversal: float) -> Phases:
     """Split a recording at the reversals of its pressure, by means over a two-thousandth of it."""
     size = max(1, len(pressure) // _SMOOTHED)
     edges = np.arange(0, max(1, len(pressure) - size + 1), size)
@@ -178,41 +101,42 @@ def _phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], reversal: 
                 close(start, bottom, False)
             start, sign, top = bottom, 1, i
     close(start, top if sign > 0 else bottom, sign > 0)
-    return _Phases(np.repeat(of, np.diff(bounds)), np.array(rising, bool))
+    filling = np.array(rising, bool)
+    up = np.cumsum(filling) - 1
+    repeat = np.where(filling, up, np.arange(len(filling)) - up - 1)
+    return Phases(np.repeat(of, np.diff(bounds)), filling, repeat)
 
 
-class _Lines:
-    """Least-squares lines of force over pressure, one for each group of samples, at offset 0."""
+class Lines(NamedTuple):
+    """Least-squares lines of force over pressure at offset 0, shape (groups,); NaN where a group is empty."""
 
-    def __init__(self, samples: NDArray[np.int64], force: NDArray[np.float64]) -> None:
-        self.samples = samples
-        self.force = force
-        self.spread = self.time = self.below = self.above = np.zeros(len(samples))
+    samples: NDArray[np.int64]
+    force: NDArray[np.float64]
+    spread: NDArray[np.float64]
+    time: NDArray[np.float64]
+    below: NDArray[np.float64]
+    above: NDArray[np.float64]
 
-    @classmethod
-    def through(
-        cls,
-        group: NDArray[np.int64],
-        offset: NDArray[np.float64],
-        force: NDArray[np.float64],
-        time: NDArray[np.float64],
-        groups: int,
-    ) -> _Lines:
-        """Fit the lines; shape (groups,) each, NaN where a group is empty."""
-        samples = np.bincount(group, minlength=groups)
 
-        def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            with np.errstate(invalid="ignore", divide="ignore"):
-                return np.bincount(group, values, minlength=groups) / samples
+def lines_through(
+    group: NDArray[np.int64],
+    offset: NDArray[np.float64],
+    force: NDArray[np.float64],
+    time: NDArray[np.float64],
+    groups: int,
+) -> Lines:
+    """Lines through samples by group, and the lowest and highest offset [Pa] of each."""
+    samples = np.bincount(group, minlength=groups)
 
-        x, y = mean(offset), mean(force)
-        dx, dy = offset - x[group], force - y[group]
-        xx, xy = mean(dx * dx), mean(dx * dy)
-        slope = np.divide(xy, xx, out=np.zeros(groups), where=xx > 0)
-        lines = cls(samples, y - slope * x)
-        lines.spread = np.sqrt(mean((dy - slope[group] * dx) ** 2))
-        lines.time = mean(time)
-        lines.below, lines.above = np.full(groups, np.inf), np.full(groups, -np.inf)
-        np.minimum.at(lines.below, group, offset)
-        np.maximum.at(lines.above, group, offset)
-        return lines
+    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.bincount(group, values, minlength=groups) / samples
+
+    x, y = mean(offset), mean(force)
+    dx, dy = offset - x[group], force - y[group]
+    xx, xy = mean(dx * dx), mean(dx * dy)
+    slope = np.divide(xy, xx, out=np.zeros(groups), where=xx > 0)
+    below, above = np.full(groups, np.inf), np.full(groups, -np.inf)
+    np.minimum.at(below, group, offset)
+    np.maximum.at(above, group, offset)
+    return Lines(samples, y - slope * x, np.sqrt(mean((dy - slope[group] * dx) ** 2)), mean(time), below, above)

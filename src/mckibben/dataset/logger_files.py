@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.dataset.columns import is_unit
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, unreadable
 from mckibben.errors import DatasetError, Problem
 
 _ROWS = 1_048_576  # of a sheet of Excel
@@ -25,15 +25,7 @@ _LARGEST = 2**30  # bytes of a workbook's content
 
 
 def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> RawTable:
-    """Read the sheets of a workbook that have a header. Formulas are read as their saved values.
-
-    With one such sheet the columns are named as in it; with several ``sheet/column``.
-
-    Raises
-    ------
-    DatasetError
-        If openpyxl is not installed, the file cannot be read, or no sheet has a column.
-    """
+    """Columns of the sheets with a header (formulas as saved values); with several named ``sheet/column``."""
     try:
         from openpyxl import load_workbook
     except ImportError:
@@ -51,9 +43,7 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
     except DatasetError:
         raise
     except Exception as error:  # openpyxl raises nearly every kind on a damaged file
-        text = (str(error) or type(error).__name__).splitlines()[0]
-        problem = Problem(f"cannot be read as a workbook: {text}", remedy="save it again, or as CSV")
-        raise DatasetError(str(path), [problem]) from error
+        raise unreadable(path, "a workbook", error, "save it again, or as CSV") from error
     sheet = RawTable(kind=RowProblem)
     found = {title: _table(rows, known) for title, rows in tables.items()}
     filled = {title: channels for title, channels in found.items() if channels}
@@ -122,15 +112,7 @@ def _name(cell: object) -> str:
 
 
 def read_tdms(path: Path, data: bytes) -> RawTable:
-    """Read the channels of a TDMS file, named ``group/channel``, with the units of their properties.
-
-    Scaled channels are read scaled; the increment of waveforms is the sampling interval.
-
-    Raises
-    ------
-    DatasetError
-        If npTDMS is not installed, the file cannot be read, or it holds no channel.
-    """
+    """Scaled channels of a TDMS file, named ``group/channel``; the increment of waveforms is the interval."""
     try:
         from nptdms import TdmsFile
     except ImportError:
@@ -152,9 +134,7 @@ def read_tdms(path: Path, data: bytes) -> RawTable:
     except DatasetError:
         raise
     except Exception as error:  # npTDMS raises nearly every kind on a damaged file
-        text = (str(error) or type(error).__name__).splitlines()[0]
-        problem = Problem(f"cannot be read as TDMS: {text}", remedy="copy it again from where it was written")
-        raise DatasetError(str(path), [problem]) from error
+        raise unreadable(path, "TDMS", error, "copy it again from where it was written") from error
     sheet.corrupt += [RowProblem(f"npTDMS: {text[:120]}") for text in dict.fromkeys(warned)]
     if status.incomplete_final_segment:
         lost = sum(c.expected_length - c.read_length for c in (status.channel_statuses or {}).values())

@@ -17,20 +17,8 @@ from numpy.typing import NDArray
 
 _LARGEST = 2**31  # bytes that a compressed variable may hold
 _DEEPEST = 20  # arrays in arrays
-_KINDS = {
-    1: "i1",
-    2: "u1",
-    3: "i2",
-    4: "u2",
-    5: "i4",
-    6: "u4",
-    7: "f4",
-    9: "f8",
-    12: "i8",
-    13: "u8",
-    16: "u1",
-    17: "u2",
-}
+_INTEGERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 12: "i8", 13: "u8", 16: "u1", 17: "u2"}
+_KINDS = {**_INTEGERS, 7: "f4", 9: "f8"}
 _KINDS_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _CHAR, _FIRST_NUMBER, _LAST_NUMBER, _OPAQUE = 1, 2, 4, 6, 15, 17
@@ -54,19 +42,7 @@ class CorruptFileError(Exception):
 
 
 def variables(data: bytes) -> Iterator[tuple[str, Value]]:
-    r"""Variables of a file, by name.
-
-    Raises
-    ------
-    CorruptFileError
-        If the file is truncated or inconsistent.
-
-    Examples
-    --------
-    >>> old = struct.pack("<5i", 0, 2, 1, 0, 2) + b"p\0" + struct.pack("<2d", 1.0, 2.5)
-    >>> list(variables(old))
-    [('p', array([[1. ], [2.5]]))]
-    """
+    """Variables of a file, by name."""
     if not data.startswith(b"MATLAB"):
         yield from _version_4(data)
         return

@@ -11,31 +11,14 @@ from typing import Any
 import numpy as np
 
 from mckibben.dataset.mat5 import CorruptFileError, MatlabObject, Value, variables
-from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column
+from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, unreadable
 from mckibben.errors import DatasetError, Problem
 
 _SIGNATURE, _HEADER, _PART = b"GCOL\x01\x00\x00\x00", 16, 16
 
 
 def global_heaps_are_valid(content: bytes | mmap.mmap) -> bool:
-    """Check the global heap collections of an HDF5 file: their objects must fill each collection.
-
-    HDF5 File Format Specification 3.0, III.E. Files with lengths other than 8 bytes are not checked.
-
-    Parameters
-    ----------
-    content
-        Content of the file.
-
-    Examples
-    --------
-    >>> heap = b"GCOL" + bytes([1, 0, 0, 0]) + (56).to_bytes(8, "little")
-    >>> text = (1).to_bytes(8, "little") + (3).to_bytes(8, "little") + b"bar" + bytes(5)
-    >>> global_heaps_are_valid(heap + text + bytes(8) + (16).to_bytes(8, "little"))
-    True
-    >>> global_heaps_are_valid(heap + text + bytes(8) + (0).to_bytes(8, "little"))
-    False
-    """
+    """True if objects fill each global heap (HDF5 File Format 3.0, III.E; lengths of 8 bytes only)."""
     at = content.find(_SIGNATURE)
     while at >= 0:
         size = int.from_bytes(content[at + 8 : at + _HEADER], "little")
@@ -68,36 +51,22 @@ _TABLE_REMEDY = "save its columns: s = table2struct(t, 'ToScalar', true); save('
 
 
 def read_matlab(path: Path, data: bytes) -> RawTable:
-    """Read the variables of a file of versions 4 to 7.
-
-    A column is a vector, named as the variable (``p``) or field (``rig.p``), or a column of a matrix (``rig(:,2)``).
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be read, or holds no column.
-    """
+    """Columns of a file of versions 4 to 7: vectors, fields (``rig.p``), columns of matrices (``rig(:,2)``)."""
     sheet = RawTable(kind=RowProblem)
     try:
         for name, value in variables(data):
             _add(sheet, name, value, 0)
     except CorruptFileError as error:
-        raise _unreadable(path, "a MATLAB file", error) from error
+        raise unreadable(path, "a MATLAB file", error) from error
     return _checked(path, sheet)
 
 
 def read_hdf5(path: Path, data: bytes) -> RawTable:
-    """Read an HDF5 file: one of MATLAB 7.3, whose columns are named as above, or another, with ``group/name``.
-
-    Raises
-    ------
-    DatasetError
-        If it cannot be read, or holds no column.
-    """
+    """Columns of an HDF5 file: MATLAB 7.3, named as above, or another, named ``group/name``."""
     import h5py
 
     if not global_heaps_are_valid(data):
-        raise _unreadable(path, "an HDF5 file", ValueError("a heap of strings is corrupt"))
+        raise unreadable(path, "an HDF5 file", ValueError("a heap of strings is corrupt"))
     sheet = RawTable(kind=RowProblem)
     matlab = data.startswith(b"MATLAB 7.3")
     try:
@@ -107,7 +76,7 @@ def read_hdf5(path: Path, data: bytes) -> RawTable:
     except DatasetError:
         raise
     except Exception as error:  # h5py raises nearly every kind on a damaged file
-        raise _unreadable(path, "an HDF5 file", error) from error
+        raise unreadable(path, "an HDF5 file", error) from error
     return _checked(path, sheet)
 
 
@@ -116,11 +85,6 @@ def _checked(path: Path, sheet: RawTable) -> RawTable:
         ignored = f"; it has {', '.join(sheet.ignored[:20])}" if sheet.ignored else ""
         raise DatasetError(str(path), [Problem(f"has no column of numbers{ignored}")])
     return sheet
-
-
-def _unreadable(path: Path, what: str, error: Exception) -> DatasetError:
-    text = (str(error) or type(error).__name__).splitlines()[0]
-    return DatasetError(str(path), [Problem(f"cannot be read as {what}: {text}", remedy="save it again")])
 
 
 def _add(sheet: RawTable, name: str, value: Value, depth: int) -> None:
@@ -149,7 +113,7 @@ def _one(cell: Value) -> object:
     return cell if isinstance(cell, str) else None
 
 
-def _columns(sheet: RawTable, name: str, array: np.ndarray) -> None:
+def _columns(sheet: RawTable, name: str, array: np.ndarray, separator: str = ".", unit: str = "") -> None:
     """Add the columns of a matrix, numbered as in MATLAB."""
     matrix = array.reshape(-1, 1) if array.ndim == 1 or (array.ndim == 2 and 1 in array.shape) else array
     if len(sheet.channels) >= _MOST or matrix.ndim > 2 or matrix.size <= 1 or matrix.shape[1] > _WIDEST:
@@ -157,7 +121,7 @@ def _columns(sheet: RawTable, name: str, array: np.ndarray) -> None:
         return
     for column, values in enumerate(np.ascontiguousarray(matrix.T, dtype=np.float64)):
         full = name if matrix.shape[1] == 1 else f"{name}(:,{column + 1})"
-        sheet.channels.append(RawColumn(full, values, range(1, len(values) + 1), short=full.rpartition(".")[2]))
+        sheet.channels.append(RawColumn(full, values, range(1, len(values) + 1), full.rpartition(separator)[2], unit))
 
 
 def _nodes(group: Any, separator: str, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -192,15 +156,9 @@ def _add_node(sheet: RawTable, name: str, node: Any, matlab: bool) -> None:
     elif kind == "char" or node.dtype.kind not in "biuf":
         sheet.ignored.append(name)
     else:
-        before = len(sheet.channels)
         values = node[()]
-        _columns(sheet, name, values.T if matlab else values)
-        if not matlab:
-            unit = _text(node.attrs, "units") or _text(node.attrs, "unit")
-            sheet.channels[before:] = [
-                RawColumn(each.name, each.cells, each.lines, each.name.rpartition("/")[2], unit)
-                for each in sheet.channels[before:]
-            ]
+        unit = "" if matlab else _text(node.attrs, "units") or _text(node.attrs, "unit")
+        _columns(sheet, name, values.T if matlab else values, "." if matlab else "/", unit)
 
 
 def _referred(file: Any, reference: Any) -> str:

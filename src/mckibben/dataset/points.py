@@ -21,31 +21,7 @@ _SHARE = 0.2  # of the samples of a stretch, at an end that was found
 
 
 def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
-    """Samples saturated at the lowest or the highest value of a channel.
-
-    Saturation is an extreme value repeated at least 10 times in a row, and 10 times longer than the typical run, as a
-    converter of few bits repeats values everywhere. There must be noise between the extremes: a noise-free signal may
-    have been constant there. A stretch with a fifth of its samples saturated counts as a whole.
-
-    Parameters
-    ----------
-    values
-        Shape (n,), finite.
-
-    Returns
-    -------
-    dict
-        Masks "floor" and "ceiling", where samples are saturated: shape (n,).
-
-    Examples
-    --------
-    >>> noise = np.random.default_rng(0).normal(size=1000)
-    >>> clipped = np.maximum(np.where(np.arange(1000) < 300, noise - 5, noise + 3), 0)
-    >>> {end: int(where.sum()) for end, where in saturated_samples(clipped).items()}
-    {'floor': 308}
-    >>> saturated_samples(noise)
-    {}
-    """
+    """Masks (n,) "floor" and "ceiling" of a noisy channel: extremes 10 times in a row and 10 times the usual run."""
     count = len(values)
     if count < _LEAST:
         return {}
@@ -102,12 +78,10 @@ _NAMED = 5  # places that a note names
 
 @dataclass(frozen=True, eq=False)
 class ExtractedPoints:
-    """Points extracted from a recording, and the use of all its samples.
+    """Points extracted from a recording (for `identify`), and the use of all its samples.
 
     Attributes
     ----------
-    dataset
-        Points for `identify`.
     samples
         Number of samples of each point, shape (points,).
     counts
@@ -162,6 +136,10 @@ class SampleAccount:
         found = np.bincount(self.of, minlength=len(self.reasons))
         return {reason: int(n) for reason, n in zip(self.reasons, found, strict=True) if n or reason == "used"}
 
+    def describe(self, rest: str) -> str:
+        """`counts` and notes as indented text."""
+        return format_counts(self.counts(rest), self.notes).replace("\n", "\n  ")
+
     def _breaks(self, gap: float | None) -> NDArray[np.bool_]:
         """Samples after a gap or a clock that went back."""
         time = self.table["time"].to_numpy()
@@ -194,12 +172,7 @@ class SampleAccount:
 
 
 def format_counts(counts: Mapping[str, int], notes: tuple[str, ...] | list[str]) -> str:
-    """Counts and notes as text.
-
-    >>> print(format_counts({"used": 90, "moving": 10}, ["gap: 1 to 2 s; nothing is joined across"]))
-    100 samples: 90 used, 10 moving
-    gap: 1 to 2 s; nothing is joined across
-    """
+    """Counts and notes as text."""
     parts = ", ".join(f"{count} {reason}" for reason, count in counts.items())
     return "\n".join([f"{sum(counts.values())} samples: {parts}", *notes])
 

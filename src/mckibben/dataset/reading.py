@@ -6,10 +6,9 @@ import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.dataset.columns import parse_header
 from mckibben.dataset.isobaric import IsobaricDataset
@@ -75,33 +74,25 @@ def read_dataset(
     (both with a unit). Decimal commas are read unless the delimiter is a comma.
 
     Required are ``pressure_*`` (bar, kPa, MPa, Pa, mbar or psi; gauge), ``force_*`` (N or kN) and
-    ``contraction_*`` (percent or ratio) or ``length_*`` (mm, m or cm). Read where present: ``direction``, ``phase``,
-    ``repeat``, ``time_*`` (s, ms or min) and ``set_pressure_*``, which may have empty cells. ``Pressure [bar]``,
-    ``p / kPa`` and the like are equivalent, as are units in a row under the header or in the properties of a channel.
-    Other columns are listed in the attribute ``ignored_columns``.
+    ``contraction_*`` (percent or ratio) or ``length_*`` (mm, m or cm). Read where present: ``direction`` (loading,
+    unloading or a synonym; 1 and -1 are refused, as their meaning differs), ``phase``, ``repeat``, ``time_*`` (s, ms or
+    min) and ``set_pressure_*``, which may have empty cells. ``Pressure [bar]``, ``p / kPa`` and the like are
+    equivalent, as are units in a row under the header or in the properties of a channel. Other columns are listed in
+    the attribute ``ignored_columns``.
 
     Parameters
     ----------
-    path
-        File to read.
     columns
         Header of the file to one of the names above: ``{"Druck [bar]": "pressure_bar"}``. In files with
         groups or structs: ``group/channel``, ``struct.field``, ``matrix(:,2)``, ``sheet/header``.
     initial_length
         Length of the deflated muscle [m]: required where the file has lengths and no contractions, inferred where it
         has both.
-    specimen
-        Name of the muscle's type; if empty, from the file.
-    slack_force
-        Force [N] up to which the muscle counts as slack; unless given, from the file, or 0.
+    specimen, slack_force
+        Name of the muscle's type, and force [N] up to which it counts as slack; unless given, from the file.
     on_corrupt
         "raise": a truncated row, or a cell without a number, is an error. "report": such rows are left out with a
         warning, and the attribute ``repairs`` lists them.
-
-    Returns
-    -------
-    IsobaricDataset
-        In SI units, the points in the order of the file.
 
     Raises
     ------
@@ -113,11 +104,6 @@ def read_dataset(
     McKibbenWarning
         If the unit of pressure or contraction is implausible, contractions are beyond those of any muscle, or rows are
         left out.
-
-    Notes
-    -----
-    A direction is loading (also load, stretching, lengthening) or unloading (unload, shortening). The numbers 1 and -1
-    are refused: their meaning is a convention (Hunt 2017 has +1 for shortening).
     """
     path = Path(path)
     if path.suffix.lower() == ".nc":
@@ -128,28 +114,32 @@ def read_dataset(
     file = ColumnConverter(read_sheet(path, mapping), mapping, initial_length, _NEEDED)
     attrs = file.attributes(path, specimen, slack_force)
     data, found = file.settle(path, file.columns(), on_corrupt)
-    try:
-        dataset = IsobaricDataset.of(**data, initial_length=file.initial_length, **attrs)
-    except DatasetError as error:  # what an argument brought in
-        raise DatasetError(str(path), error.problems) from None
-    for text in _implausible(dataset.contraction):
-        warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=2)
-    return IsobaricDataset(dataset.table.assign_attrs(found)) if found else dataset
-
-
-def _implausible(contraction: NDArray[np.float64]) -> list[str]:
-    if not len(contraction):
-        return []
-    low, high = float(contraction.min()), float(contraction.max())
-    if low >= _PLAUSIBLE[0] and high <= _PLAUSIBLE[1]:
-        return []
-    return [
-        f"contractions reach from {low * 100:.3g} to {high * 100:.3g} %, and a muscle stretches by a few percent and "
-        "shortens by 25 to 35; check the initial length, the unit of the lengths, and the sign (positive = shorter)"
-    ]
+    contraction = data["contraction"]
+    low, high = contraction.min(initial=0.0), contraction.max(initial=0.0)
+    dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
+    if low < _PLAUSIBLE[0] or high > _PLAUSIBLE[1]:
+        warnings.warn(
+            f"{path}: contractions reach from {low * 100:.3g} to {high * 100:.3g} %, and a muscle stretches by a few "
+            "percent and shortens by 25 to 35; check the initial length, the unit of the lengths, and the sign "
+            "(positive = shorter)",
+            McKibbenWarning,
+            stacklevel=2,
+        )
+    return dataset
 
 
 Kind = TypeVar("Kind", IsobaricDataset, Recording)
+
+
+def _made(
+    kind: type[Kind], path: Path, data: Mapping[str, Any], attrs: Mapping[str, Any], found: Mapping[str, str]
+) -> Kind:
+    """Dataset or recording of the columns of a file; an error of an argument names the file."""
+    try:
+        made = kind.of(**data, **attrs)
+    except DatasetError as error:
+        raise DatasetError(str(path), error.problems) from None
+    return kind(made.table.assign_attrs(found)) if found else made
 
 
 def _from_netcdf(kind: type[Kind], path: Path, columns: Mapping[str, str] | None, **given: float | str | None) -> Kind:
@@ -177,15 +167,13 @@ def read_recording(
     slack_force: float | None = None,
     on_corrupt: OnCorrupt = "raise",
 ) -> Recording:
-    """Read a raw recording from a file of any format of `read_dataset`, with the same column names.
+    """Read a raw recording from a file of any format of `read_dataset`, with its columns and arguments.
 
     Required are pressure and force. The time is a column, or follows from `sample_rate` or the waveforms of a TDMS
     file. A length is converted to a contraction. A file named ``*.nc`` was written by `Recording.to_netcdf`.
 
     Parameters
     ----------
-    path, columns, initial_length, specimen, slack_force
-        As for `read_dataset`.
     contraction
         Contraction of the test [-], where the file has neither contractions nor lengths.
     sample_rate
@@ -196,12 +184,7 @@ def read_recording(
     Raises
     ------
     DatasetError
-        With every problem of the file, its line and column.
-
-    Warns
-    -----
-    McKibbenWarning
-        As `read_dataset`.
+        As `read_dataset`, which has the warnings too.
     """
     path = Path(path)
     if path.suffix.lower() == ".nc":
@@ -236,8 +219,4 @@ def read_recording(
     data, found = file.settle(path, data, on_corrupt)
     if contraction is not None:
         data["contraction"] = np.full(len(data["pressure"]), contraction)
-    try:
-        recording = Recording.of(**data, initial_length=file.initial_length, **attrs)
-    except DatasetError as error:  # what an argument brought in
-        raise DatasetError(str(path), error.problems) from None
-    return Recording(recording.table.assign_attrs(found)) if found else recording
+    return _made(Recording, path, data, {"initial_length": file.initial_length, **attrs}, found)

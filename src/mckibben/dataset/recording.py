@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -13,21 +12,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.isometric import isometric
-from mckibben.dataset.points import ExtractedPoints
-from mckibben.dataset.schema import format_range, load_validated, normalize_attributes, value_problems, write_netcdf
-from mckibben.dataset.segmentation import plateaus
-from mckibben.errors import DatasetError, Problem
+from mckibben.dataset.isometric import BAND, LEAST, fixed_contraction, lines_through, pressure_levels, split_phases
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, extracted_points
+from mckibben.dataset.schema import RECORDED, assemble, format_range, load_validated, normalize, write_netcdf
+from mckibben.dataset.segmentation import approaches, levels_of, steady_segments
+from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, kPa, percent
-
-_VARIABLES: Mapping[str, tuple[str, str]] = {
-    "time": ("s", "time"),
-    "pressure": ("Pa", "gauge pressure"),
-    "force": ("N", "axial pull"),
-    "contraction": ("1", "contraction, positive when shorter"),
-    "set_pressure": ("Pa", "nominal gauge pressure"),
-}
-_NEEDED = ("time", "pressure", "force")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,18 +25,14 @@ class Recording:
     """Samples of a test in the order of time, made by `of` or `read_recording`.
 
     Points are extracted by `plateaus`, where pressure and contraction were constant, or by `isometric`, where a muscle
-    of a fixed length was filled and vented.
+    of a fixed length was filled and vented. A `DatasetError` lists variables that are missing, or of the wrong shape,
+    unit or range.
 
     Attributes
     ----------
     table
         Along ``sample``: ``time`` [s], ``pressure`` [Pa, gauge], ``force`` [N]; where known ``contraction`` [-] and
         ``set_pressure`` [Pa]. Attributes as those of `IsobaricDataset`.
-
-    Raises
-    ------
-    DatasetError
-        If a variable is missing, of the wrong shape or unit, or not finite.
 
     Examples
     --------
@@ -63,7 +49,7 @@ class Recording:
     table: xr.Dataset
 
     def __post_init__(self) -> None:
-        table, problems = _conform(self.table)
+        table, problems = normalize(self.table, RECORDED)
         if problems:
             raise DatasetError("recording", problems)
         object.__setattr__(self, "table", table)
@@ -82,7 +68,7 @@ class Recording:
         source: str = "",
         slack_force: float = 0.0,
     ) -> Self:
-        """Make a recording from arrays in SI units.
+        """Make a recording from arrays in SI units; raises a `DatasetError` with every problem.
 
         Parameters
         ----------
@@ -92,28 +78,16 @@ class Recording:
             Shape (samples,), or one number for all: [-], [Pa].
         specimen, initial_length, source, slack_force
             As for `IsobaricDataset.of`.
-
-        Raises
-        ------
-        DatasetError
-            With every problem.
         """
-        given = {"time": time, "pressure": pressure, "force": force}
-        given |= {"contraction": contraction, "set_pressure": set_pressure}
-        arrays = {name: np.asarray(values) for name, values in given.items() if values is not None}
-        count = arrays["time"].size
-        for name in ("contraction", "set_pressure"):
-            if name in arrays and arrays[name].ndim == 0:
-                arrays[name] = np.full(count, arrays[name])
-        problems = [
-            Problem(f"has shape {array.shape} where time has ({count},)", field=name)
-            for name, array in arrays.items()
-            if array.shape != (count,)
-        ]
+        length = np.size(time)
+        variables: dict[str, ArrayLike | None] = {"time": time, "pressure": pressure, "force": force}
+        for name, values in (("contraction", contraction), ("set_pressure", set_pressure)):
+            variables[name] = np.full(length, values) if values is not None and np.ndim(values) == 0 else values
+        table, problems = assemble(variables, RECORDED)
         if problems:
             raise DatasetError("recording", problems)
         attrs = {"specimen": specimen, "source": source, "slack_force": slack_force, "initial_length": initial_length}
-        return cls(xr.Dataset({name: ("sample", array) for name, array in arrays.items()}, attrs=attrs))
+        return cls(table.assign_attrs(attrs))
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -167,13 +141,12 @@ class Recording:
         Parameters
         ----------
         pressure_tolerance, contraction_tolerance, force_tolerance
-            A segment is steady while means over a twentieth of `dwell` stay within this [Pa], [-], [N] of its
-            middle. A force that creeps is no reason to drop a plateau: it is looked at only where a tolerance is given.
+            A segment is steady while means over a twentieth of `dwell` stay within this [Pa], [-], [N] of its middle.
+            The force, which may creep, is looked at only where a tolerance is given.
         dwell
             A segment is steady for at least so long [s].
         settle
-            Its beginning that is left out of the means [s]; below `dwell`. A twentieth of `dwell` is left out at either
-            end anyhow: friction changes sides in the first instant of a motion.
+            Its beginning that is left out of the means [s], besides a twentieth of `dwell` at either end.
         level_tolerance
             Plateau pressures that follow each other closer than this [Pa] belong to one level, whose mean (in whole
             kPa) is the set pressure of them all; unless the record has set pressures.
@@ -182,10 +155,10 @@ class Recording:
 
         Returns
         -------
-        Points
+        ExtractedPoints
             The dataset has ``force_spread`` and ``time`` (the middle of each segment). ``direction`` is that of the
-            last motion before a plateau; where the length did not change since the plateau before it, the direction is
-            not known (it is no loading or unloading), and ``phase`` says whether the muscle was filled or vented.
+            last motion before a plateau; where the length did not change, ``phase`` says whether the muscle was filled
+            or vented.
 
         Raises
         ------
@@ -193,15 +166,87 @@ class Recording:
             If an argument has no meaning, the contraction is not known, or nothing was steady for so long; the error
             says what was left out and why.
         """
-        return plateaus(
+        check_positive("pressure_tolerance", pressure_tolerance, "Pa")
+        check_positive("contraction_tolerance", contraction_tolerance, "1")
+        check_positive("dwell", dwell, "s")
+        check_positive("dwell - settle", dwell - settle, "s")
+        check_positive("settle", settle, "s", may_be_zero=True)
+        check_positive("level_tolerance", level_tolerance, "Pa")
+        if force_tolerance is not None:
+            check_positive("force_tolerance", force_tolerance, "N")
+        if self.contraction is None:
+            raise RangeError(
+                "the recording has no contraction",
+                remedy="give contraction=... where it was fixed, or columns of lengths and initial_length, when "
+                "reading it",
+            )
+        time, pressure, contraction, force = self.time, self.pressure, self.contraction, self.force
+        account = SampleAccount(self.table, gap)
+        forward = np.diff(time)
+        forward = forward[forward > 0]
+        if not len(forward):
+            raise RangeError("the time of the recording does not pass", remedy="give its sample rate when reading it")
+        interval = float(np.median(forward))
+        signals = [(pressure, pressure_tolerance), (contraction, contraction_tolerance)]
+        if force_tolerance is not None:
+            signals.append((force, force_tolerance))
+        least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
+        found = steady_segments(signals, account.broken | (account.of >= 0), least)
+        account.assign_reason(found.drifting, "drifting")
+        first, last = found.first, found.last
+        firsts = zip(first, last, strict=True)
+        begins = first + np.array([np.searchsorted(time[a:b], time[a] + settle) for a, b in firsts], np.int64)
+        begins, ends = np.maximum(begins, first + found.edge), last - found.edge
+        # from the first to the last sample, and an interval: each stands for one
+        whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
+        for a, b in zip(first[~whole], last[~whole], strict=True):
+            account.assign_reason(slice(a, b), "steady too shortly")
+        for a, b, c, d in zip(first[whole], begins[whole], ends[whole], last[whole], strict=True):
+            account.assign_reason(slice(a, b), "settling")
+            account.assign_reason(slice(c, d), "at the end of a plateau")
+        first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
+        if not len(first):
+            raise RangeError(
+                f"nothing in the recording is steady for {dwell:g} s\n  {account.describe('not steady')}",
+                value=dwell,
+                unit="s",
+                remedy="allow a larger pressure_tolerance or contraction_tolerance, or a shorter dwell; for a record "
+                "that is never steady at a fixed length use isometric",
+            )
+        samples = ends - begins
+        owner = np.repeat(np.arange(len(first)), samples)
+        at = np.arange(len(owner)) + np.repeat(begins - np.concatenate([[0], np.cumsum(samples)[:-1]]), samples)
+        account.assign_reason(at, "used")
+
+        def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            middle = values[begins]  # subtracted, so that sums of many samples keep their digits
+            return middle + np.bincount(owner, values[at] - middle[owner]) / samples
+
+        p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(time)
+        spread = np.sqrt(np.bincount(owner, (force[at] - f[owner]) ** 2) / samples)
+        if "set_pressure" in self.table:
+            set_pressure = mean(self.table["set_pressure"].to_numpy())
+        else:
+            set_pressure, wide = levels_of(p, level_tolerance)
+            if wide:
+                account.notes.append(
+                    f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
+                )
+        levels = {"contraction": (c, contraction_tolerance), "pressure": (p, pressure_tolerance)}
+        direction, phase = approaches(self.table, account.broken, first, last, levels)
+        return extracted_points(
             self.table,
-            pressure_tolerance=pressure_tolerance,
-            contraction_tolerance=contraction_tolerance,
-            force_tolerance=force_tolerance,
-            dwell=dwell,
-            settle=settle,
-            level_tolerance=level_tolerance,
-            gap=gap,
+            account,
+            "not steady",
+            samples,
+            pressure=p,
+            contraction=c,
+            force=f,
+            direction=direction if np.any(direction != "") else None,
+            phase=phase if np.any(phase != "") else None,
+            time=t,
+            set_pressure=set_pressure,
+            force_spread=spread,
         )
 
     def isometric(
@@ -222,10 +267,8 @@ class Recording:
 
         Parameters
         ----------
-        levels
+        levels, count
             Pressures [Pa]; `count` evenly spaced ones inside the range of the recording unless given.
-        count
-            Number of levels.
         contraction
             Contraction of the test [-]; the recorded one unless given.
         contraction_tolerance
@@ -241,7 +284,7 @@ class Recording:
 
         Returns
         -------
-        Points
+        ExtractedPoints
             The dataset has ``phase`` ("filling" or "venting"), ``repeat`` (the filling or venting's number, from 0),
             ``set_pressure`` (the level) and ``force_spread`` (about the line); no direction.
 
@@ -250,15 +293,70 @@ class Recording:
         RangeError
             If an argument has no meaning, the contraction is not known, or no level was passed.
         """
-        return isometric(
+        check_positive("reversal", reversal, "Pa")
+        check_positive("contraction_tolerance", contraction_tolerance, "1")
+        time, pressure, force = self.time, self.pressure, self.force
+        if not len(time):
+            raise RangeError("the recording has no samples")
+        account = SampleAccount(self.table, gap)
+        held = fixed_contraction(self.table, contraction, contraction_tolerance, account)
+        usable = account.of < 0
+        wanted = pressure_levels(pressure[usable], levels, count)
+        spacing = np.diff(wanted).min() if len(wanted) > 1 else np.inf
+        if band is None:
+            band = float(min(spacing / 2, np.ptp(wanted) / BAND)) if len(wanted) > 1 else 10 * kPa
+        check_positive("band", band, "Pa")
+        if 2 * band > spacing * (1 + 1e-9):
+            raise RangeError(
+                f"bands of {band:g} Pa around levels {spacing:g} Pa apart overlap",
+                value=band,
+                upper=spacing / 2,
+                unit="Pa",
+            )
+        phases = split_phases(pressure, account.broken, reversal)
+        account.assign_reason(phases.of < 0, "at rest or turning")
+        usable = account.of < 0
+
+        nearest = np.clip(np.searchsorted(wanted, pressure), 1, len(wanted) - 1) if len(wanted) > 1 else 0
+        if len(wanted) > 1:
+            nearest = np.where(pressure - wanted[nearest - 1] < wanted[nearest] - pressure, nearest - 1, nearest)
+        offset = pressure - wanted[nearest]
+        near = usable & (np.abs(offset) <= band)
+        account.assign_reason(usable & ~near, "between levels")
+        cell = (phases.of * len(wanted) + nearest)[near]
+        sums = lines_through(cell, offset[near], force[near], time[near], len(phases.rising) * len(wanted))
+        account.assign_reason(near, "used")
+
+        good = (sums.samples >= LEAST) & (sums.below < 0) & (sums.above > 0)
+        index = np.flatnonzero(good)
+        few = np.flatnonzero(~good)
+        account.of[np.flatnonzero(near)[~good[cell]]] = -1
+        account.assign_reason(near, "too few at a level")
+        for number, rising in enumerate(phases.rising):
+            missed = [wanted[i % len(wanted)] for i in few if i // len(wanted) == number]
+            if missed:
+                what = f"{'filling' if rising else 'venting'} {phases.repeat[number]}"
+                shown = ", ".join(f"{level / bar:g}" for level in missed[:8]) + (" ..." if len(missed) > 8 else "")
+                account.notes.append(f"{what} does not pass {shown} bar")
+        if not len(index):
+            raise RangeError(
+                f"no level is passed\n  {account.describe('between levels')}",
+                remedy="give levels inside the range of the pressure, a wider band, or a smaller reversal",
+            )
+        phase_of, level_of = index // len(wanted), wanted[index % len(wanted)]
+        return extracted_points(
             self.table,
-            levels=levels,
-            count=count,
-            contraction=contraction,
-            contraction_tolerance=contraction_tolerance,
-            band=band,
-            reversal=reversal,
-            gap=gap,
+            account,
+            "between levels",
+            sums.samples[index],
+            pressure=level_of,
+            contraction=np.full(len(index), held),
+            force=sums.force[index],
+            phase=np.where(phases.rising, "filling", "venting")[phase_of],
+            repeat=phases.repeat[phase_of],
+            time=sums.time[index],
+            set_pressure=level_of,
+            force_spread=sums.spread[index],
         )
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
@@ -267,36 +365,5 @@ class Recording:
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file that `to_netcdf` wrote.
-
-        Raises
-        ------
-        DatasetError
-            If the file is not there, is no NetCDF file, or does not hold a recording.
-        """
+        """Read a file that `to_netcdf` wrote; raises a `DatasetError` if it is missing or no recording."""
         return load_validated(Path(path), cls)
-
-
-def _conform(table: xr.Dataset) -> tuple[xr.Dataset, list[Problem]]:
-    """Normalised table of a recording, and all problems found."""
-    problems = [Problem("is missing", field=name) for name in _NEEDED if name not in table]
-    columns: dict[str, tuple[str, np.ndarray, dict[str, str]]] = {}
-    for name, (unit, long_name) in _VARIABLES.items():
-        if name not in table:
-            continue
-        array = table[name]
-        if array.dims != ("sample",) or array.dtype.kind not in "fiu":
-            problems.append(Problem("is no column of numbers along sample", field=name))
-            continue
-        if (said := array.attrs.get("units", unit)) != unit:
-            problems.append(Problem(f"is in {said!r}", field=name, remedy=f"give it in {unit!r}"))
-        values = np.asarray(array.to_numpy(), np.float64).view()
-        values.setflags(write=False)
-        problems += value_problems(name, values, "sample")
-        columns[name] = "sample", values, {"units": unit, "long_name": long_name}
-    attrs, wrong = normalize_attributes(table.attrs)
-    problems += wrong
-    if not problems:
-        table = table.assign(columns)
-        table.attrs = attrs
-    return table, problems

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, extracted_points, format_counts
-from mckibben.errors import RangeError
 from mckibben.units import kPa
 
 _PARTS = 20  # of a dwell: the means that are compared
@@ -28,28 +26,7 @@ class Segments(NamedTuple):
 def steady_segments(
     signals: Sequence[tuple[NDArray[np.float64], float]], broken: NDArray[np.bool_], dwell: int
 ) -> Segments:
-    """Find the segments in which every signal stays within its tolerance.
-
-    Means over a twentieth of the dwell are compared, which suppresses noise. A dwell is steady where the means of each
-    signal lie within twice its tolerance; overlapping steady dwells make a segment, whose ends are trimmed to where
-    every mean is within the tolerance of the segment's middle half.
-
-    Parameters
-    ----------
-    signals
-        Pairs of samples, shape (n,), and tolerance.
-    broken
-        Shape (n,): samples that no segment may contain.
-    dwell
-        Minimum number of samples of a segment.
-
-    Examples
-    --------
-    >>> stairs = np.repeat([0.0, 1.0, 5.0], [40, 3, 57])
-    >>> found = steady_segments([(stairs, 0.1)], np.zeros(100, bool), 20)
-    >>> found.first, found.last
-    (array([ 0, 43]), array([ 40, 100]))
-    """
+    """Segments of at least `dwell` samples in which the means of each signal stay within its tolerance."""
     count = len(broken)
     none = np.empty(0, np.int64)
     if count < dwell:
@@ -127,126 +104,8 @@ def _trimmed(
 _WIDE = 3  # level tolerances that a level may span
 
 
-def plateaus(
-    table: xr.Dataset,
-    *,
-    pressure_tolerance: float,
-    contraction_tolerance: float,
-    force_tolerance: float | None,
-    dwell: float,
-    settle: float,
-    level_tolerance: float,
-    gap: float | None,
-) -> ExtractedPoints:
-    """`Recording.plateaus` for the recording's table."""
-    check_positive("pressure_tolerance", pressure_tolerance, "Pa")
-    check_positive("contraction_tolerance", contraction_tolerance, "1")
-    check_positive("dwell", dwell, "s")
-    check_positive("dwell - settle", dwell - settle, "s")
-    check_positive("settle", settle, "s", may_be_zero=True)
-    check_positive("level_tolerance", level_tolerance, "Pa")
-    if force_tolerance is not None:
-        check_positive("force_tolerance", force_tolerance, "N")
-    if "contraction" not in table:
-        raise RangeError(
-            "the recording has no contraction",
-            remedy="give contraction=... where it was fixed, or columns of lengths and initial_length, when reading it",
-        )
-    time, pressure, contraction, force = (
-        table[name].to_numpy() for name in ("time", "pressure", "contraction", "force")
-    )
-    account = SampleAccount(table, gap)
-    forward = np.diff(time)
-    forward = forward[forward > 0]
-    if not len(forward):
-        raise RangeError("the time of the recording does not pass", remedy="give its sample rate when reading it")
-    interval = float(np.median(forward))
-    signals = [(pressure, pressure_tolerance), (contraction, contraction_tolerance)]
-    if force_tolerance is not None:
-        signals.append((force, force_tolerance))
-    least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
-    found = steady_segments(signals, account.broken | (account.of >= 0), least)
-    account.assign_reason(found.drifting, "drifting")
-    first, last = found.first, found.last
-    firsts = zip(first, last, strict=True)
-    begins = first + np.array([np.searchsorted(time[a:b], time[a] + settle) for a, b in firsts], np.int64)
-    begins, ends = np.maximum(begins, first + found.edge), last - found.edge
-    # from the first to the last sample, and an interval: each stands for one
-    whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
-    for a, b in zip(first[~whole], last[~whole], strict=True):
-        account.assign_reason(slice(a, b), "steady too shortly")
-    for a, b, c, d in zip(first[whole], begins[whole], ends[whole], last[whole], strict=True):
-        account.assign_reason(slice(a, b), "settling")
-        account.assign_reason(slice(c, d), "at the end of a plateau")
-    first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
-    if not len(first):
-        counts = account.counts("not steady")
-        raise RangeError(
-            f"nothing in the recording is steady for {dwell:g} s\n  "
-            + format_counts(counts, account.notes).replace("\n", "\n  "),
-            value=dwell,
-            unit="s",
-            remedy="allow a larger pressure_tolerance or contraction_tolerance, or a shorter dwell; for a record that "
-            "is never steady at a fixed length use isometric",
-        )
-    samples = ends - begins
-    owner = np.repeat(np.arange(len(first)), samples)
-    at = np.arange(len(owner)) + np.repeat(begins - np.concatenate([[0], np.cumsum(samples)[:-1]]), samples)
-    account.assign_reason(at, "used")
-
-    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        middle = values[begins]  # subtracted, so that sums of many samples keep their digits
-        return middle + np.bincount(owner, values[at] - middle[owner]) / samples
-
-    p, c, f, t = mean(pressure), mean(contraction), mean(force), mean(time)
-    spread = np.sqrt(np.bincount(owner, (force[at] - f[owner]) ** 2) / samples)
-    if "set_pressure" in table:
-        set_pressure = mean(table["set_pressure"].to_numpy())
-    else:
-        set_pressure, wide = levels_of(p, level_tolerance)
-        if wide:
-            account.notes.append(
-                f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
-            )
-    direction, phase = _approach(table, account.broken, first, last, c, p, contraction_tolerance, pressure_tolerance)
-    return extracted_points(
-        table,
-        account,
-        "not steady",
-        samples,
-        pressure=p,
-        contraction=c,
-        force=f,
-        direction=direction if np.any(direction != "") else None,
-        phase=phase if np.any(phase != "") else None,
-        time=t,
-        set_pressure=set_pressure,
-        force_spread=spread,
-    )
-
-
 def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.float64], int]:
-    """Level of each pressure: the mean, in whole kPa, of its cluster.
-
-    Parameters
-    ----------
-    pressures
-        Shape (n,) [Pa].
-    tolerance
-        Sorted pressures closer than this [Pa] are one cluster; a cluster wider than three times this has no level.
-
-    Returns
-    -------
-    levels
-        Shape (n,) [Pa]; NaN without a level.
-    chained
-        Number of pressures without a level.
-
-    Examples
-    --------
-    >>> levels_of(np.array([99.2e3, 200.3e3, 101.0e3]), 10e3)
-    (array([100000., 200000., 100000.]), 0)
-    """
+    """Mean pressure of each cluster [whole kPa], NaN in too wide ones, and the number of points in these."""
     order = np.argsort(pressures, kind="stable")
     ranked = pressures[order]
     group = np.concatenate([[0], np.cumsum(np.diff(ranked) > tolerance)])
@@ -260,30 +119,21 @@ def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray
     return levels, int(count[wide].sum())
 
 
-def _approach(
+def approaches(
     table: xr.Dataset,
     broken: NDArray[np.bool_],
     first: NDArray[np.int64],
     last: NDArray[np.int64],
-    contraction: NDArray[np.float64],
-    pressure: NDArray[np.float64],
-    contraction_tolerance: float,
-    pressure_tolerance: float,
+    levels: Mapping[str, tuple[NDArray[np.float64], float]],
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
-    """Direction and phase of each plateau, by the last motion before it.
-
-    It is told by the last sample outside of twice the tolerance, else by the plateau before; never across a gap.
-    """
+    """Direction and phase of each plateau, by the last motion before it, never across a gap."""
     before = np.concatenate([[0], last[:-1]])
     breaks = np.append(0, np.flatnonzero(broken))
     parted = breaks[np.searchsorted(breaks, first, side="right") - 1]  # where the part that a plateau is in begins
     anew = parted >= before
     before = np.maximum(before, parted)
     sides = []
-    for name, level, tolerance in (
-        ("contraction", contraction, contraction_tolerance),
-        ("pressure", pressure, pressure_tolerance),
-    ):
+    for name, (level, tolerance) in levels.items():  # of contraction, then of pressure
         values = table[name].to_numpy()
         side = np.zeros(len(first), int)
         for i, (a, b) in enumerate(zip(before, first, strict=True)):

@@ -5,20 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import Problem
+from mckibben.errors import DatasetError, Problem
 
 
 @dataclass(frozen=True, slots=True)
 class RowProblem(Problem):
-    """Problem of a table with rows instead of lines.
-
-    >>> print(RowProblem("is not finite", line=7, field="rig/force"))
-    row 7, rig/force: is not finite
-    """
+    """Problem of a table with rows instead of lines."""
 
     def __str__(self) -> str:
         text = Problem.__str__(self)
@@ -43,31 +40,7 @@ class RawColumn:
 
 @dataclass
 class RawTable:
-    """Raw columns of a file.
-
-    Attributes
-    ----------
-    channels
-        Columns in the order of the file.
-    header_line
-        Line number of the header, if any.
-    comments
-        Line number and value of leading ``# key: value`` lines, by key.
-    delimiter
-        Delimiter of a text, which determines the decimal sign.
-    corrupt
-        Truncated or incomplete rows, which are in no column.
-    problems
-        Problems that make the file unreadable.
-    suspect
-        Warnings of valid but implausible content.
-    ignored
-        Names of content that is no column.
-    interval
-        Sampling interval [s], if the file has it outside of a column.
-    kind
-        `Problem` of lines or `RowProblem`.
-    """
+    """Raw columns of a file, and what was found wrong with it."""
 
     channels: list[RawColumn] = field(default_factory=list)
     header_line: int | None = None
@@ -91,12 +64,14 @@ class RawTable:
         return "line" if self.kind is Problem else "row"
 
 
-def as_column(cells: Sequence[object]) -> list[str] | NDArray[np.float64]:
-    """Cells of a column as numbers, if all are, else as texts; an empty cell is an empty text.
+def unreadable(path: Path, what: str, error: Exception, remedy: str = "save it again") -> DatasetError:
+    """Error of a file that a library cannot read."""
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return DatasetError(str(path), [Problem(f"cannot be read as {what}: {text.splitlines()[0]}", remedy=remedy)])
 
-    >>> as_column([1, 2.5]), as_column([1, None, "a"])
-    (array([1. , 2.5]), ['1', '', 'a'])
-    """
+
+def as_column(cells: Sequence[object]) -> list[str] | NDArray[np.float64]:
+    """Cells of a column as numbers, if all are, else as texts; an empty cell is an empty text."""
     if all(isinstance(cell, (int, float, np.integer, np.floating)) and not isinstance(cell, bool) for cell in cells):
         try:
             return np.array(cells, dtype=np.float64)
@@ -142,38 +117,7 @@ def read_numbers(
     may_be_empty: bool = False,
     kind: type[Problem] = Problem,
 ) -> tuple[NDArray[np.float64], list[Problem]]:
-    r"""Convert one column.
-
-    Parameters
-    ----------
-    cells, lines
-        The texts, or numbers; and the number of the line of each.
-    field
-        The name of the column, for the problems.
-    decimal
-        The decimal sign of the file; the other one is a problem.
-    may_be_empty
-        An empty cell is NaN instead of a problem, and NaN an empty cell.
-    kind
-        Of the problems: `RowProblem` where a line is a row.
-
-    Returns
-    -------
-    values
-        Float64, NaN where there is no number.
-    problems
-        One for each cell that is no finite number.
-
-    Examples
-    --------
-    >>> values, problems = read_numbers(["1,5", "", "2.5"], [2, 3, 4], field="force_N",
-    ...                                 decimal=DecimalSign(",", 2))
-    >>> values
-    array([1.5, nan, nan])
-    >>> print(*problems, sep="\n")
-    line 3, force_N: the cell is empty
-    line 4, force_N: '2.5' has a decimal point, but line 2 a decimal comma; use one of them in the whole file
-    """
+    """Values of a column (NaN where there is no number), and a problem for each cell that is no finite number."""
     if isinstance(cells, np.ndarray):
         wrong = ~np.isfinite(cells) & ~(np.isnan(cells) & may_be_empty)
         found = [

@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
 from typing import NamedTuple
@@ -25,27 +26,7 @@ _Known = Callable[[str, str], bool]
 
 
 def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTable:
-    """Read a text of cells.
-
-    The delimiter is that of comma, semicolon and tab with most `known` names in the header, then most names; without
-    any of these, white space. Blank lines and rows of empty cells are skipped, and so are lines before the header if
-    the first line has no known name, a later one has two, and none between is a row of numbers. A row under the header
-    may hold the units.
-
-    Parameters
-    ----------
-    text, source
-        Content of the file, and its name.
-    known
-        Predicate: a name, with a unit from elsewhere, is that of a known quantity.
-    zeros
-        Number of zero bytes removed from the end of the file.
-
-    Raises
-    ------
-    DatasetError
-        If there is no header or no row.
-    """
+    """Columns of a text: header after comments and preamble, perhaps a row of units, then rows."""
     stream = io.StringIO(text, newline="")
     comments: dict[str, tuple[int, str]] = {}
     number = 0
@@ -286,21 +267,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def decode(data: bytes, source: str) -> tuple[str, int]:
-    r"""Text of a file, and the number of zero bytes removed from its end.
-
-    The encoding is that of the byte order mark; else UTF-16 if every other byte is zero, UTF-8 if valid, or
-    Windows-1252. Zero bytes at the end are left by a logger that lost power.
-
-    Raises
-    ------
-    DatasetError
-        If the file is not text.
-
-    Examples
-    --------
-    >>> decode("p / bar".encode("utf-16-le"), "rig.csv"), decode(b"1,2\n3\0\0", "rig.csv"), decode(b"K\xfcrzung", "")
-    (('p / bar', 0), ('1,2\n3', 2), ('Kürzung', 0))
-    """
+    """Text by byte order mark, else UTF-16, UTF-8 or Windows-1252; number of zero bytes removed at the end."""
     for mark, encoding in _MARKS:
         if data.startswith(mark):
             return _decoded(data, encoding, source), 0
@@ -335,15 +302,7 @@ _END = "***End_of_Header***"
 
 
 def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros: int = 0) -> RawTable:
-    """Read a file of one segment: the columns under its second header, units from ``Y_Unit_Label``.
-
-    ``X_Value`` is the time [s] where the file says that its dimension is time.
-
-    Raises
-    ------
-    DatasetError
-        If there is not exactly one segment.
-    """
+    """Columns of a file of one segment, with units from ``Y_Unit_Label``; ``X_Value`` may be the time [s]."""
     parts = text.split(_END)
     if len(parts) != 3:
         found = f"has {len(parts) - 2} segments" if len(parts) > 3 else "is a LabVIEW measurement without a segment"
@@ -362,13 +321,7 @@ def read_lvm(text: str, source: str, known: Callable[[str, str], bool], *, zeros
     if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
         units["X_Value"] = "s"
     sheet.channels = [
-        RawColumn(
-            each.name,
-            each.cells,
-            each.lines,
-            "time" if each.name == "X_Value" else "",
-            each.unit or units.get(each.name, ""),
-        )
+        replace(each, short="time" if each.name == "X_Value" else "", unit=each.unit or units.get(each.name, ""))
         for each in sheet.channels
     ]
     return sheet

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
@@ -24,7 +24,10 @@ from mckibben.identification.least_squares import FitProblem, Solution, project,
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
+    Bools,
+    Floats,
     Grouping,
+    Ints,
     condition_number,
     finest_grouping,
     group_labels,
@@ -47,24 +50,20 @@ class Bootstrap:
 
     Attributes
     ----------
-    law
-        Fit to all points.
-    by, blocks
-        Kind and number of the blocks.
+    law, at_bound
+        Fit to all points, and its parameters at a bound, shape (parameters,): these have no errors and no intervals.
     draws
         Shape (refits, parameters), in SI, in the order of the law's parameters.
     failed
         Number of draws that did not determine the law, and were repeated.
-    at_bound
-        Shape (parameters,): parameters at a bound in the fit to all points; they have no errors and no intervals.
     """
 
     law: ForceLaw
     by: Grouping
     blocks: int
-    draws: NDArray[np.float64] = field(repr=False)
+    draws: Floats = field(repr=False)
     failed: int
-    at_bound: NDArray[np.bool_] = field(repr=False)
+    at_bound: Bools = field(repr=False)
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -111,11 +110,11 @@ class Bootstrap:
     def _correction(self) -> float:
         return float(np.sqrt(self.blocks / (self.blocks - 1)))
 
-    def _deviation(self, draws: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _deviation(self, draws: Floats) -> Floats:
         lower, upper = np.quantile(draws, _CENTRAL, axis=0)
         return (upper - lower) / 2 * self._correction
 
-    def _percentiles(self, draws: NDArray[np.float64], level: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _percentiles(self, draws: Floats, level: float) -> tuple[Floats, Floats]:
         from scipy.special import ndtr
 
         check_level(level)
@@ -129,16 +128,10 @@ class Bootstrap:
 
 
 def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None = None) -> Bootstrap:
-    """Refit a law to blocks of its points drawn with replacement.
+    """Refit a law, by a `Fit`, to blocks of its points drawn with replacement.
 
     Parameters
     ----------
-    fit
-        Result of `identify`.
-    refits
-        Number of refits.
-    seed
-        Seed of the draws.
     by
         Kind of block. Unless given, repeats of the test if there are at least eight; else strokes, where directions,
         phases or repeats are known; else pressures.
@@ -157,7 +150,7 @@ def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None
     blocks = int(labels.max()) + 1
     generator = np.random.default_rng(seed)
     starts = _starts(regression)
-    draws: list[NDArray[np.float64]] = []
+    draws: list[Floats] = []
     failed = 0
     while len(draws) < refits:
         counts = generator.multinomial(blocks, np.full(blocks, 1 / blocks)).astype(np.float64)
@@ -177,7 +170,7 @@ def bootstrap(fit: Fit, refits: int = 500, *, seed: int = 0, by: Grouping | None
     return Bootstrap(fit.law, by, blocks, np.array(draws), failed, regression.at_bound)
 
 
-def _starts(regression: Regression) -> list[NDArray[np.float64]]:
+def _starts(regression: Regression) -> list[Floats]:
     """Position of the fit in the unit cube, then other local minima, best first."""
     from scipy.ndimage import minimum_filter  # 0.1 s, which no import of the package should wait for
 
@@ -197,7 +190,7 @@ def _starts(regression: Regression) -> list[NDArray[np.float64]]:
     return starts
 
 
-def _refit(problem: FitProblem, starts: list[NDArray[np.float64]]) -> Solution:
+def _refit(problem: FitProblem, starts: list[Floats]) -> Solution:
     """Best solution from several starts; of equally good ones the first."""
     best, *others = sorted((solve(problem, start) for start in starts), key=lambda found: not found.converged)
     for other in others:
@@ -206,7 +199,7 @@ def _refit(problem: FitProblem, starts: list[NDArray[np.float64]]) -> Solution:
     return best
 
 
-def _blocks(regression: Regression, by: Grouping | None) -> tuple[Grouping, NDArray[np.int64]]:
+def _blocks(regression: Regression, by: Grouping | None) -> tuple[Grouping, Ints]:
     points = regression.points
     if by is None:
         by = Grouping.REPEAT if len(points.repeats) >= _FEWEST_BLOCKS else finest_grouping(points)

@@ -13,6 +13,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import DatasetSummary
 from mckibben.identification.relaxation import MaxwellElementFit, RelaxationCurves, TimedLoadingPaths
+from mckibben.identification.uncertainty import Bools, Floats
 from mckibben.muscle import MaxwellCreep, NoCreep
 from mckibben.units import percent, show
 
@@ -30,28 +31,21 @@ class CreepFit:
         move.
     rate, rate_error
         Mean rate of the force against the direction of the move before, and its standard error [N/s].
-    standard_errors
-        Cluster-robust standard errors of ``stiffness`` [N/m] and ``time_constant`` [s]; NaN where not determined.
-    correlation
-        Correlation of the two; NaN where not determined.
+    standard_errors, correlation
+        Cluster-robust, of ``stiffness`` [N/m] and ``time_constant`` [s]; NaN where not determined.
     time_constant_interval
         Profile interval of 95 % [s]; 0 or infinite where the data set no bound.
     relative_stiffness
         Stiffness of the element per median stiffness of the muscle [-].
-    initial_force
-        Shape (points,), in the order of the dataset: force in the element at the first sample [N].
-    mean_force
-        Shape (points,): its mean over the samples, the part of creep in a plateau mean [N].
+    initial_force, mean_force
+        Shape (points,), in the order of the dataset: force in the element at the first sample, and its mean over the
+        samples, the part of creep in a plateau mean [N].
     common_rate
         Rate common to both directions, as of a drifting sensor [N/s].
     interval
         Sampling interval [s].
-    points_used
-        Number of plateaus used.
-    warnings
-        Reasons not to rely on the results.
-    dataset
-        Summary of the data.
+    points_used, warnings, dataset
+        Number of plateaus used, reasons not to rely on the results, and summary of the data.
     """
 
     creep: MaxwellCreep | NoCreep
@@ -62,8 +56,8 @@ class CreepFit:
     correlation: float
     time_constant_interval: tuple[float, float]
     relative_stiffness: float
-    initial_force: NDArray[np.float64]
-    mean_force: NDArray[np.float64]
+    initial_force: Floats
+    mean_force: Floats
     common_rate: float
     interval: float
     points_used: int
@@ -75,7 +69,7 @@ class CreepFit:
         """True if the data show creep."""
         return isinstance(self.creep, MaxwellCreep)
 
-    def relaxation(self, times: ArrayLike) -> NDArray[np.float64]:
+    def relaxation(self, times: ArrayLike) -> Floats:
         """Force of creep [N] at each point at times [s] after its first sample; shape (points, times)."""
         times = np.asarray(times, np.float64)
         if isinstance(self.creep, NoCreep):
@@ -83,13 +77,7 @@ class CreepFit:
         return self.initial_force[:, None] * np.exp(-times / self.creep.time_constant)
 
     def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
-        """Plateau means of the identified dataset without creep.
-
-        Raises
-        ------
-        IdentificationError
-            If the dataset has another number of points.
-        """
+        """Plateau means of the identified dataset without creep; an `IdentificationError` for another one."""
         means = dataset.plateau_means()
         if len(means) != len(self.mean_force):
             raise IdentificationError(
@@ -147,18 +135,15 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
     .. math:: x_j e^{-t/\tau} + v t, \qquad x_j = e^{-t_\mathrm{dwell}/\tau} k\, g_j(\tau)
 
     with a common rate v. The deflection :math:`g_j` after the move to a plateau follows from all moves before it at
-    that pressure, before which the element is relaxed; so a time constant beyond the duration of a plateau can be
-    determined if a stroke takes long enough. A slack muscle has no deflection.
+    that pressure, before which the element is relaxed. A slack muscle has no deflection.
 
     Parameters
     ----------
     dataset
-        Dataset with raw samples of the force, directions and the initial length, with nominal pressures where measured
-        ones scatter. Its rows are in the order of the test, or it has times, those of the first samples.
-    interval
-        Sampling interval [s].
-    dwell
-        Time from the end of a move to the first sample [s].
+        Raw samples of the force, directions, initial length, and nominal pressures where measured ones scatter, in the
+        order of the test or with times, those of the first samples.
+    interval, dwell
+        Sampling interval, and time from the end of a move to the first sample [s].
     speed
         Speed of the moves [m/s].
 
@@ -262,7 +247,7 @@ def _samples(dataset: IsobaricDataset) -> NDArray:
     return dataset.table["force_samples"].to_numpy()
 
 
-def _check_directions(paths: TimedLoadingPaths, used: NDArray[np.bool_]) -> None:
+def _check_directions(paths: TimedLoadingPaths, used: Bools) -> None:
     for side, word in ((1, "stretching"), (-1, "shortening")):
         count = int(np.count_nonzero(used & (paths.sides == side)))
         if count < _FEWEST_PLATEAUS:
@@ -274,9 +259,7 @@ def _check_directions(paths: TimedLoadingPaths, used: NDArray[np.bool_]) -> None
             )
 
 
-def _drift(
-    slopes: NDArray[np.float64], paths: TimedLoadingPaths, used: NDArray[np.bool_]
-) -> tuple[float, float, float]:
+def _drift(slopes: Floats, paths: TimedLoadingPaths, used: Bools) -> tuple[float, float, float]:
     """Rate against the direction of the move, its standard error, and the common rate of both directions [N/s]."""
     _check_directions(paths, used)
     up, down = (slopes[used & (paths.sides == side)] for side in (1, -1))
@@ -285,9 +268,7 @@ def _drift(
     return rate, max(error, 1e-300), float(down.mean() + up.mean()) / 2
 
 
-def _insignificant(
-    element: MaxwellElementFit, used: NDArray[np.bool_], found: CreepFit, span: float, dwell: float
-) -> list[str]:
+def _insignificant(element: MaxwellElementFit, used: Bools, found: CreepFit, span: float, dwell: float) -> list[str]:
     """Warnings where there is no significant creep."""
     bound = element.stiffness_and_rate(span, used)[0] + _SIGNIFICANT * element.stiffness_error(span, used)
     onwards = (
@@ -324,7 +305,7 @@ def _pressure_warning(
     dataset: IsobaricDataset,
     interval: float,
     paths: TimedLoadingPaths,
-    used: NDArray[np.bool_],
+    used: Bools,
     rate: float,
     means: IsobaricDataset,
 ) -> list[str]:

@@ -8,15 +8,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import html_table
+from mckibben.dataset.schema import html_table, text_table
 from mckibben.errors import IdentificationError
-from mckibben.identification.intervals import ForceIntervals, Interval, RobustErrors, parameter_interval
+from mckibben.identification.intervals import (
+    ForceIntervals,
+    Interval,
+    RobustErrors,
+    check_level,
+    force_gradients,
+    parameter_interval,
+    t_interval,
+)
 from mckibben.identification.regression import Regression
-from mckibben.identification.uncertainty import Grouping
-from mckibben.muscle import Domain, ForceLaw
+from mckibben.identification.uncertainty import Floats, Grouping, correlated_pairs
+from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.units import bar, factor
 
 
@@ -24,12 +32,7 @@ from mckibben.units import bar, factor
 class LeaveOnePressureOut:
     """Leave-one-pressure-out cross-validation: each pressure is predicted by the fit to all others.
 
-    Attributes
-    ----------
-    rmse, max_error
-        Over all points [N].
-    by_pressure
-        RMSE [N] by pressure [Pa].
+    Errors [N] over all points, and RMSE [N] by pressure [Pa].
     """
 
     rmse: float
@@ -39,15 +42,7 @@ class LeaveOnePressureOut:
 
 @dataclass(frozen=True)
 class DatasetSummary:
-    """Dataset of a fit.
-
-    Attributes
-    ----------
-    specimen, source
-        Attributes of the dataset.
-    pressures
-        Levels [Pa] of the points used, ascending.
-    """
+    """Dataset of a fit: its attributes, and the ascending levels [Pa] of the points used."""
 
     specimen: str
     source: str
@@ -80,17 +75,12 @@ class Fit:
         Shape (parameters, parameters), in the order of `estimates`.
     rmse, max_error
         Root mean square and largest absolute residual [N].
-    points_used, points_slack
-        Number of taut plateaus, and of slack ones, which are left out.
     leave_one_pressure_out
         Cross-validation errors; None where they cannot be had, as a warning explains.
-    warnings
-        Reasons not to rely on the results.
-    dataset
-        Summary of the data.
+    warnings, dataset
+        Reasons not to rely on the results, and summary of the data.
     residuals
-        Shape (points_used,): measured minus fitted force [N], in the order of the taut points; None if read from a
-        file.
+        Shape (points_used,): measured minus fitted force [N] of the taut points; None if read from a file.
     robust
         Cluster-robust standard errors, on which the intervals rest; None with too few groups, as a warning explains.
     regression
@@ -99,7 +89,7 @@ class Fit:
 
     law: ForceLaw
     standard_errors: Mapping[str, float]
-    correlations: NDArray[np.float64]
+    correlations: Floats
     rmse: float
     max_error: float
     points_used: int
@@ -107,7 +97,7 @@ class Fit:
     leave_one_pressure_out: LeaveOnePressureOut | None
     warnings: tuple[str, ...]
     dataset: DatasetSummary
-    residuals: NDArray[np.float64] | None = None
+    residuals: Floats | None = None
     robust: RobustErrors | None = None
     regression: Regression | None = None
 
@@ -117,7 +107,7 @@ class Fit:
         return {p.name: float(getattr(self.law, p.name)) for p in self.law.parameters()}
 
     @property
-    def covariance(self) -> NDArray[np.float64]:
+    def covariance(self) -> Floats:
         """Classical covariance, shape (parameters, parameters), in products of SI units."""
         errors = np.array([self.standard_errors[name] for name in self.estimates])
         return self.correlations * np.outer(errors, errors)
@@ -127,8 +117,6 @@ class Fit:
 
         Parameters
         ----------
-        level
-            Confidence level.
         by
             Points that may share an error; unless given, those of a stroke, or of a pressure where strokes are not
             known. ``Grouping.POINT`` gives the classical intervals.
@@ -147,7 +135,7 @@ class Fit:
     def force_intervals(
         self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95, by: Grouping | None = None
     ) -> ForceIntervals:
-        """Pointwise confidence interval and prediction interval of the force [N].
+        """Pointwise confidence interval and prediction interval of the force [N], negative where the muscle is slack.
 
         Parameters
         ----------
@@ -156,17 +144,21 @@ class Fit:
         level, by
             As for `intervals`.
 
-        Returns
-        -------
-        ForceIntervals
-            Intervals of the law's force, which may be negative where the muscle is slack.
-
         Raises
         ------
         IdentificationError
             As `intervals`; and if the fit was read from a file, which does not hold the points.
         """
-        return self.require_regression().force_intervals(self.law, contraction, pressure, level=level, by=by)
+        check_level(level)
+        regression = self.require_regression()
+        contraction, pressure = np.asarray(contraction, float), np.asarray(pressure, float)
+        value = forces(self.law, contraction, pressure)
+        free = [regression.problem.names[i] for i in regression.free]
+        model = regression.error_model(by)
+        of_law = variance, freedom = model.variance(force_gradients(self.law, free, contraction, pressure))
+        square, residual_freedom = model.residual_variance
+        scatter = np.full_like(variance, square), np.full_like(freedom, residual_freedom)
+        return ForceIntervals(t_interval(level, value, [of_law]), t_interval(level, value, [of_law, scatter]))
 
     def require_regression(self) -> Regression:
         """Return the regression, or raise an `IdentificationError` if the fit was read from a file."""
@@ -189,14 +181,7 @@ class Fit:
 
     def strongest_correlations(self, count: int = 3) -> list[tuple[str, str, float]]:
         """Pairs of parameters with the largest absolute correlation, largest first."""
-        names = list(self.estimates)
-        pairs = [
-            (names[i], names[j], float(self.correlations[i, j]))
-            for i in range(len(names))
-            for j in range(i + 1, len(names))
-            if np.isfinite(self.correlations[i, j])
-        ]
-        return sorted(pairs, key=lambda pair: -abs(pair[2]))[:count]
+        return correlated_pairs(list(self.estimates), self.correlations)[:count]
 
     def report(self, level: float = 0.95) -> str:
         """Fit as text: parameters in published units, errors, intervals, correlations, warnings."""
@@ -207,7 +192,7 @@ class Fit:
             f"{self.points_slack} slack left out; {len(levels)} pressures {levels.min():g}..{levels.max():g} bar",
             f"domain: {self.law.domain}",
             "",
-            *_aligned(self._rows(level)),
+            *text_table(self._rows(level), (0, 3, 4, 5)),
             self._error_note(),
             "",
             f"residuals: RMSE {self.rmse:.3g} N, maximum {self.max_error:.3g} N",
@@ -271,24 +256,7 @@ class Fit:
 
     @classmethod
     def from_yaml(cls, path: str | os.PathLike[str]) -> Fit:
-        """Read a file that `to_yaml` wrote.
-
-        Raises
-        ------
-        ScenarioError
-            With every problem of the file and its line.
-        """
+        """Read a file that `to_yaml` wrote; raises a `ScenarioError` with every problem and its line."""
         from mckibben.identification.storage import read_fit
 
         return read_fit(Path(path))
-
-
-def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(
-            cell.rjust(width) if 1 <= i <= 2 else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]

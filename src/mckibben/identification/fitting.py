@@ -6,7 +6,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
@@ -15,8 +14,13 @@ from mckibben.identification.least_squares import FitProblem, Solution, grid_sea
 from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
+    Bools,
+    Floats,
     Grouping,
+    Ints,
     condition_number,
+    correlated_pairs,
+    row_numbers,
     uncertainty,
     unidentifiable,
 )
@@ -38,15 +42,8 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     ----------
     law_type
         Class of the law, such as `ExponentialLaw`.
-    dataset
-        Measured points.
     domain
         Domain of the law; by default the contractions and pressure levels of the points used.
-
-    Returns
-    -------
-    Fit
-        Law with standard errors, correlations, residuals, cross-validation errors and warnings.
 
     Raises
     ------
@@ -87,7 +84,11 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
     grouping, ungrouped = regression.default_grouping
 
     warnings = _bound_warnings(law_type, solution, at_bound)
-    warnings += _correlation_warnings(problem.names, found.correlations)
+    warnings += [
+        f"{a} and {b} are correlated by {correlation:+.5f}: the data determine a combination of them, each alone badly"
+        for a, b, correlation in correlated_pairs(problem.names, found.correlations)
+        if abs(correlation) > _STRONG_CORRELATION
+    ]
     warnings += _friction_warnings(points, residuals, grouping)
     warnings += regression.warnings
     warnings += [f"the standard errors are for independent points: {ungrouped}"] if ungrouped else []
@@ -140,9 +141,7 @@ def _within_validity(law_type: type[ForceLaw], points: IsobaricDataset) -> Isoba
     return IsobaricDataset(points.table.assign(contraction=("point", contraction)))
 
 
-def _check_determined(
-    problem: FitProblem, solution: Solution, at_bound: NDArray[np.bool_], points: IsobaricDataset
-) -> None:
+def _check_determined(problem: FitProblem, solution: Solution, at_bound: Bools, points: IsobaricDataset) -> None:
     free = solution.jacobian[:, ~at_bound]
     names = [name for name, out in zip(problem.names, at_bound, strict=True) if not out]
     number = condition_number(free)
@@ -170,7 +169,7 @@ def _check_determined(
         )
 
 
-def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: NDArray[np.bool_]) -> list[str]:
+def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: Bools) -> list[str]:
     warnings = []
     for p, value, bound in zip(law_type.parameters(), solution.values, at_bound, strict=True):
         low, high = show(p.lower, p.shown), show(p.upper, p.shown)
@@ -184,17 +183,7 @@ def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: NDAr
     return warnings
 
 
-def _correlation_warnings(names: tuple[str, ...], correlations: NDArray[np.float64]) -> list[str]:
-    return [
-        f"{names[i]} and {names[j]} are correlated by {correlations[i, j]:+.5f}: the data determine a combination of "
-        "them, and each alone badly"
-        for i in range(len(names))
-        for j in range(i + 1, len(names))
-        if abs(correlations[i, j]) > _STRONG_CORRELATION
-    ]
-
-
-def _friction_warnings(points: IsobaricDataset, residuals: NDArray[np.float64], grouping: Grouping) -> list[str]:
+def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Grouping) -> list[str]:
     """Warnings of residuals that differ by direction or phase, and so are not independent."""
     warnings = []
     rms = float(np.sqrt(np.mean(residuals**2)))
@@ -239,29 +228,7 @@ _ROUNDING = 1e-9  # of the largest force
 
 
 def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
-    """Check that a taut muscle's force is defined, falls with contraction and rises with pressure.
-
-    Parameters
-    ----------
-    law
-        Law to check.
-    domain
-        Range of a grid, edges included; the law's own unless given.
-
-    Returns
-    -------
-    str
-        First violation; empty where there is none.
-
-    Examples
-    --------
-    >>> from mckibben import catalog
-    >>> unphysical(catalog.law("lei-mas-10-180n"))
-    ''
-    >>> from mckibben.muscle import ReynoldsLaw
-    >>> unphysical(ReynoldsLaw(100.0, 1e-3, 500.0, -2e-2, Domain(0.0, 0.2, 0.0, 6e5)))
-    'its force rises with contraction at 0 % and 0.375 bar'
-    """
+    """First violation, on a grid, of a defined force that falls with contraction and rises with pressure."""
     box = law.domain if domain is None else domain
     contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
     pressure = np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
@@ -285,15 +252,9 @@ _SAME_CONTRACTION = 0.1 * percent
 
 @dataclass(frozen=True)
 class ResidualCorrelation:
-    """Correlation of the residuals of neighbouring points.
+    """Correlation of the residuals of neighbouring points; None for fewer than ten pairs.
 
-    Attributes
-    ----------
-    along_contraction, along_pressure
-        Correlation of neighbours on the same curve, and of neighbours at the same contraction (to 0.1 %) on
-        neighbouring curves; None for fewer than ten pairs.
-    pairs_contraction, pairs_pressure
-        Numbers of pairs.
+    Neighbours are on the same curve (along contraction), or at the same contraction on the next (along pressure).
     """
 
     along_contraction: float | None
@@ -318,7 +279,7 @@ class ResidualCorrelation:
         return " and ".join(found)
 
 
-def without_direction_means(residuals: NDArray[np.float64], points: IsobaricDataset) -> NDArray[np.float64]:
+def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Floats:
     """Residuals [N] less the mean of each direction and phase, which is friction and no error of a static law."""
     rest = np.array(residuals, float)
     for name in ("direction", "phase"):
@@ -329,38 +290,21 @@ def without_direction_means(residuals: NDArray[np.float64], points: IsobaricData
     return rest
 
 
-def residual_correlation(points: IsobaricDataset, residuals: NDArray[np.float64]) -> ResidualCorrelation:
-    """Correlation of neighbouring residuals [N], shape (points,).
-
-    Examples
-    --------
-    >>> pressure, contraction = (values.ravel() for values in np.meshgrid(np.arange(1, 7) * 1e5, np.arange(8) / 40))
-    >>> points = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.ones(48))
-    >>> found = residual_correlation(points, np.cos(20 * contraction))
-    >>> round(found.along_contraction, 2), round(found.along_pressure, 2), found.pattern
-    (0.9, 1.0, 'contraction and pressure')
-    """
+def residual_correlation(points: IsobaricDataset, residuals: Floats) -> ResidualCorrelation:
+    """Correlation of neighbouring residuals [N], shape (points,)."""
     residuals = without_direction_means(residuals, points)
-    passes = np.zeros(len(points), np.int64)
-    for name in ("direction", "phase", "repeat"):
-        if name in points.table:
-            codes = np.unique(points.table[name].to_numpy(), return_inverse=True)[1].reshape(-1)
-            passes = passes * (int(codes.max()) + 1) + codes
-    levels = np.unique(points.levels, return_inverse=True)[1].reshape(-1)
-    places = np.round(points.contraction / _SAME_CONTRACTION)
-    curve, curve_pairs = _lag_one(residuals, (passes, levels), points.contraction)
-    place, place_pairs = _lag_one(residuals, (passes, places), points.levels)
+    passes = [points.table[name].to_numpy() for name in ("direction", "phase", "repeat") if name in points.table]
+    curves = row_numbers([*passes, points.levels])
+    places = row_numbers([*passes, np.round(points.contraction / _SAME_CONTRACTION)])
+    curve, curve_pairs = _lag_one(residuals, curves, points.contraction)
+    place, place_pairs = _lag_one(residuals, places, points.levels)
     return ResidualCorrelation(curve, place, curve_pairs, place_pairs)
 
 
-def _lag_one(
-    residuals: NDArray[np.float64], within: tuple[NDArray, NDArray], along: NDArray[np.float64]
-) -> tuple[float | None, int]:
+def _lag_one(residuals: Floats, group: Ints, along: Floats) -> tuple[float | None, int]:
     """Correlation of consecutive points within groups, and the number of pairs."""
-    order = np.lexsort((along, within[1], within[0]))
-    same = np.ones(len(order) - 1, bool)
-    for group in within:
-        same &= group[order][1:] == group[order][:-1]
+    order = np.lexsort((along, group))
+    same = np.diff(group[order]) == 0
     pairs = int(np.count_nonzero(same))
     if pairs < _FEWEST_PAIRS:
         return None, pairs

@@ -6,7 +6,6 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import html_table
@@ -20,26 +19,25 @@ from mckibben.identification.loading_path import (
     PathDependentModel,
     loop_half_width,
 )
-from mckibben.identification.uncertainty import CONDITION_LIMIT, condition_number, uncertainty, unidentifiable
+from mckibben.identification.uncertainty import (
+    CONDITION_LIMIT,
+    Bools,
+    Floats,
+    condition_number,
+    uncertainty,
+    unidentifiable,
+)
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
 from mckibben.units import bar, mm, show
 
 
 @dataclass(frozen=True, eq=False)
 class SensorDrift:
-    """Zero drift of the force sensor, linear between knots.
+    """Zero offset of the force sensor and its errors [N], linear between knots [s]; shape (knots,) each."""
 
-    Attributes
-    ----------
-    time
-        Knots, shape (knots,), in the dataset's time [s].
-    offset, standard_errors
-        Zero offset and its standard errors, shape (knots,) [N].
-    """
-
-    time: NDArray[np.float64]
-    offset: NDArray[np.float64]
-    standard_errors: NDArray[np.float64]
+    time: Floats
+    offset: Floats
+    standard_errors: Floats
 
     @property
     def rate(self) -> float:
@@ -57,11 +55,9 @@ class HysteresisFit:
         Static law, midway between loading and unloading; its domain is the range of the points.
     friction
         Hysteresis; its viscous part is 0, as points measured at rest do not determine it.
-    standard_errors
-        By parameter, in SI: those of the law unless it was given, ``half_width``, ``growth`` and
+    standard_errors, correlations
+        By parameter, in SI, and in their order: those of the law unless it was given, ``half_width``, ``growth`` and
         ``presliding_length``; NaN where the data do not determine one.
-    correlations
-        Shape (parameters, parameters), in the order of `standard_errors`; NaN where not determined.
     drift
         Drift of the force sensor; None where the points show none.
     rmse, max_error
@@ -69,32 +65,28 @@ class HysteresisFit:
     tension, friction_force, offset, residuals
         Shape (points,), in the order of the dataset: force of the law, of friction, offset of the sensor, and measured
         minus modelled force [N]. Slack points count only where there is a drift.
-    points_used, points_slack
-        Number of points used, and of slack ones.
-    warnings
-        Reasons not to rely on the results.
-    dataset
-        Summary of the data.
+    points_used, points_slack, warnings, dataset
+        Number of points used, and of slack ones; reasons not to rely on the results; summary of the data.
     """
 
     law: ForceLaw
     friction: MaxwellSlip
     standard_errors: dict[str, float]
-    correlations: NDArray[np.float64]
+    correlations: Floats
     drift: SensorDrift | None
     rmse: float
     max_error: float
-    tension: NDArray[np.float64]
-    friction_force: NDArray[np.float64]
-    offset: NDArray[np.float64]
-    residuals: NDArray[np.float64]
+    tension: Floats
+    friction_force: Floats
+    offset: Floats
+    residuals: Floats
     points_used: int
     points_slack: int
     warnings: tuple[str, ...]
     dataset: DatasetSummary
 
     @property
-    def force(self) -> NDArray[np.float64]:
+    def force(self) -> Floats:
         """Modelled force at each point [N], shape (points,)."""
         return self.tension + self.friction_force + self.offset
 
@@ -103,13 +95,7 @@ class HysteresisFit:
         return Muscle(specimen, self.law, self.friction)
 
     def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
-        """Plateau means of the identified dataset without friction and drift, for the fit of a static law.
-
-        Raises
-        ------
-        IdentificationError
-            If it is another dataset.
-        """
+        """Plateau means of the identified dataset without friction and drift, for the fit of a static law."""
         means = dataset.plateau_means()
         if len(means) != len(self.residuals) or not np.allclose(means.force, self.force + self.residuals):
             raise IdentificationError(
@@ -120,19 +106,14 @@ class HysteresisFit:
         return IsobaricDataset(means.table.assign(force=("point", force)))
 
     def _rows(self) -> list[tuple[str, str, str, str]]:
-        friction, errors = self.friction, self.standard_errors
+        friction, errors, length = self.friction, self.standard_errors, self.friction.presliding_length
         reference = f"at {show(friction.reference_pressure, 'bar', 3)}"
         return [
             (name, value, f"{error:.2g}" if np.isfinite(error) else "-", unit)
             for name, value, error, unit in (
                 ("half width", f"{friction.half_width:.4g}", errors["half_width"], f"N {reference}"),
                 ("growth", f"{friction.growth * bar:.3g}", errors["growth"] * bar, "N/bar"),
-                (
-                    "presliding length",
-                    f"{friction.presliding_length / mm:.4g}",
-                    errors["presliding_length"] / mm,
-                    "mm",
-                ),
+                ("presliding length", f"{length / mm:.4g}", errors["presliding_length"] / mm, "mm"),
             )
         ]
 
@@ -170,17 +151,13 @@ _VAGUE = 0.3  # relative standard error above which a parameter is not determine
 
 
 def identify_hysteresis(
-    law: type[ForceLaw] | ForceLaw | Fit,
-    dataset: IsobaricDataset,
-    *,
-    drift: bool = True,
-    elements: int = 6,
+    law: type[ForceLaw] | ForceLaw | Fit, dataset: IsobaricDataset, *, drift: bool = True, elements: int = 6
 ) -> HysteresisFit:
     """Fit a law and its friction to all points of an isobaric test, in the order of time.
 
-    The force at a point is that of the law, that of friction after the loading path to there, and the sensor's offset.
-    All parameters are estimated together by least squares, so the law is midway between the branches, also near the
-    reversals. Each path begins on the branch of its first stroke: loading before an unloading stroke and vice versa.
+    The force at a point is that of the law, that of friction after the loading path to there, and the sensor's offset,
+    all estimated together by least squares. Each path begins on the branch of its first stroke: loading before an
+    unloading stroke and vice versa.
 
     The drift of the sensor is none, a straight line, or linear with a knot for each path with slack points, whichever
     has the least Bayesian information criterion. It needs times; without slack points it is at most a line from 0.
@@ -190,8 +167,8 @@ def identify_hysteresis(
     law
         Class of the law to fit; or a law (or fit) that is known.
     dataset
-        Dataset with directions and the initial length, with nominal pressures where measured ones scatter. Its rows
-        are in the order of the test, or it has times.
+        Directions, initial length, and nominal pressures where measured ones scatter, in the order of the test or with
+        times.
     drift
         True to estimate a drift.
     elements
@@ -281,13 +258,13 @@ class _Solution:
 
     values: dict[str, float]
     free: tuple[str, ...]
-    offsets: NDArray[np.float64]
-    residuals: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
-    active: NDArray[np.bool_]
+    offsets: Floats
+    residuals: Floats
+    jacobian: Floats
+    active: Bools
     converged: bool
-    errors: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.empty(0))
-    correlations: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.empty(0))
+    errors: Floats = dataclasses.field(default_factory=lambda: np.empty(0))
+    correlations: Floats = dataclasses.field(default_factory=lambda: np.empty(0))
 
     @property
     def cost(self) -> float:
@@ -353,7 +330,7 @@ def _least_squares(
     unbounded = np.full(model.drift.points.shape[1], np.inf)
     initial = np.clip([start[name] for name in free], lower, upper)
 
-    def values(x: NDArray[np.float64]) -> dict[str, float]:
+    def values(x: Floats) -> dict[str, float]:
         return {**start, **dict(zip(free, x[:count].tolist(), strict=True))}
 
     answer = least_squares(
@@ -394,9 +371,7 @@ def _solve(model: PathDependentModel, start: dict[str, float], free: tuple[str, 
     return dataclasses.replace(found, errors=known.standard_errors, correlations=known.correlations)
 
 
-def _result(
-    model: PathDependentModel, found: _Solution, taut: NDArray[np.bool_], warnings: tuple[str, ...]
-) -> HysteresisFit:
+def _result(model: PathDependentModel, found: _Solution, taut: Bools, warnings: tuple[str, ...]) -> HysteresisFit:
     means, used, basis = model.means, model.used, model.drift
     tension, force = model.components(found.values)
     offset = basis.points @ found.offsets

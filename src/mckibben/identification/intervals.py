@@ -15,25 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import RangeError
 from mckibben.identification.least_squares import design_matrix
-from mckibben.identification.uncertainty import ErrorModel, Grouping
+from mckibben.identification.uncertainty import ErrorModel, Floats, Grouping
 from mckibben.muscle import ForceLaw
 
 
 @dataclass(frozen=True)
 class RobustErrors:
-    """Cluster-robust standard errors: points of a group may share an error.
-
-    Attributes
-    ----------
-    by
-        Grouping of the points.
-    groups
-        Number of groups.
-    standard_errors
-        By parameter, in SI; NaN where the parameter is at a bound.
-    degrees_of_freedom
-        Degrees of freedom of the t interval, by parameter.
-    """
+    """Cluster-robust standard errors [SI] and degrees of freedom by parameter; NaN at a bound."""
 
     by: Grouping
     groups: int
@@ -50,41 +38,21 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class IntervalEstimate:
-    """Estimate of a quantity with its pointwise confidence interval; all arrays have the shape of `value`.
-
-    Attributes
-    ----------
-    level
-        Confidence level.
-    value
-        Estimate.
-    standard_error
-        Standard error of the estimate.
-    degrees_of_freedom
-        Degrees of freedom of the t interval.
-    lower, upper
-        Ends of the interval.
-    """
+    """Estimate of a quantity with its pointwise t interval; all arrays have the shape of `value`."""
 
     level: float
-    value: NDArray[np.float64]
-    standard_error: NDArray[np.float64]
-    degrees_of_freedom: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    value: Floats
+    standard_error: Floats
+    degrees_of_freedom: Floats
+    lower: Floats
+    upper: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class ForceIntervals:
-    """Confidence and prediction interval of the force [N] of a fitted law.
+    """Intervals of the law's force (confidence), and of one more plateau mean on the same rig (prediction) [N].
 
-    Attributes
-    ----------
-    confidence
-        Interval of the law's force. It contains no systematic error of a misspecified law: see
-        `mckibben.identification.regression.Regression.warnings` and the residuals.
-    prediction
-        Interval of one more plateau mean of the same muscle on the same rig: wider by the residual variance.
+    Neither contains the systematic error of a misspecified law: see the warnings and the residuals of the fit.
     """
 
     confidence: IntervalEstimate
@@ -99,26 +67,15 @@ def check_level(level: float) -> float:
     return level
 
 
-def t_quantile(level: float, freedom: ArrayLike) -> NDArray[np.float64]:
-    """Half-width of a two-sided t interval in standard errors.
-
-    >>> t_quantile(0.95, [4.0, 1e9]).round(3)
-    array([2.776, 1.96 ])
-    """
+def t_quantile(level: float, freedom: ArrayLike) -> Floats:
+    """Half-width of a two-sided t interval in standard errors."""
     from scipy.special import stdtrit
 
     return np.asarray(stdtrit(np.minimum(freedom, 1e12), (1 + check_level(level)) / 2))
 
 
-def t_interval(
-    level: float,
-    value: ArrayLike,
-    variances: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
-) -> IntervalEstimate:
-    """T interval from independent variance components V with nu degrees of freedom each.
-
-    Their sum has Satterthwaite's degrees of freedom, (sum V)^2 / sum(V^2/nu).
-    """
+def t_interval(level: float, value: ArrayLike, variances: Sequence[tuple[Floats, Floats]]) -> IntervalEstimate:
+    """T interval of a sum of independent variances V, with Satterthwaite's (sum V)^2 / sum(V^2/nu)."""
     value = np.asarray(value, np.float64)
     total = np.sum([variance for variance, _ in variances], axis=0).reshape(value.shape)
     parts = np.sum([variance**2 / freedom for variance, freedom in variances], axis=0).reshape(value.shape)
@@ -137,17 +94,14 @@ def parameter_interval(estimate: float, error: float, freedom: float, level: flo
     return Interval(estimate - half_width, estimate + half_width)
 
 
-def variance_of(model: ErrorModel, gradients: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def variance_of(model: ErrorModel, gradients: Floats) -> tuple[Floats, Floats]:
     """Variance and degrees of freedom, shape (...), for gradients of shape (..., parameters)."""
     variance, freedom = model.variance(gradients.reshape(-1, gradients.shape[-1]))
     return variance.reshape(gradients.shape[:-1]), freedom.reshape(gradients.shape[:-1])
 
 
 def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> NDArray:
-    """Derivative of the force with respect to the named parameters, shape (points, parameters).
-
-    Points are padded to a power of two, so that calls of different sizes share compiled code.
-    """
+    """Derivative of the force by the named parameters, (points, parameters); padded to a power of two."""
     contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
     count = contraction.size
     if not count:
@@ -157,31 +111,8 @@ def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, 
     return design_matrix(law, free, *padded)[:count]
 
 
-def law_forces(
-    law_type: type[ForceLaw], draws: ArrayLike, contraction: ArrayLike, pressure: ArrayLike
-) -> NDArray[np.float64]:
-    """Force of each of many laws.
-
-    Parameters
-    ----------
-    law_type, draws
-        Class of the law, and parameters in SI, shape (draws, parameters).
-    contraction, pressure
-        Contraction [-] and pressure [Pa]; they broadcast.
-
-    Returns
-    -------
-    ndarray
-        Shape (draws, ...) [N].
-
-    Examples
-    --------
-    >>> from mckibben.muscle import ExponentialLaw
-    >>> rows = [[1.0, 0, 0, 0, 0, 0, 30.0], [0, 1e-3, 0, 0, 0, 0, 30.0]]
-    >>> law_forces(ExponentialLaw, rows, [0.0, 0.1], 2e5)
-    array([[  1.,   1.],
-           [200., 200.]])
-    """
+def law_forces(law_type: type[ForceLaw], draws: ArrayLike, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
+    """Force [N] of each of many laws, shape (draws, ...), from parameters in SI, shape (draws, parameters)."""
     contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
     return np.asarray(_forces(law_type, np.asarray(draws, np.float64), contraction, pressure))
 

@@ -23,31 +23,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification.uncertainty import tsqr_r
+from mckibben.identification.uncertainty import Bools, Floats, tsqr_r
 from mckibben.muscle import ForceLaw, Parameter
 
 
-def design_matrix(
-    law: ForceLaw, names: Sequence[str], contraction: ArrayLike, pressure: ArrayLike
-) -> NDArray[np.float64]:
-    """Derivative of the force with respect to named parameters.
+def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> Floats:
+    """Derivative of the force with respect to named parameters, shape (n, len(names)) [N per SI unit].
 
     Parameters
     ----------
     law
         Force law with values for all parameters; those of the linear ones do not matter.
-    names
-        Parameters of the law, in the order of the columns.
     contraction, pressure
         Shape (n,): [-], [Pa].
-
-    Returns
-    -------
-    ndarray
-        Shape (n, len(names)): [N] per SI unit of the parameter.
 
     Examples
     --------
@@ -105,19 +96,7 @@ _AT_BOUND = 1e-6  # distance from a bound in the unit cube
 
 @dataclass(frozen=True)
 class UnitCube:
-    """Shape parameters scaled to 0..1 between their bounds: logarithmically where both bounds are positive.
-
-    Parameters
-    ----------
-    parameters
-        Parameters with finite bounds.
-
-    Examples
-    --------
-    >>> cube = UnitCube((Parameter("decay", "1", "1/percent", "", 1.0, 100.0),))
-    >>> cube.values([0.5])
-    [10.0]
-    """
+    """Shape parameters scaled to 0..1 between their bounds: logarithmically where both are positive."""
 
     parameters: tuple[Parameter, ...]
 
@@ -128,7 +107,7 @@ class UnitCube:
             for p, x in zip(self.parameters, position, strict=True)
         ]
 
-    def rates(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    def rates(self, position: Floats) -> Floats:
         """Derivative of each parameter with respect to its own coordinate."""
         return np.array(
             [
@@ -137,7 +116,7 @@ class UnitCube:
             ]
         )
 
-    def grid(self) -> Iterator[NDArray[np.float64]]:
+    def grid(self) -> Iterator[Floats]:
         """Positions that cover the cube, none on a face."""
         count = len(self.parameters)
         per_axis = min(_GRID_POINTS_PER_PARAMETER, int(_GRID_POINTS ** (1 / count))) if count else 1
@@ -147,28 +126,14 @@ class UnitCube:
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """Weighted least-squares problem of a force law.
-
-    The law is evaluated at all points, also at those of weight 0: subsets of one dataset share compiled code.
-
-    Parameters
-    ----------
-    law_type
-        Class of the law.
-    contraction, pressure, force
-        Shape (n,): [-], [Pa], [N].
-    kept
-        Shape (n,): False for points that do not count.
-    weights
-        Shape (n,): weight of each squared residual; 1 unless given.
-    """
+    """Weighted least-squares problem of a law; subsets (`kept`) of one dataset share compiled code."""
 
     law_type: type[ForceLaw]
-    contraction: NDArray[np.float64] = field(repr=False)
-    pressure: NDArray[np.float64] = field(repr=False)
-    force: NDArray[np.float64] = field(repr=False)
-    kept: NDArray[np.bool_] = field(repr=False)
-    weights: NDArray[np.float64] | None = field(default=None, repr=False)
+    contraction: Floats = field(repr=False)
+    pressure: Floats = field(repr=False)
+    force: Floats = field(repr=False)
+    kept: Bools = field(repr=False)
+    weights: Floats | None = field(default=None, repr=False)
 
     @classmethod
     def of(cls, law_type: type[ForceLaw], points: IsobaricDataset) -> FitProblem:
@@ -181,11 +146,11 @@ class FitProblem:
         )
         return cls(law_type, contraction, pressure, force, np.arange(count + pad[1]) < count)
 
-    def subset(self, kept: NDArray[np.bool_]) -> FitProblem:
+    def subset(self, kept: Bools) -> FitProblem:
         """Problem of the selected points; shape (m,) with m <= n, in the order of the points."""
         return replace(self, kept=np.pad(kept, (0, len(self.kept) - len(kept))))
 
-    def weighted(self, weights: NDArray[np.float64]) -> FitProblem:
+    def weighted(self, weights: Floats) -> FitProblem:
         """Problem with other weights; shape (m,) with m <= n, in the order of the points."""
         return replace(self, weights=np.pad(weights, (0, len(self.kept) - len(weights))))
 
@@ -204,121 +169,87 @@ class FitProblem:
         """Range of the shape parameters."""
         return UnitCube(self.law_type.shape_parameters)
 
-    def law(self, values: NDArray[np.float64]) -> ForceLaw:
+    def law(self, values: Floats) -> ForceLaw:
         """Law with the given parameters [SI], shape (parameters,)."""
         return self.law_type(**dict(zip(self.names, values.tolist(), strict=True)))
 
-    def columns_and_residuals(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def columns_and_residuals(self, values: Floats) -> Floats:
         """Weighted design matrix, transposed, above the weighted residuals [N]: shape (parameters + 1, n)."""
         points = self.contraction, self.pressure, self.force, self._factors
         return np.asarray(_columns_and_residuals(self.law_type, values, *points))
 
-    def response(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def response(self, values: Floats) -> tuple[Floats, Floats]:
         """Weighted residuals [N], shape (kept,), and Jacobian of the force, shape (kept, parameters)."""
         rows = self.columns_and_residuals(values)[:, self.kept]
         return rows[-1], rows[:-1].T
 
-    def at_bound(self, position: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def at_bound(self, position: Floats) -> Bools:
         """Parameters at a bound of their range, shape (parameters,); linear ones have none."""
         shape = (position < _AT_BOUND) | (position > 1 - _AT_BOUND)
         return np.concatenate([np.zeros(self.linear, bool), shape])
 
     @cached_property
-    def _factors(self) -> NDArray[np.float64]:
+    def _factors(self) -> Floats:
         kept = self.kept.astype(np.float64)
         return kept if self.weights is None else kept * np.sqrt(self.weights)
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Solution of a least-squares problem.
-
-    Attributes
-    ----------
-    problem
-        The problem.
-    values
-        Shape (parameters,), in SI, linear ones first.
-    position
-        Shape parameters in the unit cube.
-    cost
-        Sum of squared residuals [N^2].
-    triangle
-        R factor of the Jacobian, up to the scale of its columns; shape (parameters, parameters).
-    converged
-        True if the solver met its tolerance.
-    """
+    """Solution of a least-squares problem: values in SI, linear ones first; cost [N^2]."""
 
     problem: FitProblem = field(repr=False)
-    values: NDArray[np.float64]
-    position: NDArray[np.float64]
+    values: Floats
+    position: Floats
     cost: float
-    triangle: NDArray[np.float64] = field(repr=False)
+    triangle: Floats = field(repr=False)
     converged: bool
 
     @property
-    def residuals(self) -> NDArray[np.float64]:
+    def residuals(self) -> Floats:
         """Measured minus fitted force [N], shape (kept,)."""
         return self._response[0]
 
     @property
-    def jacobian(self) -> NDArray[np.float64]:
+    def jacobian(self) -> Floats:
         """Derivative of the force with respect to all parameters, shape (kept, parameters)."""
         return self._response[1]
 
     @property
-    def at_bound(self) -> NDArray[np.bool_]:
+    def at_bound(self) -> Bools:
         """Parameters at a bound of their range, shape (parameters,)."""
         return self.problem.at_bound(self.position)
 
     @cached_property
-    def _response(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _response(self) -> tuple[Floats, Floats]:
         return self.problem.response(self.values)
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Linear least-squares solution at one shape, and the projected problem around it.
+    """Linear least-squares solution at one shape, and the projected problem around it."""
 
-    Attributes
-    ----------
-    position, values
-        Shape in the unit cube; all parameters [SI].
-    cost
-        Sum of squared residuals [N^2]; infinite where the law has no force at one of the points.
-    triangle
-        R factor of the Jacobian with respect to linear parameters and position; shape (parameters, parameters).
-    residuals
-        Projected residuals, shape (shape,).
-    following
-        Derivative of the optimal linear parameters with respect to the position, shape (linear, shape).
-    """
-
-    position: NDArray[np.float64]
-    values: NDArray[np.float64]
+    position: Floats
+    values: Floats
     cost: float
-    triangle: NDArray[np.float64]
-    residuals: NDArray[np.float64]
-    following: NDArray[np.float64]
+    triangle: Floats
+    residuals: Floats
+    following: Floats
 
     @property
-    def derivative(self) -> NDArray[np.float64]:
+    def derivative(self) -> Floats:
         """Projected Jacobian, shape (shape, shape)."""
         linear = len(self.following)
         return self.triangle[linear:, linear:]
 
     @property
-    def descent(self) -> NDArray[np.float64]:
+    def descent(self) -> Floats:
         """Negative half gradient of the cost, shape (shape,)."""
         return self.derivative.T @ self.residuals
 
 
-def project(problem: FitProblem, position: NDArray[np.float64], guess: NDArray[np.float64] | None = None) -> Projection:
-    """Solve for the linear parameters at a position of the shape in the unit cube.
-
-    The projected Jacobian is that of the force at the `guess` of the linear parameters, shape (linear,): it is exact if
-    they are optimal.
-    """
+def project(problem: FitProblem, position: Floats, guess: Floats | None = None) -> Projection:
+    """Linear parameters at a position of the shape; the projected Jacobian is that at their `guess`."""
     linear, shape = problem.linear, len(position)
     values = np.concatenate([np.zeros(linear) if guess is None else guess, problem.cube.values(position)])
     rows = problem.columns_and_residuals(values)
@@ -337,31 +268,13 @@ def project(problem: FitProblem, position: NDArray[np.float64], guess: NDArray[n
     return Projection(position, values, float(rest @ rest), factor[:-1, :-1], rest[:-1], -solved[:, :-1])
 
 
-def grid_search(problem: FitProblem) -> NDArray[np.float64]:
+def grid_search(problem: FitProblem) -> Floats:
     """Position of least cost on a grid over the range of the shape."""
     return min((project(problem, position) for position in problem.cube.grid()), key=lambda p: p.cost).position
 
 
-def solve(
-    problem: FitProblem,
-    start: NDArray[np.float64],
-    *,
-    fixed: int | None = None,
-) -> Solution:
-    """Solve a least-squares problem from a position of the shape in the unit cube.
-
-    By a Gauss-Newton method on the projected residual with a secant update of the second-order term; where that does
-    not converge, by the trust region of `scipy.optimize.least_squares`.
-
-    Parameters
-    ----------
-    problem
-        Problem to solve.
-    start
-        Shape (shape,).
-    fixed
-        Index of a shape parameter that keeps its starting value.
-    """
+def solve(problem: FitProblem, start: Floats, *, fixed: int | None = None) -> Solution:
+    """Gauss-Newton on the projected residual with a secant second-order term, else a trust region."""
     solution = _gauss_newton(problem, start, fixed)
     if solution.converged or not np.isfinite(solution.cost):
         return solution
@@ -375,7 +288,7 @@ _ROUNDING = 1e-13  # of the measured forces: a smaller expected gain is rounding
 _COST_ROUNDING = 1e-14  # relative
 
 
-def _gauss_newton(problem: FitProblem, start: NDArray[np.float64], fixed: int | None) -> Solution:
+def _gauss_newton(problem: FitProblem, start: Floats, fixed: int | None) -> Solution:
     linear = problem.linear
     best = project(problem, start, project(problem, start).values[:linear] if linear else None)
     curvature, drift = np.zeros((len(start), len(start))), np.zeros((linear, len(start)))
@@ -400,7 +313,7 @@ def _gauss_newton(problem: FitProblem, start: NDArray[np.float64], fixed: int | 
     return Solution(problem, best.values, best.position, best.cost, best.triangle, converged)
 
 
-def _step(at: Projection, curvature: NDArray[np.float64], fixed: int | None) -> NDArray[np.float64]:
+def _step(at: Projection, curvature: Floats, fixed: int | None) -> Floats:
     """Newton step with the secant curvature, or Gauss-Newton step if that Hessian is not positive definite."""
     free = ~(((at.position <= 0) & (at.descent < 0)) | ((at.position >= 1) & (at.descent > 0)))  # active bounds
     if fixed is not None:
@@ -415,9 +328,7 @@ def _step(at: Projection, curvature: NDArray[np.float64], fixed: int | None) -> 
     return step
 
 
-def _secant_update(
-    curvature: NDArray[np.float64], at: Projection, change: NDArray[np.float64], moved: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _secant_update(curvature: Floats, at: Projection, change: Floats, moved: Floats) -> Floats:
     """Symmetric rank-one update of the second-order term of the Hessian."""
     missing = -change - at.derivative.T @ (at.derivative @ moved) - curvature @ moved
     scale = float(missing @ moved)
@@ -426,9 +337,7 @@ def _secant_update(
     return np.outer(missing, missing) / scale
 
 
-def _line_search(
-    problem: FitProblem, at: Projection, step: NDArray[np.float64], drift: NDArray[np.float64]
-) -> Projection | None:
+def _line_search(problem: FitProblem, at: Projection, step: Floats, drift: Floats) -> Projection | None:
     """Halve the step until the cost does not rise."""
     for _ in range(_MAX_HALVINGS):
         position = np.clip(at.position + step, 0.0, 1.0)
@@ -445,24 +354,21 @@ _FACE = 1e-4  # it keeps inside the cube: this near to a face it means the face
 _MAX_EVALUATIONS = 300
 
 
-def _trust_region(problem: FitProblem, start: NDArray[np.float64], fixed: int | None) -> Solution:
-    """Trust region with Kaufman's approximation of the projected Jacobian.
-
-    References: M. Branch, T. Coleman and Y. Li, SIAM J. Sci. Comput. 21 (1999) 1-23; L. Kaufman, BIT 15 (1975) 49-57.
-    """
+def _trust_region(problem: FitProblem, start: Floats, fixed: int | None) -> Solution:
+    """Trust region with Kaufman's approximation of the projected Jacobian (BIT 15, 1975, 49-57)."""
     from scipy.optimize import least_squares  # 0.3 s, and few fits need it
 
     free = np.delete(np.arange(len(start)), [] if fixed is None else fixed)
 
-    def at(part: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(part: Floats) -> Floats:
         position = start.copy()
         position[free] = part
         return position
 
-    def response(part: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def response(part: Floats) -> tuple[Floats, Floats]:
         return problem.response(project(problem, at(part)).values)
 
-    def jacobian(part: NDArray[np.float64]) -> NDArray[np.float64]:
+    def jacobian(part: Floats) -> Floats:
         columns = response(part)[1]
         linear, shape = columns[:, : problem.linear], columns[:, problem.linear :] * problem.cube.rates(at(part))
         lengths = np.linalg.norm(linear, axis=0)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.least_squares import design_matrix
+from mckibben.identification.uncertainty import Bools, Floats, Ints
 from mckibben.muscle import ForceLaw, MaxwellSlip, forces
 from mckibben.muscle.friction import MIN_HALF_WIDTH, play_response, polygon, smooth_limit
 
@@ -27,40 +26,26 @@ _ORDER_REMEDY = "give the time of each point, or rows in the order in which they
 
 @dataclass(frozen=True, eq=False)
 class LoadingPaths:
-    """Loading paths of a test: the points at constant pressure, in the order of time.
+    """Loading paths of a test: the points at constant pressure, in the order of time."""
 
-    Attributes
-    ----------
-    place
-        Shape (points, paths): row of the dataset of each point; short paths are padded with their last row.
-    counts
-        Shape (paths,): number of points of each path.
-    side
-        Shape (paths,): branch of the hysteresis on which each begins: 1 loading (stretched), -1 unloading.
-    length
-        Shape (rows,): length of the muscle [m].
-    step
-        Median displacement between points [m].
-    """
-
-    place: NDArray[np.int64] = field(repr=False)
-    counts: NDArray[np.int64]
-    side: NDArray[np.float64]
-    length: NDArray[np.float64] = field(repr=False)
+    place: Ints = field(repr=False)
+    counts: Ints
+    side: Floats
+    length: Floats = field(repr=False)
     step: float
 
     @property
-    def displacement(self) -> NDArray[np.float64]:
+    def displacement(self) -> Floats:
         """Displacement [m] to each point from the one before, shape (points, paths); 0 at the first."""
         length = self.length[self.place]
         return np.diff(length, axis=0, prepend=length[:1])
 
     @property
-    def rows(self) -> list[NDArray[np.int64]]:
+    def rows(self) -> list[Ints]:
         """Rows of each path in the order of time."""
         return [self.place[:count, path] for path, count in enumerate(self.counts)]
 
-    def scattered(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def scattered(self, values: Floats) -> Floats:
         """Values by point and path, shape (points, paths, ...), as rows of the dataset, shape (rows, ...)."""
         scattered = np.empty((len(self.length), *values.shape[2:]))
         for path, place in enumerate(self.rows):
@@ -69,13 +54,7 @@ class LoadingPaths:
 
     @classmethod
     def of(cls, means: IsobaricDataset) -> LoadingPaths:
-        """Loading paths of a dataset of plateau means.
-
-        Raises
-        ------
-        IdentificationError
-            If it has not both directions, no initial length, or rows that are not in the order of a test.
-        """
+        """Loading paths of a dataset of plateau means; raises `IdentificationError` if it has none."""
         table = means.table
         if "direction" not in table or len(means.directions) < 2:
             which = f"{means.directions[0]} alone" if len(means.directions) else "no directions"
@@ -101,22 +80,17 @@ class LoadingPaths:
         moves = np.concatenate([np.diff(length[path]) for path in paths])
         labels = np.concatenate([loading[path[1:]] for path in paths])
         moved = np.abs(moves) > 1e-9
+        count = int(np.count_nonzero(moved))
         wrong = int(np.count_nonzero(moved & ((moves > 0) != labels)))
-        if wrong > _MISLABELLED * np.count_nonzero(moved) or not moved.any():
-            raise IdentificationError(
-                f"{wrong} of {np.count_nonzero(moved)} moves go against the direction of their point: the rows are not "
-                "in the order of the test",
-                value=wrong,
-                remedy=_ORDER_REMEDY,
-            )
         reversals = sum(int(np.count_nonzero(np.diff(loading[path]))) for path in paths)
-        if reversals > _REVERSALS * np.count_nonzero(moved):
-            raise IdentificationError(
-                f"the direction changes {reversals} times in {np.count_nonzero(moved)} moves: the rows are not in the "
-                "order of the test",
-                value=reversals,
-                remedy=_ORDER_REMEDY,
-            )
+        for found, share, text in (
+            (wrong, _MISLABELLED, f"{wrong} of {count} moves go against the direction of their point"),
+            (reversals, _REVERSALS, f"the direction changes {reversals} times in {count} moves"),
+        ):
+            if found > share * count or not count:
+                raise IdentificationError(
+                    f"{text}: the rows are not in the order of the test", value=found, remedy=_ORDER_REMEDY
+                )
         longest = max(map(len, paths))
         place = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths], axis=1)
         side = np.array([-1.0 if loading[path[0]] else 1.0 for path in paths])
@@ -126,37 +100,15 @@ class LoadingPaths:
 
 @dataclass(frozen=True, eq=False)
 class DriftBasis:
-    """Basis of a piecewise linear sensor drift: offset = points @ amplitudes.
+    """Basis of a piecewise linear sensor drift: offset = points @ amplitudes."""
 
-    Attributes
-    ----------
-    points
-        Shape (rows, amplitudes).
-    time
-        Knots [s], shape (knots,).
-    at_knots
-        Basis at the knots, shape (knots, amplitudes).
-    """
-
-    points: NDArray[np.float64]
-    time: NDArray[np.float64]
-    at_knots: NDArray[np.float64]
+    points: Floats
+    time: Floats
+    at_knots: Floats
 
     @classmethod
     def candidates(cls, paths: LoadingPaths, means: IsobaricDataset) -> list[DriftBasis]:
-        """No drift, a straight line, and a knot for each path with slack points: from the simplest to the freest.
-
-        Slack points determine the sensor's zero; without them the line begins at 0. Without times there is no drift.
-
-        Examples
-        --------
-        >>> data = IsobaricDataset.of(
-        ...     pressure=[1e5] * 8, contraction=[0, 0.1, 0.2, 0.3, 0.3, 0.2, 0.1, 0], force=[80, 40, 10, 0] * 2,
-        ...     direction=["unloading"] * 4 + ["loading"] * 4, time=np.arange(8.0), initial_length=0.2)
-        >>> none, line = DriftBasis.candidates(LoadingPaths.of(data), data)
-        >>> line.points.ravel()
-        array([0., 1., 2., 3., 4., 5., 6., 7.])
-        """
+        """No drift, a line, a knot for each path with slack points, which determine the sensor's zero."""
         none = cls(np.empty((len(means), 0)), np.empty(0), np.empty((0, 0)))
         if "time" not in means.table:
             return [none]
@@ -176,7 +128,7 @@ class DriftBasis:
         return self.points.shape[1] > 1
 
 
-def _hats(time: NDArray[np.float64], knots: NDArray[np.float64]) -> NDArray[np.float64]:
+def _hats(time: Floats, knots: Floats) -> Floats:
     """Linear interpolation between knots, extrapolated beyond them; shape (points, knots)."""
     left = np.clip(np.searchsorted(knots, time) - 1, 0, len(knots) - 2)
     part = (time - knots[left]) / (knots[left + 1] - knots[left])
@@ -187,21 +139,8 @@ def _hats(time: NDArray[np.float64], knots: NDArray[np.float64]) -> NDArray[np.f
     return basis
 
 
-def loop_half_width(means: IsobaricDataset, taut: NDArray[np.bool_]) -> float:
-    """Median half-difference [N] between the directions at the same pressure and contraction.
-
-    Parameters
-    ----------
-    means
-        Dataset with directions.
-    taut
-        Shape (rows,): points to compare.
-
-    Raises
-    ------
-    IdentificationError
-        If no points were measured in both directions, or the directions do not differ significantly.
-    """
+def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
+    """Median half-difference [N] between the directions at the same pressure and contraction."""
     keys = np.stack([means.levels.round(-2), means.contraction.round(5)], axis=1)
     place = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
     loading = means.table["direction"].to_numpy() == "loading"
@@ -239,29 +178,13 @@ _WIDEST = 1e5  # N
 
 @dataclass(frozen=True, eq=False)
 class PathDependentModel:
-    """Force along loading paths: law, Maxwell-slip friction (`MaxwellSlip.along`), and sensor drift.
-
-    Parameters
-    ----------
-    template
-        Law with values for all of its parameters.
-    paths, means
-        Loading paths of a test, and its plateau means.
-    drift
-        Basis of the sensor drift.
-    used
-        Shape (rows,): points whose residuals count; the paths lead through all.
-    reference_pressure
-        Reference pressure of the friction [Pa].
-    elements
-        Number of Maxwell-slip elements.
-    """
+    """Force along loading paths: law, Maxwell-slip friction (`MaxwellSlip.along`), and sensor drift."""
 
     template: ForceLaw
     paths: LoadingPaths
     means: IsobaricDataset = field(repr=False)
     drift: DriftBasis = field(repr=False)
-    used: NDArray[np.bool_] = field(repr=False)
+    used: Bools = field(repr=False)
     reference_pressure: float
     elements: int
 
@@ -290,7 +213,7 @@ class PathDependentModel:
         share, stiffness = polygon(self.elements)
         return float(np.log(self.paths.step / (2 * (share / stiffness).max())))
 
-    def bounds(self, names: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def bounds(self, names: Sequence[str]) -> tuple[Floats, Floats]:
         """Lower and upper bounds of the named parameters."""
         given = {p.name: (p.lower, p.upper) for p in type(self.template).shape_parameters}
         given |= {
@@ -300,17 +223,17 @@ class PathDependentModel:
         lower, upper = zip(*(given.get(name, (-np.inf, np.inf)) for name in names), strict=True)
         return np.array(lower, float), np.array(upper, float)
 
-    def components(self, values: Mapping[str, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def components(self, values: Mapping[str, float]) -> tuple[Floats, Floats]:
         """Tension of the law and friction force [N] at each row, shape (rows,)."""
         tension = self._tension(values)
         return tension, self._friction(tension[:, None], [values])[:, 0]
 
-    def residuals(self, values: Mapping[str, float], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residuals(self, values: Mapping[str, float], offsets: Floats) -> Floats:
         """Modelled minus measured force [N] at the points used."""
         tension, friction = self.components(values)
         return (tension + friction + self.drift.points @ offsets - self.means.force)[self.used]
 
-    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> NDArray[np.float64]:
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> Floats:
         """Derivative of the modelled force at the points used by the named parameters and the drift amplitudes."""
         tension = self._tension(values)
         of_law = [name for name in names if name in self.law_names]
@@ -319,7 +242,8 @@ class PathDependentModel:
         others = [name for name in names if name not in self.law_names]
         # All difference quotients of the friction in one pass along the paths.
         by_law = _TENSION_STEP / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-300)
-        steps = np.array([*by_law, *map(self._difference_step, others)])
+        pressures = max(float(np.abs(self.means.pressure - self.reference_pressure).max()), 1.0)
+        steps = np.array([*by_law, *(_RELATIVE_STEP / (pressures if name == "growth" else 1.0) for name in others)])
         moved = [dict(values) for _ in names]
         for k, name in enumerate(others):
             moved[len(of_law) + k][name] += steps[len(of_law) + k]
@@ -330,17 +254,10 @@ class PathDependentModel:
         slopes[:, : len(of_law)] += columns
         return np.concatenate([slopes, self.drift.points], axis=1)[self.used]
 
-    def _difference_step(self, name: str) -> float:
-        return _RELATIVE_STEP / (self._pressure_range if name == "growth" else 1.0)
-
-    @cached_property
-    def _pressure_range(self) -> float:
-        return max(float(np.abs(self.means.pressure - self.reference_pressure).max()), 1.0)
-
-    def _tension(self, values: Mapping[str, float]) -> NDArray[np.float64]:
+    def _tension(self, values: Mapping[str, float]) -> Floats:
         return np.maximum(forces(self.law(values), self.means.contraction, self.means.pressure), 0.0)
 
-    def _friction(self, tension: NDArray[np.float64], sets: Sequence[Mapping[str, float]]) -> NDArray[np.float64]:
+    def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
         half_width, growth, log_presliding = (np.array([values[name] for values in sets]) for name in FRICTION)
         above = self.means.pressure - self.reference_pressure

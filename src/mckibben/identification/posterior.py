@@ -26,14 +26,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mckibben.errors import IdentificationError, ParameterError, RangeError
 from mckibben.identification.fit import Fit
 from mckibben.identification.intervals import Interval, IntervalEstimate, check_level, law_forces
 from mckibben.identification.least_squares import UnitCube
 from mckibben.identification.regression import Regression
-from mckibben.identification.uncertainty import Grouping, group_labels
+from mckibben.identification.uncertainty import Floats, Grouping, group_labels
 from mckibben.muscle import ForceLaw
 
 _RHAT = 1.05
@@ -41,15 +41,7 @@ _FEWEST_EFFECTIVE = 100
 
 
 class Noise(enum.Enum):
-    """Distribution of the errors of plateau means.
-
-    Attributes
-    ----------
-    GAUSSIAN
-        Normal distribution.
-    STUDENT
-        Student t distribution: outliers weigh less.
-    """
+    """Distribution of the errors of plateau means; for Student t outliers weigh less."""
 
     GAUSSIAN = "gaussian"
     STUDENT = "student"
@@ -67,19 +59,13 @@ class Posterior:
         Shape (draws, parameters), in SI, in the order of the law's parameters.
     noise
         Draws of the noise parameters: ``sigma`` [N], with groups ``tau`` [N], with Student ``freedom`` [-].
-    by
-        Grouping of the random effects; None without.
-    r_hat, effective
-        Largest potential scale reduction, and smallest effective sample size.
-    divergences
-        Number of divergent transitions.
-    warnings
-        Convergence problems.
+    r_hat, effective, divergences
+        Largest potential scale reduction, smallest effective sample size, and number of divergent transitions.
     """
 
     law: ForceLaw
-    draws: NDArray[np.float64] = field(repr=False)
-    noise: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    draws: Floats = field(repr=False)
+    noise: Mapping[str, Floats] = field(repr=False)
     by: Grouping | None
     r_hat: float
     effective: float
@@ -118,22 +104,14 @@ def posterior(
     chains: int = 2,
     seed: int = 0,
 ) -> Posterior:
-    """Sample the posterior of the parameters.
+    """Sample the posterior of the parameters of a `Fit`, where the chains start; they run one after the other.
 
     Parameters
     ----------
-    fit
-        Result of `identify`, where the chains start.
-    noise
-        Distribution of the errors.
     by
         Grouping of the random effects, such as `Grouping.STROKE`; none unless given.
     draws, warmup
         Draws of each chain, and discarded adaptation steps before them.
-    chains
-        Number of chains, run one after the other.
-    seed
-        Seed of the sampler.
 
     Raises
     ------

@@ -22,14 +22,12 @@ import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.errors import IdentificationError, ParameterError
 from mckibben.identification.fit import Fit
 from mckibben.identification.intervals import Interval, parameter_interval, t_quantile
 from mckibben.identification.least_squares import Solution, solve
-from mckibben.identification.regression import Regression
-from mckibben.identification.uncertainty import CONDITION_LIMIT, Grouping, condition_number
+from mckibben.identification.uncertainty import CONDITION_LIMIT, Floats, Grouping, condition_number
 from mckibben.units import show
 
 _CURVE_POINTS = 41
@@ -43,20 +41,12 @@ class Profile:
 
     Attributes
     ----------
-    name, estimate
-        Parameter, and its estimate in SI.
-    level
-        Confidence level of the intervals.
     interval
         Profile interval in SI; an end is infinite where the data do not bound the parameter within its range.
     wald
         Interval of so many standard errors to each side; NaN at a bound.
-    values, root
-        Shape (m,): values of the parameter in SI, ascending, and the signed root tau there.
-    threshold
-        Critical value of tau.
-    by
-        Grouping of the points.
+    values, root, threshold
+        Ascending values of the parameter in SI and the signed root tau there, shape (m,); critical value of tau.
     reasons
         Why the interval is open or not reliable.
     """
@@ -66,8 +56,8 @@ class Profile:
     level: float
     interval: Interval
     wald: Interval
-    values: NDArray[np.float64] = field(repr=False)
-    root: NDArray[np.float64] = field(repr=False)
+    values: Floats = field(repr=False)
+    root: Floats = field(repr=False)
     threshold: float
     by: Grouping
     reasons: tuple[str, ...]
@@ -79,16 +69,7 @@ class Profile:
 
 
 def profile(fit: Fit, name: str, *, level: float = 0.95, by: Grouping | None = None) -> Profile:
-    """Profile likelihood of a shape parameter, and its confidence interval.
-
-    Parameters
-    ----------
-    fit
-        Result of `identify`.
-    name
-        Shape parameter, such as "decay".
-    level, by
-        As for `Fit.intervals`.
+    """Profile likelihood of a shape parameter, such as "decay", of a `Fit`, and its confidence interval.
 
     Raises
     ------
@@ -160,7 +141,8 @@ class _Curve:
         at_bound = bool(regression.at_bound[column])
         if at_bound:
             self.reasons.append(f"the estimate of {self.parameter.name} is at the end of its range")
-        regression = _with_free(regression, column)
+        others = regression.at_bound & (np.arange(len(regression.at_bound)) != column)
+        regression = dataclasses.replace(regression, at_bound=others)
         gradient = (np.flatnonzero(~regression.at_bound) == column).astype(float)[None]
         points, count = len(self.solution.residuals), np.count_nonzero(~regression.at_bound)
         self.variance = self.least / (points - count)
@@ -236,10 +218,3 @@ class _Curve:
             if bottom.fun < threshold and not low <= bottom.x <= high:  # type: ignore[attr-defined]
                 found.append(float(bottom.x))  # type: ignore[attr-defined]
         return found
-
-
-def _with_free(regression: Regression, column: int) -> Regression:
-    """Copy of a regression in which one parameter counts as free."""
-    at_bound = regression.at_bound.copy()
-    at_bound[column] = False
-    return dataclasses.replace(regression, at_bound=at_bound)

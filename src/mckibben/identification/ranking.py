@@ -28,30 +28,23 @@ BLOCKS = ("pressure", "direction", "phase", "repeat")
 """Kinds of cross-validation blocks."""
 
 _STRONG = 0.999  # correlation of two parameters
-_VARIANCE = 1  # the residual variance is a parameter too
 _AS_GOOD = 1.5  # times the least error
 _SUPPORTED = 2.0  # difference of AICc up to which a model has substantial support (Burnham and Anderson 2002, sec. 2.6)
 
 
 @dataclass(frozen=True)
 class RankedLaw:
-    """Entry of a ranking.
+    """Entry of a ranking: a law by the name of its class.
 
     Attributes
     ----------
-    law
-        Name of the class.
-    fit
-        Fit to all taut points; None where it was refused.
-    refused
-        Reason why there is no fit.
+    fit, refused
+        Fit to all taut points; None where it was refused, for that reason.
     cross_validation
         Errors by kind of block, "pressure", "direction", "phase" and "repeat", as far as recorded; without the mean
         difference between the directions, which is friction.
     aicc
         Corrected Akaike information criterion; NaN with too few points.
-    residual_correlation
-        Correlation of neighbouring residuals.
     flags
         Reasons not to take the law for this muscle, such as a parameter at its bound.
     remarks
@@ -103,12 +96,8 @@ class Ranking:
 
     Attributes
     ----------
-    entries
-        One per law.
-    points
-        Taut plateau means of all fits.
-    slack
-        Number of slack points left out.
+    points, slack
+        Taut plateau means of all fits, and number of slack points left out.
     missing
         Reason why a kind of block is not available, by its name.
     """
@@ -137,13 +126,7 @@ class Ranking:
         return next((e for e in fitted if not e.flags and _nearly_as_good(e, first)), first)
 
     def of(self, law: str) -> RankedLaw:
-        """Entry of a law by the name of its class.
-
-        Raises
-        ------
-        IdentificationError
-            If it was not ranked.
-        """
+        """Entry of a law by the name of its class; an `IdentificationError` if it was not ranked."""
         for entry in self.entries:
             if entry.law == law:
                 return entry
@@ -194,19 +177,8 @@ def rank(
 ) -> Ranking:
     """Fit laws to a dataset and rank them by their cross-validation errors.
 
-    Parameters
-    ----------
-    dataset
-        Measured points.
-    laws
-        Classes of laws; all unless given.
-    progress
-        Called with the current law and the fraction done, 0 to 1.
-
-    Returns
-    -------
-    Ranking
-        A law that the points do not determine is listed with the reason.
+    A law that the points do not determine is listed with the reason; `progress` is called with the current law and the
+    fraction done, 0 to 1.
 
     Raises
     ------
@@ -311,7 +283,7 @@ def _nearly_as_good(entry: RankedLaw, first: RankedLaw) -> bool:
 
 def _aicc(residuals: np.ndarray, parameters: int) -> float:
     """Corrected Akaike information criterion for normal errors of unknown variance (Hurvich and Tsai 1989)."""
-    count, total = len(residuals), parameters + _VARIANCE
+    count, total = len(residuals), parameters + 1  # and the residual variance
     freedom = count - total - 1
     if freedom <= 0:
         return math.nan

@@ -7,42 +7,34 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.intervals import ForceIntervals, RobustErrors, check_level, force_gradients, t_interval
+from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.least_squares import FitProblem, Solution, solve
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
+    Bools,
     ClusterRobustErrors,
     ErrorModel,
+    Floats,
     Grouping,
     IndependentErrors,
+    Ints,
     condition_number,
     finest_grouping,
     group_labels,
 )
-from mckibben.muscle import ForceLaw, forces
 
 MOST_BLOCKS = 200
 
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Errors at blocks of points, each predicted by the fit to all other blocks.
+    """Errors [N] at blocks of points, each predicted by the fit to all others; NaN for points of no block."""
 
-    Whole blocks and not single points: the neighbours of a point on its own curve all but determine it.
-
-    Attributes
-    ----------
-    residuals
-        Shape (points,): measured minus predicted force [N]; NaN for points that belong to no block.
-    by_block
-        RMSE [N] of each block.
-    """
-
-    residuals: NDArray[np.float64] = field(repr=False)
+    residuals: Floats = field(repr=False)
     by_block: Mapping[float | str, float]
 
     @property
@@ -64,7 +56,7 @@ class NotIdentifiableError(Exception):
         self.block, self.reason = block, reason
 
 
-def pressure_blocks(points: IsobaricDataset) -> tuple[NDArray[np.float64] | None, str]:
+def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
     """Pressure level [Pa] of each point, or None and the reason why pressures are no blocks."""
     levels = points.levels
     count = len(np.unique(levels))
@@ -79,20 +71,7 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[NDArray[np.float64] | None
 
 
 def cross_validate(problem: FitProblem, full: Solution, blocks: ArrayLike) -> CrossValidation:
-    """Fit the law, its shape included, to all blocks but one, and predict that one; for each block.
-
-    Parameters
-    ----------
-    problem, full
-        Problem of all points, and its solution, where each refit starts.
-    blocks
-        Shape (points,): number or text of the block of each point; an empty text for none.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the other blocks do not determine the law.
-    """
+    """Fit the law, shape included, to all blocks but one, and predict that one; for each block."""
     blocks = np.asarray(blocks)
     everything = problem.subset(np.ones(len(blocks), bool))
     residuals = np.full(len(blocks), np.nan)
@@ -120,41 +99,25 @@ _FAR_SMALLER = 0.5  # with the right law, 12 of 1000 data sets of 5 groups are b
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """Points of a fit and the least-squares solution.
-
-    Attributes
-    ----------
-    points
-        Taut plateau means.
-    problem, solution
-        Least-squares problem and its solution.
-    at_bound
-        Shape (parameters,): parameters at a bound of their range, which have no standard error.
-    """
+    """Points of a fit and the least-squares solution."""
 
     points: IsobaricDataset = field(repr=False)
     problem: FitProblem = field(repr=False)
     solution: Solution = field(repr=False)
-    at_bound: NDArray[np.bool_] = field(repr=False)
+    at_bound: Bools = field(repr=False)
 
     @property
-    def free(self) -> NDArray[np.int64]:
+    def free(self) -> Ints:
         """Indices of the parameters that are not at a bound."""
         return np.flatnonzero(~self.at_bound)
 
     @cached_property
     def default_grouping(self) -> tuple[Grouping, str]:
-        """Grouping of the errors unless another is asked for, and the reason where points count as independent.
-
-        Strokes where directions, phases or repeats are known, else pressures. Points count as independent with fewer
-        than five groups, if most groups are a single point, if one group alone determines a parameter, or if all
-        parameters are at a bound. The choice depends on where was measured, never on the measured forces: a choice by
-        the residuals would invalidate the intervals.
-        """
+        """Grouping by where was measured, never by the residuals, which would invalidate the intervals."""
         if self.at_bound.all():
             return Grouping.POINT, "all parameters are at a bound, so that none has an error"
         by = finest_grouping(self.points)
-        labels = self._labels(by)
+        labels = group_labels(self.points, by)
         count = int(labels.max()) + 1
         if count < _FEWEST_GROUPS:
             return Grouping.POINT, f"{by.counted(count)} are too few to estimate a common error"
@@ -175,12 +138,7 @@ class Regression:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """Signs that the cluster-robust errors are too small.
-
-        A misspecified law leaves residuals of one shape in every group. What all groups have in common does not
-        scatter between groups, so the cluster-robust errors hardly contain it. The test is on the uncertainty of the
-        force over all points: that of single parameters is often that small by chance.
-        """
+        """Signs that the cluster-robust errors are too small."""
         by = self.default_grouping[0]
         if by is Grouping.POINT:
             return ()
@@ -198,13 +156,7 @@ class Regression:
         )
 
     def error_model(self, by: Grouping | None = None) -> ErrorModel:
-        """Error model of the free parameters for a grouping of the points; the default one unless given.
-
-        Raises
-        ------
-        IdentificationError
-            If the groups are not recorded, are fewer than two, or one alone determines a parameter.
-        """
+        """Error model of the free parameters for a grouping of the points; the default one unless given."""
         by = self.default_grouping[0] if by is None else by
         if by is Grouping.POINT:
             return self._independent
@@ -227,25 +179,9 @@ class Regression:
         errors[self.free] = np.sqrt(variance)
         return RobustErrors(
             by,
-            int(self._labels(by).max()) + 1,
+            int(group_labels(self.points, by).max()) + 1,
             dict(zip(names, errors.tolist(), strict=True)),
             dict(zip(names, freedom.tolist(), strict=True)),
-        )
-
-    def force_intervals(
-        self, law: ForceLaw, contraction: ArrayLike, pressure: ArrayLike, *, level: float, by: Grouping | None
-    ) -> ForceIntervals:
-        """`Fit.force_intervals`."""
-        check_level(level)
-        contraction, pressure = np.asarray(contraction, float), np.asarray(pressure, float)
-        value = forces(law, contraction, pressure)
-        free = [self.problem.names[i] for i in self.free]
-        model = self.error_model(by)
-        variance, freedom = model.variance(force_gradients(law, free, contraction, pressure))
-        square, residual_freedom = model.residual_variance
-        scatter = np.full_like(variance, square), np.full_like(freedom, residual_freedom)
-        return ForceIntervals(
-            t_interval(level, value, [(variance, freedom)]), t_interval(level, value, [(variance, freedom), scatter])
         )
 
     @cached_property
@@ -259,17 +195,8 @@ class Regression:
     def _cluster_robust(self, by: Grouping) -> ClusterRobustErrors:
         if by not in self._models:
             jacobian, residuals = self.solution.jacobian[:, self.free], self.solution.residuals
-            self._models[by] = ClusterRobustErrors.of(jacobian, residuals, self._labels(by))
+            self._models[by] = ClusterRobustErrors.of(jacobian, residuals, group_labels(self.points, by))
         return self._models[by]
-
-    def _labels(self, by: Grouping) -> NDArray[np.int64]:
-        if by not in self._group_labels:
-            self._group_labels[by] = group_labels(self.points, by)
-        return self._group_labels[by]
-
-    @cached_property
-    def _group_labels(self) -> dict[Grouping, NDArray[np.int64]]:
-        return {}
 
     @cached_property
     def _models(self) -> dict[Grouping, ClusterRobustErrors]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.loading_path import LoadingPaths
+from mckibben.identification.uncertainty import Bools, Floats, Ints
 from mckibben.muscle.creep import retained_fraction
 
 _BLOCKS = 16  # to which the samples of a plateau are averaged: an exponential is smooth
@@ -20,35 +21,17 @@ _CLOCK_ERROR = 0.05  # s, of the times of points
 
 @dataclass(frozen=True, eq=False)
 class TimedLoadingPaths:
-    """Loading paths with the durations of moves and plateaus.
-
-    Attributes
-    ----------
-    paths
-        Loading paths.
-    moving, before
-        Shape (points, paths): duration of the move to each point, and from the end of the last one to its end [s].
-    slack
-        Shape (points, paths).
-    dwell
-        Time from the end of a move to the first sample [s].
-    """
+    """Loading paths with the durations of moves and plateaus [s]."""
 
     paths: LoadingPaths
-    moving: NDArray[np.float64] = field(repr=False)
-    before: NDArray[np.float64] = field(repr=False)
-    slack: NDArray[np.bool_] = field(repr=False)
+    moving: Floats = field(repr=False)
+    before: Floats = field(repr=False)
+    slack: Bools = field(repr=False)
     dwell: float
 
     @classmethod
     def of(cls, means: IsobaricDataset, dwell: float, speed: float, acquisition: float) -> TimedLoadingPaths:
-        """Paths of plateau means, with dwell and duration of the samples [s], and speed of the moves [m/s].
-
-        Raises
-        ------
-        IdentificationError
-            As `LoadingPaths.of`, or if move, dwell and samples take longer than the time between two points.
-        """
+        """Paths of plateau means, with dwell and duration of the samples [s], and speed of the moves [m/s]."""
         if len(means.directions) < 2:
             raise IdentificationError(
                 "the dataset has not both directions: sensor drift cannot be told from creep",
@@ -79,12 +62,12 @@ class TimedLoadingPaths:
         return float(self.before.sum(axis=0).max())
 
     @property
-    def sides(self) -> NDArray[np.float64]:
+    def sides(self) -> Floats:
         """Sign of the last move, shape (rows,): 1 stretching, -1 shortening, 0 none."""
         displacement = self.paths.displacement
         return self.paths.scattered(np.sign(np.where(np.abs(displacement) > 1e-9, displacement, 0.0)))
 
-    def deflection(self, time_constant: float) -> NDArray[np.float64]:
+    def deflection(self, time_constant: float) -> Floats:
         """Deflection [m] of a Maxwell element's spring at the first sample, shape (rows,)."""
         decay = np.exp(-self.before / time_constant)
         added = self.paths.displacement * retained_fraction(self.moving, time_constant)
@@ -95,7 +78,7 @@ class TimedLoadingPaths:
             deflections[k] = now
         return self.paths.scattered(deflections) * math.exp(-self.dwell / time_constant)
 
-    def stiffness(self, means: IsobaricDataset, used: NDArray[np.bool_]) -> float:
+    def stiffness(self, means: IsobaricDataset, used: Bools) -> float:
         """Median stiffness of the muscle over the moves between used points [N/m]."""
         place = self.paths.place
         displacement = self.paths.displacement[1:]
@@ -104,24 +87,12 @@ class TimedLoadingPaths:
 
 
 class RelaxationCurves(NamedTuple):
-    """Samples of each plateau, averaged in blocks, less their mean.
+    """Samples of each plateau, averaged in blocks, less their mean."""
 
-    Attributes
-    ----------
-    values
-        Shape (rows, blocks), in the unit of the samples.
-    weight
-        Fraction of the samples in each block, shape (blocks,).
-    edges
-        First sample of each block, shape (blocks,).
-    times
-        Shape (samples,) [s].
-    """
-
-    values: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    edges: NDArray[np.int64]
-    times: NDArray[np.float64]
+    values: Floats
+    weight: Floats
+    edges: Ints
+    times: Floats
 
     @classmethod
     def of(cls, samples: NDArray, interval: float) -> RelaxationCurves:
@@ -138,13 +109,13 @@ class RelaxationCurves(NamedTuple):
         """Time from the first sample to the last [s]."""
         return float(self.times[-1])
 
-    def blocks(self, curve: NDArray[np.float64]) -> NDArray[np.float64]:
+    def blocks(self, curve: Floats) -> Floats:
         """Curve over the samples, averaged in the same blocks, less its mean."""
         blocks = np.add.reduceat(curve, self.edges) / (self.weight * len(self.times))
         return blocks - blocks @ self.weight
 
     @property
-    def slopes(self) -> NDArray[np.float64]:
+    def slopes(self) -> Floats:
         """Slope of the least-squares line through each plateau [N/s], shape (rows,)."""
         line = self.blocks(self.times)
         return self.values @ (self.weight * line) / (line**2 @ self.weight)
@@ -161,20 +132,20 @@ class MaxwellElementFit:
     curves: RelaxationCurves
     paths: TimedLoadingPaths
 
-    def stiffness_and_rate(self, tau: float, used: NDArray[np.bool_]) -> tuple[float, float]:
+    def stiffness_and_rate(self, tau: float, used: Bools) -> tuple[float, float]:
         """Stiffness [N/m], at least 0, and common rate [N/s] for a time constant [s]."""
         return self._solve(tau, used)[:2]
 
-    def cost(self, tau: float, used: NDArray[np.bool_]) -> float:
+    def cost(self, tau: float, used: Bools) -> float:
         """Sum over the plateaus of the mean squared residual [N^2]."""
         return self._solve(tau, used)[2]
 
-    def stiffness_error(self, tau: float, used: NDArray[np.bool_]) -> float:
+    def stiffness_error(self, tau: float, used: Bools) -> float:
         """Standard error of the stiffness [N/m] at a given time constant [s]."""
         columns, residuals = self._columns_and_residuals(tau, used)
         return math.sqrt(_covariance(columns, residuals, self.curves.weight)[0][0, 0])
 
-    def time_constant(self, used: NDArray[np.bool_], lower: float, upper: float) -> float:
+    def time_constant(self, used: Bools, lower: float, upper: float) -> float:
         """Least-squares time constant [s]: from a grid, then refined."""
         from scipy.optimize import minimize_scalar  # 0.1 s, which no import of the package should wait for
 
@@ -188,11 +159,8 @@ class MaxwellElementFit:
         )
         return math.exp(float(found.x))  # type: ignore[attr-defined]
 
-    def uncertainty(self, tau: float, used: NDArray[np.bool_]) -> tuple[dict[str, float], float, float]:
-        """Standard errors of stiffness and time constant, their correlation, and the variance inflation.
-
-        The last is the ratio of the cluster-robust to the classical variance of the time constant.
-        """
+    def uncertainty(self, tau: float, used: Bools) -> tuple[dict[str, float], float, float]:
+        """Standard errors of stiffness and time constant, their correlation, and the variance inflation."""
         small = 1e-4
         after, before = (self._by_stiffness(tau * math.exp(sign * small)) for sign in (1, -1))
         columns, residuals = self._columns_and_residuals(tau, used)
@@ -205,7 +173,7 @@ class MaxwellElementFit:
         return errors, correlation, float(covariance[2, 2] / classical[2, 2])
 
     def time_constant_interval(
-        self, tau: float, used: NDArray[np.bool_], lower: float, upper: float, inflation: float
+        self, tau: float, used: Bools, lower: float, upper: float, inflation: float
     ) -> tuple[float, float]:
         """Profile interval of 95 % of the time constant; 0 or infinite where the data set no bound."""
         from scipy.optimize import brentq
@@ -227,10 +195,10 @@ class MaxwellElementFit:
             ends.append(math.exp(brentq(excess, steps[first - 1], steps[first], xtol=1e-4)))  # type: ignore[arg-type]
         return ends[0], ends[1]
 
-    def _by_stiffness(self, tau: float) -> NDArray[np.float64]:
+    def _by_stiffness(self, tau: float) -> Floats:
         return self.paths.deflection(tau)[:, None] * self.curves.blocks(np.exp(-self.curves.times / tau))
 
-    def _solve(self, tau: float, used: NDArray[np.bool_]) -> tuple[float, float, float]:
+    def _solve(self, tau: float, used: Bools) -> tuple[float, float, float]:
         """Stiffness, common rate and cost: normal equations of columns that are products of plateau and block."""
         values, weight = self.curves.values[used], self.curves.weight
         deflection = self.paths.deflection(tau)[used]
@@ -250,9 +218,7 @@ class MaxwellElementFit:
         )
         return (first / size1 if size1 > 0 else 0.0), float(second / size2), float(cost)
 
-    def _columns_and_residuals(
-        self, tau: float, used: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _columns_and_residuals(self, tau: float, used: Bools) -> tuple[Floats, Floats]:
         """Columns, shape (plateaus, blocks, 2), and residuals, shape (plateaus, blocks)."""
         values = self.curves.values[used]
         line = np.broadcast_to(self.curves.blocks(self.curves.times), values.shape)
@@ -260,9 +226,7 @@ class MaxwellElementFit:
         return columns, values - columns @ np.array(self.stiffness_and_rate(tau, used))
 
 
-def _covariance(
-    columns: NDArray[np.float64], residuals: NDArray[np.float64], weight: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _covariance(columns: Floats, residuals: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Covariance with residuals correlated within plateaus, and with independent ones."""
     plateaus, blocks, count = columns.shape
     size = np.sqrt(np.einsum("pbi,pbi,b->i", columns, columns, weight))

@@ -63,19 +63,7 @@ def hysteresis_numbers(found: HysteresisFit) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class UncertaintyReport:
-    """Profile likelihoods and bootstrap of a fit.
-
-    Attributes
-    ----------
-    fit
-        The fit.
-    level
-        Confidence level of all intervals.
-    profiles
-        Of each shape parameter; perhaps none.
-    bootstrap
-        None unless requested.
-    """
+    """Profile likelihoods and bootstrap of a fit."""
 
     fit: Fit
     level: float
@@ -86,15 +74,7 @@ class UncertaintyReport:
     def of(
         cls, fit: Fit, *, level: float = 0.95, profiles: bool = False, refits: int = 0, seed: int = 0
     ) -> UncertaintyReport:
-        """Compute profiles, and a bootstrap of so many refits (none at 0).
-
-        Raises
-        ------
-        RangeError
-            If the level is not between 0 and 1, or there is only one refit.
-        IdentificationError
-            If there are too few blocks to draw from.
-        """
+        """Compute profiles, and a bootstrap of so many refits (none at 0)."""
         check_level(level)
         shape = type(fit.law).shape_parameters if profiles else ()
         found = tuple(profile(fit, p.name, level=level) for p in shape)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Number, OneOf
@@ -22,7 +22,7 @@ from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.uncertainty import Grouping
 from mckibben.muscle import LAWS, Domain, ForceLaw
-from mckibben.storage.files import atomic_write
+from mckibben.storage.files import atomic_write, check_seal, sealed
 from mckibben.units import BoundedInt, factor, quantity, show
 
 _HEAD = "# A force law identified by mckibben. Numbers have their unit beside them, comments that of publications.\n"
@@ -73,29 +73,21 @@ def write_fit(fit: Fit, path: Path) -> None:
             "pressure_unit": "Pa",
         },
     }
+    text = _HEAD + to_text(data, comments, width=200)
     with atomic_write(path, overwrite=True) as sibling:
-        sibling.write_text(_HEAD + to_text(data, comments, width=200), encoding="utf-8", newline="\n")
+        sibling.write_bytes(sealed(text.encode()))
 
 
 def read_law(path: str | os.PathLike[str]) -> ForceLaw:
     """Read the law of a file that `Fit.to_yaml` wrote, or of one written by hand with its first sections.
 
-    Raises
-    ------
-    ScenarioError
-        With every problem of the file and its line.
+    Raises a `ScenarioError` with every problem of the file and its line.
     """
     return _read(path, complete=False).force_law()
 
 
 def read_fit(path: Path) -> Fit:
-    """Read a file that `write_fit` wrote.
-
-    Raises
-    ------
-    ScenarioError
-        With every problem of the file and its line.
-    """
+    """Read a file that `write_fit` wrote; raises a `ScenarioError` with every problem and its line."""
     return _read(path, complete=True).fit()
 
 
@@ -103,6 +95,15 @@ def law_types() -> dict[str, type[ForceLaw]]:
     """Force laws by name: those of mckibben, and classes of one's own that are imported."""
     own = {law.__name__: law for law in concrete_subclasses(ForceLaw) if law.parameters()}
     return {**LAWS, **{name: law for name, law in own.items() if name not in LAWS}}
+
+
+def _of_kind(unit: str, expected: str) -> str:
+    """The unit, if it is of the expected kind."""
+    factor(unit, expected)
+    return unit
+
+
+_PressureUnit = Annotated[str, AfterValidator(lambda unit: _of_kind(unit, "Pa"))]
 
 
 class _Section(ConfigModel):
@@ -169,14 +170,9 @@ class _Residuals(_Section):
 
 
 class _LeftOut(_Residuals):
-    pressure_unit: str
+    pressure_unit: _PressureUnit
     pressures: tuple[Annotated[float, Number()], ...]
     rmse_by_pressure: tuple[Annotated[float, Number()], ...]
-
-    @field_validator("pressure_unit", mode="after")
-    @classmethod
-    def _pressure(cls, value: str) -> str:
-        return _of_kind(value, "Pa")
 
     @field_validator("rmse_by_pressure", mode="after")
     @classmethod
@@ -201,12 +197,7 @@ class _Dataset(ConfigModel):
     specimen: str
     source: str
     pressures: tuple[Annotated[float, Number()], ...]
-    pressure_unit: str
-
-    @field_validator("pressure_unit", mode="after")
-    @classmethod
-    def _pressure(cls, value: str) -> str:
-        return _of_kind(value, "Pa")
+    pressure_unit: _PressureUnit
 
 
 class _LawFile(ConfigModel):
@@ -279,7 +270,9 @@ class _FitFile(_LawFile):
 def _read(path: str | os.PathLike[str], *, complete: bool) -> Any:
     """The checked content of a file: a `_FitFile`, or a `_LawFile` if it need not be complete."""
     source = os.fspath(path)
-    document = read_document(read_text(path, "a fit", "docs/files.md"))
+    text = read_text(path, "a fit", "docs/files.md")
+    check_seal(Path(path))
+    document = read_document(text)
     if not document.readable:
         raise ScenarioError(source, document.problems)
     data = document.data if isinstance(document.data, dict) else {}
@@ -312,12 +305,6 @@ def _read(path: str | os.PathLike[str], *, complete: bool) -> Any:
     if document.problems:
         raise ScenarioError(source, document.problems)
     return read
-
-
-def _of_kind(unit: str, expected: str) -> str:
-    """The unit, if it is of the expected kind."""
-    factor(unit, expected)
-    return unit
 
 
 def _floats(values: Any) -> list[float]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import enum
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,27 +13,16 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
 # Numbers in a block: so few that OpenBLAS does not wake threads, which beside XLA cost 100 times the work.
 _BLOCK = 6144
 
 
-def tsqr_r(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """R factor of the QR decomposition, shape (k, k), of a matrix of shape (n, k), n >= k, by blocks of rows.
-
-    R of the columns [A, y] gives the least-squares solution of A x = y, its residual, and the condition number of A.
-
-    References
-    ----------
-    J. Demmel et al., "Communication-optimal parallel and sequential QR and LU factorizations", SIAM J. Sci.
-    Comput. 34 (2012) A206-A239.
-
-    Examples
-    --------
-    >>> matrix = np.vander(np.linspace(0, 1, 5000), 6)
-    >>> r = tsqr_r(matrix)
-    >>> bool(np.allclose(r.T @ r, matrix.T @ matrix)), bool(np.all(np.tril(r, -1) == 0))
-    (True, True)
-    """
+def tsqr_r(matrix: Floats) -> Floats:
+    """R factor (k, k) of a matrix (n, k) by blocks of rows (Demmel et al., SIAM J. Sci. Comput. 34, 2012, A206)."""
     count, width = matrix.shape
     most = max(_BLOCK // max(width, 1), 2 * width)
     if count <= most:
@@ -46,7 +35,7 @@ def tsqr_r(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     return tsqr_r(factors.reshape(blocks * width, width))
 
 
-def _tsqr(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _tsqr(matrix: Floats) -> tuple[Floats, Floats]:
     """Q, shape (n, k), and R; orthogonalised twice, so Q is orthogonal to rounding."""
     q, r = matrix, np.eye(matrix.shape[1])
     for _ in range(2):
@@ -63,45 +52,15 @@ CONDITION_LIMIT = 1e10
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Classical uncertainty of least-squares estimates.
+    """Classical standard errors and correlations (NaN at a bound), and s [N] of a plateau mean about the law."""
 
-    Attributes
-    ----------
-    standard_errors
-        Shape (parameters,), in the unit of each; NaN at a bound.
-    correlations
-        Shape (parameters, parameters); NaN in the rows and columns of parameters at a bound.
-    standard_deviation
-        s [N], of a plateau mean about the law.
-    """
-
-    standard_errors: NDArray[np.float64]
-    correlations: NDArray[np.float64]
+    standard_errors: Floats
+    correlations: Floats
     standard_deviation: float
 
 
-def uncertainty(
-    jacobian: NDArray[np.float64], residuals: NDArray[np.float64], at_bound: NDArray[np.bool_]
-) -> Uncertainty:
-    """Standard errors and correlations of the parameters that are not at a bound.
-
-    Parameters
-    ----------
-    jacobian
-        Shape (points, parameters): derivative of the force [N] with respect to the parameters.
-    residuals
-        Shape (points,) [N]; more points than free parameters.
-    at_bound
-        Shape (parameters,).
-
-    Examples
-    --------
-    The mean of four numbers: s is their standard deviation, and the standard error is s/2.
-
-    >>> u = uncertainty(np.ones((4, 1)), np.array([1.0, -1.0, 2.0, -2.0]), np.array([False]))
-    >>> round(u.standard_deviation, 4), u.standard_errors.round(4)
-    (1.8257, array([0.9129]))
-    """
+def uncertainty(jacobian: Floats, residuals: Floats, at_bound: Bools) -> Uncertainty:
+    """Uncertainty of the parameters not at a bound, of a Jacobian (points, parameters) and residuals [N]."""
     count = jacobian.shape[1]
     free = np.flatnonzero(~at_bound)
     lengths, singular, directions = _decompose(jacobian[:, free])
@@ -117,7 +76,14 @@ def uncertainty(
     return Uncertainty(errors, correlations, deviation)
 
 
-def condition_number(jacobian: NDArray[np.float64]) -> float:
+def correlated_pairs(names: Sequence[str], correlations: Floats) -> list[tuple[str, str, float]]:
+    """Pairs of parameters and their known correlations, largest absolute one first."""
+    pairs = [(*pair, float(correlations[pair])) for pair in itertools.combinations(range(len(names)), 2)]
+    known = [(names[i], names[j], value) for i, j, value in pairs if np.isfinite(value)]
+    return sorted(known, key=lambda pair: -abs(pair[2]))
+
+
+def condition_number(jacobian: Floats) -> float:
     """Condition number of a Jacobian with columns scaled to unit length; infinite where singular."""
     _, singular, _ = _decompose(jacobian)
     if not len(singular):
@@ -125,7 +91,7 @@ def condition_number(jacobian: NDArray[np.float64]) -> float:
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
 
 
-def unidentifiable(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[str]:
+def unidentifiable(jacobian: Floats, names: Sequence[str]) -> list[str]:
     """Parameters with a part in the null space, or in the least identifiable direction where there is none."""
     _, singular, directions = _decompose(jacobian)
     null = singular <= max(_SINGULAR * singular[0], singular[-1])
@@ -133,7 +99,7 @@ def unidentifiable(jacobian: NDArray[np.float64], names: Sequence[str]) -> list[
     return [name for name, part in zip(names, share, strict=True) if part > 0.05 * share.max()]
 
 
-def _decompose(jacobian: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def _decompose(jacobian: Floats) -> tuple[Floats, ...]:
     """Column lengths; singular values and right singular vectors, as rows, of the columns at unit length."""
     factor = tsqr_r(jacobian)
     lengths = np.linalg.norm(factor, axis=0)
@@ -145,44 +111,24 @@ def _decompose(jacobian: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]
 _SINGULAR = 1e-10  # singular values of the null space, relative to the largest
 _DECISIVE = 1e-8  # of the information in a direction: if the other groups have less, one group alone determines it
 
-Pairs = tuple[NDArray[np.float64], NDArray[np.float64]]
-
-
-class ErrorModel(Protocol):
-    """Covariance of the estimates."""
-
-    def variance(self, gradients: NDArray[np.float64]) -> Pairs:
-        """Variance and degrees of freedom, shape (m,) each, of quantities with gradients of shape (m, parameters)."""
-        ...
-
-    @property
-    def residual_variance(self) -> tuple[float, float]:
-        """Variance of a single plateau mean about the law [N^2], and its degrees of freedom."""
-        ...
+Pairs = tuple[Floats, Floats]
 
 
 @dataclass(frozen=True, eq=False)
 class IndependentErrors:
-    """Independent errors of equal variance: covariance s^2 (X^T X)^-1 with n - k degrees of freedom.
+    """Independent errors of equal variance: covariance s^2 (X^T X)^-1 with n - k degrees of freedom."""
 
-    Parameters
-    ----------
-    triangle
-        R factor of the Jacobian, shape (k, k).
-    residual_variance
-        s^2 [N^2], and its degrees of freedom.
-    """
-
-    triangle: NDArray[np.float64]
-    residual_variance: tuple[float, float]
+    triangle: Floats  # R factor of the Jacobian, (k, k)
+    residual_variance: tuple[float, float]  # of a single plateau mean about the law [N^2], and its degrees of freedom
 
     @classmethod
-    def of(cls, jacobian: NDArray[np.float64], residuals: NDArray[np.float64]) -> IndependentErrors:
+    def of(cls, jacobian: Floats, residuals: Floats) -> IndependentErrors:
         """Error model from a Jacobian, shape (points, parameters), and residuals, shape (points,)."""
         freedom = len(residuals) - jacobian.shape[1]
         return cls(tsqr_r(jacobian), (float(residuals @ residuals / freedom), float(freedom)))
 
-    def variance(self, gradients: NDArray[np.float64]) -> Pairs:
+    def variance(self, gradients: Floats) -> Pairs:
+        """Variance and degrees of freedom, shape (m,) each, for gradients of shape (m, parameters)."""
         z = _solve(self.triangle, gradients)
         square, freedom = self.residual_variance
         return square * np.einsum("mi,mi->m", z, z), np.full(len(z), freedom)
@@ -190,48 +136,19 @@ class IndependentErrors:
 
 @dataclass(frozen=True, eq=False)
 class ClusterRobustErrors:
-    """Cluster-robust covariance CR2 with Satterthwaite degrees of freedom: points of a group may share an error.
+    """Cluster-robust covariance CR2 with Satterthwaite degrees of freedom: points of a group share an error."""
 
-    Parameters
-    ----------
-    triangle
-        R factor of the Jacobian, shape (k, k).
-    scores
-        Q_g^T A_g e_g, shape (groups, k).
-    own, shared
-        Q_g^T A_g^2 Q_g and Q_g^T A_g Q_g, shape (groups, k, k).
-    decisive
-        Groups without which the parameters are not determined: with them there is no such estimate.
-    residual_variance
-        Variance of a single plateau mean about the law [N^2], from the corrected residuals A_g e_g, and its degrees of
-        freedom.
-
-    References
-    ----------
-    R. Bell and D. McCaffrey, Survey Methodology 28 (2002) 169-181; J. Pustejovsky and E. Tipton, J. Business and
-    Economic Statistics 36 (2018) 672-683.
-
-    Examples
-    --------
-    The mean of four numbers, each a group: the textbook's s/2, with 3 degrees of freedom.
-
-    >>> model = ClusterRobustErrors.of(np.ones((4, 1)), np.array([1.0, -1.0, 2.0, -2.0]), np.arange(4))
-    >>> variance, freedom = model.variance(np.ones((1, 1)))
-    >>> round(float(np.sqrt(variance[0])), 4), round(float(freedom[0]), 4)
-    (0.9129, 3.0)
-    """
-
-    triangle: NDArray[np.float64]
-    scores: NDArray[np.float64]
-    own: NDArray[np.float64]
-    shared: NDArray[np.float64]
-    decisive: tuple[int, ...]
-    residual_variance: tuple[float, float]
+    # R. Bell and D. McCaffrey, Survey Methodology 28 (2002) 169-181; J. Pustejovsky and E. Tipton, J. Business and
+    # Economic Statistics 36 (2018) 672-683.
+    triangle: Floats  # R factor of the Jacobian, (k, k)
+    scores: Floats  # Q_g^T A_g e_g, (groups, k)
+    own: Floats  # Q_g^T A_g^2 Q_g, (groups, k, k)
+    shared: Floats  # Q_g^T A_g Q_g
+    decisive: tuple[int, ...]  # groups without which the parameters are not determined
+    residual_variance: tuple[float, float]  # from the corrected residuals A_g e_g, and its degrees of freedom
 
     @classmethod
-    def of(
-        cls, jacobian: NDArray[np.float64], residuals: NDArray[np.float64], labels: NDArray[np.int64]
-    ) -> ClusterRobustErrors:
+    def of(cls, jacobian: Floats, residuals: Floats, labels: Ints) -> ClusterRobustErrors:
         """Error model from a Jacobian, shape (points, parameters), residuals and group numbers, shape (points,)."""
         order = np.argsort(labels, kind="stable")
         starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
@@ -254,7 +171,8 @@ class ClusterRobustErrors:
         variance = _residual_variance(corrected, starts, sizes, jacobian.shape[1])
         return cls(triangle, scores, own, shared, decisive, variance)
 
-    def variance(self, gradients: NDArray[np.float64]) -> Pairs:
+    def variance(self, gradients: Floats) -> Pairs:
+        """As that of `IndependentErrors`."""
         z = _solve(self.triangle, gradients)
         variance = np.sum((z @ self.scores.T) ** 2, axis=1)
         # Omega_gh = delta_gh z'D_g z - w_g'w_h with w_g = E_g z; its trace and square sum without forming it.
@@ -268,16 +186,12 @@ class ClusterRobustErrors:
             return variance, np.where(trace > 0, trace**2 / square_sum, np.inf)
 
 
-def _residual_variance(
-    residuals: NDArray[np.float64], starts: NDArray[np.int64], sizes: NDArray[np.int64], parameters: int
-) -> tuple[float, float]:
-    r"""Mean square of the residuals, and its degrees of freedom given their correlation within groups.
+ErrorModel = IndependentErrors | ClusterRobustErrors
+"""Covariance of the estimates."""
 
-    For n normal errors of equal variance with the correlation matrix R, :math:`e^T e` has the mean
-    :math:`\sigma^2 n` and the variance :math:`2 \sigma^4\,\mathrm{tr}\,R^2`, so :math:`n^2 / \mathrm{tr}\,R^2` degrees
-    of freedom; with one correlation :math:`\rho` within groups of the sizes :math:`m_g` the trace is
-    :math:`n + \rho^2 \sum_g m_g (m_g - 1)`. The parameters are subtracted in proportion.
-    """
+
+def _residual_variance(residuals: Floats, starts: Ints, sizes: Ints, parameters: int) -> tuple[float, float]:
+    """Mean square e^T e / n of the residuals, and n^2 / tr R^2 degrees of freedom less the parameters."""
     count = len(residuals)
     square = float(residuals @ residuals) / count
     pairs = int(np.sum(sizes * (sizes - 1)))
@@ -288,7 +202,7 @@ def _residual_variance(
     return square, (count - parameters) / (1 + correlation**2 * pairs / count)
 
 
-def _solve(triangle: NDArray[np.float64], gradients: NDArray[np.float64]) -> NDArray[np.float64]:
+def _solve(triangle: Floats, gradients: Floats) -> Floats:
     """R^-T c for each gradient, shape (m, k)."""
     lengths = np.linalg.norm(triangle, axis=0)
     lengths[lengths == 0] = 1.0
@@ -303,8 +217,8 @@ class Grouping(enum.Enum):
     POINT
         Every plateau mean is a group: independent errors, the classical formula.
     STROKE
-        Points of one pass at one pressure: same level, repeat and `approach_labels`, as far as recorded. A zero error
-        of the force sensor, creep or friction common to a pass then counts as one error.
+        Points of one pass: same level, repeat and direction or phase, as far as recorded. A zero error of the force
+        sensor, creep or friction common to a pass then counts as one error.
     PRESSURE
         Points of one pressure level; their common error includes the misfit of the law there.
     REPEAT
@@ -321,25 +235,8 @@ class Grouping(enum.Enum):
         return f"{count} {self.value}{'' if count == 1 else 's'}"
 
 
-def group_labels(points: IsobaricDataset, grouping: Grouping) -> NDArray[np.int64]:
-    """Group number of each point, from 0 without gaps, shape (points,).
-
-    Raises
-    ------
-    IdentificationError
-        If repeats are asked for and not recorded.
-
-    Examples
-    --------
-    >>> points = IsobaricDataset.of(
-    ...     pressure=[1e5, 1e5, 2e5, 2e5],
-    ...     contraction=[0, 0.1, 0, 0.1],
-    ...     force=[80, 40, 170, 90],
-    ...     direction=["loading", "unloading", "loading", "loading"],
-    ... )
-    >>> group_labels(points, Grouping.STROKE), group_labels(points, Grouping.PRESSURE)
-    (array([0, 1, 2, 2]), array([0, 0, 1, 1]))
-    """
+def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:
+    """Group number of each point, from 0 without gaps, shape (points,)."""
     if grouping is Grouping.POINT:
         return np.arange(len(points))
     columns: list[np.ndarray] = []
@@ -354,34 +251,17 @@ def group_labels(points: IsobaricDataset, grouping: Grouping) -> NDArray[np.int6
             "the data do not say which repeat a point belongs to",
             remedy="record a column 'repeat', or group by stroke or by pressure",
         )
-    return _row_numbers(columns)
+    return row_numbers(columns)
 
 
 def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
-    """Direction or phase of the pass that each point belongs to, shape (points,); empty where neither is known.
-
-    The direction counts, or the phase where no direction is known at the same level and repeat. A point without a label
-    of its own, such as the first of a stroke after filling, belongs to the next labelled point of its level and repeat,
-    or to the last one.
-
-    Examples
-    --------
-    >>> points = IsobaricDataset.of(
-    ...     pressure=[1e5, 1e5, 1e5, 2e5, 2e5],
-    ...     contraction=[0, 0.1, 0, 0.1, 0.1],
-    ...     force=[80, 40, 84, 90, 80],
-    ...     direction=["", "unloading", "loading", "", ""],
-    ...     phase=["filling", "", "", "filling", "venting"],
-    ... )
-    >>> approach_labels(points).tolist()
-    ['unloading', 'unloading', 'loading', 'filling', 'venting']
-    """
+    """Direction, else phase, of each point's pass; a point without takes the next labelled one of its level."""
     direction, phase = (
         points.table[name].to_numpy() if name in points.table else np.full(len(points), "", "<U9")
         for name in ("direction", "phase")
     )
     repeat = [points.table["repeat"].to_numpy()] if "repeat" in points.table else []
-    cells = _row_numbers([points.levels, *repeat])
+    cells = row_numbers([points.levels, *repeat])
     has_direction = np.bincount(cells, direction != "") > 0
     order = np.argsort(cells, kind="stable")
     own, cell = np.where(has_direction[cells], direction, phase)[order], cells[order]
@@ -401,7 +281,7 @@ def finest_grouping(points: IsobaricDataset) -> Grouping:
     return Grouping.STROKE if has_passes else Grouping.PRESSURE
 
 
-def _row_numbers(columns: Sequence[np.ndarray]) -> NDArray[np.int64]:
+def row_numbers(columns: Sequence[np.ndarray]) -> Ints:
     """Number of each row among the sorted distinct rows."""
     number = np.zeros(len(columns[0]), np.int64)
     for column in columns:  # one after the other: numbers sort faster than rows

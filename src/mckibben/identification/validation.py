@@ -6,33 +6,26 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import html_table
+from mckibben.dataset.schema import html_table, text_table
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
+from mckibben.identification.uncertainty import Bools
 from mckibben.muscle import ForceLaw, forces
 from mckibben.units import bar
 
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """Error statistics of one law over a group of points.
+    """Error statistics [N] of one law over a group of points.
 
     Attributes
     ----------
-    law
-        Name of the law.
-    pressure
-        Level [Pa]; None for all.
-    direction
-        "loading" or "unloading"; None for all, or where it is not known.
-    points
-        Number of points.
-    rmse, max_error
-        Root mean square and largest absolute error [N].
+    pressure, direction
+        Level [Pa], and "loading" or "unloading"; None for all, or where it is not known.
     bias
         Mean of predicted minus measured force [N].
     outside
@@ -53,14 +46,7 @@ class ErrorStatistics:
 class Validation:
     """Errors of laws at the taut points of a dataset.
 
-    Attributes
-    ----------
-    errors
-        For each law: over all points, each direction, each pressure, and each pressure and direction.
-    slack
-        Number of slack points left out.
-    specimen
-        Specimen of the dataset.
+    For each law: over all points, each direction, each pressure, and each pressure and direction.
     """
 
     errors: tuple[ErrorStatistics, ...]
@@ -73,13 +59,7 @@ class Validation:
         return tuple(dict.fromkeys(e.law for e in self.errors))
 
     def of(self, law: str, *, pressure: float | None = None, direction: str | None = None) -> ErrorStatistics:
-        """Errors of a law over all points, or at a pressure [Pa, within 1 kPa], or in a direction.
-
-        Raises
-        ------
-        RangeError
-            If there are none.
-        """
+        """Errors over all points, at a pressure [Pa, within 1 kPa], or in a direction; a `RangeError` if none."""
         for e in self.errors:
             same = e.pressure is pressure or (
                 None not in (e.pressure, pressure) and abs((e.pressure or 0.0) - (pressure or 0.0)) <= 1e3
@@ -99,16 +79,7 @@ class Validation:
 
     def report(self) -> str:
         """Table as text."""
-        rows = [_HEADER, *map(_row, self.errors)]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-        lines = [
-            "  ".join(
-                cell.ljust(width) if i in (0, 2) else cell.rjust(width)
-                for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-            ).rstrip()
-            for row in rows
-        ]
-        return "\n".join([self._title, *lines])
+        return "\n".join([self._title, *text_table([_HEADER, *map(_row, self.errors)], (0, 2))])
 
     @property
     def _title(self) -> str:
@@ -143,15 +114,7 @@ def _row(e: ErrorStatistics) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class HoldOut:
-    """Fit to a training set and its validation on the held-out set.
-
-    Attributes
-    ----------
-    fit
-        Fit to the training set.
-    validation
-        Errors on the held-out set; the law is named by its class.
-    """
+    """Fit to a training set, and its errors on the held-out set; the law is named by its class."""
 
     fit: Fit
     validation: Validation
@@ -160,21 +123,9 @@ class HoldOut:
 def validate(
     laws: Fit | ForceLaw | Sequence[ForceLaw] | Mapping[str, ForceLaw], dataset: IsobaricDataset
 ) -> Validation:
-    """Compare laws with the plateau means of the taut points.
+    """Compare laws with the plateau means of the taut points, inside and outside the domain of each.
 
-    Laws are evaluated inside and outside their domain; the points outside are counted.
-
-    Parameters
-    ----------
-    laws
-        Law or fit, or several laws: by name, or named by their class (numbered where a class occurs twice).
-    dataset
-        Measured points.
-
-    Returns
-    -------
-    Validation
-        Errors over all points, by pressure, and where known by direction.
+    Several laws are given by name, or named by their class (numbered where a class occurs twice).
 
     Raises
     ------
@@ -234,17 +185,9 @@ def hold_out(
     repeats: ArrayLike | None = None,
     directions: str | Sequence[str] | None = None,
 ) -> HoldOut:
-    """Fit a law to a training set and validate it on the held-out rest.
+    """Fit a law to a training set and validate it on the held-out rest, selected as by `IsobaricDataset.split`.
 
-    Parameters
-    ----------
-    law_type
-        Class of the law, such as `ExponentialLaw`.
-    dataset
-        Measured points.
-    pressures, repeats, directions
-        Points to hold out, as for `IsobaricDataset.split`. Pressures test whether the law interpolates, repeats
-        whether the muscle's behaviour is repeatable.
+    Held-out pressures test whether the law interpolates, repeats whether the muscle's behaviour is repeatable.
 
     Raises
     ------
@@ -266,7 +209,7 @@ def _named(laws: Sequence[ForceLaw]) -> dict[str, ForceLaw]:
     return named
 
 
-def _groups(points: IsobaricDataset) -> Iterator[tuple[float | None, str | None, NDArray[np.bool_]]]:
+def _groups(points: IsobaricDataset) -> Iterator[tuple[float | None, str | None, Bools]]:
     """Masks of all points, each direction, each pressure, each pressure and direction; empty ones left out."""
     directions = points.table["direction"].to_numpy() if "direction" in points.table else None
     known = [str(d) for d in np.unique(directions)] if directions is not None else []

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 import mckibben
-from mckibben.errors import FileError, McKibbenError, Problem, RigError, ScenarioError
+from mckibben.errors import FileError, McKibbenError, Problem, RigError, ScenarioError, StoppedError
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import ControlProgram, vented_angle
 from mckibben.realtime.config import JointCardSpec, JointRig, Wiring
@@ -30,8 +30,9 @@ from mckibben.realtime.record import Timing, columns, measured_result
 from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
-from mckibben.rig.calibration import calibrations_in, content_of
-from mckibben.rig.record import read_record
+from mckibben.rig.calibration import read_calibrations
+from mckibben.rig.ni.watchdog import host_watchdog
+from mckibben.rig.record import read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.simulation import Feasibility, Result, check_reference, sampled
 from mckibben.storage.files import file_lock, make_folder
@@ -47,12 +48,8 @@ class JointRunResult(NamedTuple):
 
     Attributes
     ----------
-    outcome
-        Completed, or the reason of the stop.
     result
         Measured trajectory, with the columns of a simulation; None if the run did not begin.
-    reach
-        Feasibility of the reference.
     timing
         Timing of the loop; without meaning for an unpaced run.
     priority
@@ -68,21 +65,7 @@ class JointRunResult(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class JointSession:
-    """A scenario on a rig, checked and compiled.
-
-    Attributes
-    ----------
-    scenario
-        The scenario.
-    plant
-        Model of the joint.
-    reach
-        Feasibility of the reference.
-    backend, wiring, limits, plan, program
-        Arguments of `control`.
-    header
-        Of the record.
-    """
+    """A scenario on a rig, checked and compiled; `header` is that of the record."""
 
     scenario: Scenario
     plant: JointPlant
@@ -97,14 +80,7 @@ class JointSession:
     def run(
         self, folder: str | os.PathLike[str], *, progress: Callable[[RunProgress], None] | None = None
     ) -> JointRunResult:
-        """Run the scenario and record it.
-
-        Parameters
-        ----------
-        folder
-            Of the record; it must not hold one.
-        progress
-            Called each period; it must return at once.
+        """Run the scenario and record it in a folder that holds no record; `progress` is called each period.
 
         Raises
         ------
@@ -112,16 +88,20 @@ class JointSession:
             If the folder cannot be written to, or holds a record.
         RigError
             If the rig is not connected, or does not fit, before anything moves.
+        StoppedError
+            If the folder was removed during the run, which was stopped and vented.
         """
-        folder = make_folder(folder)
+        folder, outcome = make_folder(folder), None
         with (
             file_lock(folder / "lock", "running a joint rig"),
             stop_on_signals() as stop_flag,
+            host_watchdog(self.backend),
             realtime_process_settings() as priority,
         ):
             header = {**self.header, "priority": priority}
-            with Recorder.create(folder, header, columns(self.program.telemetry)) as recorder:
-                try:
+            recorder = Recorder.create(folder, header, columns(self.program.telemetry))
+            try:
+                with recorder:
                     outcome = control(
                         self.backend,
                         self.program,
@@ -132,11 +112,15 @@ class JointSession:
                         stop_flag=stop_flag,
                         progress=progress,
                     )
-                except RigError:
+            except RigError as error:
+                if outcome is None:
                     if recorder.rows == 0:  # nothing has moved: the folder may be used again
-                        recorder.close()
                         recorder.path.unlink()
                     raise
+                if outcome.completed:  # the end of the record was not written
+                    outcome = RunOutcome("rig", str(error), error, outcome.vented_after)
+        if not segments(folder):  # it was removed
+            raise StoppedError(f"stopped: {outcome.text}; {outcome.venting}")
         table = read_record(folder).columns
         period = self.plan.period
         text = self.scenario.dumps()
@@ -152,14 +136,10 @@ def prepare(
     paced: bool = True,
     ideal: bool = False,
 ) -> JointSession:
-    """Check and compile a scenario for a rig.
+    """Check and compile a scenario for a rig, the simulated joint unless given.
 
     Parameters
     ----------
-    scenario
-        The scenario.
-    rig
-        Configuration of the rig; the simulated joint unless given.
     source
         The scenario's file, for messages.
     paced
@@ -279,22 +259,11 @@ def _card(spec: JointCardSpec, period: float, patience: float) -> tuple[Wiring, 
 
 
 def read_wiring(path: str | os.PathLike[str]) -> Wiring:
-    """The five calibrations of a JSON file: an object of them, by the names of their channels.
-
-    Raises
-    ------
-    ScenarioError
-        With all that is wrong with them.
-    """
+    """The five calibrations of a JSON file, by the names of their channels; `ScenarioError` with all problems."""
     names = [field.name for field in dataclasses.fields(Wiring)]
     remedy = f"it needs {', '.join(names)}"
-    content = content_of(Path(path), remedy)
-    problems = [Problem("is missing", field=name, remedy="calibrate it") for name in names if name not in content]
-    problems += [
-        Problem("is no channel of a joint", field=name, remedy=remedy) for name in content if name not in names
-    ]
-    found, wrong = calibrations_in({name: content[name] for name in names if name in content})
-    problems += wrong
+    found, problems = read_calibrations(Path(path), names, remedy)
+    problems += [Problem("is no channel of a joint", field=name, remedy=remedy) for name in found if name not in names]
     for name, one in found.items():
         unit = "rad" if name == "angle" else "Pa"
         if (one.name, one.unit) != (name, unit):

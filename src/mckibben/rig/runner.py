@@ -30,13 +30,7 @@ def columns_of(inputs: Sequence[str]) -> tuple[Column, ...]:
 
 
 class StepInterpreter(abc.ABC):
-    """Iteration over the steps of a test: the same on a rig (`Runner`) and in a dry run (`DryRun`).
-
-    Attributes
-    ----------
-    position
-        Set position of the motor [pulses], from where the muscle was mounted.
-    """
+    """Iteration over the steps of a test: the same on a rig (`Runner`) and in a dry run (`DryRun`)."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -53,7 +47,8 @@ class StepInterpreter(abc.ABC):
                     around = self._repeat
                     for number in range(step.times):
                         self._repeat = number
-                        self._do(step.steps, f"{here}.repeat.steps")
+                        if self._do_again(step, number, f"{here}.repeat.steps"):
+                            break
                     self._repeat = around
                 case Move():
                     self._move_to(self.bench.pulses_at(step.to), step.speed)
@@ -69,6 +64,11 @@ class StepInterpreter(abc.ABC):
                     self._walk(step)
                 case Vent():
                     self._vent()
+
+    def _do_again(self, repeat: Repeat, number: int, place: str) -> bool:
+        """Do the steps of a repeat for the so manyth time; return whether that was all."""
+        self._do(repeat.steps, place)
+        return False
 
     def _walk(self, walk: Walk) -> None:
         begin = self.position
@@ -115,17 +115,13 @@ class StepInterpreter(abc.ABC):
 
 @dataclass
 class _Target:
-    """State that the steps have asked for; on resuming it is reached before the first missing point.
+    """State that the steps have asked for, reached from the same side before the first missing point on resuming."""
 
-    `turn` is the start of the present motion, `before` that of the one before, and `via` the pressure before the set
-    one, so that a resumed test comes from the same side. `pressed` is the position at which the pressure was set.
-    """
-
-    pressed: int = 0
-    turn: int = 0
-    before: int = 0
+    pressed: int = 0  # position at which the pressure was set
+    turn: int = 0  # start of the present motion
+    before: int = 0  # start of the one before
     pressure: float = 0.0
-    via: float = 0.0
+    via: float = 0.0  # pressure before the set one
     holding: float | None = None
     hold: HoldForce | None = None
     speed: float = 0.0
@@ -133,31 +129,7 @@ class _Target:
 
 
 class Runner(StepInterpreter):
-    """Runs steps on a rig. `run` returns when all are done, vented; otherwise it vents, records the reason and raises.
-
-    Parameters
-    ----------
-    backend
-        Opened by `run` and closed by it.
-    bench
-        The test bench.
-    recorder
-        Of the samples; it is left open.
-    done
-        Points that were recorded before, where a test is resumed: all before the first missing one. They are not
-        repeated.
-    origin
-        Position of the motor when the backend is opened [pulses], from where the muscle was mounted.
-    since
-        Time of the record at the beginning [s].
-    report
-        Callback for the progress.
-
-    Notes
-    -----
-    After a stop the venting is observed and recorded for up to 10 s, until the muscle is empty; see `RigSession` for
-    the cycle.
-    """
+    """Runs steps on a rig, vented at the end; otherwise it vents, records the reason and raises."""
 
     def __init__(
         self,
@@ -185,18 +157,7 @@ class Runner(StepInterpreter):
         self._rig.interrupt(signal, name)
 
     def run(self, steps: Sequence[Step]) -> None:
-        """Open the backend, do the steps, vent, close.
-
-        Raises
-        ------
-        RigError
-            If the backend cannot be opened.
-        SignalledError
-            If it was interrupted.
-        StoppedError
-            If it was stopped for any other reason; the cause is chained. The muscle has been vented, and the reason
-            recorded.
-        """
+        """Open the backend, do the steps, vent, close; `StoppedError` (of a signal `SignalledError`) after a stop."""
         backend = self.backend
         try:
             backend.open()
@@ -210,7 +171,8 @@ class Runner(StepInterpreter):
                     self._rig.move_to(0, self._speed)
                 self._do(steps)
                 self._vent()
-                self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self._rig.pulses)
+                for _ in range(2):  # a chunk that is damaged later must not let a finished test move again
+                    self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self._rig.pulses)
         except BaseException as error:
             raise self._rig.record_stop(error) from error
         finally:

@@ -1,7 +1,8 @@
-"""Append-only journals: a header that identifies the job, then records with a checksum each."""
+"""Append-only journals: a header that identifies the job, twice, then records with a checksum each."""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import struct
@@ -14,10 +15,10 @@ from types import TracebackType
 from typing import Any, BinaryIO, NamedTuple, Self
 
 from mckibben.errors import FileError, Problem
-from mckibben.storage.files import atomic_write
+from mckibben.storage.files import atomic_write, is_same_file
 
 HEADER = b"H"
-"""Kind of the first record: JSON that identifies what made the journal."""
+"""Kind of the first two records: JSON that identifies what made the journal."""
 
 _MAGIC = b"MCKCHUNK"
 _FRONT = struct.Struct("<8s1s3xIQQ")  # magic, kind, CRC-32 of the rest, length of the payload [bytes], number
@@ -34,11 +35,7 @@ class JournalRecord(NamedTuple):
 
 
 def pack(kind: bytes, number: int, payload: bytes) -> bytes:
-    """Bytes of a record.
-
-    >>> pack(b"E", 7, b"{}")[:8], len(pack(b"E", 7, b"{}"))
-    (b'MCKCHUNK', 34)
-    """
+    """Bytes of a record."""
     front = _FRONT.pack(_MAGIC, kind, 0, len(payload), number)
     return _FRONT.pack(_MAGIC, kind, zlib.crc32(payload, zlib.crc32(front)), len(payload), number) + payload
 
@@ -49,18 +46,7 @@ def pack_json(kind: bytes, number: int, content: Mapping[str, Any]) -> bytes:
 
 
 class JournalReader:
-    """Iterates over the intact records of a journal, its header included.
-
-    A damaged record is skipped. An incomplete or damaged end, which a process leaves that was killed while it wrote, is
-    not counted as damage.
-
-    Attributes
-    ----------
-    damaged
-        Number of damaged records that were skipped so far.
-    end
-        Position after the last intact record so far [bytes].
-    """
+    """Iterates over the intact records of a journal, header included; an incomplete end is no damage."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -81,13 +67,14 @@ class JournalReader:
                 skipped += 1
                 found = _find_magic(file, position + 1)
                 if found is None:
+                    self.damaged += skipped - _is_cut(file, position)
                     return
                 position = found
 
     def header(self) -> dict[str, Any] | None:
-        """Content of the header; None if the file begins with none."""
+        """Content of the first intact record, if that is a header."""
         record = next(iter(self), None)
-        if record is None or record.kind != HEADER or self.damaged:
+        if record is None or record.kind != HEADER:
             return None
         content = json.loads(record.payload)
         return content if isinstance(content, dict) else None
@@ -103,10 +90,21 @@ def _read(file: BinaryIO, position: int) -> JournalRecord | None:
     if magic != _MAGIC or length > _MAX_PAYLOAD:
         return None
     payload = file.read(length)
-    blank = _FRONT.pack(magic, kind, 0, length, number)
+    blank = front[:12] + bytes(4) + front[16:]  # without the checksum
     if len(payload) < length or zlib.crc32(payload, zlib.crc32(blank)) != checksum:
         return None
     return JournalRecord(kind, number, payload)
+
+
+def _is_cut(file: BinaryIO, position: int) -> bool:
+    """Whether the record at a position is incomplete, as a process leaves it that dies while it writes."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(position)
+    front = file.read(_FRONT.size)
+    if len(front) < _FRONT.size:
+        return True
+    magic, _, _, length, _ = _FRONT.unpack(front)
+    return magic != _MAGIC or position + _FRONT.size + length > size
 
 
 def _find_magic(file: BinaryIO, start: int) -> int | None:
@@ -124,10 +122,7 @@ def _find_magic(file: BinaryIO, start: int) -> int | None:
 
 
 class Journal:
-    """Appends records to a journal; each append is on the disk (``fsync``) when it returns.
-
-    Use `create` or `resume`. Threads may append at once; processes need a `file_lock`.
-    """
+    """Appends records to a journal from any thread of a process; each append is synced to the disk when it returns."""
 
     def __init__(self, path: Path, end: int) -> None:
         self.path = path
@@ -137,14 +132,8 @@ class Journal:
 
     @classmethod
     def create(cls, path: Path, header: Mapping[str, Any], *, number: int = 0) -> Self:
-        """Begin a journal; the file appears with its header.
-
-        Raises
-        ------
-        FileError
-            If the file exists.
-        """
-        content = pack_json(HEADER, number, header)
+        """Begin a journal; the file appears with its header. `FileError` if it exists."""
+        content = 2 * pack_json(HEADER, number, header)
         with atomic_write(path) as temporary:
             temporary.write_bytes(content)
         return cls(path, len(content))
@@ -157,13 +146,7 @@ class Journal:
         return journal
 
     def append(self, content: bytes) -> None:
-        """Append packed records, all or none.
-
-        Raises
-        ------
-        OSError
-            If they cannot be written; the journal then ends as before.
-        """
+        """Append packed records, all or none; `FileNotFoundError` if the file is no longer at its path."""
         with self._lock:
             try:
                 _write_at(self._file, self._end, content)
@@ -171,6 +154,8 @@ class Journal:
                 os.ftruncate(self._file, self._end)
                 raise
             self._end += len(content)
+            if not is_same_file(self.path, self._file):
+                raise FileNotFoundError(errno.ENOENT, "it was removed or moved while it was written")
 
     @property
     def closed(self) -> bool:
@@ -199,13 +184,7 @@ def _write_at(file: int, position: int, content: bytes) -> None:
 
 
 def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
-    """Header of a journal of a kind ("format") and version.
-
-    Raises
-    ------
-    FileError
-        If the file is missing, or is another one.
-    """
+    """Header of a journal of a kind ("format") and version; `FileError` if it is another file."""
     try:
         header = JournalReader(path).header()
     except (OSError, ValueError) as error:
@@ -221,15 +200,7 @@ def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
 def header_differences(
     kept: Mapping[str, Any], wanted: Mapping[str, Any], job: str, *, remedy: str, ignore: tuple[str, ...] = ()
 ) -> list[Problem]:
-    """Differences between a journal's header and the job that is to continue it.
-
-    Lists are compared by item, mappings by key and texts of several lines by line.
-
-    >>> for problem in header_differences({"seed": 1, "method": "sobol"}, {"seed": 2, "method": "sobol"}, "the sweep",
-    ...                                   remedy="choose another folder"):
-    ...     print(problem.field, problem.message, sep=": ")
-    seed: the sweep was begun with 1, not 2
-    """
+    """Differences between a journal's header and the job that is to continue it, each with its field."""
     found = []
     for name in dict.fromkeys([*wanted, *kept]):
         before, now = kept.get(name), wanted.get(name)

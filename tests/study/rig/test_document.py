@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mckibben.errors import ScenarioError
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig import steps as typed
-from mckibben.study.rig.document import RigTest, build_steps, read_calibrations, read_test
+from mckibben.study.rig.document import RigTest, build_steps, read_test, rig_calibrations
 from mckibben.study.rig.running import check
 from mckibben.study.rig.steps import StepSpec
 from mckibben.units import bar, mm, percent
@@ -195,6 +195,17 @@ def test_what_exceeds_the_rig_is_told_with_its_line_before_anything_moves(tmp_pa
     assert "line 19, protocol.steps[9].repeat.steps[0].walk.step: 2.0001 mm are 800.04 pulses; take a mult" in said
 
 
+def test_a_test_of_too_many_steps_is_told_with_line_field_value_and_limit(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(STEPS.replace("times: 3", "times: 10000").replace("{times: 2, ", "{times: 10000, "))
+    test, document = read_test(path)
+    with pytest.raises(ScenarioError) as found:
+        check(test, document, source="p.yaml")
+    (problem,) = found.value.problems
+    assert (problem.line, problem.field) == (17, "protocol.steps[9].repeat.times")
+    assert "100020009 steps" in problem.message and "1000000" in problem.message
+
+
 def test_a_whole_test_that_does_not_suit_the_muscle_is_told_with_its_line():
     text = f"{HEAD}protocol:\n  isobaric: {{pressures: [0 bar, 9 bar]}}\n"
     test = RigTest.parse(text)
@@ -223,7 +234,7 @@ def test_a_card_and_its_calibrations(tmp_path):
     assert RigTest.parse(test.dumps(folder=tmp_path), folder=tmp_path) == test
     checked = check(test)
     assert [channel.where for channel in checked.setup.backend.inputs] == ["Dev2/ai0", "Dev2/ai1"]
-    assert read_calibrations(path)["force"] == FORCE
+    assert rig_calibrations(path)["force"] == FORCE
     path.write_text(to_json({"force": {**FORCE.to_json(), "gain": "much"}}))
     with pytest.raises(ScenarioError) as found:
         check(test)

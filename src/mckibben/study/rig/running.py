@@ -20,45 +20,41 @@ import mckibben
 from mckibben.config.document import Document, Place, dotted
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, RangeError, RigError, ScenarioError
+from mckibben.rig.calibration import Calibration
 from mckibben.rig.dry_run import DryRun, dry_run
+from mckibben.rig.ni.watchdog import host_watchdog
 from mckibben.rig.record import Event, Point, assemble, header_of, passages, points, read_header, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.session import VENTED, ProgressCallback
 from mckibben.rig.steps import Step, describe_steps
 from mckibben.storage.files import check_free, file_lock, handle_signals, make_folder
-from mckibben.study.rig.document import RigTest, Setup, build_setup, build_steps
+from mckibben.study.rig.document import (
+    RigTest,
+    Setup,
+    build_setup,
+    build_steps,
+    build_wiring,
+    read_test,
+    rig_calibrations,
+)
 from mckibben.units import bar, mm, percent
 
 if TYPE_CHECKING:
     from mckibben.rig.ni import ChannelStatus
-    from mckibben.study.rig.document import Setup
 
 
 def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
-    """Status of the channels of a rig: lines of text, each with whether it is without a problem. Nothing moves.
-
-    Parameters
-    ----------
-    protocol
-        Of the rig, which is then checked; None for the paper's terminals on ``Dev1``.
-
-    Raises
-    ------
-    ScenarioError
-        If the protocol cannot be read.
-    """
+    """Status of the channels of a protocol's rig, or of the paper's terminals: lines, each with whether it is well."""
     from mckibben.rig.ni import channel_status
 
     if protocol is None:
         yield from map(_status_line, channel_status())
         return
-    from mckibben.study.rig.document import build_setup, build_wiring, read_calibrations, read_test
-
     test, document = read_test(protocol)
     card = test.rig.nidaqmx
     if card is not None:
-        calibrations = read_calibrations(Path(str(card.calibration)))
+        calibrations = rig_calibrations(Path(str(card.calibration)))
         yield from map(_status_line, channel_status(build_wiring(card), calibrations, server=card.server or ""))
     else:
         yield from _simulated_status(build_setup(test))
@@ -97,21 +93,7 @@ def _simulated_status(setup: Setup) -> Iterator[tuple[str, bool]]:
 
 @dataclass(frozen=True)
 class CheckedTest:
-    """A checked test.
-
-    Attributes
-    ----------
-    test
-        The test.
-    setup
-        Its rig, closed.
-    steps
-        Its steps.
-    dry_run
-        Duration, travel and samples.
-    disk_space
-        Of record and dataset [bytes].
-    """
+    """A checked test: its rig (closed), steps, dry run, and the disk space of record and dataset [bytes]."""
 
     test: RigTest
     setup: Setup
@@ -146,24 +128,7 @@ class CheckedTest:
 def check(
     test: RigTest, document: Document | None = None, *, source: str = "protocol", session: int = 0
 ) -> CheckedTest:
-    """Check a test by a dry run.
-
-    Parameters
-    ----------
-    test
-        The test.
-    document
-        Its text, for the lines of the problems.
-    source
-        Its name in errors.
-    session
-        Number of previous sessions of the test, for the seed of a simulated rig.
-
-    Raises
-    ------
-    ScenarioError
-        With all problems.
-    """
+    """Check a test by a dry run; `ScenarioError` with all problems, at their lines in the document."""
     lines = document or Document()
     setup = build_setup(test, session)
     try:
@@ -178,13 +143,7 @@ def check(
 
 
 def check_disk_space(folder: Path, needed: int) -> None:
-    """Check the free space of a disk [bytes].
-
-    Raises
-    ------
-    ScenarioError
-        If it is too small.
-    """
+    """Raise `ScenarioError` if a disk has less free space [bytes] than needed."""
     there = folder
     while not there.exists():
         there = there.absolute().parent
@@ -248,34 +207,12 @@ def run_test(
     standing_at: float | None = None,
     report: ProgressCallback | None = None,
 ) -> IsobaricDataset:
-    """Run a checked test, record it in a folder, and make the dataset of the record.
-
-    Parameters
-    ----------
-    checked
-        From `check`.
-    folder
-        Of ``protocol.yaml``, the record and finally the dataset.
-    resume
-        Resume the test in the folder at the first missing point.
-    standing_at
-        With `resume`: the contraction [-] of the present position of the motor. Otherwise a simulated rig starts where
-        the muscle was mounted, a physical one where the record says that it was stopped.
-    report
-        Callback for the progress.
-
-    Raises
-    ------
-    FileError, ScenarioError
-        If the folder has a record already (or none to resume, or another one), is in use, or the disk is full.
-    RigError
-        If the rig is not connected.
-    StoppedError
-        If the test was stopped; the muscle has been vented, and the record is kept.
-    """
+    """Run a checked test, record it, and make its dataset; `standing_at` is the contraction [-] of the motor."""
     folder = Path(folder)
-    if resume and not (folder / PROTOCOL).exists():
-        raise FileError(str(folder), [Problem("holds no test to resume", remedy="leave --resume out")])
+    if resume and not segments(folder):
+        if not (folder / PROTOCOL).exists():
+            raise FileError(str(folder), [Problem("holds no test to resume", remedy="leave --resume out")])
+        check_free(folder, [data_name(checked.test)])
     if not resume:
         if segments(folder):
             remedy = "resume it (--resume), or choose another folder"
@@ -284,7 +221,7 @@ def run_test(
     make_folder(folder)
     with file_lock(folder / "lock", "running a test here"):
         if resume:
-            _check_same(checked.test, folder)
+            _check_same(checked, folder)
         past = _past(folder) if resume else _PastSessions()
         if not past.finished:
             check_disk_space(folder, checked.disk_space)
@@ -301,27 +238,49 @@ def run_test(
 
 
 def gather(folder: str | os.PathLike[str]) -> IsobaricDataset:
-    """Make the dataset of the record in a folder, finished or not.
-
-    Raises
-    ------
-    FileError
-        If there is none.
-    """
+    """Make the dataset of the record in a folder, finished or not; `FileError` if there is none."""
     folder = Path(folder)
-    if not (folder / PROTOCOL).exists():
-        raise FileError(str(folder), [Problem("holds no test", remedy="give the folder of `rig run --out`")])
-    checked = check(RigTest.read(folder / PROTOCOL))
+    checked = check(_kept_test(folder))
     with file_lock(folder / "lock", "running a test here"):
+        _warn_of_calibration(checked, folder)
         return _save_dataset(checked, folder)
 
 
-def _save_dataset(checked: CheckedTest, folder: Path) -> IsobaricDataset:
-    calibration = _header(checked)["calibration"]
+def _kept_test(folder: Path) -> RigTest:
+    """Test of a folder, by its record, which has checksums; a protocol file that is damaged or missing is restored."""
+    path = folder / PROTOCOL
+    if not segments(folder):
+        if not path.exists():
+            raise FileError(str(folder), [Problem("holds no test", remedy="give the folder of `rig run --out`")])
+        return RigTest.read(path)
+    recorded = RigTest.parse(header_of(folder)[0]["protocol"], source=f"the record in {folder}", folder=folder)
+    try:
+        written = RigTest.read(path)
+    except FileError:
+        recorded.to_yaml(path)
+        warnings.warn(f"{path} was damaged or missing: it is restored from the record", McKibbenWarning, stacklevel=3)
+        return recorded
+    if _is_same(written, recorded):
+        return written
+    warnings.warn(f"{path} is not what was recorded: the test of the record is used", McKibbenWarning, stacklevel=3)
+    return recorded
+
+
+def _is_same(test: RigTest, other: RigTest) -> bool:
+    """Whether two tests are the same, if on cards at other terminals."""
+    on_cards = test.rig.nidaqmx is not None and other.rig.nidaqmx is not None
+    return (test.model_copy(update={"rig": other.rig}) if on_cards else test) == other
+
+
+def _warn_of_calibration(checked: CheckedTest, folder: Path) -> None:
     for path in segments(folder):
-        if read_header(path)[0]["header"]["calibration"] != calibration:
+        kept = read_header(path)[0]["header"]["calibration"]
+        if {name: Calibration.from_json(form) for name, form in kept.items()} != dict(checked.setup.bench.calibrations):
             message = f"{path} was recorded with another calibration; the dataset is made with the present one"
             warnings.warn(message, McKibbenWarning, stacklevel=3)
+
+
+def _save_dataset(checked: CheckedTest, folder: Path) -> IsobaricDataset:
     data = assemble(folder, checked.setup.bench, source=_source(checked, folder))
     name = data_name(checked.test)
     try:
@@ -344,9 +303,10 @@ def _run_session(
     origin = _origin(checked, folder, past, standing_at)
     columns = columns_of([channel.name for channel in backend.inputs])
     begin = Recorder.resume if segments(folder) else Recorder.create
-    with begin(folder, _header(checked), columns) as recorder:
+    with begin(folder, _header(checked, folder), columns) as recorder:
         runner = Runner(backend, bench, recorder, done=past.done, origin=origin, since=past.since, report=report)
-        with handle_signals(lambda number: runner.interrupt(number, signal.Signals(number).name)):
+        stop_on_signals = handle_signals(lambda number: runner.interrupt(number, signal.Signals(number).name))
+        with host_watchdog(backend), stop_on_signals:
             runner.run(checked.steps)
 
 
@@ -382,19 +342,23 @@ def _past(folder: Path) -> _PastSessions:
     )
 
 
-def _check_same(test: RigTest, folder: Path) -> None:
-    """Check that the test in the folder is this one."""
-    if RigTest.read(folder / PROTOCOL) == test:
-        return
-    remedy = f"resume it with its own protocol ({folder / PROTOCOL}), or choose another folder"
-    raise ScenarioError(str(folder), [Problem("holds another test", remedy=remedy)])
+def _check_same(checked: CheckedTest, folder: Path) -> None:
+    """Check that the test in the folder is this one, with the same steps; warn of another calibration."""
+    kept = _kept_test(folder)
+    if not _is_same(checked.test, kept):
+        remedy = f"resume it with its own protocol ({folder / PROTOCOL}), or choose another folder"
+        raise ScenarioError(str(folder), [Problem("holds another test", remedy=remedy)])
+    if segments(folder) and header_of(folder)[0]["steps"] != describe_steps(checked.steps):
+        remedy = "restore the files that the protocol names, such as that of its law"
+        raise ScenarioError(str(folder), [Problem("holds a test of other steps", field="steps", remedy=remedy)])
+    _warn_of_calibration(checked, folder)
 
 
-def _header(checked: CheckedTest) -> dict[str, Any]:
+def _header(checked: CheckedTest, folder: Path) -> dict[str, Any]:
     bench = checked.setup.bench
     specimen = bench.specimen
     return {
-        "protocol": checked.test.dumps(),
+        "protocol": checked.test.dumps(folder=folder),
         "steps": describe_steps(checked.steps),
         "specimen": {
             "name": specimen.name,

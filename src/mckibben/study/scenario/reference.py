@@ -15,28 +15,13 @@ from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
 from mckibben.config.schema import ComponentModel, PartOf, model_of, named_model
 from mckibben.control import Constant, Multisine, Samples, Signal, Sine, Step
 from mckibben.errors import Problem, ScenarioError, UnitError
-from mckibben.units import Angle, Instant, Phase, Stiffness, factor
+from mckibben.units import NUMBER, Angle, Instant, Phase, Stiffness, factor
 
 _LARGEST = 64 * 2**20
 
 
 def read_samples(path: Path, name: str, unit: str) -> tuple[list[float], list[float]]:
-    """The times [s] and the values of a quantity, in `unit`.
-
-    Parameters
-    ----------
-    path
-        Of the file.
-    name
-        What the column's title begins with, such as "angle"; its unit follows after "_".
-    unit
-        Of the answer.
-
-    Raises
-    ------
-    ScenarioError
-        With every problem of the file and its line.
-    """
+    """The times [s] and the values, in `unit`, of the column of a CSV file that is titled NAME_UNIT."""
     try:
         if path.stat().st_size > _LARGEST:
             raise ScenarioError(str(path), [Problem(f"is larger than {_LARGEST // 2**20} MiB")])
@@ -84,10 +69,8 @@ def _column(header: list[str], name: str, unit: str, problems: list[Problem]) ->
 
 
 def _number(row: list[str], place: int, scale: float) -> float:
-    try:
-        return float(row[place]) * scale
-    except (ValueError, IndexError):
-        return math.nan
+    text = row[place].strip() if place < len(row) else ""
+    return float(text) * scale if NUMBER.fullmatch(text) else math.nan  # not 1_0, nor digits of other scripts
 
 
 MOST_SAMPLES = 2000
