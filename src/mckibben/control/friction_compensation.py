@@ -29,7 +29,7 @@ class FrictionCompensationState(NamedTuple):
 
 
 class FrictionCompensation(Controller):
-    r"""Wrapper that adds the pressures to overcome friction to a controller's commands.
+    r"""Wrapper that adds the pressures to overcome friction to the commands of an inner controller.
 
     .. math:: p_d \leftarrow p_d - \tau_f \Big/ \frac{\partial\tau}{\partial p_d}
 
@@ -38,13 +38,6 @@ class FrictionCompensation(Controller):
     drift once friction is overestimated. Viscous friction is not compensated: a step of the reference would cause a
     kick. Limits that the shift meets are not fed back to the inner controller, whose minimum tension holds here as
     well.
-
-    Parameters
-    ----------
-    controller
-        Inner controller.
-    model
-        Model of the joint, with muscles that have friction.
     """
 
     controller: Controller

@@ -256,10 +256,7 @@ class AntagonisticJoint(eqx.Module):
     def closed_valve_stiffness(
         self, angle: ArrayLike, pressures: Pressures, *, polytropic_index: float = 1.0, atmosphere: float = 101325.0
     ) -> Float[Array, "..."]:
-        """Return the stiffness [N*m/rad] with valves closed at a state: p V^n is constant, V from the braid.
-
-        The polytropic index n is 1 for slow (isothermal), 1.4 for fast motion (adiabatic); `atmosphere` in Pa.
-        """
+        """Return the stiffness [N*m/rad] of closed valves: p V^n is constant, n 1 for slow, 1.4 for fast motion."""
         pressure1, pressure2 = pressure_pair(pressures)
         path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
         path1, path2 = self.geometry.path_lengths(angle)

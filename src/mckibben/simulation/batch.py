@@ -49,11 +49,8 @@ VECTOR = 16
 class Batch:
     """Results of many runs, in their order; ``batch["angle_rmse"]`` is a column as an array.
 
-    Attributes
-    ----------
-    table
-        Along ``run``: the metrics (SI), ``outcome`` (a code; its attribute ``flag_meanings`` lists the names) and the
-        values of `over`. Along ``run`` and ``time`` the kept parts of the trajectories.
+    `table` has along ``run`` the metrics (SI), ``outcome`` (a code; its attribute ``flag_meanings`` lists the names)
+    and the values of `over`; along ``run`` and ``time`` the kept parts of the trajectories.
     """
 
     table: xr.Dataset

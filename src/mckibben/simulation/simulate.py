@@ -41,15 +41,10 @@ _ROUNDING = 1e-6  # N*m/rad
 
 @dataclass(frozen=True, repr=False)
 class Feasibility:
-    """A reference compared with the attainable stiffness at each control period.
+    """A reference compared with the attainable stiffness at each control period: [s], [rad], [N*m/rad].
 
-    Attributes
-    ----------
-    times, desired_angle, desired_stiffness
-        Shape (periods,): [s], [rad], [N*m/rad].
-    lowest, highest
-        The attainable stiffness at the desired angle while the muscles balance gravity [N*m/rad]; NaN where no
-        pressures within limits hold the angle.
+    The attainable stiffness is that at the desired angle while the muscles balance gravity; NaN where no pressures
+    within limits hold the angle.
     """
 
     times: NDArray[np.float64]
