@@ -2,6 +2,7 @@
 
 import struct
 import time
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -43,8 +44,7 @@ def replace_force(path, make):
 
 def external_storage(file):
     secret = file.filename + ".txt"
-    with open(secret, "wb") as other:
-        other.write(bytes(48))
+    Path(secret).write_bytes(bytes(48))
     file.create_dataset("force", (6,), "f8", external=[(secret, 0, 48)])
 
 

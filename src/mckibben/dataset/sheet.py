@@ -108,6 +108,11 @@ def decimal_sign(
     return DecimalSign(".")
 
 
+def is_number(text: str) -> bool:
+    """True if a text is a number as people write it, with a decimal point: neither 1_0 nor other digits than 0..9."""
+    return _NUMBER.fullmatch(text) is not None
+
+
 def read_numbers(
     cells: Sequence[str] | NDArray[np.float64],
     lines: Sequence[int],

@@ -312,9 +312,12 @@ class Result:
         """
         import xarray as xr
 
+        from mckibben.dataset.hdf5_check import check_hdf5
+
         source = str(path)
         if not Path(path).is_file():
             raise FileError(source, [Problem("there is no such file")])
+        check_hdf5(Path(path), "NetCDF", netcdf=True)
         try:
             table = xr.load_dataset(path, engine="h5netcdf")
         except Exception as error:  # HDF5 has many ways to say that a file is damaged

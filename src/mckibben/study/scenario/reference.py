@@ -14,6 +14,7 @@ from mckibben.config.fields import TablePath
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
 from mckibben.config.schema import ComponentModel, PartOf, model_of, named_model
 from mckibben.control import Constant, Multisine, Samples, Signal, Sine, Step
+from mckibben.dataset.sheet import is_number
 from mckibben.errors import Problem, ScenarioError, UnitError
 from mckibben.units import Angle, Instant, Phase, Stiffness, factor
 
@@ -84,10 +85,8 @@ def _column(header: list[str], name: str, unit: str, problems: list[Problem]) ->
 
 
 def _number(row: list[str], place: int, scale: float) -> float:
-    try:
-        return float(row[place]) * scale
-    except (ValueError, IndexError):
-        return math.nan
+    cell = row[place].strip() if place < len(row) else ""
+    return float(cell) * scale if is_number(cell) else math.nan
 
 
 MOST_SAMPLES = 2000
