@@ -79,14 +79,6 @@ def test_every_public_name_is_there_and_documented(name):
     assert name in dir(mckibben)
 
 
-def test_the_lazy_names_the_listed_names_and_the_names_for_type_checkers_agree():
-    tree = ast.parse(Path(mckibben.__file__).read_text())
-    block = next(node for node in tree.body if isinstance(node, ast.If))
-    typed = {alias.name for node in block.body for alias in node.names}
-    assert typed | set(mckibben._MODULES) == set(mckibben.__all__)
-    assert set(mckibben._HOME_OF) | set(mckibben._MODULES) == set(mckibben.__all__)
-
-
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="force_law"):
         _ = mckibben.force_law

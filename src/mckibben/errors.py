@@ -13,23 +13,20 @@ _LONGEST_MESSAGE = 2000
 
 
 def quoted(value: object) -> str:
-    """The `repr` of a value, at most `LONGEST_VALUE` characters long.
-
-    >>> quoted("x" * 200)[-4:]
-    "...'"
-    """
+    """The `repr` of a value, at most `LONGEST_VALUE` characters long."""
     text = repr(value)
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 4]}...{text[-1]}"
 
 
-def suggest(name: str, known: Sequence[str]) -> str:
-    """A remedy for an unknown name.
+def closest(name: str, known: Sequence[str]) -> str:
+    """The known name that an unknown one may stand for; an empty text if there is none."""
+    return next(iter(difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)), "")
 
-    >>> suggest("sin", ["step", "sine"])
-    "did you mean 'sine'?"
-    """
-    close = difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)
-    return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
+
+def suggest(name: str, known: Sequence[str]) -> str:
+    """A remedy for an unknown name: the closest known one, or all."""
+    close = closest(name, known)
+    return f"did you mean {close!r}?" if close else f"known are {', '.join(known)}"
 
 
 class McKibbenWarning(UserWarning):
@@ -45,21 +42,10 @@ class DomainWarning(McKibbenWarning):
 
 
 class McKibbenError(Exception):
-    """Base class of all errors of mckibben.
+    """Base class of all errors of mckibben: a message, and the offending `value` of a `field` in its unit.
 
-    Parameters
-    ----------
-    message
-        What is wrong, and where.
-    field
-        Name of the offending parameter, key or column.
-    value, lower, upper
-        The offending value and its allowed range, in `unit`.
-    unit
-        Unit of `value`, `lower` and `upper`.
-    remedy
-        What to do about it. ``str(error)`` is ``"message; remedy"``; `remedy` may be replaced before the error is
-        shown, for example by the option of a command.
+    ``str(error)`` is ``"message; remedy"``; `remedy` may be replaced before the error is shown, for example by the
+    option of a command.
     """
 
     def __init__(
@@ -129,15 +115,7 @@ class StoppedError(RigError):
 
 
 class SignalledError(StoppedError):
-    """A test was stopped by a signal, such as Ctrl-C.
-
-    Parameters
-    ----------
-    message
-        As for `McKibbenError`.
-    signal
-        Number of the signal.
-    """
+    """A test was stopped by a signal, such as Ctrl-C, of this number."""
 
     def __init__(self, message: str, *, signal: int) -> None:
         super().__init__(message)
@@ -146,17 +124,7 @@ class SignalledError(StoppedError):
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One mistake in a file.
-
-    Attributes
-    ----------
-    message, remedy
-        What is wrong, and what to do about it.
-    line, field
-        Where.
-    value, lower, upper, unit
-        The offending value, and its allowed range in `unit`.
-    """
+    """One mistake in a file: where it is, and what to do about it."""
 
     message: str
     line: int | None = None
@@ -181,17 +149,8 @@ class Problem:
 
 
 class FileError(McKibbenError, ValueError):
-    """A file cannot be used; all its problems are listed at once.
+    """A file cannot be used; all its problems are listed at once, in the order of the file.
 
-    Parameters
-    ----------
-    source
-        Name of the file.
-    problems
-        Mistakes in the order of the file.
-
-    Examples
-    --------
     >>> print(FileError("rig.csv", [Problem("'abc' is not a number", line=7, field="force_N")]))
     rig.csv: 1 problem
       line 7, force_N: 'abc' is not a number

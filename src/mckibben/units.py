@@ -146,32 +146,17 @@ def factor(unit: str, to: str = "") -> float:
     target = _parse(to)
     if _dimensions(source) != _dimensions(target):
         raise UnitError(
-            f"{unit!r} is not a unit of the kind {to!r}",
-            value=unit,
-            unit=to,
-            remedy=f"give it in a unit like {to}",
+            f"{unit!r} is not a unit of the kind {to!r}", value=unit, unit=to, remedy=f"give it in a unit like {to}"
         )
     return _size({name: source.get(name, 0) - target.get(name, 0) for name in [*source, *target]})
 
 
 def quantity(text: str, unit: str) -> float:
-    """Read a quantity: one number with a decimal point, and one unit; nothing else.
+    """Read a quantity such as ``6 bar`` or ``-3 %`` in SI: one number with a decimal point and one unit.
 
-    Parameters
-    ----------
-    text
-        Such as ``"6 bar"``, ``"208 mm"``, ``"-3 %"``, ``"5e4 Pa/rad"``. A bare number is read only where
-        `unit` is ``"1"``.
-    unit
-        The unit of the answer, which also says what kind of quantity is expected.
+    A bare number is read only where `unit`, which says what kind is expected, is "1". Raises `UnitError` for any other
+    text, and for numbers that are not finite.
 
-    Raises
-    ------
-    UnitError
-        If the text is anything else, the number is not finite, or the unit is of another kind.
-
-    Examples
-    --------
     >>> quantity("25 %", "1")
     0.25
     >>> quantity("4,5 bar", "Pa")
@@ -197,11 +182,7 @@ def quantity(text: str, unit: str) -> float:
 
 
 def split_range(text: str) -> tuple[str, str]:
-    """Split a range ``LOW..HIGH`` into the texts of its ends; the unit of HIGH does for both.
-
-    >>> split_range("1.5e2..2.6e2 mm")
-    ('1.5e2 mm', '2.6e2 mm')
-    """
+    """Split ``LOW..HIGH`` into the texts of its ends; the unit of HIGH does for both."""
     low, _, high = (part.strip() for part in text.partition(".."))
     number = NUMBER.match(high)
     if number and NUMBER.fullmatch(low):
@@ -211,11 +192,6 @@ def split_range(text: str) -> tuple[str, str]:
 
 def parse_range(text: str, unit: str) -> tuple[float, float]:
     """Read a range ``LOW..HIGH`` of quantities, or one quantity, which is both its ends, as `quantity` does.
-
-    Raises
-    ------
-    UnitError
-        If an end is no such quantity, or the range is reversed.
 
     >>> parse_range("3..6 bar", "Pa")
     (300000.0, 600000.0)
@@ -243,21 +219,9 @@ def show(value: float, unit: str, digits: int = 6) -> str:
 class Quantity:
     """Unit and range of a float in SI: metadata of a field, as in ``mass: Annotated[float, Quantity("kg", lower=0)]``.
 
-    Configuration files, parameters of a study and error messages take unit and range from it.
+    `lower` and `upper` are in the unit `shown`, which is `unit` unless given; open ends are excluded. Configuration
+    files, parameters of a study and error messages take unit and range from it.
 
-    Parameters
-    ----------
-    unit
-        The SI unit; "1" for a plain number.
-    shown
-        The unit that it is written in; that of SI unless given.
-    lower, upper
-        Its range, in the unit shown.
-    open_lower, open_upper
-        Whether that end is excluded.
-
-    Examples
-    --------
     >>> time = Quantity("s", "ms", 0, 1e6, open_lower=True)
     >>> time.read("20 ms"), time.write(0.02), time.range
     (0.02, '20 ms', 'above 0 to 1e+06 ms')
@@ -284,13 +248,7 @@ class Quantity:
         )
 
     def read(self, value: Any) -> float:
-        """The value in SI, checked: from text with a unit, or from a number in SI.
-
-        Raises
-        ------
-        UnitError, RangeError
-            If it is no such quantity, or outside the range.
-        """
+        """The value in SI from text with a unit or a number in SI; UnitError or RangeError if it is none."""
         if isinstance(value, str):
             number = self._from_text(value)
         elif isinstance(value, int | float) and not isinstance(value, bool):
@@ -376,13 +334,7 @@ class BoundedInt:
         return core_schema.no_info_before_validator_function(self.read, core_schema.int_schema())
 
     def read(self, value: Any) -> int:
-        """The number, checked.
-
-        Raises
-        ------
-        RangeError
-            If it is no whole number, or outside the range.
-        """
+        """The number; RangeError if it is no whole number, or outside the range."""
         given = value
         if isinstance(value, str):
             value = int(value) if _WHOLE.fullmatch(value.strip()) else None

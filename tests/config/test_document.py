@@ -12,7 +12,7 @@ from mckibben.errors import ScenarioError
 from mckibben.identification import Fit, read_law
 from mckibben.realtime.config import JointRig
 from mckibben.study.benchmark.suite import Suite
-from mckibben.study.rig.document import RigTest, read_calibrations
+from mckibben.study.rig.document import RigTest, rig_calibrations
 from mckibben.study.scenario import Scenario
 
 READERS = [Scenario.read, Suite.read, RigTest.read, JointRig.read, read_law, Fit.from_yaml]
@@ -74,7 +74,7 @@ def test_hostile_calibrations_are_an_error_of_moderate_length(text, line, tmp_pa
     path = tmp_path / "calibration.json"
     path.write_text(text)
     with pytest.raises(ScenarioError) as caught:
-        read_calibrations(path)
+        rig_calibrations(path)
     assert len(str(caught.value)) < 5000
     assert line in [problem.line for problem in caught.value.problems]
 

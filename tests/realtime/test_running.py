@@ -10,6 +10,7 @@ from mckibben.control.base import Setpoint
 from mckibben.errors import RigError, StoppedError
 from mckibben.numerics.compiled import numeric
 from mckibben.realtime import JointLimits, Sensing, Timing
+from mckibben.realtime.compiled_step import FlatTree, vented_angle
 from mckibben.realtime.config import Wiring
 from mckibben.realtime.loop import realtime_process_settings
 from mckibben.realtime.record import Phase, RowBuffer
@@ -33,6 +34,22 @@ def simulated(knee):
 @pytest.fixture(scope="module")
 def ran(knee):
     return knee.run()
+
+
+def test_a_tree_is_packed_to_floats_and_back():
+    tree = (np.asarray(2.5), np.asarray([1, 2]), np.asarray(True), "fixed")
+    flat = FlatTree(tree)
+    assert flat.pack(tree).tolist() == [2.5, 1.0, 2.0, 1.0]
+    number, counts, flag, fixed = flat.unpack(np.array([3.5, 4.0, 5.0, 0.0]))
+    assert (number, counts.tolist(), bool(flag), fixed) == (3.5, [4, 5], False, "fixed")
+    assert counts.dtype.kind == "i"
+
+
+def test_the_torque_of_the_vented_joint_falls_through_zero_at_its_angle(knee):
+    angles = vented_angle(knee.plant) + np.array([-0.1, 0.0, 0.1]) * deg
+    torque = np.asarray(knee.plant.joint.torque(angles, (0.0, 0.0)) + knee.plant.load.gravity_torque(angles))
+    assert torque[0] > 0 > torque[2]
+    assert abs(torque[1]) < 1e-3 * (torque[0] - torque[2])
 
 
 def test_a_virtual_joint_is_a_backend(stiff):

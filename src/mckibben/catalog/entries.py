@@ -15,11 +15,7 @@ if TYPE_CHECKING:
 
 
 def specimen(name: str) -> Specimen:
-    """Return a specimen such as "MAS-10-180N-AA-MC-O".
-
-    >>> specimen("MAS-10-180N-AA-MC-O").initial_length
-    0.18
-    """
+    """Return a specimen such as "MAS-10-180N-AA-MC-O"."""
     entry, _ = find("specimens", name)
     return Specimen(
         name=name,

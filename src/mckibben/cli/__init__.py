@@ -10,16 +10,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 import mckibben
 from mckibben.cli.compare import compare
 from mckibben.cli.identify import identify, points, validate
-from mckibben.cli.options import Json, Out, metric, notify, progress, table
+from mckibben.cli.options import Json, Out, format_metrics, notify, progress, table
 from mckibben.cli.plan import envelope, plan
 from mckibben.cli.rig import rig
 from mckibben.cli.sweep import sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning
-from mckibben.storage.files import make_folder
+from mckibben.storage.files import make_folder, to_json, write_json
+from mckibben.units import mm
 
 if TYPE_CHECKING:
     from mckibben.simulation import Result
@@ -38,13 +40,12 @@ app = typer.Typer(
 
 @app.command()
 def reproduce(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the report.")] = Path("mckibben-report"),
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer repeats, seeds and tuning steps.")] = False,
+    out: Annotated[Path, Option(metavar="DIR", help="Folder of the report.")] = Path("mckibben-report"),
+    quick: Annotated[bool, Option("--quick", help="Fewer repeats, seeds and tuning steps.")] = False,
     json: Json = False,
 ) -> None:
     """Reproduce the paper: test, identification, knee and control, with a report and figures."""
     make_folder(out)  # fails before the computation
-    from mckibben.storage.files import to_json
 
     with progress() as report:
         from mckibben.paper import reproduce as run
@@ -78,7 +79,7 @@ app.command()(validate)
 
 @app.command()
 def simulate(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
+    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
     json: Json = False,
     out: Out = None,
 ) -> None:
@@ -88,8 +89,7 @@ def simulate(
     from mckibben.study.scenario import Scenario
 
     read = Scenario.read(scenario)
-    from mckibben.simulation.metrics import METRICS, in_shown_units
-    from mckibben.storage.files import to_json, write_json
+    from mckibben.simulation.metrics import in_shown_units
     from mckibben.study.scenario.building import run_scenario
 
     result, feasibility = run_scenario(read, source=str(scenario))
@@ -106,11 +106,7 @@ def simulate(
     else:
         if infeasible:
             typer.echo(f"warning: {infeasible}", err=True)
-        rows = [
-            (METRICS[name][0].replace("_", " "), metric(name, value), METRICS[name][1])
-            for name, value in numbers["metrics"].items()
-        ]
-        table(read.name, ("metric", "value", "unit"), rows)
+        table(read.name, ("metric", "value", "unit"), format_metrics(numbers["metrics"]))
         typer.echo(result.describe())
     if out:
         _keep_run(out, read, result)
@@ -133,7 +129,6 @@ def laws(json: Json = False) -> None:
     """List the force laws and the published parameter sets."""
     from mckibben import catalog
     from mckibben.muscle import LAWS
-    from mckibben.storage.files import to_json
 
     published = {name: catalog.law(name) for name in catalog.names("laws")}
     if json:
@@ -151,8 +146,6 @@ def laws(json: Json = False) -> None:
 def specimens(json: Json = False) -> None:
     """List the specimens and measured datasets of the catalog."""
     from mckibben import catalog
-    from mckibben.storage.files import to_json
-    from mckibben.units import mm
 
     known = {name: catalog.specimen(name) for name in catalog.names("specimens")}
     data = {name: catalog.cite(name).splitlines()[0] for name in catalog.names("datasets")}
@@ -179,10 +172,10 @@ def specimens(json: Json = False) -> None:
 
 @app.callback(invoke_without_command=True)
 def _root(
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    version: Annotated[bool, Option("--version", help="Print the version.")] = False,
     extension: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE.py", help="Python file with classes of one's own; runs it. Repeat for several."),
+        Option(metavar="FILE.py", help="Python file with classes of one's own; runs it. Repeat for several."),
     ] = None,
 ) -> None:
     if version:

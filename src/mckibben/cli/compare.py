@@ -6,28 +6,38 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from mckibben.cli.options import Json, long_job, metric, required_folder, table
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.storage.files import atomic_write, make_folder
+from mckibben.storage.files import atomic_write, check_free, make_folder, to_json, write_json
 
 if TYPE_CHECKING:
     from mckibben.study.benchmark import BenchmarkResult, Suite
 
+# title, metric, statistic
+_COLUMNS = (
+    ("angle rmse, deg", "angle_rmse_deg", "median"),
+    ("95 %", "angle_rmse_deg", "percentile_95"),
+    ("stiffness rmse", "stiffness_rmse", "median"),
+    ("95 %", "stiffness_rmse", "percentile_95"),
+    ("coupling, deg", "coupling_deg", "median"),
+    ("air, L", "air_L", "median"),
+)
 _KEPT = ("results.json", "runs.nc", "suite.yaml", "comparison.html")
 
 
 def compare(
-    suite: Annotated[Path, typer.Argument(metavar="SUITE.yaml", help="Suite file; see examples/comparison.")],
+    suite: Annotated[Path, Argument(metavar="SUITE.yaml", help="Suite file; see examples/comparison.")],
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Output folder: searches, all runs, tuned scenarios, report.")
+        Path | None, Option(metavar="DIR", help="Output folder: searches, all runs, tuned scenarios, report.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue the searches in DIR.")] = False,
-    runs: Annotated[int | None, typer.Option(metavar="N", help="Number of unseen runs, overriding the suite.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="A tenth of the tuning budget, at most 128 runs.")] = False,
+    resume: Annotated[bool, Option("--resume", help="Continue the searches in DIR.")] = False,
+    runs: Annotated[int | None, Option(metavar="N", help="Number of unseen runs, overriding the suite.")] = None,
+    quick: Annotated[bool, Option("--quick", help="A tenth of the tuning budget, at most 128 runs.")] = False,
     repeat: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="'CONTROLLER RUN'",
             help="Print one run of the comparison in DIR as a scenario for `mckibben simulate`, such as 'PID 17'.",
         ),
@@ -42,7 +52,6 @@ def compare(
     if repeat is not None:
         typer.echo(_alone(out, repeat), nl=False)
         return
-    from mckibben.storage.files import check_free
     from mckibben.study.benchmark import compare as run
 
     searches = out / "tuning"
@@ -98,7 +107,6 @@ def _alone(out: Path, repeat: str) -> str:
 
 def _show(result: BenchmarkResult, out: Path, json: bool) -> None:
     from mckibben import report
-    from mckibben.storage.files import to_json, write_json
     from mckibben.study.benchmark.benchmark import statistics, write_table
 
     numbers = statistics(result)
@@ -121,24 +129,15 @@ def _show(result: BenchmarkResult, out: Path, json: bool) -> None:
 def _tables(numbers: dict[str, Any]) -> None:
     found = numbers["controllers"]
 
-    def cell(name: str, key: str, what: str = "median") -> str:
+    def cell(name: str, key: str, what: str) -> str:
         spread = found[name]["metrics"][key]
         return "-" if spread is None else metric(key, spread[what])
 
     table(
         f"{numbers['suite']}: {numbers['runs'] - numbers['no_start']} unseen runs",
-        ("controller", "angle rmse, deg", "95 %", "stiffness rmse", "95 %", "coupling, deg", "air, L", "unstable"),
+        ("controller", *(title for title, _, _ in _COLUMNS), "unstable"),
         [
-            (
-                name,
-                cell(name, "angle_rmse_deg"),
-                cell(name, "angle_rmse_deg", "percentile_95"),
-                cell(name, "stiffness_rmse"),
-                cell(name, "stiffness_rmse", "percentile_95"),
-                cell(name, "coupling_deg"),
-                cell(name, "air_L"),
-                str(found[name]["unstable"]),
-            )
+            (name, *(cell(name, key, what) for _, key, what in _COLUMNS), str(found[name]["unstable"]))
             for name in numbers["order"]
         ],
     )

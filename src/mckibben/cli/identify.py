@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from mckibben.cli.options import (
     Column,
@@ -26,7 +27,8 @@ from mckibben.cli.options import (
     table,
 )
 from mckibben.errors import DatasetError, ParameterError, Problem, UnitError
-from mckibben.storage.files import make_folder
+from mckibben.storage.files import make_folder, to_json, write_json
+from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recording
@@ -34,51 +36,44 @@ if TYPE_CHECKING:
 
 
 _SHOWN = 40  # rows of the table
+# columns of the points, and the format of each in the table
+_COLUMNS = {
+    "time_s": ".5g",
+    "pressure_bar": ".5g",
+    "contraction_percent": ".4g",
+    "force_N": ".5g",
+    "spread_N": ".2g",
+    "samples": "",
+    "came_by": "",
+}
 _LEADING_NUMBER = re.compile(r"^[+-]?[0-9.]+([eE][+-]?[0-9]+)?")
 
 
 def points(
-    recording: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RECORDING", help="Pressure and force against time: CSV, .xlsx, .mat, .tdms, .lvm, .nc."
-        ),
-    ],
+    recording: Annotated[Path, Argument(metavar="RECORDING", help="CSV, .xlsx, .mat, .tdms, .lvm or .nc, over time.")],
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Output file: .csv, or .nc with the spread of the force."),
+        Path | None, Option(metavar="FILE", help="New file: .csv, or .nc with the spread of the force.")
     ] = None,
-    isometric: Annotated[
-        bool,
-        typer.Option("--isometric", help="Isometric test: points at pressure levels at a fixed length."),
-    ] = False,
+    isometric: Annotated[bool, Option("--isometric", help="Points at pressure levels at a fixed length.")] = False,
     levels: Annotated[
-        str, typer.Option(metavar="'1, 2, 3 bar'", help="Pressure levels of --isometric (default: evenly spaced).")
+        str, Option(metavar="'1, 2, 3 bar'", help="Levels of --isometric (default: evenly spaced).")
     ] = "",
-    count: Annotated[int, typer.Option(metavar="N", help="Number of evenly spaced levels of --isometric.")] = 12,
+    count: Annotated[int, Option(metavar="N", help="Number of evenly spaced levels of --isometric.")] = 12,
     contraction: Annotated[
-        str,
-        typer.Option(metavar="RATIO", help="Contraction of the recording, such as '10 %', if no column gives it."),
+        str, Option(metavar="RATIO", help="Contraction, such as '10 %', if no column gives it.")
     ] = "",
-    pressure_tolerance: Annotated[str, typer.Option(metavar="PRESSURE", help="Tolerance of a plateau.")] = "2 kPa",
+    pressure_tolerance: Annotated[str, Option(metavar="PRESSURE", help="Tolerance of a plateau.")] = "2 kPa",
     contraction_tolerance: Annotated[
-        str,
-        typer.Option(
-            metavar="RATIO",
-            help="Tolerance of a plateau (default 0.1 %) or of --isometric (0.5 %).",
-        ),
+        str, Option(metavar="RATIO", help="Tolerance of a plateau (default 0.1 %) or of --isometric (0.5 %).")
     ] = "",
-    force_tolerance: Annotated[str, typer.Option(metavar="FORCE", help="Tolerance of a plateau (default: none).")] = "",
-    dwell: Annotated[str, typer.Option(metavar="TIME", help="Shortest duration of a plateau.")] = "1 s",
-    settle: Annotated[str, typer.Option(metavar="TIME", help="Excluded start of a plateau.")] = "0 s",
-    gap: Annotated[
-        str,
-        typer.Option(metavar="TIME", help="Gap that ends a plateau (default: 10 sampling intervals)."),
-    ] = "",
-    sample_rate: Annotated[str, typer.Option(metavar="RATE", help="Of a file without times, such as '1000 Hz'.")] = "",
+    force_tolerance: Annotated[str, Option(metavar="FORCE", help="Tolerance of a plateau (default: none).")] = "",
+    dwell: Annotated[str, Option(metavar="TIME", help="Shortest duration of a plateau.")] = "1 s",
+    settle: Annotated[str, Option(metavar="TIME", help="Excluded start of a plateau.")] = "0 s",
+    gap: Annotated[str, Option(metavar="TIME", help="Gap that ends a plateau (default: 10 sampling intervals).")] = "",
+    sample_rate: Annotated[str, Option(metavar="RATE", help="Of a file without times, such as '1000 Hz'.")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
-    specimen: Annotated[str, typer.Option(metavar="NAME", help="Name of the specimen.")] = "",
+    specimen: Annotated[str, Option(metavar="NAME", help="Name of the specimen.")] = "",
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
     json: Json = False,
@@ -127,53 +122,42 @@ def points(
 
 
 def _show_points(read: Recording, found: ExtractedPoints, path: Path, json: bool) -> None:
-    from mckibben.storage.files import to_json
-
     report_ignored_columns(read.table.attrs)
     rows = _rows(found)
     if json:
-        names = ("time_s", "pressure_bar", "contraction_percent", "force_N", "spread_N", "samples", "came_by")
         numbers = {
-            "points": [dict(zip(names, row, strict=True)) for row in rows],
+            "points": [dict(zip(_COLUMNS, row, strict=True)) for row in rows],
             "samples": dict(found.counts),
             "notes": list(found.notes),
             "repairs": read.table.attrs.get("repairs", "").splitlines(),
         }
         typer.echo(to_json(numbers))
         return
-    shown = [
-        (f"{t:.5g}", f"{p:.5g}", f"{c:.4g}", f"{f:.5g}", f"{d:.2g}", str(n), direction)
-        for t, p, c, f, d, n, direction in rows
-    ]
-    more = f" (first {_SHOWN} shown)" if len(shown) > _SHOWN else ""
+    formats = _COLUMNS.values()
+    shown = [tuple(map(format, row, formats)) for row in rows[:_SHOWN]]
+    more = f" (first {_SHOWN} shown)" if len(rows) > _SHOWN else ""
     table(
         f"{path.name}: {len(rows)} points of {len(read)} samples{more}",
         ("time s", "pressure bar", "contraction %", "force N", "spread N", "samples", "direction"),
-        shown[:_SHOWN],
+        shown,
     )
     typer.echo(found.describe())
 
 
-def _rows(found: ExtractedPoints) -> list[tuple[float, float, float, float, float, int, str]]:
-    from mckibben.units import bar, percent
-
+def _rows(found: ExtractedPoints) -> list[tuple[float | str, ...]]:
     data = found.dataset.table
     empty = [""] * len(found.dataset)
-    directions = zip(
-        *(data[name].to_numpy().tolist() if name in data else empty for name in ("direction", "phase")), strict=True
+    direction, phase = (data[name].to_numpy() if name in data else empty for name in ("direction", "phase"))
+    numbers = (
+        data["time"].to_numpy(),
+        found.dataset.pressure / bar,
+        found.dataset.contraction / percent,
+        found.dataset.force,
+        data["force_spread"].to_numpy(),
+        found.samples,
     )
-    columns = (
-        data["time"].to_numpy().tolist(),
-        (found.dataset.pressure / bar).tolist(),
-        (found.dataset.contraction / percent).tolist(),
-        found.dataset.force.tolist(),
-        data["force_spread"].to_numpy().tolist(),
-        found.samples.tolist(),
-    )
-    return [
-        (*row, direction or phase or "-")
-        for row, (direction, phase) in zip(zip(*columns, strict=True), directions, strict=True)
-    ]
+    came_by = [str(one or other or "-") for one, other in zip(direction, phase, strict=True)]
+    return list(zip(*(column.tolist() for column in numbers), came_by, strict=True))
 
 
 def _check_new(out: Path) -> None:
@@ -211,15 +195,12 @@ _ALL, _LEVEL = "all", 0.95
 def identify(
     data: Data,
     law: Annotated[
-        str, typer.Option(help="Force law, such as exponential (Eq. 2); 'mckibben laws' lists them; 'all' ranks them.")
+        str, Option(help="Force law, such as exponential (Eq. 2); 'mckibben laws' lists them; 'all' ranks them.")
     ] = "exponential",
-    level: Annotated[float, typer.Option(help="Confidence level of the intervals.")] = _LEVEL,
-    profile: Annotated[bool, typer.Option("--profile", help="Profile likelihood of the shape parameters.")] = False,
-    bootstrap: Annotated[int, typer.Option(metavar="N", help="Block bootstrap with N resamples.")] = 0,
-    hysteresis: Annotated[
-        bool,
-        typer.Option("--hysteresis", help="Identify friction and sensor drift with the law."),
-    ] = False,
+    level: Annotated[float, Option(help="Confidence level of the intervals.")] = _LEVEL,
+    profile: Annotated[bool, Option("--profile", help="Profile likelihood of the shape parameters.")] = False,
+    bootstrap: Annotated[int, Option(metavar="N", help="Block bootstrap with N resamples.")] = 0,
+    hysteresis: Annotated[bool, Option("--hysteresis", help="Identify friction and drift with the law.")] = False,
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     column: Column = None,
@@ -249,7 +230,6 @@ def identify(
     from mckibben.identification import identify as run
     from mckibben.identification import identify_hysteresis
     from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
-    from mckibben.storage.files import to_json, write_json
 
     friction = identify_hysteresis(law_type, points) if hysteresis else None
     static = friction.corrected(points) if friction else points
@@ -276,9 +256,9 @@ def identify(
 
 
 def validate(
-    law: Annotated[str, typer.Argument(metavar="LAW", help="A fit file, a law of the catalog, or 'chou'.")],
+    law: Annotated[str, Argument(metavar="LAW", help="A fit file, a law of the catalog, or 'chou'.")],
     data: Data,
-    specimen: Annotated[str, typer.Option(help="Specimen whose braid angle and diameter 'chou' uses.")] = "",
+    specimen: Annotated[str, Option(help="Specimen whose braid angle and diameter 'chou' uses.")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     column: Column = None,
@@ -294,7 +274,6 @@ def validate(
     known = law_named(law, specimen=specimen)
     points = read_data(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
     from mckibben.identification import validate as run
-    from mckibben.storage.files import to_json, write_json
 
     validation = run({law: known}, points)
     numbers = {"slack": validation.slack, "errors": validation.records()}
@@ -306,7 +285,6 @@ def validate(
 
 def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
     from mckibben.identification import rank
-    from mckibben.storage.files import to_json, write_json
 
     with progress() as report_progress:
         ranking = rank(points, progress=report_progress)
@@ -342,44 +320,32 @@ def _show(ranking: Ranking) -> None:
     specimen = ranking.points.table.attrs["specimen"] or "unnamed specimen"
     fitted = [entry for entry in ranking.entries if entry.fit]
     least = min((entry.aicc for entry in fitted if entry.aicc == entry.aicc), default=0.0)
-    headers = (
-        "law",
-        "parameters",
-        "RMSE N",
-        *(f"held-out {name}s N" for name in ranking.blocks),
-        "AICc",
-        "residual pattern over",
-    )
-    rows = [
-        (
+
+    def row(entry: RankedLaw) -> tuple[str, ...]:
+        held_out = [entry.cross_validation.get(name) for name in ranking.blocks]
+        return (
             _short(entry),
             str(entry.parameters),
-            f"{entry.fit.rmse:.2f}" if entry.fit else "-",
-            *(
-                f"{entry.cross_validation[name].rmse:.2f}" if name in entry.cross_validation else "-"
-                for name in ranking.blocks
-            ),
+            *(f"{errors.rmse:.2f}" if errors else "-" for errors in (entry.fit, *held_out)),
             f"+{entry.aicc - least:.1f}" if entry.aicc == entry.aicc else "-",
             (entry.residual_correlation.pattern if entry.residual_correlation else "") or "-",
         )
-        for entry in fitted
-    ]
+
+    blocks = (f"held-out {name}s N" for name in ranking.blocks)
+    headers = ("law", "parameters", "RMSE N", *blocks, "AICc", "residual pattern over")
+    rows = [row(entry) for entry in fitted]
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)
     for name, reason in ranking.missing.items():
         typer.echo(f"no cross-validation over {name}s: {reason}")
     if not ranking.blocks:
         typer.echo("no block of points could be held out: ranked by AICc")
     for entry in ranking.entries:
-        _remark(entry)
+        for what, texts in (("not fitted", [entry.refused]), ("flagged", entry.flags), ("note on", entry.remarks)):
+            if any(texts):
+                typer.echo(f"{what} {_short(entry)}: {'; '.join(texts)}")
     best, first = ranking.best, ranking.entries[0]
     if best is not first:
         typer.echo(f"selected: {_short(best)}; {_short(first)} is flagged and not substantially better")
-
-
-def _remark(entry: RankedLaw) -> None:
-    for what, texts in (("not fitted", [entry.refused]), ("flagged", entry.flags), ("note on", entry.remarks)):
-        if any(texts):
-            typer.echo(f"{what} {_short(entry)}: {'; '.join(texts)}")
 
 
 def _short(entry: RankedLaw) -> str:

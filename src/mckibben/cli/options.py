@@ -3,36 +3,44 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from mckibben.errors import ParameterError, UnitError
+from mckibben.units import parse_range, quantity
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
 
 
-Json = Annotated[bool, typer.Option("--json", help="Print machine-readable results instead of a table.")]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Write results, figures and data here.")]
-Data = Annotated[str, typer.Argument(metavar="DATA", help="A data file, or the name of a dataset in the catalog.")]
+Json = Annotated[bool, Option("--json", help="Print machine-readable results instead of a table.")]
+Out = Annotated[Path | None, Option("--out", metavar="DIR", help="Write results, figures and data here.")]
+Data = Annotated[str, Argument(metavar="DATA", help="A data file, or the name of a dataset in the catalog.")]
 InitialLength = Annotated[
-    str,
-    typer.Option(metavar="LENGTH", help="Length of the deflated muscle, such as '180 mm', where a file has lengths."),
+    str, Option(metavar="LENGTH", help="Length of the deflated muscle, such as '180 mm', where a file has lengths.")
 ]
 SlackForce = Annotated[
-    str, typer.Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
+    str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
 ]
 Column = Annotated[
-    list[str] | None,
-    typer.Option(metavar="'HEADER=NAME'", help="Read the column HEADER as the quantity NAME; repeatable."),
+    list[str] | None, Option(metavar="'HEADER=NAME'", help="Read the column HEADER as the quantity NAME; repeatable.")
 ]
 
 
-SkipCorrupt = Annotated[bool, typer.Option("--skip-corrupt", help="Skip rows that contain no number, and report them.")]
+Known = Annotated[
+    list[str] | None,
+    Option(
+        metavar="NAME",
+        help="Varied plant parameter that the controller's model follows, or 'all'; repeatable. By default the "
+        "controller's model keeps the values of the file.",
+    ),
+]
+SkipCorrupt = Annotated[bool, Option("--skip-corrupt", help="Skip rows that contain no number, and report them.")]
 
 
 def read_data(
@@ -75,14 +83,20 @@ def parse_columns(columns: list[str] | None) -> dict[str, str] | None:
     return named or None
 
 
+def parse_limits(option: str, text: str, unit: str) -> tuple[float, float]:
+    """Range, or twice the single value, of an option in SI units; an error names the option."""
+    try:
+        return parse_range(text, unit)
+    except UnitError as error:
+        raise UnitError(f"{option}: {error.message}", value=text, unit=unit, remedy=error.remedy) from None
+
+
 def parse_quantity(option: str, text: str, unit: str) -> float:
     """Value of an option in SI units; an error names the option."""
-    from mckibben.units import quantity
-
     try:
         return quantity(text, unit)
     except UnitError as error:
-        raise UnitError(f"{option}: {error}", value=text, unit=unit) from None
+        raise UnitError(f"{option}: {error.message}", value=text, unit=unit, remedy=error.remedy) from None
 
 
 def parse_optional_quantity(option: str, text: str, unit: str) -> float | None:
@@ -90,11 +104,19 @@ def parse_optional_quantity(option: str, text: str, unit: str) -> float | None:
     return parse_quantity(option, text, unit) if text else None
 
 
+def check_choice(name: str, choices: Iterable[str], what: str) -> None:
+    """Raise if a name is none of the choices."""
+    if name not in choices:
+        raise ParameterError(f"{name!r} is not {what}", value=name, remedy=f"choose one of {', '.join(choices)}")
+
+
 _PIPED_WIDTH = 240  # columns of a table written to a file or a pipe
 
 
 def table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
-    """Print a titled table; cells are plain text."""
+    """Print a titled table, if it has rows; cells are plain text."""
+    if not rows:
+        return
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -130,6 +152,20 @@ def metric(name: str, value: float) -> str:
     if value == value:
         return f"{value:.4g}"
     return "never" if name == "stiffness_settling_s" else "-"
+
+
+def format_metrics(metrics: Mapping[str, float]) -> list[tuple[str, str, str]]:
+    """Name, value and unit of metrics in shown units."""
+    from mckibben.simulation.metrics import METRICS
+
+    return [(METRICS[n][0].replace("_", " "), metric(n, value), METRICS[n][1]) for n, value in metrics.items()]
+
+
+def time_text(seconds: float) -> str:
+    """A duration in hours, minutes and seconds."""
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"
 
 
 INTERRUPTED = 130

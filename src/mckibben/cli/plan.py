@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from mckibben.cli.options import (
     Column,
@@ -14,14 +15,17 @@ from mckibben.cli.options import (
     Json,
     Out,
     SlackForce,
+    check_choice,
     notify,
+    parse_limits,
     parse_optional_quantity,
     parse_quantity,
     read_data,
     table,
 )
 from mckibben.errors import ParameterError, UnitError
-from mckibben.storage.files import make_folder
+from mckibben.storage.files import make_folder, to_json, write_json
+from mckibben.units import deg, mm, quantity
 
 if TYPE_CHECKING:
     from mckibben.experiment_design import ExperimentPlan
@@ -35,55 +39,36 @@ _DIRECTIONS = {"both": ("loading", "unloading"), "loading": ("loading",), "unloa
 
 def plan(
     data: Data,
-    law: Annotated[str, typer.Option(help="Kind of law; 'mckibben laws' lists them.")] = "exponential",
+    law: Annotated[str, Option(help="Kind of law; 'mckibben laws' lists them.")] = "exponential",
     of: Annotated[
         str,
-        typer.Option(
+        Option(
             "--for",
             metavar="QUANTITY",
             help="Quantity of interest: 'coefficients', or names such as 'decay'; 'force', or 'force at 0..10 %, "
             "3..6 bar'; 'stiffness' or 'torque', or 'stiffness at 5 deg, 2 bar, 4 bar'.",
         ),
     ] = "force",
-    points: Annotated[int, typer.Option(metavar="N", help="Number of points.")] = 8,
+    points: Annotated[int, Option(metavar="N", help="Number of points.")] = 8,
     joint: Annotated[
-        str, typer.Option(metavar="JOINT", help="Joint of stiffness and torque: of the catalog, or a scenario file.")
+        str, Option(metavar="JOINT", help="Joint of stiffness and torque: of the catalog, or a scenario file.")
     ] = "knee-table-2",
-    contraction: Annotated[
-        str, typer.Option(metavar="RANGE", help="Limits, such as '0..20 %'; the specimen's range unless given.")
-    ] = "",
-    pressure: Annotated[
-        str,
-        typer.Option(metavar="RANGE", help="Limits, such as '1..6 bar'; the specimen's range unless given."),
-    ] = "",
-    contraction_step: Annotated[
-        str, typer.Option(metavar="STEP", help="Resolution of the rig, '1 mm' or '0.5 %'; 1 mm unless given.")
-    ] = "",
-    pressure_step: Annotated[str, typer.Option(metavar="STEP", help="Resolution of the rig.")] = "0.25 bar",
+    contraction: Annotated[str, Option(metavar="RANGE", help="Limits, '0..20 %' (default: the specimen's).")] = "",
+    pressure: Annotated[str, Option(metavar="RANGE", help="Limits, '1..6 bar' (default: the specimen's).")] = "",
+    contraction_step: Annotated[str, Option(metavar="STEP", help="Resolution, '0.5 %' or '1 mm' (default).")] = "",
+    pressure_step: Annotated[str, Option(metavar="STEP", help="Resolution of the rig's pressure.")] = "0.25 bar",
     directions: Annotated[
-        str, typer.Option(metavar="|".join(_DIRECTIONS), help="Directions that the rig can measure in.")
+        str, Option(metavar="|".join(_DIRECTIONS), help="Directions that the rig measures.")
     ] = "both",
-    repeats: Annotated[int, typer.Option(metavar="N", help="How often a point may be planned.")] = 2,
-    friction: Annotated[
-        bool | None,
-        typer.Option(help="Friction is an unknown; where directions are recorded unless given."),
-    ] = None,
-    noise: Annotated[
-        str, typer.Option(metavar="FORCE", help="Standard deviation of a point; from the residuals unless given.")
-    ] = "",
-    stroke_error: Annotated[
-        str, typer.Option(metavar="FORCE", help="Error shared by a stroke; from the residuals unless given.")
-    ] = "",
+    repeats: Annotated[int, Option(metavar="N", help="How often a point may be planned.")] = 2,
+    friction: Annotated[bool | None, Option(help="Friction is unknown (default: if directions are recorded).")] = None,
+    noise: Annotated[str, Option(metavar="FORCE", help="Error of a point (default: from the residuals).")] = "",
+    stroke_error: Annotated[str, Option(metavar="FORCE", help="Error of a stroke (default: from the residuals).")] = "",
     guess: Annotated[
         str,
-        typer.Option(
-            metavar="LAW", help="Fit file or law of the catalog to linearise about where the data determine none."
-        ),
+        Option(metavar="LAW", help="Fit file or law of the catalog to linearise about where the data determine none."),
     ] = "",
-    specimen: Annotated[
-        str,
-        typer.Option(metavar="NAME", help="Specimen, for range and rating; the one named in the data unless given."),
-    ] = "",
+    specimen: Annotated[str, Option(metavar="NAME", help="Specimen (default: the one named in the data).")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     column: Column = None,
@@ -93,14 +78,10 @@ def plan(
     """Plan the next test: the points that most reduce the uncertainty of a quantity, and diagnostics of the data."""
     if out:
         make_folder(out)
-    if directions not in _DIRECTIONS:
-        raise ParameterError(
-            f"{directions!r} is not a direction", value=directions, remedy=f"choose of {', '.join(_DIRECTIONS)}"
-        )
+    check_choice(directions, _DIRECTIONS, "a direction")
     from mckibben import catalog
     from mckibben.experiment_design import parse_quantity_of_interest
     from mckibben.experiment_design import plan as run
-    from mckibben.storage.files import to_json, write_json
     from mckibben.study.inputs import joint_named, law_named, law_type_named
 
     law_type = law_type_named(law)
@@ -156,33 +137,23 @@ def _limits(contraction: str, pressure: str, specimen: Specimen | None) -> Domai
     if not contraction and not pressure:
         return None
     from mckibben.muscle import Domain
-    from mckibben.units import parse_range
 
     if specimen is None and not (contraction and pressure):
         raise ParameterError(
-            "the specimen is unknown: both limits are needed",
-            remedy="give --contraction and --pressure, or --specimen",
+            "the specimen is unknown: both limits are needed", remedy="give --contraction and --pressure, or --specimen"
         )
 
-    def ends(option: str, text: str, unit: str, low: object, high: object) -> tuple[float, float]:
-        if not text:
-            return float(low), float(high)  # type: ignore[arg-type]
-        try:
-            return parse_range(text, unit)
-        except UnitError as error:
-            raise UnitError(f"{option}: {error}", value=text, unit=unit) from None
-
     box = specimen.domain if specimen else Domain()
+    ends = (box.contraction_min, box.contraction_max), (box.pressure_min, box.pressure_max)
     return Domain(
-        *ends("--contraction", contraction, "1", box.contraction_min, box.contraction_max),
-        *ends("--pressure", pressure, "Pa", box.pressure_min, box.pressure_max),
+        *(parse_limits("--contraction", contraction, "1") if contraction else ends[0]),
+        *(parse_limits("--pressure", pressure, "Pa") if pressure else ends[1]),
     )
 
 
 def _contraction_step(text: str, length: float | None) -> float | None:
     if not text:
         return None
-    from mckibben.units import quantity
 
     try:
         return quantity(text, "1")
@@ -197,30 +168,29 @@ def _contraction_step(text: str, length: float | None) -> float | None:
 
 
 def envelope(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="Scenario with the joint and reference.")],
+    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with the joint and reference.")],
     margin: Annotated[
-        str, typer.Option(metavar="FRACTION", help="Margin of nearest references to both ends of the stiffness band.")
+        str, Option(metavar="FRACTION", help="Margin of nearest references to both ends of the stiffness band.")
     ] = "5 %",
     smoothing: Annotated[
-        str,
-        typer.Option(metavar="TIME", help="Smoothing of jumps and corners; the narrowest trackable one unless given."),
+        str, Option(metavar="TIME", help="Smoothing of jumps and corners; the narrowest trackable one unless given.")
     ] = "",
     design: Annotated[
         str | None,
-        typer.Option(metavar="TARGET", help="Size the joint for 'stiffness 12..18 N*m/rad over -20..20 deg' instead."),
+        Option(metavar="TARGET", help="Size the joint for 'stiffness 12..18 N*m/rad over -20..20 deg' instead."),
     ] = None,
     vary: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="'NAME=RANGE'",
             help="Design variable with its bounds: 'connector_length=150..260 mm', joint_radius, joint_length, "
             "muscle_length, muscle1_length, muscle2_length. May be given several times.",
         ),
     ] = None,
     torque_reserve: Annotated[
-        str, typer.Option(metavar="TORQUE", help="Torque of a design in either direction beyond that against gravity.")
+        str, Option(metavar="TORQUE", help="Torque of a design in either direction beyond that against gravity.")
     ] = "0 N*m",
-    minimum_tension: Annotated[str, typer.Option(metavar="FORCE", help="Minimum muscle tension of a design.")] = "0 N",
+    minimum_tension: Annotated[str, Option(metavar="FORCE", help="Minimum muscle tension of a design.")] = "0 N",
     json: Json = False,
     out: Out = None,
 ) -> None:
@@ -252,8 +222,6 @@ def envelope(
 
 def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
     from mckibben.reachability import HEADERS, save_reference
-    from mckibben.storage.files import to_json, write_json
-    from mckibben.units import deg
 
     numbers, static = found.records(), found.static
     if json:
@@ -281,8 +249,6 @@ def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
 
 def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None) -> None:
     from mckibben.reachability import save_design, static_envelope
-    from mckibben.storage.files import to_json, write_json
-    from mckibben.units import mm
 
     numbers = found.records()
     if json:

@@ -12,9 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
-from mckibben.cli.options import Json, job_progress, metric, notify, parse_optional_quantity, table
+from mckibben.cli.options import Json, format_metrics, job_progress, notify, parse_optional_quantity, table, time_text
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
+from mckibben.storage.files import check_free, make_folder, to_json, write_json
+from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
     from mckibben.realtime import JointRunResult, JointSession, RunProgress
@@ -28,22 +31,12 @@ _INTERVAL = 0.25  # s
 
 
 def control(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="Scenario; see examples/.")],
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder of record and results.")] = None,
-    rig: Annotated[
-        Path | None,
-        typer.Option(
-            "--rig", metavar="RIG.yaml", help="Rig to run on, see examples/rig/joint-rig.yaml; else simulated."
-        ),
-    ] = None,
-    unpaced: Annotated[
-        bool, typer.Option("--unpaced", help="Run the simulated joint as fast as possible, not in real time.")
-    ] = False,
-    ideal: Annotated[
-        bool,
-        typer.Option("--ideal", help="Simulated joint with ideal sensors, starting as `mckibben simulate` does."),
-    ] = False,
-    duration: Annotated[str, typer.Option(metavar="TIME", help="Duration, '60 s'; else the scenario's.")] = "",
+    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario; see examples/.")],
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder of record and results.")] = None,
+    rig: Annotated[Path | None, Option(metavar="RIG.yaml", help="Rig, see examples/rig/ (default: simulated).")] = None,
+    unpaced: Annotated[bool, Option("--unpaced", help="Run the simulated joint as fast as possible.")] = False,
+    ideal: Annotated[bool, Option("--ideal", help="Ideal sensors, and the start of `mckibben simulate`.")] = False,
+    duration: Annotated[str, Option(metavar="TIME", help="Duration, '60 s'; else the scenario's.")] = "",
     json: Json = False,
 ) -> None:
     """Run a scenario's controller on a joint in real time, and record it. Ctrl-C stops it and vents.
@@ -57,7 +50,6 @@ def control(
 
     compute_in_this_thread()
     from mckibben.realtime import JointRig, prepare
-    from mckibben.storage.files import check_free, make_folder
     from mckibben.study.scenario import Scenario
 
     read = _with_duration(Scenario.read(scenario), parse_optional_quantity("--duration", duration, "s"))
@@ -92,8 +84,7 @@ def _with_duration(scenario: Scenario, duration: float | None) -> Scenario:
 
 def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: bool, json: bool) -> None:
     """Print and keep the results."""
-    from mckibben.simulation.metrics import METRICS, in_shown_units
-    from mckibben.storage.files import to_json, write_json
+    from mckibben.simulation.metrics import in_shown_units
 
     result, timing, name = ran.result, ran.timing, session.scenario.name
     metrics = in_shown_units(result.metrics) if result is not None else {}
@@ -119,9 +110,7 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
     if json:
         typer.echo(to_json(numbers))
     else:
-        rows = [(METRICS[n][0].replace("_", " "), metric(n, value), METRICS[n][1]) for n, value in metrics.items()]
-        if rows:
-            table(name, ("metric", "value", "unit"), rows)
+        table(name, ("metric", "value", "unit"), format_metrics(metrics))
         if result is not None:
             typer.echo(result.describe())
         if paced:
@@ -142,11 +131,7 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
 
 
 class _Line:
-    """Progress line on the terminal, written by a thread several times a second.
-
-    The thread is started by the loop and so has its priority: one of less priority could keep the interpreter from the
-    loop for long.
-    """
+    """Progress line, written by a thread of the loop's priority, which could wait for one of less."""
 
     def __init__(self) -> None:
         self._shown: RunProgress | None = None
@@ -190,7 +175,6 @@ def _line(*, quiet: bool) -> Iterator[_Line | None]:
 
 
 def _text(now: RunProgress) -> str:
-    from mckibben.units import bar, deg
 
     reference = f" (reference {now.reference / deg:6.2f})" if now.reference == now.reference else ""
     reading = now.reading
@@ -206,24 +190,17 @@ rig = typer.Typer(
     no_args_is_help=True,
 )
 
-Protocol = Annotated[
-    Path, typer.Argument(metavar="PROTOCOL.yaml", help="Protocol; see examples/rig/paper-protocol.yaml.")
-]
+Protocol = Annotated[Path, Argument(metavar="PROTOCOL.yaml", help="Protocol; see examples/rig/paper-protocol.yaml.")]
 
 
 @rig.command()
 def run(
     protocol: Protocol,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder of protocol, record and dataset.")
-    ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Resume the test in DIR at the next point.")] = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print the steps, their duration and all violations; move nothing.")
-    ] = False,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder of protocol, record and dataset.")] = None,
+    resume: Annotated[bool, Option("--resume", help="Resume the test in DIR at the next point.")] = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="Print steps, duration and violations; move nothing.")] = False,
     standing_at: Annotated[
-        str,
-        typer.Option(metavar="CONTRACTION", help="With --resume: position of the motor, if it is not known."),
+        str, Option(metavar="CONTRACTION", help="With --resume: position of the motor, if unknown.")
     ] = "",
     json: Json = False,
 ) -> None:
@@ -233,7 +210,6 @@ def run(
     the signal's number (130 for Ctrl-C).
     """
     from mckibben.rig.record import segments
-    from mckibben.storage.files import to_json
     from mckibben.study.rig.document import read_test
     from mckibben.study.rig.running import check, check_disk_space
 
@@ -268,9 +244,7 @@ def run(
 
 
 @rig.command()
-def data(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of `rig run --out`.")],
-) -> None:
+def data(folder: Annotated[Path, Argument(metavar="DIR", help="A folder of `rig run --out`.")]) -> None:
     """Make the dataset of a test from its record, finished or not."""
     from mckibben.study.rig.running import gather
 
@@ -280,7 +254,7 @@ def data(
 @rig.command()
 def check(
     protocol: Annotated[
-        Path | None, typer.Argument(metavar="[PROTOCOL.yaml]", help="Protocol to check; none: the connected devices.")
+        Path | None, Argument(metavar="[PROTOCOL.yaml]", help="Protocol (default: check the devices).")
     ] = None,
 ) -> None:
     """Show the status of each channel, and all violations of a protocol."""
@@ -315,8 +289,6 @@ def _numbers(checked: CheckedTest) -> dict[str, object]:
 @contextmanager
 def _progress_line(checked: CheckedTest, *, quiet: bool) -> Iterator[ProgressCallback | None]:
     """Progress line on the terminal."""
-    from mckibben.units import bar, percent
-
     found = checked.dry_run
     total = max(1, found.plateaus)
     with job_progress(quiet=quiet, width=8) as bars:
@@ -333,13 +305,8 @@ def _progress_line(checked: CheckedTest, *, quiet: bool) -> Iterator[ProgressCal
             latest = progress.latest
             bars(  # 80 columns hold it
                 f"{latest.pressure / bar:5.2f} bar {latest.force:6.1f} N {progress.contraction / percent:5.1f} %  "
-                f"{progress.points}/{total}  {_duration(found.duration * (1 - part))} left",
+                f"{progress.points}/{total}  {time_text(found.duration * (1 - part))} left",
                 part,
             )
 
         yield report
-
-
-def _duration(seconds: float) -> str:
-    whole = round(seconds)
-    return f"{whole // 3600} h {whole // 60 % 60:02d} min" if whole >= 3600 else f"{whole // 60} min {whole % 60:02d} s"

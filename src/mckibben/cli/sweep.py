@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from mckibben.cli.options import Json, long_job, metric, required_folder, table
-from mckibben.errors import McKibbenError, ParameterError, ScenarioError
-from mckibben.storage.files import atomic_write
+from mckibben.cli.options import (
+    Json,
+    Known,
+    check_choice,
+    format_metrics,
+    long_job,
+    metric,
+    required_folder,
+    table,
+    time_text,
+)
+from mckibben.errors import McKibbenError, ScenarioError
+from mckibben.storage.files import atomic_write, check_free, to_json, write_json
 
 if TYPE_CHECKING:
     from mckibben.study.scenario import Scenario
@@ -20,45 +32,30 @@ if TYPE_CHECKING:
 
 
 def sweep(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
+    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
     over: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="'NAME=RANGE'", help="Parameter and its range, such as 'load.mass2=0.2 kg..1.0 kg'; repeatable."
         ),
     ] = None,
-    known: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Varied plant parameter that the controller's model follows, or 'all'; repeatable. By default the "
-            "controller's model keeps the values of the file.",
-        ),
-    ] = None,
-    list_: Annotated[bool, typer.Option("--list", help="List the parameters that can be varied, and exit.")] = False,
-    design: Annotated[
-        str | None, typer.Option(metavar="KIND", help="Design: sobol (default), random, or grid (full factorial).")
-    ] = None,
-    samples: Annotated[
-        int | None, typer.Option(metavar="N", help="Number of runs (default 1024); a grid has its own.")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Seed of the design (default 0).")] = None,
+    known: Known = None,
+    list_: Annotated[bool, Option("--list", help="List the parameters that can be varied, and exit.")] = False,
+    design: Annotated[str | None, Option(metavar="KIND", help="Design: sobol (default), random or grid.")] = None,
+    samples: Annotated[int | None, Option(metavar="N", help="Number of runs (default 1024), not of a grid.")] = None,
+    seed: Annotated[int | None, Option(metavar="N", help="Seed of the design (default 0).")] = None,
     metrics: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME,NAME", help="Metrics to compute, such as angle_rmse,coupling (default: all)."),
+        Option(metavar="NAME,NAME", help="Metrics to compute, such as angle_rmse,coupling (default: all)."),
     ] = None,
     precision: Annotated[
-        int | None, typer.Option(metavar="BITS", help="64 (default) or 32 bits: half the time, about 6 digits.")
+        int | None, Option(metavar="BITS", help="64 (default), or 32: half the time, 6 digits.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Output folder; each block of runs is kept when it is done.")
-    ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue the sweep in DIR with its options.")] = False,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Output folder, for each finished block.")] = None,
+    resume: Annotated[bool, Option("--resume", help="Continue the sweep in DIR with its options.")] = False,
     dask: Annotated[
         str | None,
-        typer.Option(
-            metavar="CLUSTER", help="local (processes of this machine), or tcp://HOST:PORT of a dask scheduler."
-        ),
+        Option(metavar="CLUSTER", help="local (processes of this machine), or tcp://HOST:PORT of a dask scheduler."),
     ] = None,
     json: Json = False,
 ) -> None:
@@ -68,7 +65,6 @@ def sweep(
         return
     out = required_folder(out, "sweep")
     with long_job(quiet=json, kept=f"finished blocks are in {out}; continue with --resume") as bar:
-        from mckibben.storage.files import check_free
         from mckibben.study.scenario import Scenario
         from mckibben.study.sweep import sweep as run
         from mckibben.study.sweep.sweep import JOURNAL
@@ -97,7 +93,6 @@ def sweep(
 
 def _show(swept: SweepResult, out: Path, json: bool) -> None:
     """Write and print the statistics, and write the figure."""
-    from mckibben.storage.files import to_json, write_json
     from mckibben.study.sweep import summary
     from mckibben.study.sweep.result import correlation_rows, feasibility_sentence, metric_rows, outcome_rows
 
@@ -110,12 +105,9 @@ def _show(swept: SweepResult, out: Path, json: bool) -> None:
             typer.echo(f"the sweep in {out} is already complete")
         table(f"{numbers['scenario']}: {swept.count} runs", ("runs", "share", "outcome"), outcome_rows(numbers))
         headers = ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", "")
-        rows = metric_rows(numbers)
-        if rows:
-            table("Runs that completed", headers, rows)
-        rows = correlation_rows(numbers)
-        if rows:
-            table("Rank correlations, strongest first", ("parameter", "metric", "Spearman"), rows)
+        table("Runs that completed", headers, metric_rows(numbers))
+        ranked = ("parameter", "metric", "Spearman")
+        table("Rank correlations, strongest first", ranked, correlation_rows(numbers))
         typer.echo(feasibility_sentence(numbers))
     from mckibben import report
 
@@ -124,7 +116,6 @@ def _show(swept: SweepResult, out: Path, json: bool) -> None:
 
 
 def _list(path: Path, json: bool) -> None:
-    from mckibben.storage.files import to_json
     from mckibben.study.scenario import Scenario
     from mckibben.study.sweep.result import parameter_rows
 
@@ -151,69 +142,46 @@ def _progress(bar: Callable[[str, float], None] | None) -> Callable[[int, int], 
         text = f"{done} of {runs} runs"
         if done > began[1] and now > began[0] + 1:
             rate = (done - began[1]) / (now - began[0])
-            text += f", {rate:.4g} runs/s, {_time((runs - done) / rate)} left"
+            text += f", {rate:.4g} runs/s, {time_text((runs - done) / rate)} left"
         bar(text, done / runs)
 
     return show
-
-
-def _time(seconds: float) -> str:
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"
 
 
 _METHODS = ("gradient", "evolution", "cma")
 
 
 def tune(
-    scenarios: Annotated[
-        list[Path], typer.Argument(metavar="SCENARIO.yaml...", help="Scenarios whose costs are combined.")
-    ],
+    scenarios: Annotated[list[Path], Argument(metavar="SCENARIO.yaml...", help="Scenarios whose costs are combined.")],
     parameters: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="'NAME=RANGE'",
             help="Parameter and its range, such as 'controller.position.kp=0.2..20 bar/rad log' or "
             "'load.damping=+-50 %'; a name alone spans 0.01 to 100 times its value. Repeatable (default: all gains). "
             "`mckibben sweep SCENARIO.yaml --list` lists the names.",
         ),
     ] = None,
-    known: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Tuned plant parameter that the controller's model follows, or 'all'; repeatable. By default the "
-            "controller's model keeps the values of the file.",
-        ),
-    ] = None,
+    known: Known = None,
     cost: Annotated[
-        str, typer.Option(metavar="TERMS", help="Sum of metrics, each divided by its scale.")
+        str, Option(metavar="TERMS", help="Sum of metrics, each divided by its scale.")
     ] = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
-    method: Annotated[str, typer.Option(metavar="|".join(_METHODS), help="Search method.")] = "gradient",
+    method: Annotated[str, Option(metavar="|".join(_METHODS), help="Search method.")] = "gradient",
     margin: Annotated[
-        float,
-        typer.Option(
-            metavar="FACTOR",
-            help="Gain margin: the cost also covers gains FACTOR times as large.",
-        ),
+        float, Option(metavar="FACTOR", help="Gain margin: the cost covers gains so many times larger.")
     ] = 1.5,
-    worst: Annotated[bool, typer.Option("--worst", help="Minimise the worst scenario, not the mean.")] = False,
-    starts: Annotated[int, typer.Option(metavar="N", help="Starting points of the gradient method.")] = 4,
-    iterations: Annotated[int, typer.Option(metavar="N", help="Steps of each descent, or generations.")] = 30,
-    population: Annotated[int, typer.Option(metavar="N", help="Points per generation.")] = 32,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the search.")] = 0,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Output folder: history, tuned scenarios, figure.")
-    ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue the search in DIR.")] = False,
+    worst: Annotated[bool, Option("--worst", help="Minimise the worst scenario, not the mean.")] = False,
+    starts: Annotated[int, Option(metavar="N", help="Starting points of the gradient method.")] = 4,
+    iterations: Annotated[int, Option(metavar="N", help="Steps of each descent, or generations.")] = 30,
+    population: Annotated[int, Option(metavar="N", help="Points per generation.")] = 32,
+    seed: Annotated[int, Option(metavar="N", help="Seed of the search.")] = 0,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Output folder: history, tuned scenarios, figure.")] = None,
+    resume: Annotated[bool, Option("--resume", help="Continue the search in DIR.")] = False,
     json: Json = False,
 ) -> None:
     """Minimise a cost over gains or other parameters of scenarios; a search can be resumed."""
     out = required_folder(out, "search")
-    if method not in _METHODS:
-        raise ParameterError(f"{method!r} is not a method", value=method, remedy=f"choose one of {', '.join(_METHODS)}")
-    from mckibben.storage.files import check_free
+    check_choice(method, _METHODS, "a method")
     from mckibben.study.scenario import Scenario
 
     read = [Scenario.read(path) for path in scenarios]
@@ -249,8 +217,6 @@ def _show_tuned(
     tuned: TuningResult, before: list[Scenario], paths: list[Path], ranges: Any, out: Path, json: bool
 ) -> None:
     from mckibben import report
-    from mckibben.simulation.metrics import METRICS
-    from mckibben.storage.files import to_json, write_json
 
     kept = _keep_scenarios(tuned, paths, out)
     runs = [
@@ -271,21 +237,14 @@ def _show_tuned(
     if json:
         typer.echo(to_json(numbers))
     else:
-        rows = [
-            (each.name, each.parameter.show(each.parameter.nominal) if each.parameter.nominal is not None else "-", now)
-            for each, now in zip(ranges, shown_values.values(), strict=True)
-        ]
-        table(
-            f"cost {metric('cost', tuned.cost_before)} -> {tuned.cost:.4g}, {tuned.evaluated} points evaluated",
-            ("parameter", "before", "tuned"),
-            rows,
-        )
+        named = [(each.parameter, each.parameter.nominal) for each in ranges]
+        old = ["-" if nominal is None else parameter.show(nominal) for parameter, nominal in named]
+        rows = list(zip(shown_values, old, shown_values.values(), strict=True))
+        title = f"cost {metric('cost', tuned.cost_before)} -> {tuned.cost:.4g}, {tuned.evaluated} points evaluated"
+        table(title, ("parameter", "before", "tuned"), rows)
         for run in runs:
-            changes = [(name, run["before"][name], value) for name, value in run["tuned"].items()]
-            rows = [
-                (METRICS[n][0].replace("_", " "), metric(n, old), metric(n, new), METRICS[n][1])
-                for n, old, new in changes
-            ]
+            pairs = zip(format_metrics(run["before"]), format_metrics(run["tuned"]), strict=True)
+            rows = [(name, old, new, unit) for (name, old, _), (_, new, unit) in pairs]
             table(run["scenario"], ("metric", "before", "tuned", "unit"), rows)
         if tuned.at_bound:
             typer.echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
@@ -311,15 +270,12 @@ def _keep_scenarios(tuned: TuningResult, paths: list[Path], out: Path) -> list[s
     names = _tuned_names(paths)
     for name, scenario, path in zip(names, tuned.scenarios, paths, strict=True):
         text = edit_scenario(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
-        try:
-            same = Scenario.parse(text, folder=out) == scenario
-        except ScenarioError:
-            same = False
-        if not same:  # a relative path in it does not hold in the new folder
-            scenario.to_yaml(out / name)
-            continue
-        with atomic_write(out / name, overwrite=True) as part:
-            part.write_text(text, encoding="utf-8")
+        with suppress(ScenarioError):
+            if Scenario.parse(text, folder=out) == scenario:
+                with atomic_write(out / name, overwrite=True) as part:
+                    part.write_text(text, encoding="utf-8")
+                continue
+        scenario.to_yaml(out / name)  # a relative path in the text does not hold in the new folder
     return names
 
 

@@ -22,17 +22,7 @@ _DEEPEST = 12
 
 @dataclass(frozen=True)
 class Span:
-    """Position of a value in the text.
-
-    Attributes
-    ----------
-    start, end
-        Of a scalar its text, quotes included; of a mapping its first and last entry.
-    mapping, flow
-        Whether it is a mapping, and whether it is inside braces (or in braces itself).
-    column
-        Column of a mapping's first key.
-    """
+    """Position of a value: a scalar with its quotes, or the first to the last entry of a mapping."""
 
     start: int
     end: int
@@ -43,23 +33,7 @@ class Span:
 
 @dataclass
 class Document:
-    """Parsed text.
-
-    Attributes
-    ----------
-    data
-        Mappings, tuples and text (scalars are not converted); None where a value was rejected.
-    lines
-        Line of each key and list item; that of the empty place is the document's.
-    spans
-        Position of each mapping and scalar.
-    problems
-        Mistakes in the text itself.
-    rejected
-        Places whose value is among the problems.
-    readable
-        False if the text is not YAML; `data` is then meaningless.
-    """
+    """Parsed text: `data` holds mappings, tuples and text; scalars are not converted."""
 
     data: Any = None
     lines: dict[Place, int] = field(default_factory=dict)
@@ -87,27 +61,13 @@ class Document:
 
 
 def dotted(place: Place) -> str:
-    """A place as text.
-
-    >>> dotted(("reference", "angle", "multisine", "amplitudes", 2))
-    'reference.angle.multisine.amplitudes[2]'
-    """
+    """A place as text, such as ``reference.angle.amplitudes[2]``."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{_short(part)}" for part in place)
     return text.removeprefix(".")
 
 
 def read_document(text: str) -> Document:
-    r"""Parse YAML text. Never raises: mistakes are in `Document.problems`.
-
-    Aliases, tags, duplicate keys and keys that are not text are rejected, as are texts of more than `LONGEST_TEXT`
-    characters or 12 levels.
-
-    >>> document = read_document("duration: 10 s\nstart: {angle: 5 deg}")
-    >>> document.data
-    {'duration': '10 s', 'start': {'angle': '5 deg'}}
-    >>> document.line(("start", "angle"))
-    2
-    """
+    """Parse YAML text. Never raises: mistakes are in `Document.problems`, also aliases, tags and repeated keys."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -243,13 +203,7 @@ def _short(text: str) -> str:
 
 
 def read_json(text: str, source: str) -> Any:
-    """Parse JSON text.
-
-    Raises
-    ------
-    ScenarioError
-        If it is not JSON, is too long or too deep, or gives a key twice.
-    """
+    """Parse JSON text; ScenarioError if it is none, is too long or too deep, or gives a key twice."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)
@@ -275,22 +229,7 @@ def read_json(text: str, source: str) -> Any:
 
 
 def edit_yaml(text: str, values: Mapping[Place, str]) -> str:
-    r"""YAML text with other scalars; comments, order and layout stay as they are.
-
-    Parameters
-    ----------
-    text
-        Valid YAML.
-    values
-        New text of each value by its place; a value that is missing is added to its mapping, and a mapping that is
-        missing to the one around it. Where the text has a name alone in place of a mapping, the name becomes its key
-        ``from``.
-
-    Examples
-    --------
-    >>> edit_yaml("load: {mass: 1 kg}  # both\nstart: 2 s", {("load", "mass"): "3 kg", ("valve", "lag"): "5 ms"})
-    'load: {mass: 3 kg}  # both\nstart: 2 s\nvalve: {lag: 5 ms}'
-    """
+    """YAML text with other scalars, by their place; what is missing is added, and the layout stays as it is."""
     for place, written in values.items():
         text = _edited(text, place, written)
     return text
@@ -330,23 +269,7 @@ _MEANS_ANOTHER = re.compile(r"(?i)-|---|\.\.\.|true|false|yes|no|on|off|null")
 
 
 def to_text(data: Mapping[str, Any], comments: Mapping[Place, str] | None = None, *, width: int = 100) -> str:
-    """YAML text of mappings, lists and scalars; entries that are None are left out.
-
-    Parameters
-    ----------
-    data
-        Numbers are written with all digits.
-    comments
-        By the place of the value at whose line they stand.
-    width
-        Characters of a line with a mapping in braces; a wider one is written one entry a line.
-
-    Examples
-    --------
-    >>> print(to_text({"duration": "10 s", "start": {"angle": "5 deg", "stiffness": None}}), end="")
-    duration: 10 s
-    start: {angle: 5 deg}
-    """
+    """YAML of plain data, numbers with all digits; `comments` by place, mappings up to `width` on one line."""
     return "".join(f"{line}\n" for line in _Writer(comments or {}, width).block(data, (), 0))
 
 

@@ -20,13 +20,7 @@ _NOT_FINITE = {".nan": math.nan, ".inf": math.inf, "+.inf": math.inf, "-.inf": -
 
 @dataclass(frozen=True)
 class Number:
-    """Marks a plain number, whose unit stands elsewhere.
-
-    Parameters
-    ----------
-    infinite, nan
-        Whether it may be these.
-    """
+    """Marks a plain number, whose unit stands elsewhere; `infinite` and `nan` allow it to be these."""
 
     infinite: bool = False
     nan: bool = False

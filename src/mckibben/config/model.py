@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read_document
-from mckibben.errors import McKibbenError, Problem, ScenarioError, quoted, suggest
+from mckibben.errors import McKibbenError, Problem, ScenarioError, closest, quoted, suggest
 
 
 class ConfigModel(BaseModel):
@@ -35,13 +35,7 @@ def explicit_fields(part: ConfigModel | None, *without: str) -> dict[str, Any]:
 
 
 class _ValidationError(McKibbenError, ValueError):
-    """A mistake found by a validator.
-
-    Parameters
-    ----------
-    parent
-        Whether it is one of the section around the field.
-    """
+    """A mistake found by a validator; `parent`: of the section around the field."""
 
     def __init__(self, message: str, *, parent: bool, **details: Any) -> None:
         super().__init__(message, **details)
@@ -54,20 +48,7 @@ def fail_validation(message: str, remedy: str = "", *, parent: bool = False, val
 
 
 def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: str = "examples/") -> str:
-    """The text of a configuration file.
-
-    Parameters
-    ----------
-    path
-        Of the file.
-    what, example
-        What it should be, and where an example is; for the error.
-
-    Raises
-    ------
-    ScenarioError
-        If it cannot be read, is too long, or is not text.
-    """
+    """The text of a configuration file; ScenarioError, with `what` and `example`, if it cannot be read."""
     source, longest = os.fspath(path), 4 * LONGEST_TEXT
     try:
         with Path(path).open("rb") as file:
@@ -91,20 +72,7 @@ P = TypeVar("P", bound=ConfigModel)
 
 
 def parse_model(kind: type[P], text: str, *, source: str, folder: str | os.PathLike[str] = ".") -> tuple[P, Document]:
-    """A model from YAML text, and the document with its lines.
-
-    Parameters
-    ----------
-    kind
-        Class of the model.
-    text, source, folder
-        The text, its name in errors, and the folder to which paths in it are relative.
-
-    Raises
-    ------
-    ScenarioError
-        With every problem of the text.
-    """
+    """A model from YAML text, and the document with its lines; ScenarioError with every problem of the text."""
     document = read_document(text)
     if not document.readable:
         raise ScenarioError(source, document.problems)
@@ -118,11 +86,17 @@ def parse_model(kind: type[P], text: str, *, source: str, folder: str | os.PathL
 
 
 def problems_of(error: ValidationError, document: Document, model: type[BaseModel]) -> list[Problem]:
-    """The errors of a validation in the order of the file.
-
-    A key that is missing only because it is misspelt is not reported twice, nor a value that the document has rejected.
-    """
+    """The errors of a validation in the order of the file, without those that follow from another one."""
     return _Diagnosis(document, model).problems(error)
+
+
+# what stands there if it is no text, what belongs there, and the remedy, by pydantic's kind of error
+_EXPECTED = {
+    "model_type": ("a list", "keys and values belong", ""),
+    "dict_type": ("a list", "names and sections belong", "give a mapping, each section under a name of its own"),
+    "tuple_type": ("a mapping", "a list belongs", "write [first, second, ...]"),
+    "string_type": ("a list or mapping", "text belongs", "write one line of text"),
+}
 
 
 class _Diagnosis:
@@ -133,12 +107,8 @@ class _Diagnosis:
 
     def problems(self, error: ValidationError) -> list[Problem]:
         document, details = self.document, error.errors(include_url=False)
-        misspelt = {
-            (*found["loc"][:-1], close)
-            for found in details
-            if found["type"] == "extra_forbidden"
-            for close in self.close_keys(found["loc"])
-        }
+        unknown = (found["loc"] for found in details if found["type"] == "extra_forbidden")
+        misspelt = {(*place[:-1], key) for place in unknown if (key := self.other_key(place)[0])}
         problems = []
         for found in details:
             place = tuple(found["loc"])
@@ -163,25 +133,15 @@ class _Diagnosis:
         if kind == "missing":
             message, remedy = "is missing", f"add it{self.example(place)}"
         elif kind == "extra_forbidden":
-            message, remedy = "is not a known key here", self.other_key(place)
+            message, (_, remedy) = "is not a known key here", self.other_key(place)
             if str(place[-1])[:1].isdigit() and value == "":
                 message, remedy = "follows a comma", "write decimals with a point"
         elif value in ("", None):
             message, remedy = "has no value", "write one, or leave the key out"
-        elif kind == "model_type":
-            message = f"{_given(value, 'a list')} stands where keys and values belong"
-            remedy = f"give a mapping of {', '.join(self.keys(place))}"
-        elif kind == "dict_type":
-            message = f"{_given(value, 'a list')} stands where names and sections belong"
-            remedy = "give a mapping, each section under a name of its own"
-        elif kind == "tuple_type":
-            message = f"{_given(value, 'a mapping')} stands where a list belongs"
-            remedy = "write [first, second, ...]"
-        elif kind == "string_type":
-            message, remedy = (
-                f"{_given(value, 'a list or mapping')} stands where text belongs",
-                "write one line of text",
-            )
+        elif kind in _EXPECTED:
+            found_there, expected, remedy = _EXPECTED[kind]
+            message = f"{quoted(value) if isinstance(value, str) else found_there} stands where {expected}"
+            remedy = remedy or f"give a mapping of {', '.join(_keys_of(self.model_at(place)))}"
         elif kind == "too_long":
             message = f"has {context['actual_length']} items, more than {context['max_length']}"
             remedy = "put them in a CSV file (samples: {file: reference.csv})"
@@ -204,26 +164,14 @@ class _Diagnosis:
                 return f", a mapping of {', '.join(_keys_of(inner))}" if inner else ""
         return ""
 
-    def close_keys(self, place: Place) -> list[str]:
-        """The keys that a misspelt one may stand for."""
-        remedy = self.other_key(place).rstrip("?")
-        return [key for key in self.free_keys(place) if remedy.endswith(f" {key!r}")]
-
-    def other_key(self, place: Place) -> str:
-        """A remedy for an unknown key."""
-        around = self.model_at(place[:-1])
-        if around is not None and issubclass(around, ConfigModel) and place[-1] in around.renamed:
-            return f"it was renamed to {around.renamed[str(place[-1])]!r}"
-        return suggest(str(place[-1]), self.free_keys(place))
-
-    def free_keys(self, place: Place) -> list[str]:
-        """The keys that could stand in place of an unknown one: those not given yet, or all if all are."""
-        keys = self.keys(place[:-1])
-        return [key for key in keys if (*place[:-1], key) not in self.document.lines] or keys
-
-    def keys(self, place: Place) -> list[str]:
-        found = self.model_at(place)
-        return _keys_of(found) if found else []
+    def other_key(self, place: Place) -> tuple[str, str]:
+        """The key that an unknown one may stand for, of those not given yet, or else an empty text; and a remedy."""
+        around, key = self.model_at(place[:-1]), str(place[-1])
+        if around is not None and issubclass(around, ConfigModel) and key in around.renamed:
+            return around.renamed[key], f"it was renamed to {around.renamed[key]!r}"
+        keys = _keys_of(around)
+        free = [key for key in keys if (*place[:-1], key) not in self.document.lines] or keys
+        return closest(key, free), suggest(key, free)
 
     def model_at(self, place: Place) -> type[BaseModel] | None:
         """The model that validates a place."""
@@ -247,10 +195,6 @@ class _Diagnosis:
         return None if get_origin(annotation) is dict else model_in(annotation)
 
 
-def _given(value: object, otherwise: str) -> str:
-    return quoted(value) if isinstance(value, str) else otherwise
-
-
 def _item(value: Any, key: str | int) -> Any:
     try:
         return value[key]
@@ -258,8 +202,8 @@ def _item(value: Any, key: str | int) -> Any:
         return None
 
 
-def _keys_of(model: type[BaseModel]) -> list[str]:
-    return [info.alias or name for name, info in model.model_fields.items()]
+def _keys_of(model: type[BaseModel] | None) -> list[str]:
+    return [info.alias or name for name, info in model.model_fields.items()] if model else []
 
 
 def _marks_in(annotation: Any) -> tuple[Any, ...]:

@@ -70,31 +70,11 @@ def model_of(
     name: str = "",
     **fields: Any,
 ) -> Any:
-    """The model of a runtime class.
-
-    Parameters
-    ----------
-    runtime
-        A dataclass. Its fields with unit and range (`Quantity`, `BoundedInt`, also in tuples), its flags and its
-        enumerations become keys; those with a default may be left out.
-    base
-        Base class of the model.
-    without
-        Fields that are not in the file.
-    optional
-        Whether all fields may be left out, because the file may name a catalog entry instead.
-    signal
-        Annotation of a `SignalValue`.
-    name
-        Of the model, if it is used as it is and not as a base class; unique, so that other processes find it.
-    fields
-        Annotation, or annotation and default, of fields that differ from those of the class; those that it has not
-        come first.
-    """
-    declared = runtime.__dataclass_fields__
+    """The model of a runtime class, from unit and range of its fields; those with a default may be left out."""
+    declared, hints = runtime.__dataclass_fields__, get_type_hints(runtime, include_extras=True)
     made = {key: one for key, one in fields.items() if key not in declared}
-    for key, annotation in _annotations(runtime, signal).items():
-        annotation = fields.get(key, annotation)
+    for key in declared:
+        annotation = fields[key] if key in fields else _annotation(hints[key], signal)
         if key in without or annotation is None:
             continue
         if isinstance(annotation, tuple):
@@ -115,13 +95,8 @@ def named_model(name: str, base: Any, fields: Mapping[str, Any]) -> Any:
     return model
 
 
-def _annotations(runtime: type, signal: Any) -> dict[str, Any]:
-    """The annotation of each field in a file; None for a field that is in no file."""
-    hints = get_type_hints(runtime, include_extras=True)
-    return {name: _annotation(hints[name], signal) for name in runtime.__dataclass_fields__}
-
-
 def _annotation(hint: Any, signal: Any) -> Any:
+    """The annotation of a field in a file; None for a field that is in no file."""
     if get_origin(hint) in (Union, UnionType):  # such as Seed | Array
         return next(filter(None, (_annotation(one, signal) for one in get_args(hint))), None)
     if get_origin(hint) is Literal:
@@ -139,17 +114,7 @@ def _annotation(hint: Any, signal: Any) -> Any:
 
 @dataclass(frozen=True)
 class PartOf:
-    """Marks a section that is that of its model, or with the key ``class`` that of any subclass of a base class.
-
-    Parameters
-    ----------
-    base
-        The base class, or "module:name" of it, imported at first use.
-    model
-        Base class of the models of subclasses.
-    signal
-        Annotation of a `SignalValue`.
-    """
+    """Marks a section that is that of its model, or with the key ``class`` that of any subclass of `base`."""
 
     base: str
     model: type[ComponentModel] = ComponentModel
@@ -204,13 +169,7 @@ def concrete_subclasses(base: type) -> Iterator[type]:
 
 
 def load_extension(path: str | os.PathLike[str]) -> None:
-    """Run a Python file, so that configuration files can name the classes that it defines.
-
-    Raises
-    ------
-    ScenarioError
-        If it cannot be run.
-    """
+    """Run a Python file, so that configuration files can name the classes that it defines."""
     source = os.fspath(path)
     name = f"mckibben_extension_{Path(path).stem}"
     spec = importlib.util.spec_from_file_location(name, path)

@@ -28,39 +28,17 @@ _WIDEST = 0.3  # of a spread: three of them leave a muscle some strength
 
 
 class AdaptationState(NamedTuple):
-    """Estimated parameters, their covariance and the filters' states.
+    """Estimated parameters, their covariance and the states of the filters."""
 
-    Attributes
-    ----------
-    strengths
-        Strength of muscles 1 and 2 relative to the model's law [-].
-    mass
-        Second mass of the load less that of the model [kg].
-    friction
-        Friction of both muscles relative to the model's [-]; 1 where it has none.
-    deviations
-        Parameters less their prior mean, in prior standard deviations.
-    covariance
-        Covariance of the deviations, by rows.
-    filtered
-        Each signal behind one, two and three lags.
-    last
-        Signals behind three lags one period ago, and the angle two periods ago.
-    muscles
-        Internal states of the model's muscles along the measured angle.
-    age
-        Time since the start, in time constants of the filter.
-    """
-
-    strengths: Pair
-    mass: Scalar
-    friction: Scalar
-    deviations: tuple[Scalar, ...]
-    covariance: tuple[tuple[Scalar, ...], ...]
-    filtered: tuple[tuple[Scalar, ...], ...]
-    last: tuple[Scalar, ...]
-    muscles: MuscleStates
-    age: Scalar
+    strengths: Pair  # of the muscles, relative to the model's law [-]
+    mass: Scalar  # second mass of the load less that of the model [kg]
+    friction: Scalar  # relative to the model's [-]
+    deviations: tuple[Scalar, ...]  # parameters less their prior mean, in prior standard deviations
+    covariance: tuple[tuple[Scalar, ...], ...]  # of the deviations, by rows
+    filtered: tuple[tuple[Scalar, ...], ...]  # each signal behind one, two and three lags
+    last: tuple[Scalar, ...]  # signals behind three lags one period ago, and the angle two periods ago
+    muscles: MuscleStates  # of the model, along the measured angle
+    age: Scalar  # time since the start, in time constants of the filter
 
 
 class LawAdaptation(eqx.Module):
@@ -75,18 +53,14 @@ class LawAdaptation(eqx.Module):
         \sin(\theta_h - \theta) - l_2^2\ddot\theta)
 
     All terms pass the same filter of three lags, :math:`(\lambda/(s+\lambda))^3`, behind which the measured angle has
-    two derivatives. The prior is the model with the given standard deviations, the noise the error of the equation. So
-    estimates stay at the model without evidence, and where motion cannot separate strength from load (a heavier load
-    and stronger muscles move alike).
+    two derivatives. The prior is the model with the given standard deviations: estimates stay at the model without
+    evidence, and where motion cannot separate strength from load.
 
     Parameters
     ----------
-    strength_spread
-        Prior standard deviation of a muscle's strength [-]; at most 0.3, which keeps every estimate positive.
-    mass_spread
-        Of the load's second mass [kg]; 0 for a known load.
-    friction_spread
-        Of the friction relative to the model's [-]; 0 where it is known or the model has none.
+    strength_spread, mass_spread, friction_spread
+        Prior standard deviations: of a muscle's strength [-], at most 0.3; of the load's second mass [kg]; of the
+        friction relative to the model's [-]. 0 for a known mass or friction.
     torque_error
         Standard deviation of the equation's error [N*m].
     bandwidth
@@ -140,19 +114,7 @@ class LawAdaptation(eqx.Module):
         pressures: Pair,
         period: ArrayLike,
     ) -> AdaptationState:
-        """Return the estimates after a further sample.
-
-        Parameters
-        ----------
-        state
-            From `init` or `step`.
-        model, load
-            Model without adaptation.
-        angle, pressures
-            Measured [rad], [Pa].
-        period
-            Control period [s].
-        """
+        """Return the estimates after a further sample of angle [rad] and pressures [Pa], for the unadapted model."""
         angle = floating(angle)
         muscles = model.update_state(state.muscles, angle, pressures)
         signals = self._signals(model, load, muscles, angle, pressures)

@@ -28,34 +28,7 @@ class Allocation(NamedTuple):
 def prioritise_torque(
     affine: TorqueStiffnessMap, torque: ArrayLike, stiffness: ArrayLike, lower: Pair, upper: Pair
 ) -> Allocation:
-    r"""Pressures within limits that give a torque, and with it the nearest attainable stiffness.
-
-    Torque and stiffness are affine in the pressures. The pressures of one torque lie on a line along which both rise;
-    the stiffness determines the point on its segment within the limits. A torque out of range is clipped: one muscle at
-    its highest pressure, the other at its lowest.
-
-    Parameters
-    ----------
-    affine
-        Map whose torque falls with p1 and rises with p2.
-    torque, stiffness
-        Commanded [N*m], [N*m/rad].
-    lower, upper
-        Limits [Pa] of each pressure.
-
-    Examples
-    --------
-    >>> from mckibben import catalog
-    >>> from mckibben.units import bar
-    >>> knee = catalog.joint("knee-table-2")
-    >>> limits = (1 * bar, 1 * bar), (4 * bar, 4 * bar)
-    >>> (p1, p2), torque, saturated = prioritise_torque(knee.affine_map(0.0), 2.0, 72.2, *limits)
-    >>> round(float(p1) / bar, 3), round(float(p2) / bar, 3), bool(saturated)
-    (2.121, 2.817, False)
-    >>> (p1, p2), torque, saturated = prioritise_torque(knee.affine_map(0.0), 2.0, 60.0, *limits)
-    >>> round(float(p1) / bar, 3), round(float(p2) / bar, 3), round(float(torque), 6), bool(saturated)
-    (3.304, 4.0, 2.0, True)
-    """
+    """Pressures for a torque [N*m] and the nearest attainable stiffness [N*m/rad], within limits [Pa]."""
     (torque0, t1, t2), (stiffness0, k1, k2) = affine.torque, affine.stiffness
     least = torque0 + t1 * upper[0] + t2 * lower[1]
     greatest = torque0 + t1 * lower[0] + t2 * upper[1]
@@ -80,28 +53,7 @@ def prioritise_torque(
 def prioritise_differential(
     differential: ArrayLike, cocontraction: ArrayLike, lower: Pair, upper: Pair
 ) -> tuple[Pair, Array]:
-    """Pressures [Pa] within limits that give a differential pressure, and with it the nearest co-contraction.
-
-    A differential pressure out of range is clipped: one muscle at its highest pressure, the other at its lowest.
-
-    Parameters
-    ----------
-    differential, cocontraction
-        Commanded [Pa]: p1 = pc - pd, p2 = pc + pd.
-    lower, upper
-        Limits [Pa] of each pressure.
-
-    Returns
-    -------
-    pressures, saturated
-        (p1, p2), and whether a limit was met.
-
-    Examples
-    --------
-    >>> (p1, p2), saturated = prioritise_differential(0.5, 1.0, (1.2, 0.0), (6.0, 6.0))
-    >>> round(float(p1), 3), round(float(p2), 3), bool(saturated)
-    (1.2, 2.2, True)
-    """
+    """Pressures [Pa] within limits for a differential pressure, and the nearest co-contraction [Pa]; saturated."""
     given = jnp.clip(differential, (lower[1] - upper[0]) / 2, (upper[1] - lower[0]) / 2)
     begin = jnp.maximum(lower[0] + given, lower[1] - given)
     end = jnp.minimum(upper[0] + given, upper[1] - given)
@@ -117,11 +69,7 @@ def limit_commands(
     differential: ArrayLike,
     cocontraction: ArrayLike,
 ) -> tuple[Pair, Array]:
-    """Commands [Pa] for a differential pressure and a co-contraction [Pa], and whether a limit was met.
-
-    Without a minimum tension [N] each command is clipped to the pressures of the model's domains; with one the
-    differential pressure has priority within `pressure_range` at an angle [rad].
-    """
+    """Commands [Pa] for a differential pressure and a co-contraction [Pa], and whether a limit was met."""
     if minimum_tension is not None:
         limits = pressure_range(model, angle, minimum_tension)
         return prioritise_differential(differential, cocontraction, *limits)
@@ -136,10 +84,7 @@ def clip_commands(model: AntagonisticJoint, commands: tuple[ArrayLike, ArrayLike
 
 
 def linearise(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pair) -> TorqueStiffnessMap:
-    """Torque and stiffness over the pressures at an angle [rad], of taut muscles.
-
-    Exact for a joint affine in the pressures, else the secant from those pressures [Pa] up.
-    """
+    """Torque and stiffness of taut muscles over the pressures [Pa]; the secant where they are not affine."""
     if is_affine(joint):
         return joint.affine_map(angle)
     pressure1, pressure2 = (jnp.stack([p, p, p]) for p in pressures)
@@ -155,11 +100,7 @@ def linearise(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pair) -> To
 
 @computed_once
 def pressure_range(joint: AntagonisticJoint, angle: ArrayLike, minimum_tension: ArrayLike) -> tuple[Pair, Pair]:
-    """Lowest and highest pressures [Pa] at an angle [rad].
-
-    Within the muscles' domains, each tension above a minimum [N] and below the specimen's rating; the rating takes
-    precedence.
-    """
+    """Lowest and highest pressures [Pa] at an angle [rad], for tensions from a minimum [N] to the rating."""
     (low1, low2), (high1, high2) = pressure_limits_of(joint)
     paths = joint.geometry.path_lengths(angle)
 

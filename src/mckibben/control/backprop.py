@@ -53,34 +53,30 @@ class BackpropPID(Loop):
 
     within a factor R of them and with their sign; initially they are the base gains (output layer zero, hidden layer
     random). The PID is in velocity form, :math:`\Delta u = K_p \Delta e + K_i e h + K_d \Delta \dot e`, so that a
-    change of gain causes no jump; without learning the loop is `PID` with the same gains. Each period the weights
-    :math:`w` take one step of gradient descent on the squared error, with momentum :math:`\alpha`,
+    change of gain causes no jump. Each period the weights :math:`w` take one step of gradient descent on the squared
+    error, with momentum :math:`\alpha`,
 
     .. math:: \Delta w = \eta h \frac{e}{e_s}\, \mathcal{J}\, \frac{1}{u_s} \frac{\partial (\Delta u / h)}{\partial w}
               + \alpha \Delta w_{previous},
 
-    with the plant Jacobian :math:`\mathcal{J} = \partial y/\partial u` replaced by its sign or by the model's, and
-    scales e_s, u_s. The paper says no more than "BP"; this is the usual reading.
+    with the plant Jacobian :math:`\mathcal{J} = \partial y/\partial u` replaced by its sign or by the model's. The
+    paper says no more than "BP"; this is the usual reading.
 
     Parameters
     ----------
     base
         The PID whose gains are modulated: "the same PID controller parameters are used in two methods".
-    signal_scale, error_scale
-        Typical magnitude of the controlled quantity, and of a relevant error; in its unit.
-    output_scale
-        u_s, typical rate of the output, in its unit per second.
-    learning_rate
-        eta [1/s].
-    momentum
-        alpha, 0 to below 1.
+    signal_scale, error_scale, output_scale
+        Typical magnitude of the controlled quantity, e_s of a relevant error, u_s of the rate of the output; in SI.
+    learning_rate, momentum
+        eta [1/s]; alpha, 0 to below 1.
     gain_ratio
         R, 1 (no freedom) or above.
     hidden
         Number of hidden neurons.
     jacobian
-        See `Jacobian`. `Jacobian.MODEL` needs another learning rate: J is then the change of the controlled quantity,
-        in error scales, after a second at the typical rate of the output.
+        `Jacobian.MODEL` needs another learning rate: J is then the change of the controlled quantity, in error scales,
+        after a second at the typical rate of the output.
     seed
         Seed of the hidden layer's weights.
 

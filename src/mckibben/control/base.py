@@ -68,18 +68,9 @@ class Loop(eqx.Module):
     def step(
         self, state: Any, setpoint: ArrayLike, measured: ArrayLike, sensitivity: ArrayLike, period: ArrayLike
     ) -> tuple[Any, Scalar]:
-        """Return the next state and the output.
+        """Return the next state and the output, one control period [s] later.
 
-        Parameters
-        ----------
-        state
-            From `init`, `step` or `track`.
-        setpoint, measured
-            Of the controlled quantity.
-        sensitivity
-            Static gain of the model, controlled quantity per output; loops may ignore it.
-        period
-            Control period [s].
+        `sensitivity` is the static gain of the model, controlled quantity per output; loops may ignore it.
         """
 
     @abc.abstractmethod

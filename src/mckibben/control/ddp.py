@@ -114,51 +114,23 @@ class Quadratic(NamedTuple):
 
 
 class HorizonProblem(NamedTuple):
-    r"""Optimal control problem over the horizon, without units: time in 1/omega_c, errors over their scales.
+    """Optimal control problem over the horizon, without units: time in 1/omega_c, errors over their scales."""
 
-    .. math:: \sum_k \tfrac{h}{2} \big(y_0^2 + d(d-2)(y_1^2 + y_2^2) + y_3^2\big)
-              + \tfrac{1}{2h} \big((y_2 - x_2)^2 + \rho (y_3 - x_3)^2\big) + \tfrac12 x_N' P x_N
+    # With x at the beginning and y at the end of stage k, the cost is the sum of
+    #   h/2 (y0^2 + d (d - 2) (y1^2 + y2^2) + y3^2) + 1/(2h) ((y2 - x2)^2 + rho (y3 - x3)^2)
+    # and x' P x / 2 after the last stage, P being the cost of the unconstrained loop after the horizon.
 
-    with x at the beginning and y at the end of stage k; P is the cost of the unconstrained loop after the horizon.
-
-    Attributes
-    ----------
-    stage
-        h, duration of a stage.
-    hold_weights
-        (mu_1, mu_2), weights of the change of acceleration over a stage in its velocity and angle: (1/2, 1/3) for a
-        ramp, (1, 1) for a step at the beginning.
-    valve_fraction
-        Part of the way to a command that a pressure covers in a stage.
-    damping
-        d, 2 to 3.
-    bandwidth_ratio_sq
-        rho = (omega_c / omega_K)^2.
-    acceleration, stiffness
-        Coefficients (offset, p1, p2) of the joint's acceleration, and of its stiffness less the setpoint.
-    drag
-        Deceleration per velocity.
-    reference
-        Angle, velocity, acceleration and jerk of the reference now; angles count from the measured one.
-    reference_frequency_sq
-        Square of the frequency at which the reference's acceleration continues; 0 for constant jerk.
-    pressure_lower, pressure_upper
-        Limits of each pressure at the end of a stage.
-    command_lower, command_upper
-        Limits of each command.
-    """
-
-    stage: ArrayLike
-    hold_weights: tuple[ArrayLike, ArrayLike]
-    valve_fraction: ArrayLike
-    damping: ArrayLike
-    bandwidth_ratio_sq: ArrayLike
-    acceleration: tuple[Quadratic, Quadratic, Quadratic]
-    stiffness: tuple[Quadratic, Quadratic, Quadratic]
-    drag: ArrayLike
-    reference: State
-    reference_frequency_sq: ArrayLike
-    pressure_lower: tuple[Quadratic, Quadratic]
+    stage: ArrayLike  # h, its duration
+    hold_weights: tuple[ArrayLike, ArrayLike]  # of a change of acceleration in velocity and angle: ramp (1/2, 1/3)
+    valve_fraction: ArrayLike  # part of the way to a command that a pressure covers in a stage
+    damping: ArrayLike  # d, 2 to 3
+    bandwidth_ratio_sq: ArrayLike  # rho = (omega_c / omega_K)^2
+    acceleration: tuple[Quadratic, Quadratic, Quadratic]  # coefficients (offset, p1, p2)
+    stiffness: tuple[Quadratic, Quadratic, Quadratic]  # the same, of the stiffness less the setpoint
+    drag: ArrayLike  # deceleration per velocity
+    reference: State  # now; angles count from the measured one
+    reference_frequency_sq: ArrayLike  # of its acceleration; 0 for constant jerk
+    pressure_lower: tuple[Quadratic, Quadratic]  # at the end of a stage
     pressure_upper: tuple[Quadratic, Quadratic]
     command_lower: tuple[ArrayLike, ArrayLike]
     command_upper: tuple[ArrayLike, ArrayLike]
@@ -241,33 +213,19 @@ def shift(policy: Policy, fraction: ArrayLike) -> Policy:
 
 
 class Stage(NamedTuple):
-    """A stage of the nominal trajectory, from x to y.
-
-    Attributes
-    ----------
-    x, u, y
-        State at the beginning, input, state at the end.
-    previous_x
-        Derivative of the pressures at the beginning with respect to x.
-    outputs_angle, outputs_u
-        Derivatives of acceleration and stiffness at the end.
-    lower, upper
-        Limits of u.
-    lower_angle, upper_angle, lower_previous, upper_previous
-        Their derivatives with respect to the angle at the end and the pressure at the beginning.
-    """
+    """Stage of the nominal trajectory, from x to y, with derivatives of its outputs and limits."""
 
     x: State
     u: Pair
     y: State
-    previous_x: Matrix
-    outputs_angle: Pair
+    previous_x: Matrix  # derivative of the pressures at the beginning
+    outputs_angle: Pair  # of acceleration and stiffness at the end
     outputs_u: Matrix
-    lower: Pair
+    lower: Pair  # of u
     upper: Pair
-    lower_angle: Pair
+    lower_angle: Pair  # with respect to the angle at the end
     upper_angle: Pair
-    lower_previous: Pair
+    lower_previous: Pair  # with respect to the same pressure at the beginning
     upper_previous: Pair
 
 
@@ -370,10 +328,7 @@ def _limits_x(angle_x: Vector, previous_x: Matrix, by_angle: Pair, by_previous: 
 
 
 def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, tuple[Pair, Bool[Array, " stages"]]]:
-    """Improve the policy about a nominal trajectory, from its last stage to its first.
-
-    Returns the policy, and of each stage the inputs at the nominal states and whether one is clamped.
-    """
+    """Improved policy about a trajectory; inputs of each stage at nominal states, and whether one is clamped."""
 
     def stage(value: ValueExpansion, at: Stage) -> tuple[ValueExpansion, tuple[Policy, tuple[Pair, Array]]]:
         f_x, f_u, l_x, l_y, l_xx, l_yx, l_yy, lower_x, upper_x = expand(problem, at)
@@ -411,10 +366,7 @@ def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, t
 
 
 def box_qp(hessian: Matrix, gradient: Vector, lower: Pair, upper: Pair) -> tuple[Pair, tuple[Array, Array]]:
-    """Minimum of gradient' u + u' hessian u / 2 over a box in two dimensions; and which inputs are free.
-
-    It lies inside, or on a side that the unconstrained minimum is beyond.
-    """
+    """Minimum of gradient' u + u' hessian u / 2 over a box in two dimensions; and which inputs are free."""
     unconstrained = tuple(row[0] for row in solve_2x2(hessian, tuple((-g,) for g in gradient)))
 
     def clamped(i: int) -> tuple[Pair, tuple[Array, Array]]:
@@ -455,19 +407,7 @@ class FirstCommand(NamedTuple):
 def solve(
     problem: HorizonProblem, state: State, pressures: Pair, policy: Policy, iterations: int
 ) -> tuple[Policy, FirstCommand]:
-    """Policy that minimises the cost over the horizon, and its first input.
-
-    Parameters
-    ----------
-    problem
-        The optimal control problem.
-    state, pressures
-        State and pressures now.
-    policy
-        Initial guess.
-    iterations
-        Newton steps, at least one. Without limits the first gives the optimal first input from any guess.
-    """
+    """Policy that minimises the cost, by one Newton step or more from a guess, and its first input."""
 
     def iterate(_: ArrayLike, last: tuple[Policy, FirstCommand]) -> tuple[Policy, FirstCommand]:
         trajectory = rollout(problem, state, pressures, last[0])

@@ -49,33 +49,26 @@ class DecouplingControl(ModelBasedControl):
         \quad (\tau_c, K_r) \to p_c \;\text{at}\; \theta_T = \theta + T\hat\omega
 
     The commands to the valves, of time constant :math:`\tau_v`, make the pressures follow with the lag T of the
-    feedback, shorter or longer than their own:
+    feedback, shorter or longer than their own, for which it places its poles:
 
     .. math:: p_{command} = p + \frac{1 - e^{-h/T}}{1 - e^{-h/\tau_v}} (p_c - p)
 
-    p is the estimate of a `PressureObserver`, so that what a valve did not do is commanded again. T is a design
-    parameter: the inverse at the predicted angle theta_T makes
-    :math:`T \dot a + a = \ddot\theta_r(t + T) + a(e, \dot e)` exact, for which the feedback places its poles.
+    p is the estimate of a `PressureObserver`, so that what a valve did not do is commanded again.
 
     The torque has priority: where torque and stiffness are not attainable together, the stiffness is the nearest on the
     line of constant torque. Limits: the pressures (now, and within the speed of the valves), the specimens' rated force
-    and a minimum tension. So commands are bounded, no muscle goes slack by the model, and a step of the stiffness moves
-    both pressures along a straight line of constant torque, however slow the valves.
-
-    The velocity comes from an `Observer`, with an `ExtendedStateObserver` also the disturbance (active disturbance
-    rejection control). It gets the model's torque at the *measured* pressures, so that neither lag nor limits wind it
-    up.
+    and a minimum tension. A step of the stiffness moves both pressures along a straight line of constant torque,
+    however slow the valves.
 
     Parameters
     ----------
-    model
-        Model of the joint.
-    load
-        Model of inertia, damping and gravity.
+    model, load
+        Models of the joint, and of inertia, damping and gravity.
     feedback
         Outer loop: `PolePlacement` or `SlidingMode`.
     observer
-        `VelocityObserver` or `ExtendedStateObserver`.
+        `VelocityObserver`, or `ExtendedStateObserver`, which observes the disturbance too (active disturbance
+        rejection).
     pressure_observer
         Filter of the measured pressures.
     valve_time_constant
@@ -83,19 +76,10 @@ class DecouplingControl(ModelBasedControl):
     minimum_tension
         Lower limit of each muscle's tension [N].
     friction_compensation
-        Whether to compensate the friction of the model's muscles along the reference, as `FrictionCompensation` does.
-        The observer accounts for it; do not wrap this controller in `FrictionCompensation`.
+        Whether to compensate the friction of the model's muscles along the reference. The observer accounts for it; do
+        not wrap this controller in `FrictionCompensation`.
     adaptation
         On-line correction of the strength of the model's muscles; none unless given.
-
-    Examples
-    --------
-    >>> from mckibben import catalog
-    >>> from mckibben.control import ExtendedStateObserver, PolePlacement
-    >>> knee, load = catalog.joint("knee-table-2"), catalog.load("knee-table-2")
-    >>> control = DecouplingControl(knee, load, PolePlacement(bandwidth=80.0), ExtendedStateObserver(bandwidth=250.0))
-    >>> round(float(control.feedback.lag), 5)
-    0.00417
 
     References
     ----------

@@ -35,17 +35,7 @@ class Feedback(eqx.Module):
 
     @abc.abstractmethod
     def step(self, state: Any, error: ArrayLike, rate: ArrayLike, period: ArrayLike) -> tuple[Any, Scalar]:
-        """Return the next state and the commanded acceleration [rad/s^2].
-
-        Parameters
-        ----------
-        state
-            From `init` or `track`.
-        error, rate
-            Reference minus angle [rad], and its rate [rad/s].
-        period
-            Control period [s].
-        """
+        """Return the next state and the acceleration [rad/s^2] for an error [rad] of the angle and its rate [rad/s]."""
 
     @abc.abstractmethod
     def track(self, state: Any, shortfall: ArrayLike, period: ArrayLike) -> Any:
@@ -107,20 +97,13 @@ class SlidingMode(Feedback):
     .. math:: s = \dot e + \lambda e, \quad a = \lambda \dot e + \rho\, \mathrm{sat}(s / \phi)
 
     Outside the layer :math:`|s| < \phi` the surface s = 0 is reached under any disturbance below rho; inside, the loop
-    is PD, and a disturbance d leaves an error of :math:`\phi d / (\lambda \rho)`. A layer of zero width would chatter:
-    the pressures follow with the lag T, and stability inside requires
-    :math:`\lambda + \rho/\phi > T \lambda \rho/\phi`.
+    is PD, and a disturbance d leaves an error of :math:`\phi d / (\lambda \rho)`. Stability inside requires
+    :math:`\lambda + \rho/\phi > T \lambda \rho/\phi`, so a layer of zero width would chatter.
 
     Parameters
     ----------
-    slope
-        lambda [1/s].
-    reach
-        rho [rad/s^2].
-    layer
-        phi [rad/s].
-    lag
-        T [s].
+    slope, reach, layer, lag
+        lambda [1/s], rho [rad/s^2], phi [rad/s] and T [s].
 
     References
     ----------

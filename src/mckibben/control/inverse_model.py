@@ -95,25 +95,19 @@ class InverseModelControl(Controller):
 
     M maps the torque of the motion (`Load.required_torque`) and the stiffness to pressures, with priority to the
     torque; p_0 makes it exact at the start. The feedforward has x of the reference after the lag of the valves. The
-    training has x of the *measured* motion and the measured pressures as the target (direct inverse learning). Angle,
-    stiffness (by the model) and pressures pass the same two filters, whose differences are velocity and acceleration,
-    so that all signals have the same delay. Each period both layers take one normalised gradient step on the squared
-    error e, with the Jacobian J of the network:
+    training has x of the *measured* motion and the measured pressures as the target (direct inverse learning), behind
+    the same two filters, whose differences are velocity and acceleration. Each period both layers take one normalised
+    gradient step on the squared error e, with the Jacobian J of the network:
 
     .. math:: \Delta w = \eta h\, \frac{J^T e / p_s}{1 + |J|^2}
 
     A step removes at most the fraction :math:`\eta h \le 1` of the error, which makes it stable. Weights are bounded,
-    an error is clipped to p_s, and nothing is learned from a slack muscle; learning goes on in saturation, where the
-    pressures still determine the motion. The output layer starts at zero, the hidden one at random.
+    an error is clipped to p_s, and nothing is learned from a slack muscle. The output layer starts at zero, the hidden
+    one at random. Feedback-error learning (Kawato), with the output of the loops as the error, raised the worst error
+    or diverged at each rate that lowered the median one.
 
-    Feedback-error learning (Kawato), with the output of the loops as the error, was tried under the same conditions: at
-    each rate that lowered the median error it raised the worst or diverged. A momentum of 0.9 raised the error.
-
-    The derivative of the measurement would oppose the feedforward. The position loop therefore works relative to the
-    reference without its jumps. With a learning rate of zero, no load and a reference that is constant or jumps, this
-    is the `PositionStiffnessControl` that it wraps; otherwise the same with `derivative_on_error`, and the network of a
-    `BackpropPID` sees jumps and errors only. The learned inverse includes friction: do not wrap this controller in
-    `FrictionCompensation`.
+    The position loop works relative to the reference without its jumps, so that its derivative does not oppose the
+    feedforward. The learned inverse includes friction: do not wrap this controller in `FrictionCompensation`.
 
     Parameters
     ----------
@@ -121,20 +115,15 @@ class InverseModelControl(Controller):
         The two loops, with their model and minimum tension.
     load
         Model of inertia, damping and gravity; None for the network alone.
-    learning_rate
-        eta [1/s]; 0 for none.
-    hidden
-        Number of hidden neurons.
+    learning_rate, hidden, seed
+        eta [1/s], 0 for none; number of hidden neurons, and seed of their weights.
     valve_time_constant
         Lag [s] of the model's valves, the preview of the feedforward.
     filter_bandwidth
         Bandwidth of the filters [rad/s]: above the motion, below the noise of the encoder.
-    angle_scale, velocity_scale, acceleration_scale, stiffness_scale
-        x_s, typical magnitude of the inputs, in SI; of the stiffness relative to its initial value.
-    pressure_scale
-        p_s [Pa], typical output of the network.
-    seed
-        Seed of the hidden layer's weights.
+    angle_scale, velocity_scale, acceleration_scale, stiffness_scale, pressure_scale
+        x_s and p_s [Pa], typical magnitudes of inputs and outputs, in SI; of the stiffness relative to its initial
+        value.
 
     References
     ----------

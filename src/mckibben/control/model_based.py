@@ -25,48 +25,22 @@ Scalar = Float[Array, ""]
 
 
 class Estimates(NamedTuple):
-    """Estimates at a sample, and the commands given then.
-
-    Attributes
-    ----------
-    motion, pressures
-        From the observers.
-    reference
-        Derivatives of the reference angle.
-    muscles
-        Internal states of the model's muscles along the reference.
-    adaptation
-        State of the adaptation; empty without.
-    torque
-        Torque of the model's muscles at the estimated pressures [N*m], without friction.
-    stiffness
-        Stiffness of the model [N*m/rad].
-    friction
-        Torque of friction that is compensated [N*m].
-    commands
-        Commands since the sample [Pa].
-    saturated
-        Whether a limit was met.
-    """
+    """Estimates at a sample, and the commands given then."""
 
     motion: MotionEstimate
     pressures: Pair
     reference: ReferenceDerivatives
-    muscles: MuscleStates
+    muscles: MuscleStates  # of the model, along the reference
     adaptation: AdaptationState | tuple[()]
-    torque: Scalar
-    stiffness: Scalar
-    friction: Scalar
-    commands: Pair
+    torque: Scalar  # of the model's muscles at the estimated pressures, without friction [N*m]
+    stiffness: Scalar  # of the model [N*m/rad]
+    friction: Scalar  # compensated torque [N*m]
+    commands: Pair  # since the sample [Pa]
     saturated: Array
 
 
 class ModelBasedControl(Controller):
-    """Base of controllers with a model of joint, load and valves: parameters and state estimation.
-
-    The observer of the motion gets the model's torque at the *measured* pressures, so that neither valve lag nor limits
-    wind it up.
-    """
+    """Base of controllers with a model of joint, load and valves: parameters and state estimation."""
 
     model: AntagonisticJoint
     load: Load

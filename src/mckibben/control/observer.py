@@ -20,22 +20,12 @@ Scalar = Float[Array, ""]
 
 
 class MotionEstimate(NamedTuple):
-    """Estimated motion of the joint.
+    """Estimated motion of the joint."""
 
-    Attributes
-    ----------
-    angle, velocity
-        [rad], [rad/s].
-    disturbance
-        Acceleration [rad/s^2] that the model does not explain; 0 where it is not observed.
-    known
-        Acceleration [rad/s^2] by the model.
-    """
-
-    angle: Scalar
-    velocity: Scalar
-    disturbance: Scalar
-    known: Scalar
+    angle: Scalar  # [rad]
+    velocity: Scalar  # [rad/s]
+    disturbance: Scalar  # acceleration that the model does not explain [rad/s^2]
+    known: Scalar  # acceleration by the model [rad/s^2]
 
     @property
     def acceleration(self) -> Scalar:
@@ -57,19 +47,7 @@ class Observer(eqx.Module):
         return MotionEstimate(angle, zero, zero, zero + known)
 
     def step(self, motion: MotionEstimate, angle: ArrayLike, known: ArrayLike, period: ArrayLike) -> MotionEstimate:
-        """Return the estimate after the next measurement.
-
-        Parameters
-        ----------
-        motion
-            Estimate one period ago.
-        angle
-            Measured angle [rad].
-        known
-            Acceleration [rad/s^2] by the model now.
-        period
-            Control period [s].
-        """
+        """Return the estimate after a measured angle [rad], with the acceleration by the model now [rad/s^2]."""
         acceleration = (motion.known + known) / 2 + motion.disturbance
         predicted = motion.angle + period * (motion.velocity + period / 2 * acceleration)
         innovation = angle - predicted
@@ -174,21 +152,7 @@ class PressureObserver(eqx.Module):
     def step(
         self, pressures: Pair, commands: Pair, measured: Pair, valve_fraction: ArrayLike, period: ArrayLike
     ) -> Pair:
-        """Return the estimated pressures [Pa].
-
-        Parameters
-        ----------
-        pressures
-            Estimate one period ago [Pa].
-        commands
-            Commands since [Pa].
-        measured
-            Measured now [Pa].
-        valve_fraction
-            Part of a step that a valve covers in a period [-].
-        period
-            Control period [s].
-        """
+        """Return the estimated pressures [Pa]; `valve_fraction` is the part of a step that a valve covers."""
         gain = 1 - exp(-jnp.asarray(self.bandwidth) * period)
 
         def one(pressure: Scalar, command: Scalar, sample: Scalar) -> Scalar:

@@ -28,24 +28,15 @@ class PositionStiffnessState(NamedTuple):
 
 
 class Feedforward(NamedTuple):
-    """Pressures added to those of the loops.
-
-    Attributes
-    ----------
-    differential, cocontraction
-        [Pa].
-    path
-        Continuous part of the reference's displacement [rad]. The position loop sees setpoint and measurement relative
-        to it, so that its derivative does not oppose the motion of the reference.
-    """
+    """Pressures [Pa] added to those of the loops, and the displacement that they account for."""
 
     differential: Scalar
     cocontraction: Scalar
-    path: Scalar
+    path: Scalar  # displacement [rad] that the position loop does not see, so that its derivative does not oppose it
 
 
 class PositionStiffnessControl(Controller):
-    """Position loop on the differential pressure pd, stiffness loop on the co-contraction pc.
+    """Position loop on the differential pressure pd, stiffness loop on the co-contraction pc (Fig. 5 of the paper).
 
     p1 = pc - pd and p2 = pc + pd, within the limits of each muscle's domain; both loops track the achieved output.
     Stiffness cannot be measured: it is estimated from the measured angle and pressures by the controller's own model
@@ -53,20 +44,14 @@ class PositionStiffnessControl(Controller):
 
     Parameters
     ----------
-    position
-        Loop from angle [rad] to differential pressure [Pa].
-    stiffness
-        Loop from stiffness [N*m/rad] to co-contraction [Pa].
+    position, stiffness
+        Loops from angle [rad] to differential pressure, and from stiffness [N*m/rad] to co-contraction [Pa].
     model
         Controller's model of the joint; another object than the plant's.
     minimum_tension
         Lower limit of each muscle's tension [N]; the upper one is the specimen's rated force. Both by the model at the
-        measured angle; the differential pressure has priority over the co-contraction. None, as in the paper: limits of
-        the pressures alone, each command is clipped by itself, and a muscle may go slack.
-
-    References
-    ----------
-    Fig. 5 of the paper.
+        measured angle; the differential pressure has priority over the co-contraction. None, as in the paper: each
+        command is clipped by itself, and a muscle may go slack.
     """
 
     position: Loop

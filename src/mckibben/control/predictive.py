@@ -34,13 +34,10 @@ _ANGLE_STEP = 0.02  # rad: of the finite differences of the local model
 
 
 class PredictiveState(NamedTuple):
-    """Estimates, moving averages of the reference, and the policy over the horizon (pressures in bar).
-
-    The averages are those of jerk times velocity and of squared velocity; minus their ratio is the squared frequency.
-    """
+    """Estimates, moving averages of the reference, and the policy over the horizon (pressures in bar)."""
 
     estimates: Estimates
-    averages: Pair
+    averages: Pair  # of jerk times velocity and of squared velocity; minus their ratio is the squared frequency
     policy: Policy
 
 
@@ -57,11 +54,9 @@ class PredictiveControl(ModelBasedControl):
 
     The prediction model has torque and stiffness affine in the pressures (for other laws the secant, anew each period)
     and to second order in the angle, and valves of first order. The acceleration of the reference is predicted as a
-    sine of the frequency of its last moments, as a controller gets no preview; its stiffness is constant, and so is the
-    observed disturbance.
-
+    sine of the frequency of its last moments, as a controller gets no preview; stiffness and disturbance are constant.
     The pressures are limited to the law's domain, the rated force and a minimum tension at the predicted angle, and
-    their change to the speed of the valves; commands are limited to the law's domain.
+    their change to the speed of the valves.
 
     Without active limits this is, up to the duration of a stage and for any horizon, the decoupled linear loop
 
@@ -72,23 +67,16 @@ class PredictiveControl(ModelBasedControl):
     :math:`\theta_s / K_s`, the default, gives priority to the torque.
 
     The problem is solved by control-limited differential dynamic programming (`mckibben.control.ddp`): one or a few
-    Newton steps from the shifted policy of the last period. There is no integral to wind up: the observer gets the
-    model's torque at the measured pressures.
+    Newton steps from the shifted policy of the last period.
 
     Parameters
     ----------
-    model
-        Model of the joint.
-    load
-        Model of inertia, damping and gravity.
+    model, load, pressure_observer, valve_time_constant, minimum_tension, friction_compensation, adaptation
+        As for `DecouplingControl`.
     observer
         `ExtendedStateObserver`, or `VelocityObserver`, which leaves the static error of a wrong model.
-    pressure_observer
-        Filter of the measured pressures.
-    bandwidth
-        omega_c of the angle [rad/s].
-    stiffness_bandwidth
-        omega_K of the stiffness [rad/s].
+    bandwidth, stiffness_bandwidth
+        omega_c of the angle and omega_K of the stiffness [rad/s].
     damping
         d, from 2 (Butterworth poles of the angle: fast, with 8 % of overshoot) to 3 (a triple pole: no overshoot, and
         robust to slower valves).
@@ -100,22 +88,6 @@ class PredictiveControl(ModelBasedControl):
         Stages of the horizon; a stage is never shorter than the control period.
     iterations
         Newton steps a period.
-    valve_time_constant
-        tau_v [s] of the model; 0 for valves without lag.
-    minimum_tension
-        Lower limit of each muscle's tension [N].
-    friction_compensation
-        Whether to compensate the friction of the model's muscles along the reference, as `FrictionCompensation` does.
-        The observer accounts for it; do not wrap this controller in `FrictionCompensation`.
-    adaptation
-        On-line correction of the strength of the model's muscles; none unless given.
-
-    Examples
-    --------
-    >>> from mckibben import catalog
-    >>> knee, load = catalog.joint("knee-table-2"), catalog.load("knee-table-2")
-    >>> PredictiveControl(knee, load, bandwidth=60.0).stages
-    12
 
     References
     ----------
@@ -294,22 +266,12 @@ def _second_order(function: Callable[[Array], Array], x: Scalar) -> tuple[Scalar
 
 
 class LocalModel(NamedTuple):
-    """Expansion of a joint's model about an angle, affine in the pressures.
+    """Expansion of a joint's model about an angle [rad], affine in the pressures [Pa]."""
 
-    Attributes
-    ----------
-    torque, torque_stiffness
-        Torque [N*m] of taut muscles, and minus its slope over the angle [N*m/rad].
-    stiffness, stiffness_slope
-        Stiffness [N*m/rad] and its slope over the angle [N*m/rad^2].
-    lowest, highest, lowest_slope, highest_slope
-        Limits of the pressures [Pa] and their slopes [Pa/rad].
-    """
-
-    torque: AffineMap
-    torque_stiffness: AffineMap
-    stiffness: AffineMap
-    stiffness_slope: AffineMap
+    torque: AffineMap  # of taut muscles [N*m]
+    torque_stiffness: AffineMap  # minus its slope over the angle [N*m/rad]
+    stiffness: AffineMap  # [N*m/rad]
+    stiffness_slope: AffineMap  # over the angle [N*m/rad^2]
     lowest: Pair
     highest: Pair
     lowest_slope: Pair

@@ -85,15 +85,7 @@ class Multisine(Signal):
 
 
 class Samples(Signal):
-    """Linear interpolation between samples; constant beyond the first and last.
-
-    Parameters
-    ----------
-    times
-        Increasing times [s].
-    values
-        Value at each time.
-    """
+    """Linear interpolation between values at increasing times [s]; constant beyond the first and last."""
 
     times: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
     values: Float[Array, " n"] = eqx.field(converter=lambda x: floating(x), metadata={RANK: 1})
@@ -142,23 +134,13 @@ _JERK_PERIODS = 3.0  # time constant of the jerk's filter, in periods, against r
 
 
 class ReferenceDerivatives(NamedTuple):
-    """Derivatives of the reference angle, by backward differences of its samples.
+    """Derivatives of the reference angle, by backward differences of its samples."""
 
-    Attributes
-    ----------
-    angle
-        Last sample [rad].
-    velocity, acceleration, jerk
-        [rad/s], [rad/s^2] and [rad/s^3].
-    samples_since_jump
-        Samples after the last jump, 3 at most: the order of the differences available. -1 before the first sample.
-    """
-
-    angle: Scalar
+    angle: Scalar  # last sample [rad]
     velocity: Scalar
     acceleration: Scalar
     jerk: Scalar
-    samples_since_jump: Scalar
+    samples_since_jump: Scalar  # 3 at most: the order of the differences available; -1 before the first sample
 
     @classmethod
     def init(cls, angle: ArrayLike) -> ReferenceDerivatives:
@@ -168,11 +150,9 @@ class ReferenceDerivatives(NamedTuple):
         return cls(angle, zero, zero, zero, zero - 1.0)
 
     def update(self, angle: ArrayLike, period: ArrayLike) -> ReferenceDerivatives:
-        """Derivatives after a further sample [rad], a control period [s] after the last.
-
-        Where the reference or its velocity jumps, there is no acceleration that a joint could follow: it is 0, and the
-        velocity is kept for one period and then taken from the samples after the jump.
-        """
+        """Derivatives after a further sample [rad], a control period [s] after the last."""
+        # Where the reference or its velocity jumps, there is no acceleration that a joint could follow: it is 0, and
+        # the velocity is kept for one period and then taken from the samples after the jump.
         difference = (angle - self.angle) / period
         change = (difference - self.velocity) / period
         jumps = (jnp.abs(change) > _JUMP) & (self.samples_since_jump >= 1.0)

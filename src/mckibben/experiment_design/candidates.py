@@ -23,22 +23,12 @@ _SLACK_MARGIN = 3.0  # standard deviations of a point above the slack force
 
 @dataclass(frozen=True)
 class DesignRegion:
-    """States that a rig can set and the muscle permits.
-
-    Attributes
-    ----------
-    domain
-        Contractions [-] and gauge pressures [Pa].
-    contraction_step, pressure_step
-        Resolution of the rig [-], [Pa]; states are whole multiples.
-    force_min, force_max
-        Force of a measurable state [N].
-    """
+    """States that a rig can set and the muscle permits."""
 
     domain: Domain
-    contraction_step: float
-    pressure_step: float
-    force_min: float
+    contraction_step: float  # resolution of the rig [-]; states are whole multiples
+    pressure_step: float  # [Pa]
+    force_min: float  # of a measurable state [N]
     force_max: float
 
     def __post_init__(self) -> None:
@@ -49,22 +39,12 @@ class DesignRegion:
 
 @dataclass(frozen=True, eq=False)
 class StateGrid:
-    """Grid of states with a mask of those that can be measured.
+    """Grid of states with a mask of those that can be measured."""
 
-    Attributes
-    ----------
-    contractions, pressures
-        Axes [-], [Pa], ascending.
-    force
-        Shape (pressures, contractions): by the law [N].
-    allowed
-        The same shape: taut, not overloaded and within the domain of the law.
-    """
-
-    contractions: Floats = field(repr=False)
-    pressures: Floats = field(repr=False)
-    force: Floats = field(repr=False)
-    allowed: NDArray[np.bool_] = field(repr=False)
+    contractions: Floats = field(repr=False)  # [-], ascending
+    pressures: Floats = field(repr=False)  # [Pa], ascending
+    force: Floats = field(repr=False)  # (pressures, contractions), by the law [N]
+    allowed: NDArray[np.bool_] = field(repr=False)  # taut, not overloaded and in the domain of the law
 
     @classmethod
     def of(cls, law: ForceLaw, region: DesignRegion) -> StateGrid:
@@ -98,39 +78,13 @@ class StateGrid:
 
 
 def _grid_axis(low: object, high: object, step: float) -> Floats:
-    """Whole multiples of a step from low to high.
-
-    >>> _grid_axis(-0.03, 0.01, 0.01)
-    array([-0.03, -0.02, -0.01,  0.  ,  0.01])
-    """
+    """Whole multiples of a step from low to high."""
     first, last = math.ceil(float(low) / step - 1e-6), math.floor(float(high) / step + 1e-6)  # type: ignore[arg-type]
     return np.asarray(np.round(np.arange(first, last + 1) * step, 12), np.float64)
 
 
 def even_layouts(states: StateGrid, count: int, directions: int) -> list[Indices]:
-    """Evenly spaced designs: one for each number of pressures from 1 to half of the points.
-
-    Parameters
-    ----------
-    states
-        Grid to choose from.
-    count
-        Number of points.
-    directions
-        Number of directions; they alternate from point to point and from pressure to pressure.
-
-    Returns
-    -------
-    list of ndarray
-        Shape (count, 3) each: row, column, direction. Empty if there are fewer states than points.
-
-    Examples
-    --------
-    >>> axis = np.arange(5.0)
-    >>> layouts = even_layouts(StateGrid(axis, axis, np.ones((5, 5)), np.ones((5, 5), bool)), 4, 2)
-    >>> [layout.tolist() for layout in layouts]
-    [[[2, 0, 0], [2, 1, 1], [2, 3, 0], [2, 4, 1]], [[0, 0, 0], [0, 4, 1], [4, 0, 1], [4, 4, 0]]]
-    """
+    """Evenly spaced designs, for 1 pressure up to half of the points: row, column, direction; shape (count, 3)."""
     usable = np.flatnonzero(states.allowed.any(axis=1))
     layouts = []
     for levels in range(1, max(count // 2, 1) + 1):
@@ -163,10 +117,7 @@ def design_region(
     contraction_step: float | None,
     pressure_step: float,
 ) -> tuple[DesignRegion, list[str]]:
-    """The design region and notes on it; arguments as for `mckibben.experiment_design.plan`.
-
-    Raises RangeError if neither data nor specimen give a region or a largest force, or the limits lie outside.
-    """
+    """The design region and notes on it; arguments as for `mckibben.experiment_design.plan`."""
     data, attrs = prior.measured, prior.measured.table.attrs
     notes: list[str] = []
     if specimen is None and attrs["specimen"] in catalog.names("specimens"):
@@ -208,27 +159,13 @@ def _intersection(limits: Domain, specimen: Specimen) -> Domain:
 
 @dataclass(frozen=True, eq=False)
 class CandidateSet:
-    """Every allowed state in every direction and repeat, in this order; the last varies fastest.
-
-    Attributes
-    ----------
-    states
-        Grid of states.
-    directions
-        Directions; ("",) where they are not distinguished.
-    repeats
-        Largest number of times a point may be measured.
-    rows
-        Design matrix, shape (candidates, unknowns).
-    strokes
-        Shape (candidates,): stroke index, the same for one pressure, direction and repeat.
-    """
+    """Every allowed state in every direction and repeat, in this order; the last varies fastest."""
 
     states: StateGrid
-    directions: tuple[str, ...]
-    repeats: int
-    rows: Floats = field(repr=False)
-    strokes: Indices = field(repr=False)
+    directions: tuple[str, ...]  # ("",) where they are not distinguished
+    repeats: int  # of a point, at most
+    rows: Floats = field(repr=False)  # design matrix, (candidates, unknowns)
+    strokes: Indices = field(repr=False)  # (candidates,), one for each pressure, direction and repeat
 
     @classmethod
     def of(cls, prior: PriorData, states: StateGrid, directions: tuple[str, ...], repeats: int) -> CandidateSet:

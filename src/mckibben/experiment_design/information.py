@@ -17,21 +17,11 @@ RANK_TOLERANCE = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class IdentifiableSubspace:
-    """Combinations of parameters that the measurable forces depend on.
+    """Combinations of parameters that the measurable forces depend on."""
 
-    Attributes
-    ----------
-    basis
-        Shape (parameters, coordinates): maps rows of a design matrix to coordinates.
-    scale
-        Shape (parameters,): root mean square of each column of the design matrix.
-    null_space
-        Shape (parameters, rest): combinations, scaled to 1 N, that change no measurable force.
-    """
-
-    basis: Floats = field(repr=False)
-    scale: Floats = field(repr=False)
-    null_space: Floats = field(repr=False)
+    basis: Floats = field(repr=False)  # (parameters, coordinates): from rows of a design matrix
+    scale: Floats = field(repr=False)  # (parameters,): root mean square of each column
+    null_space: Floats = field(repr=False)  # (parameters, rest): combinations of 1 N without effect
 
     @classmethod
     def of(cls, rows: Floats) -> IdentifiableSubspace:
@@ -54,18 +44,10 @@ class IdentifiableSubspace:
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """Variance components of measured points.
+    """Variance components of measured points."""
 
-    Attributes
-    ----------
-    point
-        Standard deviation sigma of each plateau mean [N].
-    stroke
-        Standard deviation tau of the error that the points of a stroke share [N].
-    """
-
-    point: float
-    stroke: float = 0.0
+    point: float  # standard deviation sigma of a plateau mean [N]
+    stroke: float = 0.0  # tau of the error that the points of a stroke share [N]
 
     def shared_weight(self, count: Indices) -> Floats:
         """tau^2 / (sigma^2 + m tau^2) of strokes of m points."""
@@ -73,17 +55,7 @@ class NoiseModel:
 
 
 def information_matrix(rows: Floats, strokes: Indices, noise: NoiseModel) -> Floats:
-    """Fisher information of points, rows of shape (points, coordinates), with the stroke index of each.
-
-    Examples
-    --------
-    The variance of the mean of one stroke of four points:
-
-    >>> noise = NoiseModel(point=1.0, stroke=3.0)
-    >>> found = information_matrix(np.ones((4, 1)), np.zeros(4, int), noise)
-    >>> round(1 / float(found[0, 0]), 9), 3.0**2 + 1.0**2 / 4
-    (9.25, 9.25)
-    """
+    """Fisher information of points: rows of shape (points, coordinates), with the stroke index of each."""
     if not len(rows):
         return np.zeros((rows.shape[1],) * 2)
     sums, counts = _stroke_sums(rows, strokes, int(strokes.max()) + 1)
@@ -99,18 +71,10 @@ def _stroke_sums(rows: Floats, strokes: Indices, count: int) -> tuple[Floats, In
 
 @dataclass(frozen=True, eq=False)
 class DesignCriterion:
-    """Criterion of a design: c-optimal for one value, mean variance (A- or V-optimal) or D-optimal for several.
+    """Criterion of a design: c-optimal for one value, mean variance (A- or V-optimal) or D-optimal for several."""
 
-    Attributes
-    ----------
-    gradients
-        Shape (values, coordinates).
-    d_optimal
-        Whether the volume of the joint confidence region counts instead of the mean variance.
-    """
-
-    gradients: Floats = field(repr=False)
-    d_optimal: bool
+    gradients: Floats = field(repr=False)  # (values, coordinates)
+    d_optimal: bool  # volume of the joint confidence region, not mean variance
 
     @classmethod
     def of(cls, gradients: Floats, d_optimal: bool) -> DesignCriterion:
@@ -143,32 +107,7 @@ class DesignCriterion:
 
 
 def estimate_noise(rows: Floats, residuals: Floats, strokes: Indices | None) -> NoiseModel:
-    r"""Estimate both variance components from the residuals of a fit, without bias.
-
-    With Q the projection onto the complement of the rows and Z the indicator of strokes,
-    :math:`E[e^T e] = \sigma^2 \mathrm{tr} Q + \tau^2 \mathrm{tr} Z^T Q Z` and
-    :math:`E[|Z^T e|^2] = \sigma^2 \mathrm{tr} Z^T Q Z + \tau^2 \mathrm{tr} (Z^T Q Z)^2`.
-
-    Parameters
-    ----------
-    rows
-        Design matrix, shape (points, parameters), of any rank.
-    residuals
-        Shape (points,) [N]; the part that the rows explain is projected out.
-    strokes
-        Stroke index of each point, from 0 without gaps; None for independent points.
-
-    Returns
-    -------
-    NoiseModel
-        With tau = 0 where the estimate of its square is negative.
-
-    Examples
-    --------
-    >>> found = estimate_noise(np.ones((4, 1)), np.array([1.0, -1.0, 2.0, -2.0]), None)
-    >>> round(found.point, 4)
-    1.8257
-    """
+    """Unbiased variance components from residuals of a fit; stroke indices, or None for independent points."""
     lengths = np.linalg.norm(rows, axis=0)
     basis, singular, _ = np.linalg.svd(rows / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
     basis = basis[:, singular > RANK_TOLERANCE * singular[0]]
@@ -196,18 +135,10 @@ def estimate_noise(rows: Floats, residuals: Floats, strokes: Indices | None) -> 
 
 @dataclass(frozen=True, eq=False)
 class ErrorEstimator:
-    """Standard errors from information; infinite where the points determine nothing, that is, where the prior matters.
+    """Standard errors from information; infinite where the points determine nothing: the prior matters."""
 
-    Attributes
-    ----------
-    information
-        Of the prior data, shape (coordinates,) * 2.
-    prior
-        A weak multiple of the identity.
-    """
-
-    information: Floats = field(repr=False)
-    prior: Floats = field(repr=False)
+    information: Floats = field(repr=False)  # of the prior data, (coordinates,) * 2
+    prior: Floats = field(repr=False)  # a weak multiple of the identity
 
     def error(self, criterion: DesignCriterion, added: Floats | float = 0.0) -> float:
         """Standard error of a criterion, with added information."""
@@ -237,25 +168,11 @@ _MAX_PASSES = 50
 
 @dataclass(frozen=True, eq=False)
 class ExchangeProblem:
-    """Choice of points out of candidates.
+    """Choice of points out of candidates."""
 
-    Attributes
-    ----------
-    rows
-        Shape (candidates, coordinates).
-    strokes
-        Shape (candidates,): index of the new stroke of each.
-    information
-        Of the prior data, shape (coordinates,) * 2, invertible.
-    noise
-        Variance components.
-    criterion
-        To be minimised.
-    """
-
-    rows: Floats = field(repr=False)
-    strokes: Indices = field(repr=False)
-    information: Floats = field(repr=False)
+    rows: Floats = field(repr=False)  # (candidates, coordinates)
+    strokes: Indices = field(repr=False)  # (candidates,), new ones
+    information: Floats = field(repr=False)  # of the prior data, invertible
     noise: NoiseModel
     criterion: DesignCriterion
 

@@ -65,15 +65,12 @@ def plan(
         `Coefficients`, `Force`, `JointStiffness` or `JointTorque`.
     law_type
         Kind of law; by default that of the fit.
-    points
-        Number of points.
     limits
-        Contractions and pressures to measure within; by default those of the specimen, or of the data where the
-        specimen is unknown.
+        Contractions and pressures to measure within; by default those of the specimen, or of the data.
     specimen
         Range, rating and length of the muscle; by default that of the catalog by the name in the data.
     contraction_step, pressure_step
-        Resolution of the rig [-], [Pa]; states are whole multiples. By default 1 mm, or 0.5 % of an unknown length.
+        Resolution of the rig [-], [Pa]. By default 1 mm (0.5 % of an unknown length), and 0.25 bar.
     directions
         Directions that the rig can measure in.
     repeats
@@ -83,7 +80,7 @@ def plan(
     noise, stroke_error
         Standard deviation of a point, and of the error shared by a stroke [N]; by default estimated from residuals.
     guess
-        Law to linearise about where the data do not determine one; by default fitted to a manufacturer's chart.
+        Law to linearise about where the data determine none; by default fitted to a manufacturer's chart.
 
     Raises
     ------
@@ -144,8 +141,7 @@ def plan(
     force_rows = candidates.rows[:: repeats * len(measured_in)].copy()
     force_rows[:, len(prior.parameters) :] = 0.0  # the law's force, midway between the directions
     maps = ErrorMap(
-        states,
-        *(_mapped(states, estimator.errors(force_rows @ subspace.basis, more)) for more in (0.0, added[-1])),
+        states, *(_mapped(states, estimator.errors(force_rows @ subspace.basis, more)) for more in (0.0, added[-1]))
     )
     free = np.concatenate([subspace.null_space, estimator.undetermined(subspace)], axis=1)
     planned = candidates.points(chosen)

@@ -23,27 +23,7 @@ _DEFAULT_NOISE = 0.01  # of the highest force, without a fit
 
 
 def initial_guess(law_type: type[ForceLaw], points: IsobaricDataset, given: ForceLaw | None) -> tuple[ForceLaw, str]:
-    """The law to linearise about without a fit, and its origin.
-
-    By default it is fitted to the manufacturer's chart of a 10 mm muscle. Its linear parameters are scaled together to
-    the taut points, if any: a muscle of twice the area pulls twice as hard.
-
-    Parameters
-    ----------
-    law_type
-        The kind of law.
-    points
-        Taut points, perhaps none.
-    given
-        A law of that kind.
-
-    Raises
-    ------
-    ParameterError
-        If the law given is of another kind.
-    IdentificationError
-        If there is none and the chart does not determine one.
-    """
+    """The law to linearise about without a fit, scaled to the taut points, and its origin."""
     if given is not None:
         if type(given) is not law_type:
             raise ParameterError(
@@ -76,36 +56,16 @@ def initial_guess(law_type: type[ForceLaw], points: IsobaricDataset, given: Forc
 
 @dataclass(frozen=True, eq=False)
 class PriorData:
-    """Measured points and the law linearised in its parameters.
+    """Measured points and the law linearised in its parameters."""
 
-    Attributes
-    ----------
-    law
-        Fitted or guessed.
-    points, measured
-        Taut points, and all points.
-    friction
-        Whether half the gap between the directions is an unknown, the last one.
-    rows
-        Design matrix, shape (taut points, unknowns).
-    strokes
-        Shape (taut points,): stroke index.
-    noise
-        Variance components.
-    half_width
-        Half width of the friction [N], where it is an unknown and there is a fit.
-    notes
-        Notes on assumptions.
-    """
-
-    law: ForceLaw
-    points: IsobaricDataset = field(repr=False)
-    measured: IsobaricDataset = field(repr=False)
-    friction: bool
-    rows: Floats = field(repr=False)
-    strokes: Indices = field(repr=False)
+    law: ForceLaw  # fitted or guessed
+    points: IsobaricDataset = field(repr=False)  # taut ones
+    measured: IsobaricDataset = field(repr=False)  # all
+    friction: bool  # half the gap between the directions is the last unknown
+    rows: Floats = field(repr=False)  # design matrix, (taut points, unknowns)
+    strokes: Indices = field(repr=False)  # (taut points,)
     noise: NoiseModel
-    half_width: float
+    half_width: float  # of the friction [N], 0 without a fit
     notes: tuple[str, ...] = ()
 
     @property

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import abc
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
 
 from mckibben.errors import ParameterError, RangeError, UnitError
 from mckibben.experiment_design.candidates import StateGrid
@@ -19,7 +16,7 @@ from mckibben.experiment_design.information import Floats
 from mckibben.identification.intervals import force_gradients
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain, ForceLaw, forces
-from mckibben.numerics.compiled import compiled
+from mckibben.study.uncertainty import torque_and_stiffness_gradients
 from mckibben.units import bar, deg, parse_range, quantity
 
 _SIDE = 21  # states along each side of a region
@@ -28,27 +25,14 @@ _ANGLES = 5  # in a range of angles
 
 @dataclass(frozen=True, eq=False)
 class LinearizedQuantity:
-    """A quantity of one or more values at the estimate of the parameters.
+    """A quantity of one or more values at the estimate of the parameters."""
 
-    Attributes
-    ----------
-    gradients
-        Shape (values, parameters), in SI.
-    values
-        Shape (values,).
-    d_optimal
-        Whether the volume of the joint confidence region counts (values of different units), not the mean variance.
-    states
-        Shape (states, 2): contraction [-] and pressure [Pa] of the muscle that the quantity depends on; perhaps none.
-    warnings
-        Warnings on its value.
-    """
-
-    gradients: Floats = field(repr=False)
-    values: Floats = field(repr=False)
-    d_optimal: bool = False
+    gradients: Floats = field(repr=False)  # (values, parameters), in SI
+    values: Floats = field(repr=False)  # (values,)
+    d_optimal: bool = False  # volume of the joint confidence region, for values of several units
+    # (states, 2): contraction [-] and pressure [Pa] of the muscle that it depends on
     states: Floats = field(default_factory=lambda: np.empty((0, 2)), repr=False)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # on its value
 
 
 class QuantityOfInterest(abc.ABC):
@@ -65,13 +49,7 @@ class QuantityOfInterest(abc.ABC):
 
 @dataclass(frozen=True)
 class Coefficients(QuantityOfInterest):
-    """Parameters of the law: c-optimal for one, D-optimal for several (independent of their units).
-
-    Parameters
-    ----------
-    names
-        All unless given.
-    """
+    """Parameters of the law, all by default: c-optimal for one, D-optimal for several (independent of their units)."""
 
     names: tuple[str, ...] = ()
 
@@ -102,13 +80,7 @@ class Coefficients(QuantityOfInterest):
 
 @dataclass(frozen=True)
 class Force(QuantityOfInterest):
-    """Force of the law, in the mean over a region (V-optimal).
-
-    Parameters
-    ----------
-    region
-        Contractions and pressures, of which the taut part counts; all that can be measured unless given.
-    """
+    """Force of the law, in the mean over the taut part of a region (V-optimal); default: all that can be measured."""
 
     region: Domain | None = None
 
@@ -127,10 +99,7 @@ class Force(QuantityOfInterest):
             box = self.region
             sides = (
                 np.linspace(float(low), float(high), _SIDE if high > low else 1)
-                for low, high in (
-                    (box.contraction_min, box.contraction_max),
-                    (box.pressure_min, box.pressure_max),
-                )
+                for low, high in ((box.contraction_min, box.contraction_max), (box.pressure_min, box.pressure_max))
             )
             contraction, pressure = (axis.ravel() for axis in np.meshgrid(*sides))
             force = forces(law, contraction, pressure)
@@ -174,7 +143,8 @@ class _JointQuantity(QuantityOfInterest):
         pressures = [np.full(len(angles), float(pressure)) for pressure in self.pressures]
         joint = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), self.joint, (law, law))
         values = np.array([float(getattr(law, p.name)) for p in type(law).parameters()])
-        found, gradients, contractions = jax.tree.map(np.asarray, _derivatives(joint, values, angles, *pressures))
+        derivatives = torque_and_stiffness_gradients(joint, (values,), angles, *pressures, one=True)
+        found, (gradients,), contractions = jax.tree.map(np.asarray, derivatives)
         warnings: list[str] = []
         muscles = self.joint.muscle1, self.joint.muscle2
         for number, muscle, contraction, pressure in zip((1, 2), muscles, contractions, pressures, strict=True):
@@ -200,16 +170,9 @@ class _JointQuantity(QuantityOfInterest):
 
 @dataclass(frozen=True)
 class JointTorque(_JointQuantity):
-    """Torque of a joint whose muscles both follow the law.
+    """Torque of a joint whose muscles both follow the law, at angles [rad] and pressures of muscles 1 and 2 [Pa].
 
-    Parameters
-    ----------
-    joint
-        Geometry, specimens and tendon; the laws of its muscles are replaced.
-    angle
-        [rad]; for several the mean variance counts.
-    pressures
-        Of muscle 1 and muscle 2 [Pa].
+    For several angles the mean variance counts.
     """
 
     _row = 0
@@ -224,25 +187,6 @@ class JointStiffness(_JointQuantity):
     _row = 1
     _name = "stiffness"
     _unit = "N*m/rad"
-
-
-@compiled
-def _derivatives(
-    joint: AntagonisticJoint, values: ArrayLike, angle: ArrayLike, pressure1: ArrayLike, pressure2: ArrayLike
-) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Torque and stiffness, shape (2, angles), their gradients, shape (2, parameters, angles), and contractions."""
-    names = [p.name for p in type(joint.muscle1.law).parameters()]
-
-    def torque_and_stiffness(given: Array) -> Array:
-        law = dataclasses.replace(joint.muscle1.law, **dict(zip(names, given, strict=True)))
-        changed = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, (law, law))
-        return jnp.stack(changed.torque_and_stiffness(angle, (pressure1, pressure2)))
-
-    def column(direction: Array) -> Array:
-        return jax.jvp(torque_and_stiffness, (jnp.asarray(values),), (direction,))[1]
-
-    gradients = jax.vmap(column, out_axes=1)(jnp.eye(len(names)))
-    return torque_and_stiffness(jnp.asarray(values)), gradients, joint.contractions(angle, (pressure1, pressure2))
 
 
 def parse_quantity_of_interest(

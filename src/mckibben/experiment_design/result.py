@@ -26,22 +26,10 @@ _LISTED = 6
 
 @dataclass(frozen=True)
 class PlannedPoint:
-    """One point to measure.
+    """One point to measure: state [Pa], [-], direction ("" where any will do), pass from 0, force by the law [N].
 
-    Attributes
-    ----------
-    pressure, contraction
-        State [Pa], [-].
-    direction
-        "loading" or "unloading"; empty where it does not matter.
-    repeat
-        Number of the pass, from 0.
-    force
-        Expected by the law [N].
-    standard_error
-        Of the quantity once this point and those before it are measured, in SI; infinite while undetermined.
-    gain
-        Relative reduction of the standard error by this point, 0 to 1; 1 for the one that makes it finite.
+    `standard_error` [SI] is that of the quantity once this point and those before it are measured, infinite while
+    undetermined; `gain` its relative reduction by this point, 0 to 1.
     """
 
     pressure: float
@@ -55,15 +43,9 @@ class PlannedPoint:
 
 @dataclass(frozen=True, eq=False)
 class ErrorMap:
-    """Standard error of the law's force over contraction and pressure.
+    """Standard error of the law's force now and after the plan, shape (pressures, contractions) [N].
 
-    Attributes
-    ----------
-    states
-        Grid.
-    now, after
-        With the prior data, and with the plan, shape (pressures, contractions) [N]; infinite where undetermined, NaN
-        where nothing can be measured.
+    Infinite where undetermined, NaN where nothing can be measured.
     """
 
     states: StateGrid
@@ -75,40 +57,31 @@ class ErrorMap:
 class ExperimentPlan:
     """Result of `plan`.
 
-    Standard errors are those expected of a fit to all points, linearised in the parameters: for several values the root
-    of the mean variance, for several coefficients the geometric mean over the axes of their joint confidence region, of
-    which only ratios are meaningful.
+    Standard errors [SI] are those expected of a fit to all points, linearised in the parameters; infinite where
+    undetermined. For several values they are the root of the mean variance, for several coefficients the geometric mean
+    over the axes of their joint confidence region, of which only ratios are meaningful.
 
     Attributes
     ----------
-    quantity
-        Quantity of interest.
     law
-        Law about which it is linearised: fitted or guessed.
+        Law about which the quantity is linearised: fitted or guessed.
     points
         In the order of their gain.
-    error_now, error_after
-        Standard error of the quantity with the prior data, and with the plan, in SI; infinite where undetermined.
-    error_even
-        With the best of the evenly spaced designs of as many points; NaN where there is none.
+    error_now, error_after, error_even
+        Standard error of the quantity with the prior data, with the plan, and with the best of the evenly spaced
+        designs of as many points (NaN where there is none).
     even_points
         That design: pressure [Pa], contraction [-], direction and repeat of each.
     value
         Quantity by the law, in SI; None for several values.
     parameter_errors
         Standard error of each parameter, now and after, in SI.
-    noise
-        Variance components.
     half_width
         Of the friction [N], by the fit; None if it is not an unknown or not determined.
-    diagnostics
-        Limits of the prior data.
-    notes
-        Assumptions of the plan.
+    diagnostics, notes
+        Limits of the prior data, and assumptions of the plan.
     measured
         Prior data, slack points included.
-    map
-        Standard error of the force.
     target_states
         Shape (states, 2): contraction [-] and pressure [Pa] of the muscle that the quantity depends on.
     """
@@ -219,10 +192,7 @@ class ExperimentPlan:
         }
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the points in the order of a test: by pass and pressure, shortening, then lengthening.
-
-        With a column ``force_N`` of the measured forces it is a data file.
-        """
+        """Write the points in the order of a test; with a column ``force_N`` of measured forces it is a data file."""
         ordered = sorted(range(len(self.points)), key=lambda i: _rig_order(self.points[i]))
         lines = ["pressure_bar,contraction_percent,direction,repeat,expected_N,rank"]
         for i in ordered:
@@ -262,19 +232,7 @@ def _contraction(value: float) -> str:
 
 
 def diagnostics(prior: PriorData, free: Floats, errors: Floats, maps: ErrorMap) -> tuple[str, ...]:
-    """Sentences on what the prior data do not determine.
-
-    Parameters
-    ----------
-    prior
-        Prior data.
-    free
-        Combinations of the unknowns, scaled to 1 N, that change no measured force; shape (unknowns, combinations).
-    errors
-        Standard errors of the unknowns, infinite where undetermined.
-    maps
-        Standard error of the force.
-    """
+    """Sentences on what the prior data leave open; `free`: combinations of unknowns that change no force."""
     values = np.array(
         [*(float(getattr(prior.law, name)) for name in prior.parameters), *[prior.half_width] * prior.friction]
     )

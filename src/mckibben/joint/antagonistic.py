@@ -34,15 +34,7 @@ class Measurement(NamedTuple):
 
 
 def pressure_pair(pressures: Pressures) -> Pressures:
-    """Return the pressures of muscles 1 and 2, given as a pair of numbers or arrays.
-
-    An array with more than one axis is refused: the axis of the muscles would be a guess.
-
-    Raises
-    ------
-    RangeError
-        If they are no pair.
-    """
+    """Return the pressures of muscles 1 and 2; `RangeError` for anything but a pair of numbers or arrays."""
     shape = (len(pressures),) if isinstance(pressures, tuple | list) else jnp.shape(pressures)
     if shape != (2,):
         raise RangeError(
@@ -279,16 +271,9 @@ class AntagonisticJoint(eqx.Module):
     def closed_valve_stiffness(
         self, angle: ArrayLike, pressures: Pressures, *, polytropic_index: float = 1.0, atmosphere: float = 101325.0
     ) -> Float[Array, "..."]:
-        """Return the stiffness [N*m/rad] with closed valves: p V^n is constant, V from the braid.
+        """Return the stiffness [N*m/rad] with valves closed at a state: p V^n is constant, V from the braid.
 
-        Parameters
-        ----------
-        angle, pressures
-            State at which the valves were closed, [rad] and [Pa].
-        polytropic_index
-            n: 1 for slow (isothermal), 1.4 for fast motion (adiabatic).
-        atmosphere
-            Ambient pressure [Pa].
+        The polytropic index n is 1 for slow (isothermal), 1.4 for fast motion (adiabatic); `atmosphere` in Pa.
         """
         pressure1, pressure2 = pressure_pair(pressures)
         path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
@@ -313,13 +298,7 @@ class AntagonisticJoint(eqx.Module):
         return slope1 * arm1 + tension1 * arm_slope1 - slope2 * arm2 - tension2 * arm_slope2
 
     def affine_map(self, angle: ArrayLike) -> TorqueStiffnessMap:
-        """Return torque and stiffness at an angle as affine functions of the pressures of taut muscles.
-
-        Raises
-        ------
-        TypeError
-            If the tendon is elastic or a law is not affine in pressure.
-        """
+        """Return torque and stiffness at an angle over the pressures; `TypeError` where they are not affine."""
         for muscle in (self.muscle1, self.muscle2):
             if not isinstance(muscle.law, PressureAffineLaw):
                 raise TypeError(f"{type(muscle.law).__name__} is not affine in pressure: the joint has no affine map")
@@ -349,37 +328,25 @@ class AntagonisticJoint(eqx.Module):
         pressure_limits: tuple[float, float] | None = None,
         minimum_tension: float = 0.0,
     ) -> Pair:
-        """Return the range of stiffness [N*m/rad] at which the taut muscles give a torque at an angle.
+        """Return the lowest and highest stiffness [N*m/rad] at which the taut muscles give a torque [N*m] at an angle.
 
         Exact with a rigid tendon and laws affine in pressure; with a series spring, from a scan of a few hundred
-        tensions.
+        tensions. NaN where the torque is not attainable: outside the pressures, the contractions of a muscle's domain
+        or its rated force, or because a muscle is slack at all pressures.
 
         Parameters
         ----------
-        angle, torque
-            Angle [rad] and torque of the muscles [N*m].
         pressure_limits
             Lowest and highest gauge pressure [Pa]; the muscles' domains by default.
         minimum_tension
             Lowest tension [N] of each muscle.
-
-        Returns
-        -------
-        lowest, highest
-            NaN where the torque is not attainable: outside the pressures, the contractions of a muscle's domain or its
-            rated force, or because a muscle is slack at all pressures.
         """
         return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension)
 
     def pressures_for(self, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None = None) -> Pair:
-        """Return gauge pressures [Pa] within the muscles' domains that give a torque and a stiffness at an angle.
+        """Return gauge pressures [Pa] within the muscles' domains that give a torque [N*m] and a stiffness [N*m/rad].
 
-        Parameters
-        ----------
-        angle, torque
-            Angle [rad] and torque of the muscles [N*m].
-        stiffness
-            Stiffness [N*m/rad]; by default, that midway between the slackest and the tightest state.
+        The stiffness is midway between the slackest and the tightest state unless given.
 
         Raises
         ------

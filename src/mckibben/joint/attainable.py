@@ -97,17 +97,7 @@ def _solve_many(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: Ar
 def solve_static_and_range(
     joint: Joint, angle: Array, torque: Array, stiffness: ArrayLike
 ) -> tuple[StaticSolution, Pair]:
-    """Return `solve_static` at the first of several angles, and `stiffness_range` at all, from one pass.
-
-    Parameters
-    ----------
-    joint
-        The joint.
-    angle, torque
-        Shape (n,): [rad], [N*m].
-    stiffness
-        At the first angle [N*m/rad].
-    """
+    """Return `solve_static` at the first of several angles, shape (n,), and `stiffness_range` at all."""
     segment = cocontraction_segment(joint, angle, torque, None, 0.0)
     profile = segment.profile()
     first = _solve(profile.first(), segment.feasible[0], stiffness, _fractions(joint))
@@ -325,11 +315,7 @@ def pressure_limits_of(joint: Joint) -> tuple[tuple[Array, Array], tuple[Array, 
 def _tension_ranges(
     joint: Joint, paths: Pair, pressure_limits: tuple[float, float] | None, minimum_tension: float
 ) -> tuple[Pair, Pair]:
-    """Return the lowest and the highest tension [N] of each muscle.
-
-    Within the pressure limits, the contractions of the domain and the rated force. The highest tension of a muscle that
-    is slack at the highest pressure is -inf, so that nothing is feasible.
-    """
+    """Return the lowest and the highest tension [N] of each muscle within pressures, domain and rated force."""
     if pressure_limits is None:
         lowest, highest = pressure_limits_of(joint)
     else:
@@ -340,6 +326,7 @@ def _tension_ranges(
         pressures = _leading_axis(jnp.stack([floating(low), floating(high)]), path)
         tensions = joint.tendon.tension(muscle, path, pressures)
         slackest = jnp.maximum(tensions[0], minimum_tension)
+        # A muscle that is slack at the highest pressure makes nothing feasible.
         tightest = jnp.where(tensions[1] > 0, jnp.minimum(tensions[1], muscle.specimen.rated_force), -jnp.inf)
         return jnp.maximum(slackest, least), jnp.minimum(tightest, most)
 

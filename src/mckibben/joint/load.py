@@ -19,15 +19,12 @@ class Load(eqx.Module):
 
     The paper puts the gravity term on the driving side in Eq. 6 and on the net side in Eq. 7; equated literally they
     cancel. Here it stands once, as a torque on the shank: with `hanging` true (the default) theta_h is the stable
-    equilibrium of the unloaded joint. The paper's other reading, an inverted load, is ``hanging=False``: the same
-    torque with the opposite sign.
+    equilibrium of the unloaded joint. The paper's other reading, an inverted load, is ``hanging=False``.
 
     Parameters
     ----------
-    mass1, mass2
-        m1 of the knee and m2 of the external load [kg].
-    distance1, distance2
-        l1 and l2 [m], of their centres from the axis.
+    mass1, mass2, distance1, distance2
+        m1 of the knee and m2 of the external load [kg], and l1, l2 of their centres from the axis [m].
     inertia
         J [kg*m^2], of the mechanism itself.
     damping

@@ -63,20 +63,9 @@ class RigidTendon(Tendon):
 
 
 class SeriesSpring(Tendon):
-    """A preloaded spring in series with the muscle, between two stops.
+    """Preloaded spring in series with the muscle: our reading of the paper's "mechanical stretch structure".
 
-    It is rigid up to the preload, then extends by (tension - preload) / stiffness, up to its travel. Our interpretation
-    of the paper's "mechanical stretch structure at the upper end of the PAM, which can compensate the lack of PAM
-    elongation"; the paper gives no details.
-
-    Parameters
-    ----------
-    stiffness
-        Force per extension [N/m].
-    preload
-        Tension [N] at which it starts to extend.
-    travel
-        Largest extension [m].
+    It is rigid up to the preload [N], then extends by (tension - preload) / stiffness [N/m], up to its travel [m].
     """
 
     stiffness: SpringRate

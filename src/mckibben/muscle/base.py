@@ -18,19 +18,7 @@ from mckibben.units import atm, bar, deg, mm
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a law that can be identified from data.
-
-    Attributes
-    ----------
-    name
-        Field of the law, in SI.
-    unit, shown
-        SI unit, and unit in publications and reports.
-    meaning
-        Short description.
-    lower, upper
-        Bounds of an identification, in SI.
-    """
+    """Parameter of a law that can be identified: field, SI unit, unit in reports, meaning, and bounds in SI."""
 
     name: str
     unit: str
@@ -98,10 +86,7 @@ _LOWEST, _HIGHEST = -0.5 * atm, 12 * bar  # range of pressures of any muscle of 
 
 
 def pressure_for(law: ForceLaw, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-    """Return the gauge pressure [Pa] from -0.5 to 12 bar that gives a force [N] at a contraction [-]; NaN for none.
-
-    The force must increase with pressure.
-    """
+    """Return the gauge pressure [Pa] from -0.5 to 12 bar for a force [N] that rises with it; NaN for none."""
     force, contraction = jnp.asarray(force), jnp.asarray(contraction)
     lowest = jnp.where(law.force(contraction, 0.0) <= force, 0.0, _LOWEST)
     return bracketed_root(lambda pressure: law.force(contraction, pressure) - force, lowest, _HIGHEST)
@@ -140,27 +125,13 @@ class ScaledAffineLaw(PressureAffineLaw):
 
 
 def scaled_law(law: ForceLaw, strength: Any) -> ForceLaw:
-    """Return a law whose force is scaled by a factor, for the scatter among muscles of one type and for ageing.
+    """Return a law, with its domain, whose force is scaled by a factor: scatter among muscles of one type, and ageing.
 
-    Parameters
-    ----------
-    law
-        Its domain is kept.
-    strength
-        Factor [-].
+    Raises `RangeError` unless the factor is above 0.
 
-    Raises
-    ------
-    RangeError
-        If the factor is not above 0.
-
-    Examples
-    --------
     >>> from mckibben import catalog
-    >>> from mckibben.units import bar, percent
     >>> law = catalog.law("lei-mas-10-180n")
-    >>> weak = scaled_law(law, 0.9)
-    >>> round(float(weak.force(10 * percent, 3 * bar) / law.force(10 * percent, 3 * bar)), 12)
+    >>> round(float(scaled_law(law, 0.9).force(0.1, 3e5) / law.force(0.1, 3e5)), 12)
     0.9
     """
     check_positive("scaled_law", strength=strength)
@@ -178,15 +149,7 @@ BRAID_PARAMETERS = (
 
 
 def braid_gain(braid_angle: float | Array, initial_diameter: float | Array, length_ratio: Array) -> Float[Array, "..."]:
-    """Return the force per pressure [N/Pa] of an ideal braid (Eq. 1).
-
-    Parameters
-    ----------
-    braid_angle, initial_diameter
-        alpha0 [rad] and d0 [m] of the deflated muscle.
-    length_ratio
-        Length over initial length, 1 - contraction [-].
-    """
+    """Return the force per pressure [N/Pa] of an ideal braid (Eq. 1) at a length over its initial length [-]."""
     beta1 = 3 / jnp.tan(braid_angle) ** 2
     beta2 = 1 / jnp.sin(braid_angle) ** 2
     return jnp.pi * initial_diameter**2 / 4 * (beta1 * length_ratio**2 - beta2)

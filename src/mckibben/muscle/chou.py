@@ -26,10 +26,8 @@ class ChouLaw(PressureAffineLaw):
 
     Parameters
     ----------
-    braid_angle
-        Angle alpha0 [rad] between thread and axis of the deflated muscle.
-    initial_diameter
-        Diameter d0 [m] of the deflated muscle.
+    braid_angle, initial_diameter
+        Angle alpha0 [rad] between thread and axis, and diameter d0 [m], of the deflated muscle.
     domain
         Domain of the data behind it.
 
@@ -42,10 +40,8 @@ class ChouLaw(PressureAffineLaw):
     --------
     >>> from mckibben.units import bar, deg, mm, percent
     >>> law = ChouLaw(braid_angle=25 * deg, initial_diameter=10 * mm)
-    >>> round(float(law.force(0.0, 6 * bar)), 1)
-    386.3
-    >>> round(law.zero_force_contraction / percent, 1)
-    36.3
+    >>> round(float(law.force(0.0, 6 * bar)), 1), round(law.zero_force_contraction / percent, 1)
+    (386.3, 36.3)
     """
 
     braid_angle: float

@@ -53,23 +53,15 @@ class Creep(eqx.Module):
     ) -> NDArray[np.float64]:
         """Return the force [N] after each move of a displacement path, in NumPy, for tests on a rig.
 
-        The path starts relaxed; each move has a constant velocity, and the tension changes monotonically over it.
+        The answer has shape (points, samples). The path starts relaxed; each move has a constant velocity, and the
+        law's tension [N] changes monotonically over it.
 
         Parameters
         ----------
-        length
-            Shape (points,): lengths [m] in order.
-        tension
-            The law's tension [N] at each, of that shape or scalar.
-        move_time, hold_time
-            Durations [s] of each move and of the hold after it, of that shape or scalar.
+        length, tension, move_time, hold_time
+            Lengths [m], shape (points,); tension at each, durations [s] of each move and the hold after it, or scalars.
         sample_times
             Shape (samples,): times [s] after each move.
-
-        Returns
-        -------
-        force
-            Shape (points, samples).
         """
 
 
@@ -111,11 +103,9 @@ class MaxwellCreep(Creep):
     shortening less, and returns to it with the time constant :math:`\tau_i`. Several arms with equal stiffness, each
     ten times slower than the one before, give nearly logarithmic creep over as many decades of time.
 
-    The arms together carry at most half of the law's tension :math:`T`; beyond, they slip and lose stored energy. So a
-    slack muscle has no creep force, the muscle never pushes, and the model is dissipative for any path of length and
-    pressure. That bound is ours.
-
-    Creep follows the length alone; creep after a step of the *pressure* at a constant length is not modelled.
+    The arms together carry at most half of the law's tension :math:`T`; beyond, they slip and lose stored energy. So
+    the muscle never pushes, and the model is dissipative for any path of length and pressure. That bound is ours. Creep
+    after a step of the *pressure* at a constant length is not modelled.
 
     Parameters
     ----------
@@ -130,8 +120,7 @@ class MaxwellCreep(Creep):
     ----------
     W. N. Findley, J. S. Lai and K. Onaran, "Creep and Relaxation of Nonlinear Viscoelastic Materials", North-Holland
     1976, section 5.2 (Maxwell models in parallel); T. V. Minh, B. Kamers, H. Ramon and H. Van Brussel, "Modeling and
-    control of a pneumatic artificial muscle manipulator joint - Part I: Modeling of a pneumatic artificial muscle
-    manipulator joint with accounting for creep effect", Mechatronics 22 (2012) 923-933.
+    control of a pneumatic artificial muscle manipulator joint - Part I", Mechatronics 22 (2012) 923-933.
 
     Examples
     --------
@@ -198,19 +187,6 @@ class MaxwellCreep(Creep):
 
 
 def retained_fraction(move_time: ArrayLike, time_constant: ArrayLike) -> NDArray[np.float64]:
-    """Return the fraction [-] of a move's stretch that a Maxwell arm holds at its end; 1 for an instant move.
-
-    Parameters
-    ----------
-    move_time
-        Duration [s] of the move, at a constant velocity.
-    time_constant
-        Time constant [s] of the arm.
-
-    Examples
-    --------
-    >>> [round(float(part), 4) for part in (retained_fraction(0.0, 5.0), retained_fraction(5.0, 5.0))]  # 1, 1 - 1/e
-    [1.0, 0.6321]
-    """
+    """Return the fraction [-] of a stretch, over a time [s], that a Maxwell arm holds at its end."""
     ratio = np.asarray(move_time, np.float64) / time_constant
     return np.where(ratio > 0, -np.expm1(-ratio) / np.where(ratio > 0, ratio, 1.0), 1.0)

@@ -31,8 +31,6 @@ class ExponentialLaw(PressureAffineLaw):
         Forces per pressure [N/Pa].
     decay
         mu [-], per unit of contraction: 30 is the paper's 0.3 per percent.
-    domain
-        Domain of the data behind it.
 
     References
     ----------
@@ -41,12 +39,9 @@ class ExponentialLaw(PressureAffineLaw):
     Examples
     --------
     >>> from mckibben import catalog
-    >>> from mckibben.units import bar, percent
     >>> law = catalog.law("lei-mas-10-180n")  # Eq. 3
-    >>> round(float(law.force(contraction=0.0, pressure=6 * bar)), 2)
-    584.72
-    >>> round(float(law.force(contraction=10 * percent, pressure=6 * bar)), 1)
-    242.6
+    >>> round(float(law.force(contraction=0.0, pressure=6e5)), 2), round(float(law.force(0.1, 6e5)), 1)
+    (584.72, 242.6)
     """
 
     a1: float
@@ -83,12 +78,9 @@ class ExponentialLaw(PressureAffineLaw):
 
 
 class SarosiLaw(PressureAffineLaw):
-    r"""Empirical law for Festo's muscles.
+    r"""Empirical law for Festo's muscles: `ExponentialLaw` with b1 = 0, and a3 minus the decay.
 
     .. math:: F = (a_1 p + a_2)\,e^{a_3 \kappa} + a_4 \kappa p + a_5 p + a_6
-
-    with the contraction :math:`\kappa`. It is `ExponentialLaw` with b1 = 0; a3 is minus the
-    decay.
 
     Parameters
     ----------
@@ -97,11 +89,9 @@ class SarosiLaw(PressureAffineLaw):
     a2, a6
         Forces [N].
     a3
-        Exponent [-], per unit of contraction; negative.
+        Exponent [-], per unit of contraction kappa; negative.
     a4
         Force per pressure and unit of contraction [N/Pa].
-    domain
-        Domain of the data behind it.
 
     References
     ----------
@@ -111,9 +101,7 @@ class SarosiLaw(PressureAffineLaw):
     Examples
     --------
     >>> from mckibben import catalog
-    >>> from mckibben.units import bar, percent
-    >>> law = catalog.law("sarosi-dmsp-10")
-    >>> round(float(law.force(contraction=0.0, pressure=6 * bar)), 1)
+    >>> round(float(catalog.law("sarosi-dmsp-10").force(contraction=0.0, pressure=6e5)), 1)
     595.2
     """
 
@@ -148,11 +136,10 @@ class TripleExponentialLaw(ForceLaw):
     .. math:: F = a_1 + (a_2 + b\,\varepsilon)\,p + c\,p^2 e^{-\mu\varepsilon} + d_1 e^{-2\mu\varepsilon}
         + \left(d_2 + d_3 \ln(1 + p/p_a)\right) e^{-4\mu\varepsilon}
 
-    with the atmosphere :math:`p_a` = 101325 Pa. The second term is the force of the braid; the exponentials stand
-    for rubber and ends. The form is empirical: `benchmarks/forms.py` selected it among 33649 by the cross-validation
-    error on two measured and two published muscles; of the best sixty it loses least with fewer pressures. Fitted to
-    any of the four, the force of a taut muscle decreases with contraction and increases with pressure, at -3..25 % and
-    0..8 bar.
+    with the atmosphere :math:`p_a` = 101325 Pa. The second term is the force of the braid; the exponentials stand for
+    rubber and ends. `benchmarks/forms.py` selected the form among 33649 by the cross-validation error on two measured
+    and two published muscles. Fitted to any of them, the force of a taut muscle decreases with contraction and
+    increases with pressure, at -3..25 % and 0..8 bar.
 
     Parameters
     ----------
@@ -164,8 +151,6 @@ class TripleExponentialLaw(ForceLaw):
         Force per square of pressure [N/Pa^2].
     decay
         mu [-], per unit of contraction.
-    domain
-        Domain of the data behind it.
 
     References
     ----------

@@ -69,10 +69,9 @@ class Friction(eqx.Module):
 
         Parameters
         ----------
-        length
-            Shape (points,): lengths [m] in order.
-        tension, pressure
-            The law's tension [N] and the gauge pressure [Pa] at each, of that shape or scalar.
+        length, tension, pressure
+            Lengths [m] in order, shape (points,); the law's tension [N] and the gauge pressure [Pa] at each, or
+            scalars.
         side
             Side of the band at the first point: 1 after stretching, -1 after shortening, 0 unstressed.
         """
@@ -115,15 +114,14 @@ class MaxwellSlip(Friction):
         \qquad A = B \tanh\frac{T}{2B}, \quad B = B_0 + B_1 (p - p_0)
 
     The state of an element is its anchor :math:`a_i`, the length at which it is unstressed. The half width :math:`A`
-    of the band decreases with the law's tension :math:`T`: it is at most T/2, so the muscle never pushes, and 0.96 B at
-    T = 4B. The stiffnesses :math:`k_i` are constant; where the band narrows, sliders slip and lose stored energy, where
-    it widens none is gained. The model is dissipative for any path of length and pressure.
+    of the band is at most half the law's tension :math:`T`, so the muscle never pushes, and 0.96 B at T = 4B. Where the
+    band narrows, sliders slip and lose stored energy, where it widens none is gained: the model is dissipative for any
+    path of length and pressure.
 
     The elements follow from their number: their sum is the polygon nearest to :math:`f = B(1 - e^{-2s/s_0})`, the
     response of an unstressed muscle to a displacement s (within 1.1 % of B with six elements). After a reversal at one
     side of the band, 63 % of the change to the other side is reached after :math:`s_0`, 86 % after :math:`2 s_0`.
-
-    The viscous part, :math:`(T/2) \tanh(2 c \dot l / T)`, is :math:`c \dot l` for a taut muscle and at most T/2.
+    The viscous part, :math:`(T/2) \tanh(2 c \dot l / T)`, is :math:`c \dot l` for a taut muscle.
 
     Parameters
     ----------
@@ -131,10 +129,8 @@ class MaxwellSlip(Friction):
         B0 [N] at the reference pressure: half the distance between loading (above) and unloading (below).
     presliding_length
         s0 [m].
-    growth
-        B1 [N/Pa]; the half width is never taken below 0.
-    reference_pressure
-        p0 [Pa, gauge].
+    growth, reference_pressure
+        B1 [N/Pa], and p0 [Pa, gauge]; the half width is never taken below 0.
     viscous
         c [N*s/m].
     elements
@@ -244,24 +240,7 @@ def play_response(
     *,
     side: float | NDArray[np.float64] = 0.0,
 ) -> NDArray[np.float64]:
-    """Return the deflections [m] of the elements of `MaxwellSlip` (play operators) along many paths at once.
-
-    Parameters
-    ----------
-    travel
-        Shape (points, ...): displacements [m], positive = stretching; the first is ignored.
-    limit
-        Shape (points, ...): half width A [N] of the band at each point.
-    stiffness, share
-        Shape (..., elements): k [N/m] and w [-].
-    side
-        Shape (...): side of the band at the first point, -1 to 1.
-
-    Returns
-    -------
-    deflections
-        Shape (points, ..., elements) [m]; times k, the forces.
-    """
+    """Return the deflections [m] of play operators, shape (points, ..., elements), along many paths at once."""
     bounds = limit[..., None] * (share / stiffness)
     deflections = np.empty_like(bounds)
     deflections[0] = bounds[0] * np.asarray(side)[..., None]

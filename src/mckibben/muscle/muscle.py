@@ -36,22 +36,9 @@ NO_STATE = MuscleState()
 class Muscle(eqx.Module):
     """A specimen with its force law, friction and creep.
 
-    Unlike the law, a muscle cannot push: where the law is negative the muscle is slack and its force is zero.
-
-    Parameters
-    ----------
-    specimen
-        Dimensions and ratings.
-    law
-        Static force as a function of contraction and pressure.
-    friction, creep
-        Dynamics added to the law; none by default. They act only through an internal state (`MuscleState`); without
-        one, `force` and all quantities of a joint are those of the law.
-
-    Raises
-    ------
-    RangeError
-        If the domains of specimen and law do not overlap.
+    Unlike the law, a muscle cannot push: where the law is negative the muscle is slack and its force is zero. Friction
+    and creep act only through an internal state (`MuscleState`); without one, `force` and all quantities of a joint are
+    those of the law. Raises `RangeError` if the domains of specimen and law do not overlap.
     """
 
     specimen: Specimen
@@ -99,20 +86,10 @@ class Muscle(eqx.Module):
         return MuscleState(self.friction.initial(length), self.creep.initial(length))
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE) -> Float[Array, "..."]:
-        """Return the force [N] at a contraction [-] and a gauge pressure [Pa], never below 0.
+        """Return the force [N] at a contraction [-] and a gauge pressure [Pa], never below 0; the arguments broadcast.
 
-        Parameters
-        ----------
-        contraction, pressure
-            Any shapes that broadcast.
-        state
-            Internal state, constant over a short move; friction and creep each contribute at most half of the law's
-            force.
-
-        Warns
-        -----
-        DomainWarning
-            Outside the domain, where the law is extrapolated; not inside `jax.jit`.
+        Friction and creep of an internal state contribute at most half of the law's force each. Outside the domain,
+        where the law is extrapolated, a `DomainWarning` is issued, except inside `jax.jit`.
         """
         warn_outside((self, contraction, pressure))
         return self.tension(contraction, pressure, state)

@@ -48,13 +48,7 @@ class Domain(eqx.Module):
         return (contraction >= self.contraction_min - 1e-9) & (contraction <= self.contraction_max + 1e-9)
 
     def describe_outside(self, contraction: ArrayLike, pressure: ArrayLike) -> str:
-        """Return the number of points outside and the first of them as text; empty for none or traced points.
-
-        NaN is ignored.
-
-        >>> Domain(contraction_min=0.0).describe_outside(-0.08, np.array([1e5, 6e5]))
-        '2 of 2 points, the first at contraction -8 % and pressure 1 bar, are outside contraction from 0 %'
-        """
+        """Return the number of points outside and the first of them as text; empty for none, NaN or traced points."""
         inside = self.contains(contraction, pressure)
         if isinstance(inside, Tracer):
             return ""
@@ -69,13 +63,7 @@ class Domain(eqx.Module):
         return f"{point} are outside {self.bounds()}"
 
     def intersection(self, other: Domain) -> Domain:
-        """Return the common part of two domains.
-
-        Raises
-        ------
-        RangeError
-            If there is none, for bounds that are numbers.
-        """
+        """Return the common part of two domains; `RangeError` if there is none, for bounds that are numbers."""
         bounds = [
             _tightest(max, self.contraction_min, other.contraction_min),
             _tightest(min, self.contraction_max, other.contraction_max),
@@ -90,13 +78,7 @@ class Domain(eqx.Module):
         return Domain(*bounds)
 
     def check_contraction(self, contraction: float, owner: str, remedy: str = "") -> None:
-        """Raise if a contraction lies outside.
-
-        Raises
-        ------
-        RangeError
-            With value, range and remedy.
-        """
+        """Raise `RangeError` with value, range and remedy if a contraction lies outside."""
         if not bool(self.contains_contraction(contraction)):
             lower, upper = float(self.contraction_min), float(self.contraction_max)
             raise RangeError(
@@ -110,11 +92,7 @@ class Domain(eqx.Module):
             )
 
     def bounds(self) -> str:
-        """Return the finite bounds as text.
-
-        >>> Domain(contraction_min=0.0).bounds()
-        'contraction from 0 %'
-        """
+        """Return the finite bounds as text."""
         texts = []
         for what, low, high, unit, scale in (
             ("contraction", self.contraction_min, self.contraction_max, "%", percent),
@@ -145,10 +123,8 @@ class Specimen(eqx.Module):
     ----------
     name
         Manufacturer's designation.
-    initial_length, initial_diameter
-        l0 and d0 [m] of the deflated, unloaded muscle.
-    braid_angle
-        alpha0 [rad] between thread and axis of the deflated muscle.
+    initial_length, initial_diameter, braid_angle
+        l0 and d0 [m], and alpha0 [rad] between thread and axis, of the deflated, unloaded muscle.
     rated_force
         Highest permissible force [N].
     domain

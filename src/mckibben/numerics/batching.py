@@ -31,16 +31,7 @@ RANK = "rank"
 
 
 def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
-    """The number of lanes of a tree (None if no leaf varies), and flags of its varying leaves for `equinox.partition`.
-
-    A leaf varies if it has one axis more than in a single run; that axis comes first. `name` is that of the tree in
-    messages.
-
-    Raises
-    ------
-    ParameterError
-        If leaves vary over different numbers of lanes, or over none, or have two axes too many.
-    """
+    """Number of lanes of a tree (None if no leaf varies), and flags of its varying leaves, which have an axis more."""
     count, first, flags = None, "", []
     leaves, structure = jax.tree.flatten(tree)
     if not any(np.ndim(leaf) for leaf in leaves if eqx.is_array_like(leaf)):
@@ -69,14 +60,7 @@ def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
 
 
 def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> dict[str, Any]:
-    """Trees with other values at some leaves, addressed by dotted names such as ``plant.load.mass2``.
-
-    Raises
-    ------
-    ParameterError
-        If there is no such leaf (the nearest name is suggested), a value is not numeric, or a value of an integer
-        leaf is not an integer.
-    """
+    """Trees with other values at some leaves, addressed by dotted names such as ``plant.load.mass2``."""
     if not values:
         return dict(trees)
     known = select_leaves(trees, list(values))
@@ -182,11 +166,7 @@ def pad_chunk(tree: Tree, chunk: slice, size: int) -> Tree:
 def map_chunks(
     call: Callable[[slice], R], count: int, size: int, workers: int | None = None
 ) -> Iterator[tuple[slice, R]]:
-    """Call a function on chunks of `size` lanes in threads, and yield each chunk and its answer in order.
-
-    JAX releases the interpreter's lock while it computes. At most two chunks per worker are pending, so memory does
-    not grow with the count.
-    """
+    """Call a function on chunks of lanes in threads (JAX releases the lock); yield chunks and answers in order."""
     workers = workers or cores()
     chunks = iter([slice(start, min(start + size, count)) for start in range(0, count, size)])
     pending: deque[tuple[slice, Future[R]]] = deque()
@@ -252,17 +232,7 @@ def trace_mode() -> tuple[bool, bool]:
 
 
 def compute_once(function: Callable[..., R], *args: object) -> R:
-    """`function(*args)`; in a program for many runs in a branch, so that XLA does not repeat it in each use.
-
-    The function is pure and its results are arrays. A constant behind a barrier is the condition, so that XLA cannot
-    remove the branch.
-
-    Examples
-    --------
-    >>> with batched_program():
-    ...     float(compute_once(lambda x: 2 * x, jnp.asarray(3.0)))
-    6.0
-    """
+    """`function(*args)`; in a program for many runs in a branch, so that XLA does not repeat it in each use."""
     if not _BATCHED.get():
         return function(*args)
 
@@ -274,6 +244,7 @@ def compute_once(function: Callable[..., R], *args: object) -> R:
             _BATCHED.reset(token)
 
     zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), jax.eval_shape(call))
+    # The barrier keeps XLA from removing the branch.
     return lax.cond(lax.optimization_barrier(jnp.asarray(1.0)) > 0, call, lambda: zeros)
 
 

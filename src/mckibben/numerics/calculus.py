@@ -17,20 +17,12 @@ Values = TypeVar("Values")
 
 
 def derivative(function: Callable[[Array], Array], x: ArrayLike) -> Float[Array, "..."]:
-    """The derivative of an elementwise function at each element of `x`, exact to rounding (forward mode).
-
-    >>> float(derivative(lambda x: x**3, 2.0))
-    12.0
-    """
+    """Derivative of an elementwise function at each element of `x`, exact to rounding (forward mode)."""
     return value_and_derivative(function, x)[1]
 
 
 def value_and_derivative(function: Callable[[Array], Values], x: ArrayLike) -> tuple[Values, Values]:
-    """`function(x)` and its derivative, from one pass.
-
-    Where `function` broadcasts `x` against something larger, so do both answers; where it returns several arrays, both
-    answers have that structure.
-    """
+    """`function(x)` and its derivative, from one pass; both in the structure that the function returns."""
     x = floating(x)
     return jax.jvp(function, (x,), (jnp.ones_like(x),))
 
@@ -40,27 +32,7 @@ _NEWTON_STEPS = 4
 
 
 def bracketed_root(function: Callable[[Array], Array], low: ArrayLike, high: ArrayLike) -> Float[Array, "..."]:
-    """The zero of a monotone function between two bounds, elementwise; NaN where the bounds do not bracket one.
-
-    Bisection, then Newton's method to rounding. The derivatives with respect to whatever the function closes over are
-    those of the implicit function.
-
-    Parameters
-    ----------
-    function
-        Elementwise, and rising or falling throughout between the bounds.
-    low, high
-        The bounds; they broadcast against what the function closes over.
-
-    Examples
-    --------
-    >>> float(bracketed_root(lambda x: x**3 - 8.0, 0.0, 10.0))
-    2.0
-    >>> float(bracketed_root(lambda x: 8.0 - x**3, 0.0, 10.0))
-    2.0
-    >>> float(bracketed_root(lambda x: x**3 + 8.0, 0.0, 10.0))
-    nan
-    """
+    """Root of a monotone elementwise function between two bounds; NaN where they do not bracket one."""
     low, high = floating(low), floating(high)
     at_low, at_high = function(low), function(high)
     shape = jnp.broadcast_shapes(at_low.shape, at_high.shape)
@@ -88,27 +60,7 @@ State = TypeVar("State")
 def rk4(
     rate: Callable[..., State], state: State, step: ArrayLike, inputs: tuple[tuple[Any, ...], ...] = ((), (), ())
 ) -> State:
-    """One step of the classical fourth-order Runge-Kutta method.
-
-    In a batched program (`mckibben.numerics.batching`) its stages are a loop; results differ by rounding.
-
-    Parameters
-    ----------
-    rate
-        The state's derivative with respect to time; same structure as the state.
-    state
-        Any pytree; a tuple of scalars is faster than one vector.
-    step
-        Step size [s].
-    inputs
-        Further arguments of `rate` at the beginning, the middle and the end of the step.
-
-    Examples
-    --------
-    >>> import jax.numpy as jnp
-    >>> float(rk4(lambda x: -x, jnp.asarray(1.0), 0.1))  # exp(-0.1) = 0.904837418...
-    0.9048375
-    """
+    """State after a step of the classical Runge-Kutta method; `inputs` at its beginning, middle and end."""
 
     def moved(slope: State, length: ArrayLike) -> State:
         return jax.tree.map(lambda x, dx: x + length * dx, state, slope)

@@ -11,13 +11,7 @@ from mckibben.errors import RangeError
 
 
 def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
-    """Raise unless every number, or element of an array, is finite and positive (or zero, where allowed).
-
-    Raises
-    ------
-    RangeError
-        It names the owner, the field and the value.
-    """
+    """Raise `RangeError` unless all numbers are finite and above 0 (or 0, where allowed)."""
     for name, value in values.items():
         numbers = _known(value)
         right = np.isfinite(numbers) & ((numbers > 0) | (zero & (numbers == 0)))
@@ -40,13 +34,7 @@ def whole_periods(duration: float, period: float) -> int | None:
 
 
 def check_within(owner: str, lower: float, upper: float, unit: str = "", **values: object) -> None:
-    """Raise unless every number, or element of an array, lies in a closed range.
-
-    Raises
-    ------
-    RangeError
-        It names the owner, the field, the value and the range.
-    """
+    """Raise `RangeError` unless all numbers lie in a closed range."""
     for name, value in values.items():
         numbers = _known(value)
         right = (numbers >= lower) & (numbers <= upper)
@@ -62,13 +50,7 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", **value
 
 
 def check_kind(owner: str, **fields: tuple[object, type]) -> None:
-    """Raise unless each field is of its type: arguments are easily swapped.
-
-    Raises
-    ------
-    RangeError
-        It names the owner, the field and the given value.
-    """
+    """Raise `RangeError` unless each field is of its type: arguments are easily swapped."""
     for name, (value, kind) in fields.items():
         if isinstance(value, Real | str):
             given = repr(value)

@@ -36,10 +36,7 @@ def numeric(tree: Any) -> Any:
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Like `equinox.filter_jit`, but Python numbers among the arguments are traced: a new value compiles nothing.
-
-    Numbers that shape the program (counts, flags) have to be static fields, or bound beforehand; answers are arrays.
-    """
+    """`equinox.filter_jit` that traces Python numbers too: a new value compiles nothing."""
     program = Program(function)
 
     @functools.wraps(function)
@@ -67,11 +64,7 @@ def compiled_batch(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class Program:
-    """A pure function of arrays, compiled once for each structure of its arguments; all other leaves are static.
-
-    Where several threads need the same program, one compiles it and the others wait. `options` returns the compiler's
-    options at the first call, since they may depend on the device.
-    """
+    """Pure function of arrays, compiled once for each structure of its arguments; all other leaves are static."""
 
     def __init__(self, function: Callable[..., Any], options: Callable[[], dict[str, Any]] = dict) -> None:
         self._function = function

@@ -51,10 +51,7 @@ class FingerprintError(ValueError):
 def load_or_compile(
     folder: Path, jitted: Any, arrays: list[Any], function: Callable[..., Any], structure: Any, static: Any, *rest: Any
 ) -> Callable[..., Any]:
-    """The program from its file in `folder`, or compiled and written there.
-
-    Without a fingerprint (closures, foreign classes) or a trusted folder it is `jitted` itself.
-    """
+    """Program from its file in `folder`, or compiled and written; `jitted` without fingerprint or trusted folder."""
     from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
     try:
@@ -138,18 +135,7 @@ def _environment() -> str:
 
 
 def code_fingerprint(thing: Any) -> str:
-    """Full name of a class or function.
-
-    Raises
-    ------
-    FingerprintError
-        If it is not of a known package, or is one of many under its name: a closure, a lambda, a local class.
-
-    Examples
-    --------
-    >>> code_fingerprint(code_fingerprint)
-    'mckibben.numerics.program_cache.code_fingerprint'
-    """
+    """Full name of a class or function; `FingerprintError` for a foreign or local one, or a closure."""
     name = f"{getattr(thing, '__module__', '')}.{getattr(thing, '__qualname__', '<nothing>')}"
     is_closure = getattr(thing, "__closure__", None) is not None and not isinstance(thing, type)
     if name.partition(".")[0] not in _KNOWN or "<" in name or is_closure:
@@ -158,13 +144,7 @@ def code_fingerprint(thing: Any) -> str:
 
 
 def structure_fingerprint(structure: Any) -> str:
-    """Classes and static values of a JAX tree structure.
-
-    Examples
-    --------
-    >>> structure_fingerprint(jax.tree.structure(([1.0], None)))
-    'builtins.tuple(=None builtins.list(=None *) builtins.NoneType(=None))'
-    """
+    """Classes and static values of a JAX tree structure."""
     node = structure.node_data()
     if node is None:
         return "*"

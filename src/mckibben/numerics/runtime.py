@@ -25,13 +25,10 @@ _CONSTANT = {
 
 
 def configure() -> None:
-    """Set 64-bit JAX, and compiled loops that run as one piece on the CPU.
-
-    JAX before 0.12 dispatches every fusion of a loop's body by itself on the CPU, which makes a simulated episode
-    4 to 20 times slower; an XLA flag avoids it, added to the user's ``XLA_FLAGS``. All settings are made in the
-    environment, for child processes, and in `jax.config` where JAX is imported already.
-    """
+    """Set 64-bit JAX, and compiled loops that run as one piece on the CPU; in the environment, for children too."""
     os.environ["JAX_ENABLE_X64"] = "1"
+    # JAX before 0.12 dispatches every fusion of a loop's body by itself on the CPU: an episode takes 4 to 20 times as
+    # long.
     if _dispatches_loop_bodies():
         os.environ["XLA_FLAGS"] = with_loop_option(os.environ.get("XLA_FLAGS", ""))
     if "jax" in sys.modules:
@@ -41,11 +38,7 @@ def configure() -> None:
 
 
 def with_loop_option(flags: str) -> str:
-    """The user's XLA flags plus ours; the user's own value of the option has precedence.
-
-    >>> with_loop_option("--xla_dump_to=x")
-    '--xla_dump_to=x --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000'
-    """
+    """The user's XLA flags plus ours; the user's own value of the option has precedence."""
     if _LOOP_OPTION in flags:
         return flags
     option = f"{_LOOP_OPTION}=1000000000"
@@ -66,12 +59,9 @@ def use_program_cache() -> None:
 
 
 def programs_folder() -> Path | None:
-    """Folder of the program cache; None unless `use_program_cache` was called.
-
-    None as well with a persistent cache of JAX, whose programs cannot be stored again, and where the processor's
-    instructions are not known, which are read on Linux only.
-    """
+    """Folder of the program cache; None unless asked for, and where programs cannot be stored."""
     folder = os.environ.get(_PROGRAMS)
+    # Programs from a persistent cache of JAX cannot be stored again; instructions are known on Linux only.
     usable = folder and not os.environ.get("JAX_COMPILATION_CACHE_DIR") and processor() is not None
     return Path(folder) if folder and usable else None
 

@@ -30,19 +30,7 @@ _VISIBLE = 0.01  # of the amplitude or the step: a smaller disturbance does not 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper, or a question of ours, with a verdict.
-
-    Attributes
-    ----------
-    claim, source
-        Statement, and its place in the paper.
-    holds
-        Verdict.
-    evidence
-        The numbers behind it.
-    of_paper
-        Whether the paper makes the claim; else it is a question of ours.
-    """
+    """A claim of the paper, or a question of ours, with a verdict and the numbers behind it."""
 
     claim: str
     source: str

@@ -30,23 +30,7 @@ RIG, MARTENS, FESTO = "virtual-rig", "dmsp-10-250-martens2017", "festo-tool-10mm
 
 @dataclass(frozen=True)
 class SimulatedRigTest:
-    """Isobaric test of the paper on the simulated rig.
-
-    Attributes
-    ----------
-    muscle
-        The paper's specimen, following Eq. 3.
-    rig, protocol
-        Simulated rig and its protocol.
-    test
-        Plateau means of the whole test (Fig. 3).
-    settled
-        Those away from the turning points, used in identification.
-    retest
-        Second test at the four pressures of the paper's validation, with other noise and offsets (Fig. 4).
-    samples
-        Number of raw samples of the test.
-    """
+    """Isobaric test of the paper on the simulated rig (Fig. 3), and a second one with other noise (Fig. 4)."""
 
     muscle: Muscle
     rig: SimulatedIsobaricTest
@@ -59,22 +43,7 @@ class SimulatedRigTest:
 
 @dataclass(frozen=True)
 class Identification:
-    """Fits and validations.
-
-    Attributes
-    ----------
-    rig
-        Test on the simulated rig.
-    data, fits
-        Points and Eq. 2 fitted to them, by dataset.
-    retested
-        Validation of the fitted law and Chou's on the retest.
-    held_out_pressures, held_out_repeat
-        Validation at the four pressures, and at the last repeat, of Eq. 2 fitted without them, and of Chou's law.
-    measured
-        Validation on each measured dataset of Eq. 2 fitted to it, Chou's law, Chou's law with fitted braid angle and
-        diameter, and Eq. 3 as published.
-    """
+    """Points, Eq. 2 fitted to them, and validations, by dataset."""
 
     rig: SimulatedRigTest
     data: dict[str, IsobaricDataset]
@@ -121,13 +90,7 @@ def _held_out(chou: ChouLaw, train: IsobaricDataset, held_out: IsobaricDataset) 
 
 
 def direction_gap(data: IsobaricDataset) -> tuple[float, float]:
-    """Difference of force between loading and unloading at the same state.
-
-    Returns
-    -------
-    gap, largest
-        Mean of loading minus unloading, and the largest force of the data [N].
-    """
+    """Mean force of loading minus unloading at the same state, and the largest force [N]."""
     forces: dict[tuple[float, float], dict[str, list[float]]] = {}
     taut = data.taut
     for level, contraction, direction, force in zip(
@@ -152,23 +115,7 @@ def _test(repeats: int) -> SimulatedRigTest:
 
 @dataclass(frozen=True)
 class JointMap:
-    """Attainable stiffness of a joint.
-
-    Attributes
-    ----------
-    angles
-        Shape (angles,) [rad].
-    lowest, highest
-        Attainable stiffness under gravity, shape (angles,) [N*m/rad]; NaN outside the static range.
-    torques
-        Shape (torques,) [N*m].
-    lowest_at, highest_at
-        Attainable stiffness at each muscle torque, shape (torques, angles) [N*m/rad].
-    gravity_torque
-        Muscle torque that balances gravity, shape (angles,) [N*m].
-    static_range
-        Contiguous range of static angles around 0 [rad]; NaN if 0 is not static.
-    """
+    """Attainable stiffness over angles, under gravity and at each muscle torque; NaN where it is none."""
 
     angles: NDArray[np.float64]
     lowest: NDArray[np.float64]

@@ -26,19 +26,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Reproduction:
-    """All results of the reproduction.
-
-    Attributes
-    ----------
-    identification, joint, tracking
-        Results of the three parts.
-    claims
-        Claims with verdicts.
-    quick
-        Whether with fewer repeats, seeds and generations.
-    seconds
-        Duration [s].
-    """
+    """All results of the reproduction of the paper; `seconds` is its duration."""
 
     identification: Identification
     joint: dict[str, JointMap]
@@ -92,11 +80,7 @@ class Reproduction:
 
 
 def file_stem(key: str, reference: StiffnessReference, controller: str) -> str:
-    """File name of a run.
-
-    >>> file_stem("as_printed", StiffnessReference.STEP, "BP on tuned gains, free")
-    'as-printed-step-bp-on-tuned-gains-free'
-    """
+    """File name of a run, such as ``as-printed-step-bp-on-tuned-gains-free``."""
     return "-".join((key, reference.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
 
 
@@ -129,10 +113,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
                     other.result()  # raises its error
 
         tracking = run_tracking(
-            seeds=5 if quick else 20,
-            generations=4 if quick else 30,
-            population=16 if quick else 32,
-            progress=tracked,
+            seeds=5 if quick else 20, generations=4 if quick else 30, population=16 if quick else 32, progress=tracked
         )
         identification, joint = muscle.result(), knee.result()
     report("claims", 0.95)
@@ -178,10 +159,7 @@ def _errors(validation: Validation) -> dict[str, dict[str, float]]:
 def _joint(found: JointMap) -> dict[str, Any]:
     low, high = found.at(0.0)
     first, last = found.static_range
-    return {
-        "attainable_stiffness_at_0_deg": [low, high],
-        "static_range_deg": [first / deg, last / deg],
-    }
+    return {"attainable_stiffness_at_0_deg": [low, high], "static_range_deg": [first / deg, last / deg]}
 
 
 def _tracking(found: Tracking) -> dict[str, Any]:

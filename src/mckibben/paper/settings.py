@@ -30,29 +30,7 @@ class Gains:
 
 @dataclass(frozen=True)
 class Setting:
-    """A geometry with its references and gains.
-
-    Attributes
-    ----------
-    name
-        In figures and tables.
-    key
-        In files.
-    connectors
-        L_u + L_d.
-    amplitude
-        Of the desired angle, a sine of 0.5 Hz.
-    constant, before, after
-        Desired stiffness: constant, and stepping at 5 s.
-    start
-        Initial stiffness, at rest at 0 deg.
-    moderate
-        Gains set by hand.
-    angle_scale, stiffness_scale
-        Error scales of the learning of BP; a tenth of them costs 1 in the tuning.
-    rates
-        Typical rates of differential pressure and co-contraction, output scales of BP.
-    """
+    """A geometry with its references and gains, as text with units."""
 
     name: str
     key: str

@@ -22,13 +22,7 @@ from mckibben.paper.settings import (
     gains_of,
     pid_scenario,
 )
-from mckibben.simulation import (
-    Metrics,
-    Result,
-    rms,
-    run_episode,
-    sampled,
-)
+from mckibben.simulation import Metrics, Result, rms, run_episode, sampled
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune import Cost, Method, TuningResult, gain_ranges, tune
@@ -42,15 +36,7 @@ _GAIN_MARGIN = 1.5
 
 @dataclass(frozen=True)
 class ControllerRun:
-    """Run of one controller with one stiffness reference in one geometry.
-
-    Attributes
-    ----------
-    scenario, result
-        The run in the figures; for BP that of the first seed.
-    seeds
-        Metrics of each seed, shape (seeds,); None for a controller without seeds.
-    """
+    """A run, for BP with the first seed, and the metrics of each seed; None for a controller without seeds."""
 
     scenario: Scenario
     result: Result
@@ -58,11 +44,11 @@ class ControllerRun:
 
     def median(self, metric: str) -> float:
         """Median over the seeds, NaN ranking above all values; without seeds the value itself."""
-        return _finite(np.median(self._ranked(metric)))
+        return self._ranked(np.median, metric)
 
     def worst(self, metric: str) -> float:
         """Maximum over the seeds."""
-        return _finite(np.max(self._ranked(metric)))
+        return self._ranked(np.max, metric)
 
     @property
     def unstable(self) -> int:
@@ -70,9 +56,9 @@ class ControllerRun:
         reference = float(rms(self.result["desired_angle"]))
         return int(np.sum(~(self._values("angle_rmse") < reference)))
 
-    def _ranked(self, metric: str) -> np.ndarray:
-        values = self._values(metric)
-        return np.where(np.isnan(values), np.inf, values)
+    def _ranked(self, take: Callable[[np.ndarray], np.floating], metric: str) -> float:
+        found = float(take(np.nan_to_num(self._values(metric), nan=np.inf, posinf=np.inf)))
+        return found if np.isfinite(found) else np.nan
 
     def _values(self, metric: str) -> np.ndarray:
         if self.seeds is None:
@@ -80,19 +66,12 @@ class ControllerRun:
         return np.asarray(getattr(self.seeds, metric))
 
 
+_Runs = dict[tuple[str, StiffnessReference, str], ControllerRun]
+
+
 @dataclass(frozen=True)
 class Coupling:
-    """Mutual disturbance of position and stiffness under PID with moderate gains.
-
-    Attributes
-    ----------
-    angle_by_step
-        Largest change of the angle by the stiffness step [rad].
-    stiffness_by_motion
-        RMS error of a constant stiffness over the second half of a run in motion [N*m/rad].
-    stiffness_at_rest
-        The same at a desired angle of 0.
-    """
+    """Mutual disturbance of position and stiffness under PID with moderate gains."""
 
     angle_by_step: float
     stiffness_by_motion: float
@@ -101,19 +80,9 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Tracking:
-    """All tracking runs.
+    """Runs by setting key, stiffness reference and controller; tuning and coupling by setting key."""
 
-    Attributes
-    ----------
-    runs
-        By setting key, stiffness reference and controller name.
-    tuned, coupling
-        By setting key.
-    seeds
-        Number of seeds of BP.
-    """
-
-    runs: dict[tuple[str, StiffnessReference, str], ControllerRun]
+    runs: _Runs
     tuned: dict[str, TuningResult]
     coupling: dict[str, Coupling]
     seeds: int
@@ -122,52 +91,36 @@ class Tracking:
 def run_tracking(
     *, seeds: int, generations: int, population: int = 32, progress: Callable[[float], None] | None = None
 ) -> Tracking:
-    """Tune, run and compare all controllers.
-
-    Parameters
-    ----------
-    seeds
-        Number of initial networks of BP.
-    generations, population
-        Of the tuning.
-    progress
-        Called with the fraction done, 0 to 1.
-    """
+    """Tune, run and compare all controllers; `progress` is called with the fraction done, 0 to 1."""
+    report = progress or (lambda part: None)
+    count = len(SETTINGS)
     with ThreadPoolExecutor(max_workers=1) as beside:  # most of both is compilation, which uses one core each
         moderate = beside.submit(_moderate_runs, seeds)
-        tuned: dict[str, TuningResult] = {}
-        for i, setting in enumerate(SETTINGS):
-
-            def report(part: float, start: float = i / len(SETTINGS)) -> None:
-                if progress:
-                    progress(0.7 * (start + part / len(SETTINGS)))
-
-            tuned[setting.key] = _tune(setting, generations, population, report)
+        tuned = {
+            setting.key: _tune(setting, generations, population, lambda part, i=i: report(0.7 * (i + part) / count))
+            for i, setting in enumerate(SETTINGS)
+        }
         runs = moderate.result()
-    for i, setting in enumerate(SETTINGS):
+    for i, setting in enumerate(SETTINGS, start=1):
         runs |= _tuned_runs(setting, tuned[setting.key], seeds)
-        if progress:
-            progress(0.7 + 0.3 * (i + 1) / len(SETTINGS))
+        report(0.7 + 0.3 * i / count)
     step = StiffnessReference.STEP
     coupling = {setting.key: _coupling(setting, runs[setting.key, step, PID]) for setting in SETTINGS}
     return Tracking(runs, tuned, coupling, seeds)
 
 
-def _moderate_runs(seeds: int) -> dict[tuple[str, StiffnessReference, str], ControllerRun]:
-    runs: dict[tuple[str, StiffnessReference, str], ControllerRun] = {}
+def _moderate_runs(seeds: int) -> _Runs:
+    runs: _Runs = {}
     for setting in SETTINGS:
         for reference in StiffnessReference:
-            learned = bp_scenario(setting, reference, gain_ratio=FREE, name=BP)
-            runs[setting.key, reference, PID] = _run_pid(pid_scenario(setting, reference, name=PID))
-            runs[setting.key, reference, BP] = _run_bp(learned, seeds)
+            runs[setting.key, reference, PID] = _run_pid(pid_scenario(setting, reference))
+            runs[setting.key, reference, BP] = _run_bp(bp_scenario(setting, reference), seeds)
     return runs
 
 
-def _tuned_runs(
-    setting: Setting, tuned: TuningResult, seeds: int
-) -> dict[tuple[str, StiffnessReference, str], ControllerRun]:
+def _tuned_runs(setting: Setting, tuned: TuningResult, seeds: int) -> _Runs:
     gains = gains_of(tuned.scenarios[0])
-    runs: dict[tuple[str, StiffnessReference, str], ControllerRun] = {}
+    runs: _Runs = {}
     for reference in StiffnessReference:
         base = pid_scenario(setting, reference, gains, name=TUNED_PID)
         runs[setting.key, reference, TUNED_PID] = _run_pid(base)
@@ -231,7 +184,3 @@ def _coupling(setting: Setting, stepping: ControllerRun) -> Coupling:
         stiffness_by_motion=late_error(moving),
         stiffness_at_rest=late_error(at_rest),
     )
-
-
-def _finite(value: np.floating) -> float:
-    return float(value) if np.isfinite(value) else float("nan")

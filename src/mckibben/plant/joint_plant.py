@@ -27,17 +27,7 @@ Scalar = Float[Array, ""]
 
 
 class IOState(NamedTuple):
-    """State of sensors and disturbance, constant over a control period.
-
-    Attributes
-    ----------
-    sample
-        Index of the control period.
-    disturbance
-        External torque [N*m].
-    sensors
-        Sensor state.
-    """
+    """State of sensors and disturbance, constant over a control period."""
 
     sample: Scalar
     disturbance: Scalar
@@ -45,19 +35,7 @@ class IOState(NamedTuple):
 
 
 class PlantState(NamedTuple):
-    """State of a `JointPlant`.
-
-    Attributes
-    ----------
-    angle, velocity
-        [rad], [rad/s].
-    pressures
-        Gauge pressures (p1, p2) [Pa].
-    muscles
-        Internal states of the muscles; without leaves for muscles without friction and creep.
-    io
-        State of sensors and disturbance; empty for ideal ones.
-    """
+    """State of a `JointPlant`; `muscles` and `io` have no leaves without friction and creep, and for ideal ones."""
 
     angle: Scalar
     velocity: Scalar
@@ -87,21 +65,7 @@ class Motion(NamedTuple):
 
 
 class JointPlant(eqx.Module):
-    """The simulated system; controllers have no access to it.
-
-    Parameters
-    ----------
-    joint
-        Muscles and geometry.
-    load
-        Inertia, damping and gravity.
-    valve
-        Valve of each muscle.
-    sensors
-        Perfect by default.
-    disturbance
-        External torque; none by default.
-    """
+    """The simulated system, of joint, load, valves, sensors and disturbance; controllers have no access to it."""
 
     joint: AntagonisticJoint
     load: Load
@@ -138,10 +102,7 @@ class JointPlant(eqx.Module):
         return state._replace(io=IOState(io.sample + 1, disturbance, sensors)), measured
 
     def clip_commands(self, commands: Pressures) -> tuple[Scalar, Scalar]:
-        """Return the commands [Pa] clipped to the rated pressures of the specimens.
-
-        The domain of a law may be smaller; a result reports where it is left.
-        """
+        """Return the commands [Pa] clipped to the specimens' rated pressures; a law's domain may be smaller."""
         rated1, rated2 = self.joint.muscle1.specimen.domain, self.joint.muscle2.specimen.domain
         return (
             jnp.clip(jnp.asarray(commands[0]), rated1.pressure_min, rated1.pressure_max),
@@ -217,14 +178,9 @@ class JointPlant(eqx.Module):
         return state, found.exists
 
     def equilibrium(self, angle: float = 0.0, *, stiffness: float | None = None) -> PlantState:
-        """Return the equilibrium at an angle with both muscles taut, relaxed and unstressed by friction.
+        """Return the equilibrium at an angle [rad] with both muscles taut, relaxed and unstressed by friction.
 
-        Parameters
-        ----------
-        angle
-            [rad].
-        stiffness
-            Stiffness of the joint [N*m/rad]; by default, that midway between the slackest and the tightest state.
+        The stiffness [N*m/rad] is midway between the slackest and the tightest state unless given.
 
         Raises
         ------

@@ -25,17 +25,7 @@ class Sensors(eqx.Module):
 
     @abc.abstractmethod
     def measure(self, state: Any, index: ArrayLike, true: Measurement) -> tuple[Any, Measurement]:
-        """Return the next sensor state and the measurement.
-
-        Parameters
-        ----------
-        state
-            Sensor state.
-        index
-            Control periods since the start.
-        true
-            True angle and pressures at the start of the control period.
-        """
+        """Return the next state and the measurement of the true state at the start of a control period."""
 
 
 class PerfectSensors(Sensors):
@@ -61,14 +51,6 @@ class SampledSensors(Sensors):
         Delay in control periods, 0 to 1; in between, samples are interpolated.
     seed
         Seed of the noise.
-
-    Examples
-    --------
-    >>> sensors = SampledSensors(encoder=0.01)
-    >>> true = Measurement(jnp.asarray(0.1234), (jnp.asarray(2e5), jnp.asarray(3e5)))
-    >>> _, measured = sensors.measure(sensors.init(true), 0, true)
-    >>> round(float(measured.angle), 4), float(measured.pressures[0])
-    (0.12, 200000.0)
     """
 
     encoder: AngleStep = 0.0
@@ -118,19 +100,8 @@ class NoDisturbance(Disturbance):
 class TorquePulses(Disturbance):
     """Torque pulses of alternating sign, the first one positive.
 
-    Parameters
-    ----------
-    height
-        Torque [N*m].
-    width
-        Duration of a pulse [s].
-    interval
-        Time between the starts of successive pulses [s].
-    start
-        Start of the first pulse [s].
+    Each has a height [N*m] and a width [s]; successive ones start an interval [s] apart, the first at `start` [s].
 
-    Examples
-    --------
     >>> pulses = TorquePulses(height=0.5, width=0.1, interval=1.0, start=0.25)
     >>> pulses.torque(jnp.array([0.2, 0.3, 0.4, 1.3, 2.3])).tolist()
     [0.0, 0.5, 0.0, -0.5, 0.5]

@@ -34,18 +34,9 @@ _ADDRESSES = {
 
 @dataclass(frozen=True)
 class Envelope:
-    """Reachability of a scenario.
+    """Reachability of a scenario: static envelope of its joint, check of its reference and nearest feasible references.
 
-    Attributes
-    ----------
-    scenario
-        The scenario.
-    static
-        Static envelope of its joint.
-    trackability
-        Check of its reference.
-    nearest
-        Nearest feasible references; none if the reference is trackable or nothing is static.
+    There are none of these if the reference is trackable or nothing is static.
     """
 
     scenario: Scenario

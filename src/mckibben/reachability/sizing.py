@@ -44,16 +44,9 @@ _TARGET = re.compile(r"(?:stiffness\s+)?(.+?)\s+over\s+(.+)", re.DOTALL)
 
 @dataclass(frozen=True)
 class DesignTarget:
-    """Stiffness range to be attainable throughout a range of angles.
+    """Stiffness range [N*m/rad] to be attainable throughout a range of angles [rad].
 
-    Attributes
-    ----------
-    stiffness
-        Lowest and highest [N*m/rad].
-    angles
-        First and last [rad].
-    torque_reserve
-        Torque in either direction beyond that against gravity, at each of these stiffnesses [N*m].
+    `torque_reserve` [N*m] is torque in either direction beyond that against gravity, at each of these stiffnesses.
     """
 
     stiffness: tuple[float, float]
@@ -86,10 +79,7 @@ class DesignTarget:
 
 
 def parse_target(text: str, *, torque_reserve: float = 0.0) -> DesignTarget:
-    """Parse a target such as "stiffness 12..18 N*m/rad over -20..20 deg"; a single value is a range of no width.
-
-    Raises ParameterError for another form, UnitError for another unit.
-    """
+    """Parse a target such as "stiffness 12..18 N*m/rad over -20..20 deg"; raises ParameterError or UnitError."""
     found = _TARGET.fullmatch(text.strip())
     if not found:
         raise ParameterError(
@@ -127,12 +117,10 @@ class DesignVariable:
 
 
 def parse_variable(text: str) -> DesignVariable:
-    """Parse a design variable with its bounds.
+    """Parse a design variable with its bounds; raises ParameterError or UnitError.
 
     >>> parse_variable("joint_radius=20..40 mm")
     DesignVariable(name='joint_radius', lower=0.02, upper=0.04)
-
-    Raises ParameterError for another form or name, UnitError for another unit.
     """
     name, equals, bounds = (part.strip() for part in text.partition("="))
     if not equals or ".." not in bounds:
@@ -252,10 +240,10 @@ class Design:
 
     Attributes
     ----------
-    target, plant
-        The target, and the plant with the optimised lengths.
     lengths, initial
         Optimised and initial lengths [m], by name.
+    plant, envelope
+        The plant with the optimised lengths, and its static envelope.
     margin
         Smallest of the `constraint_margins`; the target is attained if it is not negative.
     active
@@ -265,8 +253,6 @@ class Design:
     angles, stiffness
         Stiffness attained over the target angles, the intersection over the target torques: shape (241,) [rad],
         [N*m/rad]; NaN where a torque is not attainable.
-    envelope
-        Static envelope of the plant.
     """
 
     target: DesignTarget

@@ -41,18 +41,10 @@ _PRESSURE_TOLERANCE = 1e-3  # Pa
 
 
 class StiffnessBands(NamedTuple):
-    """Attainable stiffness along a reference trajectory.
+    """Attainable stiffness [N*m/rad] along a reference trajectory, and the muscle torque of the motion [N*m].
 
-    Attributes
-    ----------
-    torque
-        Muscle torque of the motion [N*m].
-    static
-        Attainable stiffness at rest at each angle [N*m/rad].
-    dynamic
-        With the torque of the motion.
-    rate_limited
-        With that torque, and commands that the valves pass.
+    `static` is at rest at each angle, `dynamic` with the torque of the motion, `rate_limited` with it and commands that
+    the valves pass.
     """
 
     torque: Values
@@ -62,12 +54,7 @@ class StiffnessBands(NamedTuple):
 
 
 def bands_along(plant: JointPlant, trajectory: ReferenceTrajectory) -> StiffnessBands:
-    """Compute the attainable stiffness at each sample of a trajectory.
-
-    Exact for rigid tendons and laws affine in pressure. Otherwise 41 states of each sample are scanned with linear
-    interpolation between, and a band spans the lowest to the highest attainable value. Muscle friction is neglected.
-    Valves are those whose rate is affine in the command, or ideal ones.
-    """
+    """Attainable stiffness at each sample, without muscle friction; see `check_trackability`."""
     motion = trajectory.angle, trajectory.velocity, trajectory.acceleration, trajectory.jerk
     states = _states(plant, *motion, trajectory.stiffness_rate, scan_points(plant))
     torque, low, high, feasible, stiffness, *commands = (np.asarray(x) for x in states)
@@ -150,10 +137,8 @@ class Trackability:
         The reference with jumps and corners smoothed.
     bands
         Attainable stiffness along it.
-    breakpoints
-        Times of its jumps and corners [s].
-    smoothing_sufficient
-        Whether the smoothed jumps and corners are trackable.
+    breakpoints, smoothing_sufficient
+        Times of its jumps and corners [s], and whether they are trackable when smoothed.
     deviation
         Largest deviation of the angle [rad] by smoothing, away from jumps.
     """
@@ -287,21 +272,11 @@ def check_trackability(
 
 @dataclass(frozen=True)
 class TrackabilityChecker:
-    """Trackability checks of one plant at fixed sample times.
-
-    Attributes
-    ----------
-    plant
-        Joint, load and valve.
-    times
-        All sample times [s].
-    checked
-        Indices of those that are checked.
-    """
+    """Trackability checks of one plant at fixed sample times."""
 
     plant: JointPlant
-    times: Values
-    checked: NDArray[np.int_]
+    times: Values  # all [s]
+    checked: NDArray[np.int_]  # indices
 
     @classmethod
     def of(cls, plant: JointPlant, duration: float, control_period: float) -> TrackabilityChecker:

@@ -20,18 +20,10 @@ _AVERAGES = 4
 
 @dataclass(frozen=True)
 class ReferenceTrajectory:
-    """A sampled reference with its derivatives.
+    """A sampled reference with its derivatives, each of shape (samples,).
 
-    Attributes
-    ----------
-    times
-        Shape (samples,) [s].
-    angle, velocity, acceleration, jerk
-        Angle and its first three derivatives [rad], [rad/s], [rad/s^2], [rad/s^3].
-    stiffness, stiffness_rate
-        [N*m/rad], [N*m/(rad*s)].
-    smoothing
-        Width [s] of the kernel that smooths jumps and corners.
+    Times [s], angle and its first three derivatives [rad], [rad/s], ..., stiffness [N*m/rad] and its rate, and the
+    width [s] of the kernel that smooths jumps and corners.
     """
 
     times: Values
@@ -45,19 +37,10 @@ class ReferenceTrajectory:
 
 
 def reference_trajectory(reference: Reference, times: Values, *, smoothing: float) -> ReferenceTrajectory:
-    """Sample a reference and its derivatives.
+    """Sample a reference and its derivatives at evenly spaced times [s].
 
-    Constants, sines and sums of sines are differentiated exactly; steps, samples and other signals are smoothed first,
-    see `smoothed`.
-
-    Parameters
-    ----------
-    reference
-        Desired angle and stiffness.
-    times
-        Evenly spaced, shape (samples,) [s].
-    smoothing
-        Width of the smoothing kernel [s].
+    Constants, sines and sums of sines are differentiated exactly; steps, samples and other signals are smoothed first
+    by a kernel of some width [s].
 
     Examples
     --------
@@ -94,32 +77,7 @@ def _sine_derivatives(sine: Sine, times: Values, order: int) -> list[Values]:
 
 
 def smoothed(signal: Signal, times: Values, width: float, *, order: int = 0) -> Values:
-    r"""A smoothed signal, or one of its first three derivatives.
-
-    .. math:: \bar x(t) = \int x(t - s)\, B(s/w)/w\, ds, \quad w = R/4,
-
-    with B the cubic B-spline: four moving averages over w. Samples within R/2 of a jump or corner change; straight
-    lines do not. Each derivative replaces a moving average by a difference over w, exact but for the trapezoidal rule
-    of the averages.
-
-    Parameters
-    ----------
-    signal
-        Continued beyond the first and last time by point reflection, so that the ends are no corners.
-    times
-        Evenly spaced, shape (samples,) [s].
-    width
-        R [s]; rounded up to a multiple of four sample periods.
-    order
-        0 for the value, up to 3 for a derivative.
-
-    Examples
-    --------
-    >>> times = np.arange(401) * 1e-3
-    >>> velocity = smoothed(Step(0.0, 1.0, 0.2), times, 0.1, order=1)
-    >>> round(float(velocity.max()), 1)  # 2/3 of the step in a quarter of the time
-    26.6
-    """
+    """A signal convolved with a cubic B-spline of a width [s], or a derivative; continued by point reflection."""
     period = float(times[-1] - times[0]) / max(len(times) - 1, 1)
     return smoothed_values(np.asarray(signal(times), float), period, width, order=order)
 
@@ -184,11 +142,7 @@ def centre_of(signal: Signal, times: Values) -> float:
 
 
 def scaled(signal: Signal, factor: float, about: float, centre: float, times: Values) -> Signal:
-    """Scale the deviation of a signal from `about` and add it to `centre`; the kind of signal is kept where possible.
-
-    >>> scaled(Sine(0.2, 0.5, 0.1), 0.5, 0.1, 0.0, np.linspace(0.0, 1.0, 11))
-    Sine(amplitude=0.1, frequency=0.5, offset=0.0)
-    """
+    """Scale the deviation of a signal from `about` and add it to `centre`; the kind is kept where possible."""
 
     def map_value(value: float | Values) -> float | Values:
         return centre + factor * (value - about)
@@ -211,13 +165,7 @@ def scaled(signal: Signal, factor: float, about: float, centre: float, times: Va
 
 
 def slowed(signal: Signal, factor: float) -> Signal:
-    """Scale the speed of a signal by a factor up to 1; constants and steps stay as they are.
-
-    Raises
-    ------
-    ParameterError
-        For any other kind of signal.
-    """
+    """Scale the speed of a signal by a factor up to 1; constants and steps stay as they are."""
     match signal:
         case Constant() | Step():
             return signal

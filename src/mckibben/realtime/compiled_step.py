@@ -24,20 +24,7 @@ _POINTS = 721
 
 
 def vented_angle(plant: JointPlant) -> float:
-    """Equilibrium angle of the vented joint without friction and creep [rad]; the one nearest to 0 of several.
-
-    Raises
-    ------
-    SimulationError
-        If there is none within +-90 deg.
-
-    Examples
-    --------
-    >>> from mckibben import FirstOrderValve, catalog
-    >>> plant = JointPlant(catalog.joint("knee-table-2"), catalog.load("knee-table-2"), FirstOrderValve(0.02))
-    >>> round(vented_angle(plant) / np.pi * 180, 1)
-    0.6
-    """
+    """Equilibrium angle [rad] of the vented joint without friction and creep, nearest to 0 within +-90 deg."""
     coarse = _zero(plant, -_FURTHEST, _FURTHEST)
     width = 2 * _FURTHEST / (_POINTS - 1)
     return _zero(plant, coarse - width, coarse + width)
@@ -68,21 +55,7 @@ _ARRAYS = (jax.Array, np.ndarray, np.generic, jax.ShapeDtypeStruct)
 
 
 class FlatTree:
-    """Layout of the numeric leaves of a pytree in one array of 64-bit floats.
-
-    Parameters
-    ----------
-    like
-        A tree of the structure; booleans and integers keep their types, other leaves are part of the layout.
-
-    Examples
-    --------
-    >>> flat = FlatTree((np.asarray(2.5), np.asarray([1, 2]), np.asarray(True)))
-    >>> flat.pack((np.asarray(2.5), np.asarray([1, 2]), np.asarray(True)))
-    array([2.5, 1. , 2. , 1. ])
-    >>> flat.unpack(np.array([2.5, 1.0, 2.0, 1.0]))
-    (array(2.5), array([1, 2]), np.True_)
-    """
+    """Layout of the numeric leaves of a pytree in one array of 64-bit floats; other leaves are part of it."""
 
     def __init__(self, like: Any) -> None:
         leaves, self._structure = jax.tree.flatten(like)
@@ -162,28 +135,15 @@ class ControlProgram:
     def step(self, state: Array, inputs: NDArray[np.float64]) -> StepResult:
         """Return the next state and the commands.
 
-        Parameters
-        ----------
-        state
-            From `init` or the last step.
-        inputs
-            Reference angle [rad] and stiffness [N*m/rad], measured angle [rad] and pressures [Pa], time since the last
-            step [s]; shape (6,).
+        Inputs: reference angle [rad] and stiffness [N*m/rad], measured angle [rad] and pressures [Pa], time since the
+        last step [s]; shape (6,).
         """
         after, values = self._step(self._numbers, state, inputs)
         return StepResult(after, np.asarray(values))
 
 
 class PlantProgram:
-    """Compiled plant, one integration under constant commands per call.
-
-    Parameters
-    ----------
-    plant
-        The plant.
-    substeps
-        Runge-Kutta steps per call.
-    """
+    """Compiled plant, one integration under constant commands in `substeps` Runge-Kutta steps per call."""
 
     def __init__(self, plant: JointPlant, substeps: int) -> None:
         plant = numeric(plant)
@@ -208,20 +168,14 @@ class PlantProgram:
 
 
 def compute_in_this_thread() -> None:
-    """Let JAX compute on the CPU in the calling thread; to be called before any computation.
-
-    By default another thread computes, which takes longer than a small program itself, and waits for the scheduler.
-    """
+    """Let JAX compute in the calling thread, before any computation; another takes longer than a small program."""
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
 def _compile(function: Callable[..., Any], *sizes: int) -> Callable[..., Any]:
-    """Compile a function for arrays of these sizes on the CPU.
-
-    The function becomes the body of a loop with one iteration: XLA compiles a small loop to one kernel, and other code
-    to dozens of calls, which take ten times longer than the work. The number of iterations is an argument, and the
-    other arguments depend on the iteration, so that nothing is hoisted out of the loop.
-    """
+    """Compile a function of arrays for the CPU, as a loop with one iteration."""
+    # XLA compiles a small loop to one kernel, other code to dozens of calls, which take ten times longer than the work.
+    # The number of iterations is an argument, and the others depend on the iteration, so that nothing is hoisted out.
     shapes = [jax.ShapeDtypeStruct((size,), float) for size in sizes]
 
     def looped(times: Array, *args: Array) -> Any:

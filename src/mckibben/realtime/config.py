@@ -84,13 +84,7 @@ class Wiring:
         return {field.name: getattr(self, field.name).to_json() for field in fields(self)}
 
     def connected(self, backend: Backend) -> Connected:
-        """Calibrations on the channels of a backend.
-
-        Raises
-        ------
-        RigError
-            If channels are missing.
-        """
+        """Calibrations on the channels of a backend; `RigError` if channels are missing."""
         inputs, outputs = [one.name for one in backend.inputs], [one.name for one in backend.outputs]
         missing = [c.name for c in self.sensors if c.name not in inputs]
         missing += [c.name for c in self.valves if c.name not in outputs]
@@ -185,10 +179,7 @@ class JointCardSpec(ConfigModel):
 
 
 class JointLimitsSpec(model_of(JointLimits, optional=True)):
-    """Safety limits.
-
-    Defaults: angle 10 deg beyond the references, the start and the vented joint; pressure 5 % above the rated one.
-    """
+    """Safety limits: by default 10 deg beyond references, start and vented joint, 5 % above the rated pressure."""
 
 
 class ApproachSpec(ConfigModel):
@@ -200,19 +191,6 @@ class ApproachSpec(ConfigModel):
 
 class JointRig(ConfigModel):
     """Configuration of a joint rig, in SI; `read` reads a file with units.
-
-    Attributes
-    ----------
-    name
-        Short description.
-    simulated, nidaqmx
-        One of them.
-    limits
-        Safety limits.
-    approach
-        From the vented joint to the start of the run.
-    patience
-        Timeout of the watchdog [s].
 
     Examples
     --------
@@ -246,13 +224,7 @@ class JointRig(ConfigModel):
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> JointRig:
-        """Read a file.
-
-        Raises
-        ------
-        ScenarioError
-            With every problem of the file: line, field, value, allowed range and remedy.
-        """
+        """Read a file; `ScenarioError` with all problems: line, field, value, allowed range and remedy."""
         text = read_text(path, "a joint rig", "examples/rig/joint-rig.yaml")
         return parse_model(cls, text, source=os.fspath(path), folder=Path(path).parent)[0]
 

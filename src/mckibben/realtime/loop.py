@@ -45,15 +45,10 @@ class RunPlan:
     Attributes
     ----------
     references
-        Angle [rad] and stiffness [N*m/rad] at the start of each control period, shape (periods, 2).
-    period
-        The control period [s].
-    raising
-        Number of periods in which the pressures are ramped to `pressures`, without the controller.
-    settling
-        Number of periods in which the controller holds the first reference before the run.
-    pressures
-        Pressures at the end of the ramp [Pa].
+        Angle [rad] and stiffness [N*m/rad] at the start of each control period [s], shape (periods, 2).
+    raising, settling
+        Number of periods in which the pressures are ramped to `pressures` [Pa], without the controller, and of those in
+        which the controller holds the first reference.
     command_limits
         Range of the commands of each muscle [Pa]: (lowest, highest), (lowest, highest).
     """
@@ -98,10 +93,8 @@ class RunOutcome:
     ----------
     kind
         "completed"; or "stopped", "signal", "silent", "rig", "failed".
-    text
-        Reason, as a sentence.
-    error
-        The error that stopped it, if any.
+    text, error
+        Reason, as a sentence, and the error that stopped it, if any.
     vented_after
         Time from the vent until both pressures were below 0.2 bar [s]; None if that was not measured.
     """
@@ -145,11 +138,7 @@ def stop_on_signals() -> Iterator[StopFlag]:
 
 @contextlib.contextmanager
 def realtime_process_settings() -> Iterator[str]:
-    """Reduce the jitter of this process; yields its priority, "real-time" or "ordinary".
-
-    Real-time priority needs a permission (on Linux ``CAP_SYS_NICE``); garbage collection, thread switching and timer
-    slack are set without it.
-    """
+    """Reduce the jitter of this process; yields "real-time" or, without the permission, "ordinary" priority."""
     collecting, switching = gc.isenabled(), sys.getswitchinterval()
     gc.collect()
     gc.freeze()
@@ -205,29 +194,9 @@ def control(
 ) -> RunOutcome:
     """Open a backend, run a controller on it, vent it and close it; all of it is recorded.
 
-    Parameters
-    ----------
-    backend
-        The joint.
-    program
-        The controller.
-    plan
-        Approach and reference.
-    limits
-        Safety limits.
-    recorder
-        With the columns of `record.columns`; it is left open.
-    wiring
-        Calibrations.
-    stop_flag
-        Stops the run when it is set.
-    progress
-        Called each period; it must return at once.
-
-    Returns
-    -------
-    RunOutcome
-        Of the run. Errors that are not of mckibben are raised again, after the vent.
+    `recorder` needs the columns of `record.columns` and is left open; `stop_flag` stops the run when it is set;
+    `progress` is called each period and must return at once. Errors that are not of mckibben are raised again, after
+    the vent.
 
     Raises
     ------

@@ -125,25 +125,7 @@ _PREFIX = "controller_"
 def measured_result(
     columns: Mapping[str, NDArray[Any]], plant: JointPlant, reach: Feasibility, period: float, *, scenario: str = ""
 ) -> Result | None:
-    """Result of a recorded run, one value a control period; None if there was no run.
-
-    Angle and pressures are measured. Stiffness, torque, forces and contractions follow from them by the laws of the
-    muscles, without friction and creep, whose state is not measured. The velocity is a finite difference. There is
-    neither ``coupling``, which takes a second run, nor ``air``, which is lost in the noise of the pressures.
-
-    Parameters
-    ----------
-    columns
-        Of a record.
-    plant
-        Model of the joint.
-    reach
-        Feasibility of the reference.
-    period
-        The control period [s].
-    scenario
-        Text to keep with the result.
-    """
+    """Result of a recorded run; stiffness, torque and forces by the laws of the muscles, None without a run."""
     whole = _every_period(columns)
     run = whole["phase"] == Phase.RUN
     count = int(run.sum())
@@ -212,14 +194,11 @@ class Timing(NamedTuple):
 
     Attributes
     ----------
-    periods
-        Number of control periods.
-    missed
-        Missed deadlines: periods in which the command from their sample did not reach the valves before their end.
-    skipped
-        Of those, periods without a command, because the loop was late and took the next sample.
-    dropped
-        Of those, samples that the device lost.
+    periods, missed
+        Control periods, and those in which the command from their sample did not reach the valves before their end.
+    skipped, dropped
+        Of the missed: periods without a command, as the loop was late and took the next sample; samples that the device
+        lost.
     lateness
         Time from a sample to its reading by the loop.
     work

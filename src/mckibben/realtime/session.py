@@ -30,7 +30,7 @@ from mckibben.realtime.record import Timing, columns, measured_result
 from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
-from mckibben.rig.calibration import calibrations_in, content_of
+from mckibben.rig.calibration import read_calibrations
 from mckibben.rig.record import read_record
 from mckibben.rig.recorder import Recorder
 from mckibben.simulation import Feasibility, Result, check_reference, sampled
@@ -47,12 +47,8 @@ class JointRunResult(NamedTuple):
 
     Attributes
     ----------
-    outcome
-        Completed, or the reason of the stop.
     result
         Measured trajectory, with the columns of a simulation; None if the run did not begin.
-    reach
-        Feasibility of the reference.
     timing
         Timing of the loop; without meaning for an unpaced run.
     priority
@@ -68,21 +64,7 @@ class JointRunResult(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class JointSession:
-    """A scenario on a rig, checked and compiled.
-
-    Attributes
-    ----------
-    scenario
-        The scenario.
-    plant
-        Model of the joint.
-    reach
-        Feasibility of the reference.
-    backend, wiring, limits, plan, program
-        Arguments of `control`.
-    header
-        Of the record.
-    """
+    """A scenario on a rig, checked and compiled; `header` is that of the record."""
 
     scenario: Scenario
     plant: JointPlant
@@ -97,14 +79,7 @@ class JointSession:
     def run(
         self, folder: str | os.PathLike[str], *, progress: Callable[[RunProgress], None] | None = None
     ) -> JointRunResult:
-        """Run the scenario and record it.
-
-        Parameters
-        ----------
-        folder
-            Of the record; it must not hold one.
-        progress
-            Called each period; it must return at once.
+        """Run the scenario and record it in a folder that holds no record; `progress` is called each period.
 
         Raises
         ------
@@ -152,14 +127,10 @@ def prepare(
     paced: bool = True,
     ideal: bool = False,
 ) -> JointSession:
-    """Check and compile a scenario for a rig.
+    """Check and compile a scenario for a rig, the simulated joint unless given.
 
     Parameters
     ----------
-    scenario
-        The scenario.
-    rig
-        Configuration of the rig; the simulated joint unless given.
     source
         The scenario's file, for messages.
     paced
@@ -279,22 +250,11 @@ def _card(spec: JointCardSpec, period: float, patience: float) -> tuple[Wiring, 
 
 
 def read_wiring(path: str | os.PathLike[str]) -> Wiring:
-    """The five calibrations of a JSON file: an object of them, by the names of their channels.
-
-    Raises
-    ------
-    ScenarioError
-        With all that is wrong with them.
-    """
+    """The five calibrations of a JSON file, by the names of their channels; `ScenarioError` with all problems."""
     names = [field.name for field in dataclasses.fields(Wiring)]
     remedy = f"it needs {', '.join(names)}"
-    content = content_of(Path(path), remedy)
-    problems = [Problem("is missing", field=name, remedy="calibrate it") for name in names if name not in content]
-    problems += [
-        Problem("is no channel of a joint", field=name, remedy=remedy) for name in content if name not in names
-    ]
-    found, wrong = calibrations_in({name: content[name] for name in names if name in content})
-    problems += wrong
+    found, problems = read_calibrations(Path(path), names, remedy)
+    problems += [Problem("is no channel of a joint", field=name, remedy=remedy) for name in found if name not in names]
     for name, one in found.items():
         unit = "rad" if name == "angle" else "Pa"
         if (one.name, one.unit) != (name, unit):

@@ -61,33 +61,22 @@ PERFECT = Sensing(0.0, 0.0, 0.0)
 class SimulatedJoint:
     """The plant of a scenario as a `Backend`: angle and two pressures in, two valves out, in volts.
 
-    Samples are taken at multiples of the sampling period, the first when it is opened. Signals reach the valves when
-    they are set, in between. Unpaced, its time advances only in `read`; paced, it is real time, and `read` sleeps, then
-    spins.
+    Samples are taken at multiples of the sampling period [s], the first when it is opened. Signals reach the valves
+    when they are set, in between. Unpaced, its time advances only in `read`; paced, it is real time, and `read` sleeps,
+    then spins.
 
     Parameters
     ----------
-    plant
-        Joint, load and valves.
-    period
-        Sampling period [s].
     substeps
         Runge-Kutta steps per sample.
     start
         Initial state, at constant pressures until then; unless given, vented and at rest.
-    wiring
-        Calibrations.
-    sensing
-        Sensors.
     patience
         Timeout of the watchdog [s].
-    paced
-        Whether it runs in real time.
     seed
         Seed of the noise.
     faults
-        Faults at times since it was opened, of `rig.simulated.faults`: `SensorDisconnected`,
-        ``SupplyLost``, ``HostDelayed``, ``SamplesStopped``, ``SamplesDropped`` (once) and ``SamplesDelayed``.
+        Faults of `rig.simulated.faults` at times since it was opened: of sensors, samples, host and supply.
     program
         Compiled program of this plant and number of steps, if there is one.
 
@@ -178,13 +167,7 @@ class SimulatedJoint:
         self._watchdog.reset(now)
 
     def set_valves(self, volts: Sequence[float]) -> None:
-        """Set the signals of the valves [V].
-
-        Raises
-        ------
-        RigError
-            If its watchdog has expired, or it is not open.
-        """
+        """Set the signals of the valves [V]; `RigError` if its watchdog has expired, or it is not open."""
         self._check_open()
         now = self.clock()
         self._check_watchdog(now)
@@ -212,15 +195,7 @@ class SimulatedJoint:
         self.is_open = False
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for a number of samples, and return them.
-
-        Raises
-        ------
-        SilentError
-            If they time out.
-        RigError
-            If it is not open.
-        """
+        """Wait for a number of samples, and return them; as `Backend.read`."""
         self._check_open()
         if count < 1:
             raise RangeError(f"{count} samples cannot be read", value=count, lower=1)

@@ -13,10 +13,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mckibben.report.figures import ReportFigure
-from mckibben.report.page import EmbeddedFigure, address_of, style_sheet, template_of
-from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, save, styled
+from mckibben.report.page import embedded, style_sheet, template_of, write_page
+from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, styled
 from mckibben.report.tables import Table, number
-from mckibben.storage.files import atomic_write
 from mckibben.study.benchmark import BenchmarkResult
 from mckibben.units import deg
 
@@ -27,54 +26,37 @@ _NARROW = 3.0  # a smaller ratio gets a linear axis
 
 @styled
 def benchmark_errors(result: BenchmarkResult) -> Figure:
-    """Cumulative distribution of the angle and stiffness errors over the unseen runs, by controller.
-
-    Parameters
-    ----------
-    result
-        What `mckibben.study.benchmark.compare` gave.
-    """
+    """Cumulative distribution of the angle and stiffness errors over the unseen runs, by controller."""
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots(1, 2, sharey=True)
     looks = looks_of(result.batches)
-    for panel, mark, (metric, label, unit) in zip(axes, "ab", _ERRORS, strict=True):
+    for i, (panel, (metric, label, unit)) in enumerate(zip(axes, _ERRORS, strict=True)):
         for name, look in looks.items():
             _distribution(panel, result.metric(name, metric) / unit, label=name, **look)
         panel.set_xscale("log")
         plain_numbers(panel.xaxis)
         panel.set(xlabel=label, ylim=(0, 1.02))
-        panel.axhline(0.5, color="0.6", linewidth=0.6, zorder=0)
-        panel.axhline(0.95, color="0.6", linewidth=0.6, zorder=0)
-        letter(panel, mark, label.split(" [")[0])
-    axes[0].set(
-        ylabel="share of runs below",
-        yticks=[0, 0.25, 0.5, 0.75, 0.95],
-        yticklabels=["0", "0.25", "0.5", "0.75", "0.95"],
-    )
+        for share in (0.5, 0.95):
+            panel.axhline(share, color="0.6", linewidth=0.6, zorder=0)
+        letter(panel, i, label.split(" [")[0])
+    axes[0].set_ylabel("share of runs below")
+    axes[0].set_yticks([0, 0.25, 0.5, 0.75, 0.95], ["0", "0.25", "0.5", "0.75", "0.95"])
     legend_above(figure, axes[0], columns=min(len(looks), 4))
     return figure
 
 
 @styled
 def benchmark_references(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
-    """Median errors by reference and controller.
-
-    Parameters
-    ----------
-    result
-        What `mckibben.study.benchmark.compare` gave.
-    numbers
-        Its `statistics`.
-    """
+    """Median errors by reference and controller, from `statistics` of the result."""
     references = list(result.suite.references)
     figure = blank(DOUBLE, 0.9 + 0.42 * len(references))
     axes = figure.subplots(1, 2, sharey=True)
     looks = looks_of(result.batches)
     keys = ("angle_rmse_deg", "stiffness_rmse")
-    for panel, mark, key, (_, label, _) in zip(axes, "ab", keys, _ERRORS, strict=True):
-        for i, (name, look) in enumerate(looks.items()):
+    for i, (panel, key, (_, label, _)) in enumerate(zip(axes, keys, _ERRORS, strict=True)):
+        for j, (name, look) in enumerate(looks.items()):
             found = numbers["controllers"][name]["by_reference"]
-            shift = (i - (len(looks) - 1) / 2) * 0.7 / len(looks)
+            shift = (j - (len(looks) - 1) / 2) * 0.7 / len(looks)
             medians = [(found.get(reference, {}).get(key), row + shift) for row, reference in enumerate(references)]
             places = [(median, row) for median, row in medians if median]
             if places:
@@ -85,7 +67,7 @@ def benchmark_references(result: BenchmarkResult, numbers: Mapping[str, Any]) ->
             panel.set_xscale("log")
             plain_numbers(panel.xaxis)
         panel.set(xlabel=f"median {label}")
-        letter(panel, mark, label.split(" [")[0])
+        letter(panel, i, label.split(" [")[0])
     axes[0].set_yticks(range(len(references)), references)
     axes[0].invert_yaxis()
     legend_above(figure, axes[0], columns=min(len(looks), 4))
@@ -94,15 +76,7 @@ def benchmark_references(result: BenchmarkResult, numbers: Mapping[str, Any]) ->
 
 @styled
 def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
-    """Angle error over air consumption: median and 90 % range of the runs.
-
-    Parameters
-    ----------
-    result
-        What `mckibben.study.benchmark.compare` gave.
-    numbers
-        Its `statistics`.
-    """
+    """Angle error over air consumption: median and 90 % range of the runs."""
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots()
     for name, look in looks_of(result.batches).items():
@@ -121,34 +95,14 @@ def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure
 
 
 def write_benchmark(result: BenchmarkResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
-    """Write `comparison.html` with embedded figures, and the figures as PNG and SVG in `figures/`.
-
-    Parameters
-    ----------
-    result
-        What `mckibben.study.benchmark.compare` gave.
-    numbers
-        Its `statistics`.
-    folder
-        Output folder, created if missing.
-
-    Returns
-    -------
-    pathlib.Path
-        Path of the page, written atomically.
-    """
+    """Write `comparison.html`, self-contained, and its figures in `figures/`; return its path."""
     folder = Path(folder)
-    embedded = [
-        EmbeddedFigure(drawn, address_of(*save(drawn.figure, folder / "figures", drawn.name)))
-        for drawn in _figures(result, numbers)
-    ]
-    page = folder / _PAGE
     text = template_of("benchmark.html.jinja").render(
         style=style_sheet(),
         suite=result.suite,
         numbers=numbers,
         first=next(iter(result.batches)),
-        figures=embedded,
+        figures=[embedded(figure, folder) for figure in _figures(result, numbers)],
         tables=[
             _ranking(numbers),
             _ratios(numbers),
@@ -159,38 +113,23 @@ def write_benchmark(result: BenchmarkResult, numbers: Mapping[str, Any], folder:
         tuned=_tuned(result),
         text=result.suite.dumps(folder=folder),
     )
-    with atomic_write(page, overwrite=True) as part:
-        part.write_text(text, encoding="utf-8")
-    return page
+    return write_page(folder / _PAGE, text)
 
 
 def _figures(result: BenchmarkResult, numbers: Mapping[str, Any]) -> list[ReportFigure]:
     runs = numbers["runs"] - numbers["no_start"]
-    said = (
-        (
-            "errors",
-            "Errors over all unseen runs",
-            f"Cumulative distribution of the root mean square error over the {runs} unseen runs. Grey: median and 95th "
-            "percentile. Unstable runs count as infinite errors.",
-            benchmark_errors(result),
-        ),
-        (
-            "references",
-            "Errors by reference",
-            "Median errors over the runs with each reference.",
-            benchmark_references(result, numbers),
-        ),
-        (
-            "air",
-            "Air consumption",
-            "Air consumption and angle error: median and 90 % range of the runs.",
-            benchmark_air(result, numbers),
-        ),
+    errors = (
+        f"Cumulative distribution of the root mean square error over the {runs} unseen runs. Grey: median and 95th "
+        "percentile. Unstable runs count as infinite errors."
     )
-    return [
-        ReportFigure(name=name, section="", title=title, caption=caption, alternative=title, figure=figure)
-        for name, title, caption, figure in said
-    ]
+    references = "Median errors over the runs with each reference."
+    air = "Air consumption and angle error: median and 90 % range of the runs."
+    drawn = (
+        ("errors", "Errors over all unseen runs", errors, benchmark_errors(result)),
+        ("references", "Errors by reference", references, benchmark_references(result, numbers)),
+        ("air", "Air consumption", air, benchmark_air(result, numbers)),
+    )
+    return [ReportFigure(name, "", title, caption, title, figure) for name, title, caption, figure in drawn]
 
 
 _Column = tuple[str, str, str]
@@ -240,13 +179,11 @@ def _cells(found: Mapping[str, Any], columns: tuple[_Column, ...]) -> list[str]:
 
 def _ratios(numbers: Mapping[str, Any]) -> Table:
     first = next(iter(numbers["controllers"]))
-    rows = []
-    for name in numbers["order"]:
-        ratios = numbers["controllers"][name]["ratio_to_first"]
-        cells = [
-            f"{number(each['ratio'])} ({number(each['low'])} to {number(each['high'])})" for each in ratios.values()
-        ]
-        rows.append((name, *cells))
+
+    def cell(found: Mapping[str, Any]) -> str:
+        return f"{number(found['ratio'])} ({number(found['low'])} to {number(found['high'])})"
+
+    rows = [(name, *map(cell, numbers["controllers"][name]["ratio_to_first"].values())) for name in numbers["order"]]
     return Table(
         f"Ratio of the median error to that of {first}, with 95 % bootstrap interval over the runs.",
         ("controller", "angle rmse", "stiffness rmse"),
@@ -256,31 +193,23 @@ def _ratios(numbers: Mapping[str, Any]) -> Table:
 
 def _by_group(numbers: Mapping[str, Any], key: str, what: str) -> Table:
     groups = list(dict.fromkeys(group for found in numbers["controllers"].values() for group in found[key]))
-    rows = [
-        (
-            name,
-            *(
-                f"{number(found[key][group]['angle_rmse_deg'])} deg, {number(found[key][group]['stiffness_rmse'])}"
-                for group in groups
-            ),
-        )
-        for name, found in numbers["controllers"].items()
-    ]
+
+    def cell(errors: Mapping[str, Any]) -> str:
+        return f"{number(errors['angle_rmse_deg'])} deg, {number(errors['stiffness_rmse'])}"
+
+    rows = [(name, *(cell(found[key][group]) for group in groups)) for name, found in numbers["controllers"].items()]
     return Table(f"Median errors by the plant's {what}: angle, and stiffness [N*m/rad].", ("controller", *groups), rows)
 
 
 def _dependence(numbers: Mapping[str, Any]) -> Table:
     controllers = numbers["controllers"]
     conditions = list(next(iter(controllers.values()))["correlations"])
+
+    def cell(correlation: Mapping[str, Any]) -> str:
+        return f"{number(correlation['angle_rmse_deg'], 2)}, {number(correlation['stiffness_rmse'], 2)}"
+
     rows = [
-        (
-            condition,
-            *(
-                f"{number(found['correlations'][condition]['angle_rmse_deg'], 2)}, "
-                f"{number(found['correlations'][condition]['stiffness_rmse'], 2)}"
-                for found in controllers.values()
-            ),
-        )
+        (condition, *(cell(found["correlations"][condition]) for found in controllers.values()))
         for condition in conditions
     ]
     return Table(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib import resources
 
 from matplotlib.figure import Figure
 
@@ -44,45 +46,22 @@ def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:
     yield from _of_the_methods(reproduction)
 
 
+def _figure(name: str, figure: Figure, suffix: str = "", **values: object) -> ReportFigure:
+    """A figure with its texts."""
+    texts = tomllib.loads((resources.files("mckibben.report") / "figures.toml").read_text(encoding="utf-8"))[name]
+    written = {key: text.format(**values).replace("N*m/rad", "N·m/rad") for key, text in texts.items()}
+    return ReportFigure(name + suffix, figure=figure, **written)
+
+
 def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
     found = reproduction.identification
     rig = found.rig
-    levels = len(rig.test.pressures)
-    yield ReportFigure(
-        "fig3-isobaric-curves",
-        "identification",
-        "Fig. 3: isobaric characteristic curves",
-        f"The paper's test on the simulated rig: {levels} pressures, {rig.protocol.repeats} repeats, "
-        f"{rig.samples:,} raw samples behind {len(rig.test)} plateau means. Solid: loading (being "
-        f"stretched); dashed: unloading (shortening); the gap is friction of ±{rig.rig.hysteresis:g} N. Curves of high "
-        f"pressure start late, since the rig stays below the rated force of {rig.muscle.specimen.rated_force:g} N.",
-        f"{levels} curves of force over contraction, falling steeply, then more gently, higher for higher pressure; "
-        "loading lies slightly above unloading.",
-        isobaric_curves(rig.test),
-    )
+    levels, points = len(rig.test.pressures), len(rig.test)
+    yield _figure("fig3-isobaric-curves", isobaric_curves(rig.test), rig=rig, levels=levels, points=points)
     laws = {EXPERIMENTAL: found.fits[RIG].law, CHOU: ChouLaw.of(rig.muscle.specimen)}
-    yield ReportFigure(
-        "fig4-law-comparison",
-        "identification",
-        "Fig. 4: measured force, experimental law and Chou's law",
-        "Validation on a second test at the paper's four pressures: loading (blue) and unloading (orange) data, the "
-        "law identified from the first test (purple) and Chou's law of the specimen (green). The former lies "
-        "between the two directions; Chou's models neither the rubber nor the ends of the muscle. The simulated muscle "
-        "follows Eq. 3, so this validates the method; the next figure has measured muscles.",
-        "Panels of force over contraction, one a pressure, with points of both directions and the curves of both laws.",
-        law_comparison(rig.retest, laws, found.retested),
-    )
+    yield _figure("fig4-law-comparison", law_comparison(rig.retest, laws, found.retested))
     measured = {name_of(name): (found.data[name], found.fits[name]) for name in found.measured}
-    yield ReportFigure(
-        "measured-muscles",
-        "identification",
-        "Eq. 2 on measured muscles",
-        "Measured data of two other 10 mm muscles, Eq. 2 fitted to all taut points (curves), and residuals (below). "
-        "Slack points are excluded.",
-        "Force over contraction at many pressures for two muscles with fitted curves through the points; residuals "
-        "below.",
-        measured_muscles(measured),
-    )
+    yield _figure("measured-muscles", measured_muscles(measured))
 
 
 def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
@@ -94,70 +73,24 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
         }
         for setting in SETTINGS
     }
-    yield ReportFigure(
-        "attainable-stiffness",
-        "joint",
-        "Attainable stiffness of the knee",
-        "Shaded: stiffness in static equilibrium with the load, for pressures and contractions within their limits. "
-        "Outside the dash-dotted lines there is no equilibrium. Lines: references of the simulations; where one "
-        "leaves the shaded area, no controller can follow it for long.",
-        "A band of attainable stiffness over the joint angle for each geometry; "
-        + "; ".join(f"{n}: {m.at(0.0)[0]:.1f} to {m.at(0.0)[1]:.1f} N·m/rad at 0 degrees" for n, m in maps.items()),
-        attainable_stiffness(maps, references),
-    )
-    yield ReportFigure(
-        "torque-stiffness-map",
-        "joint",
-        "Torque, stiffness and angle of the knee",
-        "Minimum and maximum stiffness over angle and muscle torque, and their difference, the range of "
-        "co-contraction. "
-        "Grey: not attainable. Dashed: static torque of the load, along which the previous figure is drawn. Each row "
-        "has its own colour scale.",
-        "Colour maps over angle and torque, one row a geometry; the attainable region is a tilted patch.",
-        torque_stiffness_map(maps),
-    )
+    at_rest = {name: found.at(0.0) for name, found in maps.items()}
+    ranges = "; ".join(f"{name}: {low:.1f} to {high:.1f} N·m/rad at 0 degrees" for name, (low, high) in at_rest.items())
+    yield _figure("attainable-stiffness", attainable_stiffness(maps, references), ranges=ranges)
+    yield _figure("torque-stiffness-map", torque_stiffness_map(maps))
 
 
 def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[ReportFigure]:
-    runs, key = reproduction.tracking.runs, setting.key.replace("_", "-")
-    panels = {
-        f"{name}, {reference.value} stiffness": (name, runs[setting.key, reference, name].result)
-        for name in (PID, BP)
-        for reference in StiffnessReference
-    }
-    step = f"{setting.before} to {setting.after}".replace(" N*m/rad to", " to").replace("N*m/rad", "N·m/rad")
-    constant = setting.constant.replace("N*m/rad", "N·m/rad")
-    yield ReportFigure(
-        f"fig7-control-results-{key}",
-        "tracking",
-        f"Fig. 7: control results, geometry {setting.name}",
-        f"Desired (black, dashed) and actual angle and stiffness under PID and under BP (its first seed) on the same "
-        f"moderate gains; a sine of {setting.amplitude}, stiffness {constant} or stepping from {step}. The grey band "
-        "is the attainable stiffness at the desired angle: where the reference is outside, the error is not due to "
-        "the controller.",
-        "Four panels, each with the angle above and the stiffness below, desired and actual over ten seconds.",
-        control_results(panels),
-    )
+    runs, suffix = reproduction.tracking.runs, f"-{setting.key.replace('_', '-')}"
     columns = {
         f"{reference.value} stiffness": {name: runs[setting.key, reference, name].result for name in (PID, BP)}
         for reference in StiffnessReference
     }
-    rmse = {
-        name: runs[setting.key, StiffnessReference.CONSTANT, name].result.metrics["angle_rmse"] / deg
-        for name in (PID, BP)
-    }
-    yield ReportFigure(
-        f"fig8-errors-{key}",
-        "tracking",
-        f"Fig. 8: errors, geometry {setting.name}",
-        f"Actual minus desired. In (a) the angle error is {rmse[PID]:.2f}° RMS under PID and {rmse[BP]:.2f}° under BP "
-        "(first seed; tables have the median over seeds). "
-        "The last row shows the stiffness after the start or step of its reference, with the settling band (grey) and "
-        "settling times (dotted). Peaks at the step itself are cut off and annotated.",
-        "Error curves of PID and BP over time: angle above, stiffness in the middle, the settling of the stiffness "
-        "below.",
-        error_curves(columns),
-    )
+    panels = {f"{name}, {title}": (name, found[name]) for name in (PID, BP) for title, found in columns.items()}
+    step = f"{setting.before} to {setting.after}".replace(" N*m/rad to", " to")
+    yield _figure("fig7-control-results", control_results(panels), suffix, setting=setting, step=step)
+    constant = columns[f"{StiffnessReference.CONSTANT.value} stiffness"]
+    rmse = {name: result.metrics["angle_rmse"] / deg for name, result in constant.items()}
+    yield _figure("fig8-errors", error_curves(columns), suffix, setting=setting, rmse=rmse)
 
 
 def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
@@ -168,31 +101,13 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
             found.setdefault(setting.name, {})[reference.value] = {
                 name: run for (key, w, name), run in runs.items() if key == setting.key and w is reference
             }
-    yield ReportFigure(
-        "controller-comparison",
-        "tracking",
-        "PID and BP with moderate and tuned gains",
-        f"Median (dot) and worst (end of the line) over {seeds} seeds of the network, logarithmic axes; left is "
-        "better. "
-        "PID has no seeds.",
-        "Dot plots of angle error, stiffness error and settling time for five controllers in two geometries.",
-        controller_comparison(found),
-    )
+    yield _figure("controller-comparison", controller_comparison(found), seeds=seeds)
     histories = {}
     for setting in SETTINGS:
         for name in (BP, TUNED_BP):
             run = runs[setting.key, StiffnessReference.STEP, name]
             histories[f"{setting.name},\n{name}"] = (run.result, gain_ratio(run))
-    yield ReportFigure(
-        "bp-gains",
-        "tracking",
-        "Gains of BP over time",
-        f"Gains relative to the base gains over a run with a stiffness step, first seed. Dashed: the bounds. Moderate "
-        f"gains may change by a factor of {FREE:g}, tuned ones by less. A gain that stays at its bound is "
-        "in effect another constant gain.",
-        "Gains of both loops over time as multiples of their base, within dashed bounds.",
-        gain_histories(histories),
-    )
+    yield _figure("bp-gains", gain_histories(histories), free=FREE)
 
 
 def gain_ratio(run: ControllerRun) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
@@ -26,6 +27,7 @@ from mckibben.report.style import (
     BAND,
     BLACK,
     BLUE,
+    DIRECTIONS,
     DOUBLE,
     GREEN,
     LOADING,
@@ -35,7 +37,10 @@ from mckibben.report.style import (
     VERMILLION,
     beside,
     blank,
+    by_direction,
     letter,
+    log_ticks,
+    panels,
     pressure_colours,
     styled,
 )
@@ -62,21 +67,18 @@ def ranking(found: Ranking) -> Figure:
         figure.add_subfigure(part) for part in figure.add_gridspec(2, 1, height_ratios=[above, 1.75 * rows])
     )
     _errors(upper.subplots(), fitted, found)
-    colours = pressure_colours()
     levels = found.points.pressures / bar
     scale = Normalize(float(levels.min()), float(levels.max()) if len(levels) > 1 else float(levels.min()) + 1)
-    panels = lower.subplots(rows, 3, squeeze=False, sharex=True).ravel()
-    for i, (axes, entry) in enumerate(zip(panels, shown, strict=False)):
+    grid = panels(lower, len(shown), 3, sharex=True)
+    for i, (axes, entry) in enumerate(zip(grid, shown, strict=True)):
         _residuals(axes, entry, found, scale)
-        letter(axes, "bcdefg"[i], _short(entry.law))
+        letter(axes, i + 1, _short(entry.law))
         if i % 3 == 0:
             axes.set_ylabel("measured − law [N]")
         axes.set_xlabel("contraction [%]")
         axes.xaxis.set_tick_params(labelbottom=True)
-    for axes in panels[len(shown) :]:
-        axes.remove()
-    bar_axes = lower.colorbar(ScalarMappable(scale, colours), ax=list(panels[: len(shown)]), fraction=0.03, pad=0.01)
-    bar_axes.set_label("pressure [bar]")
+    shades = ScalarMappable(scale, pressure_colours())
+    lower.colorbar(shades, ax=list(grid), fraction=0.03, pad=0.01, label="pressure [bar]")
     return figure
 
 
@@ -96,13 +98,11 @@ def _errors(axes: Axes, fitted: list[RankedLaw], found: Ranking) -> None:
     axes.set_yticks(places, [f"{_short(entry.law)} ({entry.parameters})" for entry in fitted])
     axes.invert_yaxis()
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    log_ticks(axes.xaxis, 1.0, 2.0, 5.0)
     axes.set_xlabel("RMSE [N]")
     axes.grid(axis="x", which="both", alpha=0.3)
     order = "by cross-validation error" if found.blocks else "by AICc (no block could be held out)"
-    letter(axes, "a", f"laws (number of parameters), {order}")
+    letter(axes, 0, f"laws (number of parameters), {order}")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), framealpha=0.95)
     if any(entry.flags for entry in fitted):
         beside(axes, "shaded: flagged, see the table")
@@ -134,29 +134,19 @@ def _short(law: str) -> str:
     return law.removesuffix("Law")
 
 
-_MOST_PANELS = 6
+_MOST = 6  # pressures that have a panel of their own
 _CURVE = {"color": "#222222", "linewidth": 0.9, "zorder": 3}
 _MEAN = {"color": BLUE, "alpha": 0.45, "linewidth": 0, "zorder": 2}
-_DIRECTIONS = {"loading": LOADING, "unloading": UNLOADING}
 
 
 @styled
 def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: Grouping | None = None) -> Figure:
-    """Fitted law with pointwise confidence band (inner) and prediction band of a plateau mean (outer), by pressure.
+    """Fitted law with pointwise confidence band (inner) and prediction band of a plateau mean (outer).
 
-    Parameters
-    ----------
-    dataset
-        Measured points; at most six pressures are shown.
-    fit
-        Fit to these points.
-    level, by
-        As for `Fit.force_intervals`.
+    Points are those of the fit; at most six pressures are shown. `level` and `by` are those of `Fit.force_intervals`.
     """
     taut = dataset.plateau_means().taut
-    levels = taut.pressures
-    if len(levels) > _MOST_PANELS:
-        levels = levels[np.linspace(0, len(levels) - 1, _MOST_PANELS).round().astype(int)]
+    levels = _spread(taut.pressures)
     figure = blank(DOUBLE if len(levels) > 2 else 5.4, 4.2)
     grid = figure.subplots(
         2, len(levels), squeeze=False, sharex=True, sharey="row", gridspec_kw={"height_ratios": [1.5, 1]}
@@ -176,7 +166,7 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
         _points(grid[1, i], points, points.force - there.confidence.value)
         outside = np.mean((points.force < there.prediction.lower) | (points.force > there.prediction.upper))
         beside(grid[1, i], f"{100 * outside:.0f} % outside")
-        letter(grid[0, i], "abcdef"[i], f"{pressure / bar:.3g} bar")
+        letter(grid[0, i], i, f"{pressure / bar:.3g} bar")
         grid[1, i].set(xlabel="contraction [%]")
     grid[0, 0].set(ylabel="force [N]", ylim=(min(0.0, float(taut.force.min())), 1.06 * float(taut.force.max())))
     grid[1, 0].set(ylabel="measured − fitted [N]")
@@ -187,7 +177,7 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
         Patch(label=f"{share} prediction band", color=BAND),
     ]
     handles += [
-        Line2D([], [], linestyle="", markersize=3.5, label=str(d), **_DIRECTIONS[str(d)]) for d in taut.directions
+        Line2D([], [], linestyle="", markersize=3.5, label=str(d), **DIRECTIONS[str(d)]) for d in taut.directions
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
     return figure
@@ -195,15 +185,7 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
 
 @styled
 def profile_likelihood(profile: Profile, fit: Fit) -> Figure:
-    """Signed root of the profile likelihood of a shape parameter, its interval, and the Wald approximation.
-
-    Parameters
-    ----------
-    profile
-        Profile of a parameter of the fit.
-    fit
-        The fit.
-    """
+    """Signed root of the profile likelihood of a shape parameter, its interval, and the Wald approximation."""
     parameter = next(p for p in type(fit.law).shape_parameters if p.name == profile.name)
     scale = factor(parameter.shown)
     values = profile.values / scale
@@ -235,14 +217,11 @@ def profile_likelihood(profile: Profile, fit: Fit) -> Figure:
 
 
 def _points(axes: Axes, points: IsobaricDataset, value: NDArray[np.float64]) -> None:
-    directions = points.table["direction"].to_numpy() if "direction" in points.table else np.full(len(points), "")
-    for direction in np.unique(directions):
-        mask = directions == direction
-        look = _DIRECTIONS.get(str(direction), {"color": "#444444", "marker": "o"})
+    for direction, mask in by_direction(points):
+        look = DIRECTIONS.get(direction, {"color": "#444444", "marker": "o"})
         axes.plot(points.contraction[mask] / percent, value[mask], linestyle="", markersize=2.6, zorder=4, **look)
 
 
-_MOST_LOOPS = 6
 _CONTRACTION = "contraction [%]"
 _MODEL = {"color": BLACK, "linewidth": 0.8, "zorder": 4}
 
@@ -251,17 +230,7 @@ _MODEL = {"color": BLACK, "linewidth": 0.8, "zorder": 4}
 def loops(dataset: IsobaricDataset, found: HysteresisFit) -> Figure:
     """Hysteresis loops, measured and modelled: force (top), and friction force by pressure (bottom).
 
-    Parameters
-    ----------
-    dataset
-        Dataset of the identification.
-    found
-        Result of `identify_hysteresis`.
-
-    Raises
-    ------
-    RangeError
-        If the number of points differs.
+    Raises `RangeError` if the dataset is not that of the identification.
     """
     means = dataset.plateau_means()
     if len(means) != len(found.residuals):
@@ -271,28 +240,25 @@ def loops(dataset: IsobaricDataset, found: HysteresisFit) -> Figure:
         )
     shown = _spread(np.unique(means.levels[found.tension > 0]))
     columns = min(3, len(shown))
-    rows = -(-len(shown) // columns)
-    figure = blank(DOUBLE, 3.0 + 1.75 * rows)
-    parts: Any = figure.subfigures(2, 1, height_ratios=[3.0, 1.75 * rows])
+    below = 1.75 * -(-len(shown) // columns)
+    figure = blank(DOUBLE, 3.0 + below)
+    parts: Any = figure.subfigures(2, 1, height_ratios=[3.0, below])
     upper, lower = parts
     curves = upper.subplots()
     _forces(curves, means, found)
-    letter(curves, "a", "force")
-    grid = lower.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for i, (axes, level) in enumerate(zip(grid, shown, strict=False)):
+    letter(curves, 0, "force")
+    grid = panels(lower, len(shown), columns, sharex=True, sharey=True)
+    for i, (axes, level) in enumerate(zip(grid, shown, strict=True)):
         error = _loop(axes, means, found, level)
-        letter(axes, "bcdefg"[i], f"{level / bar:g} bar, RMSE {error:.2g} N")
+        letter(axes, i + 1, f"{level / bar:g} bar, RMSE {error:.2g} N")
         axes.set(xlabel=_CONTRACTION, ylabel="friction [N]")
         axes.label_outer()
-    for axes in grid[len(shown) :]:
-        axes.remove()
     return figure
 
 
 def _spread(levels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return at most `_MOST_LOOPS` levels from the lowest to the highest."""
-    place = np.unique(np.linspace(0, len(levels) - 1, min(len(levels), _MOST_LOOPS)).round().astype(int))
-    return levels[place]
+    """At most `_MOST` levels from the lowest to the highest."""
+    return levels[np.linspace(0, len(levels) - 1, min(len(levels), _MOST)).round().astype(int)]
 
 
 def _forces(axes: Axes, means: IsobaricDataset, found: HysteresisFit) -> None:
@@ -339,26 +305,15 @@ def _passes(means: IsobaricDataset) -> list[NDArray[np.int64]]:
 
 
 _CREEP_MODEL: dict[str, Any] = {"color": BLACK, "linewidth": 0.9, "zorder": 4}
-_MOST = 20  # moves since the reversal
+_MOST_MOVES = 20  # since the reversal
 
 
 @styled
 def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
     """Relaxation of the force within plateaus: mean over time, and slope by moves since the last reversal.
 
-    Bars are one standard error over plateaus; the common drift is subtracted.
-
-    Parameters
-    ----------
-    dataset
-        Dataset of the identification, with its samples.
-    found
-        Result of `identify_creep`.
-
-    Raises
-    ------
-    RangeError
-        If the number of points differs, or there are no samples.
+    Bars are one standard error over plateaus; the common drift is subtracted. Raises `RangeError` if the dataset is not
+    that of the identification.
     """
     if len(dataset) != len(found.initial_force) or "force_samples" not in dataset.table:
         raise RangeError(
@@ -373,8 +328,9 @@ def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
     side, moves = _since_turn(LoadingPaths.of(means))
     figure = blank(DOUBLE, 2.7)
     courses, slopes = figure.subplots(1, 2)
-    _courses(courses, measured, modelled, found, taut, side)
-    _slopes(slopes, measured, modelled, found, taut, side, moves)
+    sides = {sign: taut & (side == sign) for sign in (1, -1)}
+    _courses(courses, measured, modelled, found, sides)
+    _slopes(slopes, measured, modelled, found, sides, moves)
     return figure
 
 
@@ -395,20 +351,19 @@ def _courses(
     measured: RelaxationCurves,
     modelled: RelaxationCurves,
     found: CreepFit,
-    taut: NDArray[np.bool_],
-    side: NDArray[np.float64],
+    sides: Mapping[int, NDArray[np.bool_]],
 ) -> None:
     edges = np.append(measured.edges, len(measured.times)) * found.interval
     times = (edges[:-1] + edges[1:] - found.interval) / 2
     common = found.common_rate * measured.blocks(measured.times)
     for sign, look in ((1, LOADING), (-1, UNLOADING)):
-        here = taut & (side == sign)
+        here = sides[sign]
         values = measured.values[here] - common
         error = values.std(axis=0, ddof=1) / np.sqrt(len(values))
         axes.errorbar(times, values.mean(axis=0) * 1e3, error * 1e3, linestyle="none", markersize=3, **look)
         axes.plot(times, modelled.values[here].mean(axis=0) * 1e3, **_CREEP_MODEL)
     axes.set(xlabel="time since the first sample [s]", ylabel="force minus its mean [mN]")
-    letter(axes, "a", "mean over plateaus")
+    letter(axes, 0, "mean over plateaus")
 
 
 def _slopes(
@@ -416,14 +371,13 @@ def _slopes(
     measured: RelaxationCurves,
     modelled: RelaxationCurves,
     found: CreepFit,
-    taut: NDArray[np.bool_],
-    side: NDArray[np.float64],
+    sides: Mapping[int, NDArray[np.bool_]],
     moves: NDArray[np.int64],
 ) -> None:
     slope, model = measured.slopes - found.common_rate, modelled.slopes
     for sign, look, label in ((-1, UNLOADING, "after shortening"), (1, LOADING, "after stretching")):
-        here = taut & (side == sign)
-        counts = [n for n in range(1, _MOST + 1) if np.count_nonzero(here & (moves == n)) > 1]
+        here = sides[sign]
+        counts = [n for n in range(1, _MOST_MOVES + 1) if np.count_nonzero(here & (moves == n)) > 1]
         groups = [slope[here & (moves == n)] * 1e3 for n in counts]
         errors = [group.std(ddof=1) / np.sqrt(len(group)) for group in groups]
         heights = [group.mean() for group in groups]
@@ -440,4 +394,4 @@ def _slopes(
     )
     axes.legend(title=title, title_fontsize=7.5, alignment="left", loc="center right")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    letter(axes, "b", "relaxation rate")
+    letter(axes, 1, "relaxation rate")

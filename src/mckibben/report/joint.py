@@ -47,14 +47,9 @@ _REFERENCES = (
 def attainable_stiffness(
     maps: Mapping[str, JointMap], references: Mapping[str, Mapping[str, Result]] | None = None
 ) -> Figure:
-    """Attainable stiffness in static equilibrium with the load, over the joint angle.
+    """Attainable stiffness in static equilibrium with the load, over the joint angle, by name of the geometry.
 
-    Parameters
-    ----------
-    maps
-        Joint maps by name of the geometry.
-    references
-        Results by name of the geometry and of the reference; their references are drawn over the range.
+    The references of results, by geometry and by name of the reference, are drawn over the range.
     """
     figure = blank(DOUBLE, 3.1)
     grid = figure.subplots(1, len(maps), squeeze=False)[0]
@@ -72,22 +67,17 @@ def attainable_stiffness(
         axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS if i == 0 else "")
         margin = 0.12 * (last - first)
         axes.set_xlim(first - margin, last + margin)
-        letter(axes, "abcdef"[i], name)
+        letter(axes, i, name)
         beside(axes, f"equilibrium possible:\n{minus(first)}° to {minus(last)}°", x=0.5, ha="center", y=0.97)
-        _head_room(axes, 0.2)
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 0.2 * (high - low))  # space for the text
     legend_above(figure, *grid)
     return figure
 
 
 @styled
 def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
-    """Minimum and maximum attainable stiffness over angle and torque, and their difference.
-
-    Parameters
-    ----------
-    maps
-        Joint maps by name of the geometry, one row each.
-    """
+    """Minimum and maximum attainable stiffness over angle and torque, and their difference, by geometry."""
     figure = blank(DOUBLE, 2.55 * len(maps) + 0.4)
     grid = figure.subplots(len(maps), 3, squeeze=False, sharey=True, sharex="row")
     titles = ("K_min", "K_max", "K_max − K_min")
@@ -99,28 +89,15 @@ def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
             cmap = "viridis" if j < 2 else "cividis"
             _filled(axes, found, value, levels, cmap)
             filled = ScalarMappable(BoundaryNorm(levels, 256), cmap)
-            axes.plot(
-                found.angles / deg,
-                found.gravity_torque,
-                color="white",
-                linewidth=2.6,
-                zorder=4,
-            )
-            axes.plot(
-                found.angles / deg,
-                found.gravity_torque,
-                color=BLACK,
-                linestyle=(0, (4, 2)),
-                linewidth=1.2,
-                label="static torque of the load",
-                zorder=5,
-            )
+            axes.plot(found.angles / deg, found.gravity_torque, color="white", linewidth=2.6, zorder=4)
+            look = {**DESIRED, "linewidth": 1.2, "zorder": 5}
+            axes.plot(found.angles / deg, found.gravity_torque, label="static torque of the load", **look)
             axes.set_facecolor("#F3F3F3")
             axes.grid(False)
             if j:
                 label = _STIFFNESS if j == 1 else "K_max − K_min [N·m/rad]"
                 figure.colorbar(filled, ax=list(grid[i, :2]) if j == 1 else axes, label=label, fraction=0.06, pad=0.02)
-            letter(axes, "abcdefghi"[3 * i + j], f"{name}: {titles[j]}" if j < 2 else titles[j])
+            letter(axes, 3 * i + j, f"{name}: {titles[j]}" if j < 2 else titles[j])
             reach = found.angles[~np.isnan(found.lowest_at).all(axis=0)] / deg
             edge = found.angles[[0, -1]] / deg
             axes.set_xlim(max(edge[0], 1.15 * reach.min()), min(edge[1], 1.15 * reach.max()))
@@ -133,7 +110,8 @@ def _filled(axes: Axes, found: JointMap, value: NDArray[np.float64], levels: NDA
     """Filled contours clipped to the smooth outline of the attainable set."""
     held = ~np.isnan(value)
     columns = np.flatnonzero(held.any(axis=0))
-    whole = np.stack([_extended(value[:, j], held[:, j]) for j in columns], axis=1)
+    rows = np.arange(len(found.torques))
+    whole = np.stack([np.interp(rows, rows[held[:, j]], value[held[:, j], j]) for j in columns], axis=1)
     angles = found.angles[columns] / deg
     filled = axes.contourf(angles, found.torques, whole, levels, cmap=cmap)
     lines = axes.contour(filled, levels=levels[::2], colors="white", linewidths=0.4, alpha=0.7)
@@ -144,11 +122,6 @@ def _filled(axes: Axes, found: JointMap, value: NDArray[np.float64], levels: NDA
     for drawn in (filled, lines):
         drawn.set_clip_path(edge)
     filled.set_rasterized(True)
-
-
-def _extended(column: NDArray[np.float64], held: NDArray[np.bool_]) -> NDArray[np.float64]:
-    places = np.arange(column.size)
-    return np.interp(places, places[held], column[held])
 
 
 def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -167,16 +140,11 @@ def _path(result: Result, reference: str) -> Sequence[tuple[str, NDArray[np.floa
     levels = np.unique(stiffness)
     if len(levels) > 4:
         return [(f"desired stiffness, {reference}", angle, stiffness)]
-    label, pieces = f"desired stiffness, {reference}", []
-    for level in levels:
-        there = angle[stiffness == level]
-        pieces.append((label, np.array([there.min(), there.max()]), np.array([level, level])))
-    return pieces
-
-
-def _head_room(axes: Axes, part: float) -> None:
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + part * (high - low))
+    parts = ((level, angle[stiffness == level]) for level in levels)
+    return [
+        (f"desired stiffness, {reference}", np.array([there.min(), there.max()]), np.array([level, level]))
+        for level, there in parts
+    ]
 
 
 _STATIC, _DYNAMIC, _NEAREST = "#DCE9F2", "#9CC3E0", "#BFE3D5"
@@ -194,26 +162,17 @@ _LOOKS = {
 
 @styled
 def envelope(found: Envelope) -> Figure:
-    """Attainable set of a scenario's joint, its reference, and the nearest feasible references.
-
-    Parameters
-    ----------
-    found
-        Result of `mckibben.reachability.envelope`.
-    """
+    """Attainable set of a scenario's joint, its reference, and the nearest feasible references."""
     figure = blank(DOUBLE, 5.8)
     (torque, stiffness), (over_time, angle) = figure.subplots(2, 2)
     _torque(figure, torque, found)
     _over_angle(stiffness, found)
     _over_time(over_time, found)
     _angle(angle, found)
-    for mark, axes, title in (
-        ("a", torque, "torque and stiffness range"),
-        ("b", stiffness, "static stiffness"),
-        ("c", over_time, "stiffness along the reference"),
-        ("d", angle, "angle"),
-    ):
-        letter(axes, mark, title)
+    letter(torque, 0, "torque and stiffness range")
+    letter(stiffness, 1, "static stiffness")
+    letter(over_time, 2, "stiffness along the reference")
+    letter(angle, 3, "angle")
     legend_above(figure, torque, stiffness, over_time, angle, columns=3)
     return figure
 
@@ -226,19 +185,11 @@ def _torque(figure: Figure, axes: Axes, found: Envelope) -> None:
         drawn.set_rasterized(True)
         figure.colorbar(drawn, ax=axes, label="K_max − K_min [N·m/rad]", pad=0.02)
         held = slice(*np.searchsorted(holds.angles, [holds.map_angles[0, 0] - 1e-9, holds.map_angles[0, -1] + 1e-9]))
-        axes.plot(
-            holds.angles[held] / deg,
-            holds.torque[held],
-            color="white",
-            linewidth=1.2,
-            linestyle=(0, (1, 1.2)),
-            label=None,
-        )
+        axes.plot(holds.angles[held] / deg, holds.torque[held], color="white", linewidth=1.2, linestyle=(0, (1, 1.2)))
     torque = found.trackability.bands.torque
     axes.plot(motion.angle / deg, torque, color="white", linewidth=2.4, zorder=4)
-    axes.plot(
-        motion.angle / deg, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque of the reference motion"
-    )
+    look = {"color": VERMILLION, "linewidth": 1.1, "label": "torque of the reference motion"}
+    axes.plot(motion.angle / deg, torque, zorder=5, **look)
     axes.grid(False)
     axes.set(xlabel=_ANGLE, ylabel=_TORQUE)
     seen = holds.map_torques if holds.map_torques.size else torque
@@ -249,7 +200,7 @@ def _torque(figure: Figure, axes: Axes, found: Envelope) -> None:
 
 def _over_angle(axes: Axes, found: Envelope) -> None:
     holds, motion = found.static, found.trackability.trajectory
-    inside = (holds.angles >= holds.angle_min) & (holds.angles <= holds.angle_max)
+    inside = _inside(holds)
     if inside.any():
         _band(axes, holds, color=_STATIC, label="attainable, static")
     else:
@@ -262,8 +213,13 @@ def _over_angle(axes: Axes, found: Envelope) -> None:
     _limits(axes, holds.stiffness.lowest[inside], holds.stiffness.highest[inside], motion.stiffness)
 
 
+def _inside(holds: StaticEnvelope) -> NDArray[np.bool_]:
+    """Static angles."""
+    return (holds.angles >= holds.angle_min) & (holds.angles <= holds.angle_max)
+
+
 def _band(axes: Axes, holds: StaticEnvelope, *, color: str, label: str) -> None:
-    inside = (holds.angles >= holds.angle_min) & (holds.angles <= holds.angle_max)
+    inside = _inside(holds)
     angles, low, high = holds.angles[inside] / deg, holds.stiffness.lowest[inside], holds.stiffness.highest[inside]
     draw_band(axes, angles, low, high, color=color, label=label)
     for edge in (low, high):
@@ -284,7 +240,7 @@ def _over_time(axes: Axes, found: Envelope) -> None:
         low, high = (edge[kept] for edge in following.bands.rate_limited)
         draw_band(axes, following.trajectory.times[kept], low, high, color=_NEAREST, label="attainable, nearest motion")
         edges += [low, high]
-    _dashed(axes, times, motion.stiffness[shown], label="reference")
+    axes.plot(times, motion.stiffness[shown], label="reference", **DESIRED)
     for near in found.nearest:
         _along(axes, near, near.trackability.trajectory.stiffness, times[-1])
     axes.set(xlabel="time [s]", ylabel=_STIFFNESS)
@@ -298,7 +254,7 @@ def _angle(axes: Axes, found: Envelope) -> None:
     times = motion.times[shown]
     if holds.angle_min <= holds.angle_max:
         axes.axhspan(holds.angle_min / deg, holds.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
-    _dashed(axes, times, motion.angle[shown] / deg, label="reference")
+    axes.plot(times, motion.angle[shown] / deg, label="reference", **DESIRED)
     for near in found.nearest:
         _along(axes, near, near.trackability.trajectory.angle / deg, times[-1])
     axes.set(xlabel="time [s]", ylabel=_ANGLE)
@@ -320,10 +276,6 @@ def _along(axes: Axes, found: FeasibleReference, values: np.ndarray, until: floa
     axes.plot(times[kept], values[kept], label=_NAMES[found.preserved], zorder=4, **_LOOKS[found.preserved])
 
 
-def _dashed(axes: Axes, x: np.ndarray, y: np.ndarray, *, label: str) -> None:
-    axes.plot(x, y, label=label, **DESIRED)
-
-
 def _limits(axes: Axes, *curves: np.ndarray) -> None:
     low, high = robust_limits(curves, part=0.98, floor=1.0)
     axes.set_ylim(max(low, min(0.0, low)), high)
@@ -331,33 +283,23 @@ def _limits(axes: Axes, *curves: np.ndarray) -> None:
 
 @styled
 def design(found: Design, before: StaticEnvelope) -> Figure:
-    """Attainable stiffness of a joint before and after sizing, and the design target.
-
-    Parameters
-    ----------
-    found
-        Result of `mckibben.reachability.design`.
-    before
-        Attainable set of the original joint.
-    """
+    """Attainable stiffness of a joint before and after sizing, and the design target."""
     figure = blank(DOUBLE, 3.2)
     axes = figure.subplots()
     _band(axes, found.envelope, color=_DYNAMIC, label="attainable after sizing")
-    inside = (before.angles >= before.angle_min) & (before.angles <= before.angle_max)
+    inside = _inside(before)
     for edge in before.stiffness:
         label = "attainable before" if edge is before.stiffness.lowest else None
         axes.plot(before.angles[inside] / deg, edge[inside], color="#777777", linestyle=(0, (3, 1.5)), label=label)
     (low, high), (first, last) = found.target.stiffness, (angle / deg for angle in found.target.angles)
     box = Rectangle((first, low), last - first, high - low, fill=False, edgecolor=BLACK, linewidth=1.4, label="target")
     axes.add_patch(box)
-    held = found.envelope
-    reached = (held.angles >= held.angle_min) & (held.angles <= held.angle_max)
     if found.target.torque_reserve:
         draw_band(axes, found.angles / deg, *found.stiffness, color=BLUE, alpha=0.5, label="with the torque margin")
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
-    _limits(axes, held.stiffness.lowest[reached], held.stiffness.highest[reached], np.array([low, high]))
-    letter(
-        axes, "a", ", ".join(f"{name.replace('_', ' ')} {value * 1e3:.4g} mm" for name, value in found.lengths.items())
-    )
+    reached = _inside(found.envelope)
+    _limits(axes, *(edge[reached] for edge in found.envelope.stiffness), np.array([low, high]))
+    lengths = (f"{name.replace('_', ' ')} {value * 1e3:.4g} mm" for name, value in found.lengths.items())
+    letter(axes, 0, ", ".join(lengths))
     legend_above(figure, axes)
     return figure

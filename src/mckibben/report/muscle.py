@@ -17,38 +17,30 @@ from mckibben.errors import RangeError
 from mckibben.identification import Fit, Validation
 from mckibben.muscle import ForceLaw, forces
 from mckibben.report.style import (
+    DIRECTIONS,
     DOUBLE,
     EXPERIMENTAL,
-    LOADING,
     THEORETICAL,
-    UNLOADING,
     beside,
     blank,
+    by_direction,
     legend_above,
     letter,
+    panels,
     pressure_colours,
     styled,
 )
 from mckibben.units import bar, percent
 
 _CONTRACTION, _FORCE = "contraction [%]", "force [N]"
-_DIRECTIONS = {"loading": LOADING, "unloading": UNLOADING}
 _MOST_CURVES = 20
 
 
 @styled
 def isobaric_curves(dataset: IsobaricDataset) -> Figure:
-    """Fig. 3: characteristic curves of an isobaric test, loading and unloading.
+    """Fig. 3: characteristic curves of an isobaric test, loading and unloading, as means over repeats.
 
-    Parameters
-    ----------
-    dataset
-        Dataset with directions; curves are means over repeats and include slack points.
-
-    Raises
-    ------
-    RangeError
-        If it does not have both directions.
+    Raises `RangeError` if the dataset does not have both directions.
     """
     if len(dataset.directions) < 2:
         raise RangeError(
@@ -70,17 +62,9 @@ def isobaric_curves(dataset: IsobaricDataset) -> Figure:
         along = np.linspace(max(up[0], down[0]), min(up[-1], down[-1]), 400)
         middle = (np.interp(along, up, force_up) + np.interp(along, down, force_down)) / 2
         place = int(np.argmin(np.abs(middle / top - 0.05 - 0.6 * (along - left) / (right - left))))
-        axes.text(
-            along[place],
-            middle[place],
-            f"{level / bar:g}",
-            color=colour,
-            fontsize=7,
-            fontweight="bold",
-            ha="center",
-            va="center",
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
-        )
+        look = {"color": colour, "fontsize": 7, "fontweight": "bold", "ha": "center", "va": "center"}
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
+        axes.text(along[place], middle[place], f"{level / bar:g}", bbox=box, **look)
     axes.set(xlabel=_CONTRACTION, ylabel=_FORCE, ylim=(-0.015 * top, 1.04 * top))
     handles = [
         Line2D([], [], color="#444444", label="loading (being stretched)"),
@@ -95,76 +79,47 @@ def isobaric_curves(dataset: IsobaricDataset) -> Figure:
 def law_comparison(
     dataset: IsobaricDataset, laws: Mapping[str, ForceLaw], validation: Validation | None = None
 ) -> Figure:
-    """Fig. 4: force laws and measured points, one panel for each pressure.
+    """Fig. 4: measured points, the experimental law and the theoretical one, one panel for each pressure.
 
-    Parameters
-    ----------
-    dataset
-        Measured points, marked by direction where it is recorded.
-    laws
-        Laws by name: the experimental one, then the theoretical one.
-    validation
-        If given, the RMSE of each law is written into each panel.
+    With a validation, the RMSE of each law is written into each panel.
     """
     levels = dataset.pressures
     columns = 2 if len(levels) > 1 else 1
     rows = -(-len(levels) // columns)
     figure = blank(DOUBLE, 2.35 * rows + 0.5)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    grid = panels(figure, len(levels), columns, sharex=True, sharey=True)
     contraction = np.linspace(float(dataset.contraction.min()), float(dataset.contraction.max()), 300)
     top = float(dataset.force.max())
-    for i, (axes, level) in enumerate(zip(grid, levels, strict=False)):
+    for i, (axes, level) in enumerate(zip(grid, levels, strict=True)):
         points = dataset.at(level)
         _points(axes, points)
         for (name, law), look in zip(laws.items(), (EXPERIMENTAL, THEORETICAL), strict=False):
             axes.plot(contraction / percent, forces(law, contraction, level), label=name, zorder=4, **look)
-        letter(axes, "abcdefghijkl"[i % 12], f"{level / bar:g} bar")
+        letter(axes, i, f"{level / bar:g} bar")
         if validation:
             lines = [f"RMSE {name.split(' (')[0]}: {validation.of(name, pressure=level).rmse:.1f} N" for name in laws]
             beside(axes, "\n".join(lines))
-        axes.set(ylim=(-0.02 * top, 1.06 * top))
-        axes.set(xlabel=_CONTRACTION, ylabel=_FORCE)
+        axes.set(xlabel=_CONTRACTION, ylabel=_FORCE, ylim=(-0.02 * top, 1.06 * top))
         axes.label_outer()
-    for axes in grid[len(levels) :]:
-        axes.remove()
-    legend_above(figure, *grid[: len(levels)])
+    legend_above(figure, *grid)
     return figure
 
 
-@styled
 def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
-    """Points of an isobaric dataset; with a fit also its curves and residuals.
-
-    Parameters
-    ----------
-    dataset
-        Measured points.
-    fit
-        A fit to these or other points.
-    """
-    return _fitted({dataset.table.attrs["specimen"] or "isobaric test": (dataset, fit)})
+    """Points of an isobaric dataset; with a fit to these or other points also its curves and residuals."""
+    return measured_muscles({dataset.table.attrs["specimen"] or "isobaric test": (dataset, fit)})
 
 
 @styled
-def measured_muscles(found: Mapping[str, tuple[IsobaricDataset, Fit]]) -> Figure:
+def measured_muscles(found: Mapping[str, tuple[IsobaricDataset, Fit | None]]) -> Figure:
     """Datasets side by side, each with its fit and residuals."""
-    return _fitted(found)
-
-
-def _fitted(found: Mapping[str, tuple[IsobaricDataset, Fit | None]]) -> Figure:
     residuals = any(fit for _, fit in found.values())
-    width = DOUBLE if len(found) > 1 else 5.4
-    figure = blank(width, 5.0 if residuals else 3.4)
-    grid = figure.subplots(
-        1 + residuals,
-        len(found),
-        squeeze=False,
-        sharex="col",
-        gridspec_kw={"height_ratios": [2.4, 1] if residuals else [1]},
-    )
+    figure = blank(DOUBLE if len(found) > 1 else 5.4, 5.0 if residuals else 3.4)
+    heights = [2.4, 1] if residuals else [1]
+    grid = figure.subplots(len(heights), len(found), squeeze=False, sharex="col", height_ratios=heights)
     low = min(float(data.levels.min()) for data, _ in found.values()) / bar
     high = max(float(data.levels.max()) for data, _ in found.values()) / bar
-    scale, colours = Normalize(low, max(high, low + 0.1)), pressure_colours()
+    scale = Normalize(low, max(high, low + 0.1))
     for i, (name, (data, fit)) in enumerate(found.items()):
         data = data.plateau_means()
         axes = grid[0, i]
@@ -179,24 +134,18 @@ def _fitted(found: Mapping[str, tuple[IsobaricDataset, Fit | None]]) -> Figure:
             _coloured(grid[1, i], taut, difference, scale)
             grid[1, i].axhline(0, color="#444444", linewidth=0.7)
             grid[1, i].set(xlabel=_CONTRACTION, ylabel="measured − fitted [N]" if i == 0 else "")
-            rmse = float(np.sqrt(np.mean(difference**2)))
-            beside(grid[1, i], f"RMSE {rmse:.2f} N")
+            beside(grid[1, i], f"RMSE {np.sqrt(np.mean(difference**2)):.2f} N")
         else:
             axes.set_xlabel(_CONTRACTION)
         if len(found) > 1:
-            letter(axes, "abcdef"[i], name)
+            letter(axes, i, name)
         else:
             axes.set_title(name)
         axes.set(ylabel=_FORCE if i == 0 else "")
         axes.set_ylim(bottom=-0.03 * float(data.force.max()))
         axes.legend(handles=_handles(data, fit), loc="upper right")
-    figure.colorbar(
-        ScalarMappable(norm=scale, cmap=colours),
-        ax=list(grid.ravel()),
-        label="pressure [bar]",
-        fraction=0.04,
-        aspect=40,
-    )
+    shades = ScalarMappable(scale, pressure_colours())
+    figure.colorbar(shades, ax=list(grid.ravel()), label="pressure [bar]", fraction=0.04, aspect=40)
     return figure
 
 
@@ -205,31 +154,26 @@ def _handles(data: IsobaricDataset, fit: Fit | None) -> list[Line2D]:
         return Line2D([], [], linestyle="", marker=shape, color=colour, label=label)
 
     known = [str(d) for d in data.directions]
-    handles = [marks(_DIRECTIONS[d]["marker"], d) for d in known] or [marks("o", "taut")]
+    handles = [marks(DIRECTIONS[d]["marker"], d) for d in known] or [marks("o", "taut")]
     if data.slack.any():
         handles.append(marks("x", "slack (excluded)", "#999999"))
     if fit:
-        handles.append(Line2D([], [], color="#444444", linewidth=1.0, label=f"fitted {_short(fit)}"))
+        law = type(fit.law).source.split(" of the paper")[0]
+        handles.append(Line2D([], [], color="#444444", linewidth=1.0, label=f"fitted {law}"))
     return handles
-
-
-def _short(fit: Fit) -> str:
-    return type(fit.law).source.split(" of the paper")[0]
 
 
 def _coloured(axes: Axes, data: IsobaricDataset, value: NDArray[np.float64], scale: Normalize) -> None:
     """Points coloured by pressure, their shape by direction."""
-    directions = data.table["direction"].to_numpy() if "direction" in data.table else np.full(len(data), "")
     size = 14 if len(data) < 300 else 6
-    for direction in np.unique(directions):
-        mask = directions == direction
+    for direction, mask in by_direction(data):
         axes.scatter(
             data.contraction[mask] / percent,
             value[mask],
             c=data.levels[mask] / bar,
             norm=scale,
             cmap=pressure_colours(),
-            marker=_DIRECTIONS.get(str(direction), {"marker": "o"})["marker"],
+            marker=DIRECTIONS.get(direction, {"marker": "o"})["marker"],
             s=size,
             edgecolors="white",
             linewidths=0.3,
@@ -252,10 +196,8 @@ def _curves(axes: Axes, data: IsobaricDataset, law: ForceLaw, scale: Normalize) 
 
 
 def _points(axes: Axes, data: IsobaricDataset) -> None:
-    directions = data.table["direction"].to_numpy() if "direction" in data.table else np.full(len(data), "")
-    for direction in np.unique(directions):
-        mask = directions == direction
-        look = _DIRECTIONS.get(str(direction), {"color": "#444444", "marker": "o"})
+    for direction, mask in by_direction(data):
+        look = DIRECTIONS.get(direction, {"color": "#444444", "marker": "o"})
         axes.plot(
             data.contraction[mask] / percent,
             data.force[mask],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import os
 import re
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
@@ -19,18 +18,14 @@ from mckibben.paper.tracking import PID
 from mckibben.report import tables
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
-from mckibben.report.tables import SECTIONS, decisions, name_of
+from mckibben.report.tables import SECTIONS, name_of
 from mckibben.storage.files import atomic_write
 
 _LARGEST_SVG = 400_000  # bytes; a larger drawing is embedded as PNG
 
 
-@dataclass(frozen=True)
-class EmbeddedFigure:
-    """Figure of a page, and its image as a data URI."""
-
-    drawn: ReportFigure
-    address: str
+EmbeddedFigure = tuple[ReportFigure, str]
+"""Figure of a page, and its image as a data URI."""
 
 
 def template_of(name: str) -> jinja2.Template:
@@ -75,43 +70,25 @@ SOURCES = ("lei-mas-10-180n", "dmsp-10-250-martens2017", "festo-tool-10mm")
 _PAGE = "report.html"
 
 
-@dataclass(frozen=True)
-class Source:
-    """Source with its notes."""
-
-    reference: str
-    where: str
-    notes: tuple[str, ...]
-
-
 def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> Path:
-    """Write `report.html` with embedded figures, and the figures as PNG and SVG in `figures/`.
-
-    The page is self-contained: no network, no script, no other file.
-
-    Parameters
-    ----------
-    reproduction
-        Result of `mckibben.paper.reproduce`.
-    folder
-        Output folder, created if missing.
-
-    Returns
-    -------
-    pathlib.Path
-        Path of the page, written atomically.
-    """
+    """Write `report.html`, self-contained, and its figures as PNG and SVG in `figures/`; return its path."""
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     drawn: dict[str, list[EmbeddedFigure]] = {section: [] for section in SECTIONS}
     for figure in figures(reproduction):
-        png, svg = save(figure.figure, folder / "figures", figure.name, preview=reproduction.quick)
-        drawn[figure.section].append(EmbeddedFigure(figure, address_of(png, svg)))
-    text = render(reproduction, drawn)
-    page = folder / _PAGE
-    with atomic_write(page, overwrite=True) as part:
+        drawn[figure.section].append(embedded(figure, folder, preview=reproduction.quick))
+    return write_page(folder / _PAGE, render(reproduction, drawn))
+
+
+def embedded(figure: ReportFigure, folder: Path, *, preview: bool = False) -> EmbeddedFigure:
+    """A figure, saved in `figures/`."""
+    return figure, address_of(*save(figure.figure, folder / "figures", figure.name, preview=preview))
+
+
+def write_page(path: Path, text: str) -> Path:
+    """Write a page atomically."""
+    with atomic_write(path, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
-    return page
+    return path
 
 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
@@ -138,7 +115,7 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
         gains=tables.gains_table(reproduction, results),
         coupling=tables.coupling_table(results),
         settings=tables.settings_table(reproduction),
-        decisions=decisions(reproduction),
+        decisions=tables.decision_context(reproduction),
         sources=[_source(name) for name in SOURCES],
         example=example.dumps(),
         scenarios=[f"scenarios/{file_stem(*key)}.yaml" for key in reproduction.tracking.runs],
@@ -154,6 +131,7 @@ def _outcomes(reproduction: Reproduction) -> list[tuple[str, str]]:
     ]
 
 
-def _source(name: str) -> Source:
+def _source(name: str) -> tuple[str, str, list[str]]:
+    """Reference, its place, and the notes of a source."""
     reference, where, *notes = catalog.cite(name).splitlines()
-    return Source(reference, where.strip("()"), tuple(note.removeprefix("- ") for note in notes))
+    return reference, where.strip("()"), [note.removeprefix("- ") for note in notes]

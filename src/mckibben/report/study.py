@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, ListedColormap, LogNorm
+from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from mckibben.experiment_design import ExperimentPlan, PlannedPoint
@@ -23,14 +20,16 @@ from mckibben.report.style import (
     BAND,
     BLACK,
     BLUE,
+    DIRECTIONS,
     DOUBLE,
-    LOADING,
-    UNLOADING,
     VERMILLION,
     beside,
     blank,
+    by_direction,
     letter,
+    log_ticks,
     minus,
+    part_of,
     robust_limits,
     styled,
 )
@@ -46,20 +45,14 @@ _FEW = 12  # parameters whose names are drawn
 
 @styled
 def tuning(tuned: TuningResult) -> Figure:
-    """Cost over the evaluated points, and the values found within their ranges.
-
-    Parameters
-    ----------
-    tuned
-        Result of `mckibben.tune`.
-    """
+    """Cost over the evaluated points, and the values found within their ranges."""
     figure = blank(DOUBLE, 2.9)
     costs_axes, places_axes = figure.subplots(1, 2, width_ratios=(1.35, 1))
     costs = np.array([trial.cost for trial in tuned.trials])
     finite = costs < FAILED_COST
     tried = np.arange(1, costs.size + 1)
 
-    letter(costs_axes, "a", "cost of the evaluated points")
+    letter(costs_axes, 0, "cost of the evaluated points")
     costs_axes.plot(tried[finite], costs[finite], ".", color=BLUE, markersize=2.5, alpha=0.5, label="point")
     best = np.minimum.accumulate(np.where(finite, costs, np.inf))
     costs_axes.plot(tried, np.where(np.isfinite(best), best, np.nan), color=VERMILLION, label="lowest so far")
@@ -72,7 +65,7 @@ def tuning(tuned: TuningResult) -> Figure:
     costs_axes.set_ylim(low, high * (high / low) ** 0.3)  # space for the legend
     costs_axes.legend(loc="upper right")
 
-    letter(places_axes, "b", "values within their ranges")
+    letter(places_axes, 1, "values within their ranges")
     names = list(tuned.values)
     points = np.array([trial.point for trial in tuned.trials])
     good = finite & (costs <= 1.1 * costs.min())
@@ -126,11 +119,6 @@ def sweep(swept: SweepResult) -> Figure:
 
     Runs are points or hexagonal bins, with the running median and a band of 90 % of the runs; the last row is the share
     of unstable runs.
-
-    Parameters
-    ----------
-    swept
-        Result of `mckibben.sweep`.
     """
     metrics, lost = main_metrics(swept), swept.failed
     inputs = _strongest(swept, metrics)
@@ -150,7 +138,7 @@ def sweep(swept: SweepResult) -> Figure:
                 axes.set_xticks(np.unique(one.values))
             elif one.log and one.values.min() > 0:
                 axes.set_xscale("log")
-                _plain_numbers(axes.xaxis)
+                log_ticks(axes.xaxis, 1.0, 3.0)
         grid[i, 0].set_ylabel("unstable runs [%]" if metric is None else _label(metric))
         if metric is None:
             grid[i, 0].set_ylim(0, 1.1 * max(line.get_ydata().max() for axes in grid[i] for line in axes.lines))
@@ -209,19 +197,11 @@ def _metric(axes: Axes, one: _Input, swept: SweepResult, metric: str) -> None:
         size = float(np.clip(900 / max(x.size, 1), 1.5, 9.0))
         axes.scatter(x[inside], y[inside], s=size, color=BLUE, alpha=0.35, linewidths=0, rasterized=True, label="run")
     else:
-        axes.hexbin(
-            x[inside],
-            y[inside],
-            gridsize=(32, 18),
-            xscale="log" if one.log and x.min() > 0 else "linear",
-            yscale="log" if log else "linear",
-            bins="log",
-            cmap=_blues(),
-            linewidths=0,
-            rasterized=True,
-        )
+        scales = {"xscale": "log" if one.log and x.min() > 0 else "linear", "yscale": "log" if log else "linear"}
+        look = {"gridsize": (32, 18), "bins": "log", "cmap": part_of("Blues", 50, 200), "linewidths": 0}
+        axes.hexbin(x[inside], y[inside], rasterized=True, **scales, **look)
     if log:
-        _plain_numbers(axes.yaxis)
+        log_ticks(axes.yaxis, 1.0, 3.0)
     _median(axes, _Input(one.name, one.unit, x, one.log), y)
     correlation = spearman(x, y)
     if np.isfinite(correlation):
@@ -250,13 +230,6 @@ def _lost(axes: Axes, one: _Input, lost: NDArray[np.bool_]) -> None:
     axes.plot(middles, shares, color=VERMILLION, marker="o", markersize=2.2, linewidth=1.0)
 
 
-def _plain_numbers(axis: Axis) -> None:
-    """Decimal tick labels on a logarithmic axis."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
 def _shown(metric: str) -> tuple[str, float]:
     return next((unit, size) for name, unit, size in METRICS.values() if name == metric)
 
@@ -274,13 +247,8 @@ def _broken(name: str) -> str:
     return f"{head}.\n{tail}"
 
 
-def _blues() -> Colormap:
-    """Blues without the palest shades."""
-    return ListedColormap(mpl.colormaps["Blues"].resampled(256)(range(50, 200)), name="runs")
-
-
 _UNKNOWN, _OUT = "#C9C9C9", "#FFFFFF"
-_DIRECTIONS = {"loading": LOADING, "unloading": UNLOADING}
+
 _MOST_STATES = 60  # more states are drawn as a region
 _LABEL_GAP = 2.5 * percent, 0.35 * bar  # closer points share a label
 _WIDEST = 300.0  # ratio of the colour scale
@@ -299,8 +267,8 @@ def planned(found: ExperimentPlan) -> Figure:
         _shade(axes, found, errors, scale, colours)
         axes.set_xlabel("contraction [%]")
     left.set_ylabel("pressure [bar]")
-    letter(left, "a", "now, measured points")
-    letter(right, "b", f"after {len(found.points)} planned points")
+    letter(left, 0, "now, measured points")
+    letter(right, 1, f"after {len(found.points)} planned points")
     handles: list[Line2D | Patch] = []
     handles += _measured_points(left, found) + _quantity_states(left, right, found) + _planned_points(right, found)
     if np.isinf(found.map.now).any():
@@ -310,9 +278,7 @@ def planned(found: ExperimentPlan) -> Figure:
     shades = figure.colorbar(
         mappable, ax=[left, right], label="standard error of the force [N]", fraction=0.04, pad=0.01
     )
-    shades.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
-    shades.ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    shades.ax.yaxis.set_minor_formatter(NullFormatter())
+    log_ticks(shades.ax.yaxis, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
     figure.suptitle(_wrapped(found.summary()), fontsize=8, fontweight="normal")
     return figure
 
@@ -327,9 +293,7 @@ def _scale(found: ExperimentPlan) -> LogNorm:
 
 def _colours() -> ListedColormap:
     """Colour map whose light end leaves markers legible."""
-    import matplotlib as mpl
-
-    shades = ListedColormap(mpl.colormaps["YlOrBr"].resampled(256)(range(256))[:215])
+    shades = part_of("YlOrBr", 0, 215)
     shades.set_over(shades(214))
     return shades
 
@@ -356,11 +320,9 @@ def _edges(centres: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _measured_points(axes: Axes, found: ExperimentPlan) -> list[Line2D]:
     points = found.measured.taut
-    known = points.table["direction"].to_numpy() if "direction" in points.table else np.full(len(points), "")
     handles = []
-    for direction in np.unique(known):
-        look = _DIRECTIONS.get(str(direction), {"color": "#333333", "marker": "o"})
-        where = known == direction
+    for direction, where in by_direction(points):
+        look = DIRECTIONS.get(direction, {"color": "#333333", "marker": "o"})
         style = {**look, "linestyle": "", "markersize": 2.6, "markeredgewidth": 0.4, "markeredgecolor": "white"}
         axes.plot(points.contraction[where] / percent, points.levels[where] / bar, **style)
         name = f"measured, {direction}" if direction else "measured"
@@ -373,7 +335,7 @@ def _planned_points(axes: Axes, found: ExperimentPlan) -> list[Line2D]:
     used: dict[str, Line2D] = {}
     clusters: list[list[int]] = []
     for number, point in enumerate(found.points):
-        look = _DIRECTIONS.get(point.direction, {"color": "#333333", "marker": "o"})
+        look = DIRECTIONS.get(point.direction, {"color": "#333333", "marker": "o"})
         style = {**look, "linestyle": "", "markersize": 6.5, "markeredgecolor": "white", "markeredgewidth": 0.7}
         axes.plot([point.contraction / percent], [point.pressure / bar], zorder=4, clip_on=False, **style)
         name = f"planned, {point.direction}" if point.direction else "planned"
@@ -387,26 +349,16 @@ def _planned_points(axes: Axes, found: ExperimentPlan) -> list[Line2D]:
     for cluster in clusters:
         x = np.array([found.points[i].contraction / percent for i in cluster])
         right = x.max() < (low + high) / 2
-        axes.annotate(
-            ", ".join(str(number + 1) for number in cluster),
-            (x.max() if right else x.min(), float(np.mean([found.points[i].pressure / bar for i in cluster]))),
-            xytext=(6 if right else -6, 0),
-            textcoords="offset points",
-            ha="left" if right else "right",
-            va="center",
-            fontsize=7,
-            fontweight="bold",
-            zorder=5,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6},
-        )
+        place = x.max() if right else x.min(), float(np.mean([found.points[i].pressure / bar for i in cluster]))
+        side = {"xytext": (6 if right else -6, 0), "textcoords": "offset points", "ha": "left" if right else "right"}
+        look = {"va": "center", "fontsize": 7, "fontweight": "bold", "zorder": 5}
+        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6}
+        axes.annotate(", ".join(str(number + 1) for number in cluster), place, bbox=box, **side, **look)
     return list(used.values())
 
 
 def _close(one: PlannedPoint, other: PlannedPoint) -> bool:
-    apart = (
-        (one.contraction - other.contraction) / _LABEL_GAP[0],
-        (one.pressure - other.pressure) / _LABEL_GAP[1],
-    )
+    apart = ((one.contraction - other.contraction) / _LABEL_GAP[0], (one.pressure - other.pressure) / _LABEL_GAP[1])
     return bool(np.hypot(*apart) <= 1)
 
 
@@ -416,17 +368,15 @@ def _quantity_states(left: Axes, right: Axes, found: ExperimentPlan) -> list[Lin
     if not len(states):
         return []
     x, y = states[:, 0] / percent, states[:, 1] / bar
-    for axes in (left, right):
-        if len(states) <= _MOST_STATES:
-            axes.plot(x, y, "+", color=BLUE, markersize=8, markeredgewidth=1.6, zorder=3)
-        else:
-            low, high, bottom, top = x.min(), x.max(), y.min(), y.max()
-            axes.plot(
-                [low, high, high, low, low], [bottom, bottom, top, top, bottom], color=BLUE, linewidth=1.0, zorder=3
-            )
+    look: dict[str, Any] = {"color": BLUE, "linewidth": 1.0}
     if len(states) <= _MOST_STATES:
-        return [Line2D([], [], linestyle="", marker="+", color=BLUE, markeredgewidth=1.6, label="quantity of interest")]
-    return [Line2D([], [], color=BLUE, linewidth=1.0, label="quantity of interest")]
+        look = {"color": BLUE, "linestyle": "", "marker": "+", "markeredgewidth": 1.6}
+    else:  # the outline of their range
+        low, high, bottom, top = x.min(), x.max(), y.min(), y.max()
+        x, y = np.array([low, high, high, low, low]), np.array([bottom, bottom, top, top, bottom])
+    for axes in (left, right):
+        axes.plot(x, y, zorder=3, **{"markersize": 8, **look})
+    return [Line2D([], [], label="quantity of interest", **look)]
 
 
 def _wrapped(text: str) -> str:

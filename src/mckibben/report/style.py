@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+import string
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import resources
@@ -18,21 +19,17 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import ListedColormap
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import ArrayLike, NDArray
+
+from mckibben.dataset import IsobaricDataset
 
 SINGLE, DOUBLE = 3.5, 7.2
 """Widths of one and of two columns of a journal [inches]."""
 
-BLACK, ORANGE, SKY, GREEN, BLUE, VERMILLION, PURPLE = (
-    "#111111",
-    "#E69F00",
-    "#56B4E9",
-    "#009E73",
-    "#0072B2",
-    "#D55E00",
-    "#CC79A7",
-)
+BLACK, ORANGE, SKY, GREEN = "#111111", "#E69F00", "#56B4E9", "#009E73"
+BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 """The colour-blind safe palette of Okabe and Ito."""
 BAND = "#DBE2E9"
 
@@ -58,6 +55,7 @@ _SPARE: tuple[dict[str, Any], ...] = (
 
 LOADING: dict[str, Any] = {"color": BLUE, "marker": "^"}
 UNLOADING: dict[str, Any] = {"color": VERMILLION, "marker": "v"}
+DIRECTIONS = {"loading": LOADING, "unloading": UNLOADING}
 EXPERIMENTAL: dict[str, Any] = {"color": "#8E3B8E", "linestyle": "-"}
 THEORETICAL: dict[str, Any] = {"color": GREEN, "linestyle": (0, (5, 1.5))}
 """Styles of Fig. 4: loading, unloading, experimental law, theoretical law."""
@@ -107,22 +105,27 @@ def looks_of(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     return looks
 
 
+def part_of(name: str, first: int, last: int) -> ListedColormap:
+    """The colours from `first` to `last`, of 256, of a colour map of matplotlib."""
+    return ListedColormap(mpl.colormaps[name].resampled(256)(range(first, last)))
+
+
 def pressure_colours() -> ListedColormap:
     """Colour map of pressures: viridis without its palest end."""
-    colours = mpl.colormaps["viridis"].resampled(256)(range(256))
-    return ListedColormap(colours[:222], name="pressure")
+    return part_of("viridis", 0, 222)
+
+
+def by_direction(data: IsobaricDataset) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """Each direction of a dataset and its points; an empty name where it records none."""
+    directions = data.table["direction"].to_numpy() if "direction" in data.table else np.full(len(data), "")
+    return ((str(direction), directions == direction) for direction in np.unique(directions))
 
 
 @styled
 def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: bool = False) -> tuple[Path, Path]:
     """Write a figure as `name`.png (200 dpi) and `name`.svg to a folder; a preview only as PNG with 100 dpi.
 
-    The files are reproducible byte for byte; the SVG has text as outlines.
-
-    Returns
-    -------
-    png, svg
-        Paths of the files; a preview has no SVG.
+    The files are reproducible byte for byte; the SVG has text as outlines. Returns their paths.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -144,27 +147,23 @@ _HALO = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
 _MOST_VERTICES = 600
 
 
-def letter(axes: Axes, mark: str, title: str) -> None:
-    """Set the panel title "(a) title" with a bold letter."""
-    axes.set_title(rf"$\bf{{({mark})}}$ {title}")
+def letter(axes: Axes, index: int, title: str) -> None:
+    """Set the title of the panel at an index: "(a) title" with a bold letter."""
+    axes.set_title(rf"$\bf{{({string.ascii_lowercase[index % 26]})}}$ {title}")
+
+
+def panels(figure: Figure | SubFigure, count: int, columns: int, **options: Any) -> NDArray[Any]:
+    """A number of panels, row by row."""
+    grid = figure.subplots(-(-count // columns), columns, squeeze=False, **options).ravel()
+    for axes in grid[count:]:
+        axes.remove()
+    return grid[:count]
 
 
 def robust_limits(
     curves: Sequence[ArrayLike], *, part: float = 0.995, margin: float = 0.12, floor: float = 0.0
 ) -> tuple[float, float]:
-    """Axis limits that contain all but the outermost values, robust against short spikes.
-
-    Parameters
-    ----------
-    curves
-        Curves; NaN is ignored.
-    part
-        Quantile of each curve within the limits, from both ends.
-    margin
-        Margin on both sides, relative to the range.
-    floor
-        Minimum range.
-    """
+    """Axis limits with all but the outermost values of each curve (`part`), with a margin and a minimum range."""
     finite = [values[np.isfinite(values)] for values in (np.asarray(c, float) for c in curves)]
     finite = [values for values in finite if values.size]
     if not finite:
@@ -192,18 +191,8 @@ def note_off_scale(
         worst = int(np.nanargmax(out))
         sentences.append(f"{name} {minus(values[worst], '.3g')} {unit} at {times[worst]:.2f} s")
     if sentences:
-        axes.text(
-            0.985,
-            0.03 if bottom else 0.97,
-            "off scale: " + "\n".join(sentences),
-            transform=axes.transAxes,
-            ha="right",
-            va="bottom" if bottom else "top",
-            fontsize=6.5,
-            color="#555555",
-            bbox=_HALO,
-            zorder=5,
-        )
+        place = {"y": 0.03, "va": "bottom"} if bottom else {"y": 0.97, "va": "top"}
+        beside(axes, "off scale: " + "\n".join(sentences), fontsize=6.5, color="#555555", **place)
 
 
 def minus(value: float, form: str = ".1f") -> str:
@@ -232,6 +221,13 @@ def plain_numbers(axis: Axis) -> None:
     axis.set_minor_formatter(written)
     to_label = mpl.rcParams["xtick.major.size"] + mpl.rcParams["xtick.major.pad"]
     axis.set_tick_params(which="minor", pad=to_label - mpl.rcParams["xtick.minor.size"])
+
+
+def log_ticks(axis: Axis, *subs: float) -> None:
+    """Decimal labels on a logarithmic axis at these multiples of powers of ten."""
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:

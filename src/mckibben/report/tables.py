@@ -9,7 +9,6 @@ from typing import Any
 
 from mckibben import catalog
 from mckibben.control import Sine
-from mckibben.joint import KneeGeometry
 from mckibben.paper import Reproduction
 from mckibben.paper.identification import FESTO, MARTENS, RIG, TEST_PRESSURES, plant_of
 from mckibben.paper.settings import (
@@ -17,14 +16,13 @@ from mckibben.paper.settings import (
     BOUND,
     FREE,
     LEARNING,
-    PRE_CONTRACTED,
     SETTINGS,
     STEP_TIME,
     Setting,
     StiffnessReference,
 )
 from mckibben.paper.tracking import CONTROLLERS, PID
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import FirstOrderValve
 from mckibben.units import bar, deg, factor, mm, ms, percent
 
 NAMES = {
@@ -47,125 +45,31 @@ def name_of(dataset: str) -> str:
     return NAMES.get(dataset, dataset)
 
 
-@dataclass(frozen=True)
-class Decision:
-    """Open or inconsistent point of the paper, and our decision."""
-
-    question: str
-    answer: str
-
-
-def _connectors(plant: JointPlant) -> float:
-    """Connector length [m] of a knee."""
-    assert isinstance(plant.joint.geometry, KneeGeometry)
-    return plant.joint.geometry.connector_length
-
-
-def decisions(reproduction: Reproduction) -> tuple[Decision, ...]:
-    """Decisions with numbers from the catalog and the run."""
-    rig = reproduction.identification.rig
-    law, specimen = catalog.law("lei-mas-10-180n"), rig.muscle.specimen
-    domain = specimen.domain
-
-    def force(contraction: float, pressure: float) -> float:
-        return float(law.force(contraction=contraction, pressure=pressure))
-
+def decision_context(reproduction: Reproduction) -> dict[str, Any]:
+    """Names of the template of the decisions: objects, and functions of contraction in percent and pressure in bar."""
+    law, rig = catalog.law("lei-mas-10-180n"), reproduction.identification.rig
     printed, contracted = (plant_of(setting) for setting in SETTINGS)
-    valve = printed.valve
-    lag = f"{valve.time_constant / ms:g} ms" if isinstance(valve, FirstOrderValve) else "none"
-    first, last = (limit / deg for limit in reproduction.joint[AS_PRINTED.key].static_range)
-    pressed = round(float(printed.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent, 6) + 0.0
-    short = float(contracted.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent
-    gravity = float(printed.load.gravity_torque(0.0))
-    hanging = float(printed.load.hanging_angle) / deg
-    return (
-        Decision(
-            "Units of Eq. 3",
-            f"The paper gives none. Pressure in bar, contraction in percent, force in N: F(0 %, 6 bar) = "
-            f"{force(0, 6 * bar):.1f} N, below the rating of {specimen.rated_force:g} N. A ratio or "
-            "MPa would give plausible but wrong forces.",
-        ),
-        Decision(
-            "Range of the law",
-            f"{domain.contraction_min / percent:g} to {domain.contraction_max / percent:g} % contraction. Outside, the "
-            f"exponential diverges ({force(-0.08, 6 * bar):.0f} N at −8 %, 6 bar) and at low pressure the law turns "
-            f"negative ({force(0.05, 0):.0f} N at 5 %, 0 bar). The force is limited to "
-            "zero from below, and each result reports how long a muscle was slack or outside the domain.",
-        ),
-        Decision(
-            "Table 2, taken literally",
-            f"leaves the muscles at {pressed:.2g} % contraction at 0°, so that one is soon stretched beyond its limit: "
-            f"static equilibrium exists from {first:.1f}° to {last:.1f}° only. The paper's remedy, a “mechanical "
-            "stretch "
-            f"structure”, is not described. Both variants are run: {AS_PRINTED.name} (connectors "
-            f"{_connectors(printed) / mm:g} mm) and {PRE_CONTRACTED.name} "
-            f"({_connectors(contracted) / mm:g} mm, {short:.3g} % contraction at 0°).",
-        ),
-        Decision(
-            "Sign of gravity",
-            "Eqs. 6 and 7 have it on opposite sides; equated literally it cancels. Here muscle torque and gravity "
-            f"torque, G sin(π/6 − θ), are separate, and {hanging:.0f}° is the stable equilibrium. At 0° "
-            f"gravity gives {gravity:.2f} N·m.",
-        ),
-        Decision(
-            "Sign of the stiffness",
-            "Eq. 8, K = dτ/dθ, is negative for a stable joint; here it is minus that, at constant pressures, of the "
-            f"muscles alone. Gravity would add {float(printed.load.gravity_stiffness(0.0)):.2f} N·m/rad at 0°.",
-        ),
-        Decision(
-            "Damping",
-            f"Table 2 prints N·s/m; it must be N·m·s/rad ({float(printed.load.damping):g}).",
-        ),
-        Decision(
-            "Valves", f"Not specified in the paper. Each pressure follows its command with a first-order lag of {lag}."
-        ),
-        Decision(
-            "Amplitude, frequency, set-points, gains, start",
-            "Not in the paper: ours are listed below. PID is shown with moderate gains, as the paper's comparison "
-            "implies, "
-            "and with gains tuned by an optimiser.",
-        ),
-        Decision(
-            "BP",
-            "Not specified in the paper. The usual form: a small network per loop scales the gains of a PID and is "
-            "trained "
-            "online on the tracking error, with the sign of the plant's Jacobian. It starts at the PID's gains and may "
-            f"change moderate gains by a factor of {FREE:g}, tuned ones by {BOUND:g}.",
-        ),
-        Decision(
-            "Stiffness feedback",
-            "Stiffness is not measured. The controller estimates it with its model of the joint, here without model "
-            "error; "
-            "all errors in this report are those of the plant's stiffness.",
-        ),
-        Decision(
-            "Test pressures",
-            f"The paper validates at {', '.join(f'{p / bar:g}' for p in TEST_PRESSURES)} bar, all of them among the "
-            "identification pressures. Cross-validation holds out these pressures, and a whole repeat.",
-        ),
-        Decision(
-            "The muscle of the test",
-            "The paper's raw data are not published. A simulated rig runs its protocol on a muscle that follows Eq. "
-            "3, with "
-            f"friction of ±{rig.rig.hysteresis:g} N (from the literature on 10 mm muscles), sensor noise and regulator "
-            "offsets. It tests the method; the measured datasets test the law.",
-        ),
-    )
+    return {
+        "force": lambda contraction, pressure: law.force(contraction=contraction * percent, pressure=pressure * bar),
+        "contraction": lambda plant: round(float(plant.joint.contractions(0.0, (3 * bar, 3 * bar))[0]) / percent, 6),
+        "specimen": rig.muscle.specimen,
+        "percent": percent,
+        "range": [limit / deg for limit in reproduction.joint[AS_PRINTED.key].static_range],
+        "printed": printed,
+        "contracted": contracted,
+        "load": printed.load,
+        "hanging": printed.load.hanging_angle / deg,
+        "mm": mm,
+        "lag": f"{printed.valve.time_constant / ms:g} ms" if isinstance(printed.valve, FirstOrderValve) else "none",
+        "factors": (FREE, BOUND),
+        "pressures": ", ".join(f"{p / bar:g}" for p in TEST_PRESSURES),
+        "friction": rig.rig.hysteresis,
+    }
 
 
 @dataclass(frozen=True)
 class Table:
-    """Table of the report.
-
-    Attributes
-    ----------
-    caption
-        Caption.
-    head
-        Column titles.
-    rows
-        Cells as text; a row of one cell is a group title.
-    """
+    """Table of the report, cells as text; a row of one cell is a group title."""
 
     caption: str
     head: Sequence[str]
@@ -189,11 +93,7 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def with_error(estimate: float, error: float | None) -> str:
-    """Format an estimate and its standard error to the second digit of the error.
-
-    >>> with_error(-237.362, 3.81)
-    '−237.4 ± 3.8'
-    """
+    """An estimate and its standard error to the second digit of the error, such as ``−237.4 ± 3.8``."""
     if error is None or not error > 0:
         return f"{number(estimate, 4)} (at bound)" if error is None else number(estimate, 5)
     places = max(1 - math.floor(math.log10(error)), 0)
@@ -207,27 +107,20 @@ def unit_text(unit: str) -> str:
 
 def fit_table(results: Mapping[str, Any]) -> Table:
     """Fit errors of Eq. 2 by dataset."""
-    rows = []
-    for name, fit in results["identification"].items():
-        rows.append(
-            (
-                name_of(name),
-                number(fit["decay_per_percent"], 4),
-                number(fit["rmse_N"]),
-                number(fit["max_N"]),
-                number(fit["leave_one_pressure_out_rmse_N"]),
-                number(fit["leave_one_pressure_out_max_N"]),
-                number(fit["points_used"]),
-                number(fit["points_slack"]),
-            )
-        )
-    head = ("dataset", "decay μ [1/%]", "RMSE [N]", "maximum [N]", "RMSE, held-out pressure [N]",
-            "maximum, held-out pressure [N]", "points", "slack, excluded")  # fmt: skip
-    return Table(
-        "Eq. 2 fitted to each dataset. Held-out pressure: leave-one-pressure-out cross-validation.",
-        head,
-        rows,
-    )
+    columns = {
+        "RMSE [N]": "rmse_N",
+        "maximum [N]": "max_N",
+        "RMSE, held-out pressure [N]": "leave_one_pressure_out_rmse_N",
+        "maximum, held-out pressure [N]": "leave_one_pressure_out_max_N",
+        "points": "points_used",
+        "slack, excluded": "points_slack",
+    }
+    rows = [
+        (name_of(name), number(fit["decay_per_percent"], 4), *(number(fit[key]) for key in columns.values()))
+        for name, fit in results["identification"].items()
+    ]
+    caption = "Eq. 2 fitted to each dataset. Held-out pressure: leave-one-pressure-out cross-validation."
+    return Table(caption, ("dataset", "decay μ [1/%]", *columns), rows)
 
 
 def parameter_table(results: Mapping[str, Any]) -> Table:
@@ -246,8 +139,7 @@ def parameter_table(results: Mapping[str, Any]) -> Table:
         rows.append(cells)
     return Table(
         "Parameters of Eq. 2: estimate ± standard error, in the units of Eq. 3. They are strongly correlated: "
-        "different "
-        "sets can describe nearly the same force.",
+        "different sets can describe nearly the same force.",
         ("parameter", "Eq. 3, published", *(name_of(name) for name in fits)),
         rows,
     )
@@ -260,9 +152,7 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
     columns = {f"second test: {law}": values for law, values in retest.items()}
     columns |= {f"pressures held out: {law}": values for law, values in found["held_out_pressures_rmse_N"].items()}
     columns |= {f"repeat held out: {law}": values for law, values in found["held_out_repeat_rmse_N"].items()}
-    rows = [
-        place for place in next(iter(columns.values())) if place[0].isdigit()
-    ]  # a pressure, or one in one direction
+    rows = [place for place in next(iter(columns.values())) if place[0].isdigit()]  # by pressure, also by direction
     pressures = sorted(rows, key=lambda place: float(place.split()[0]))
     by_pressure = Table(
         "Simulated rig, RMSE [N] at the paper's four pressures: second test with other noise and offsets, and held-out "
@@ -284,12 +174,11 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
 
 def joint_table(results: Mapping[str, Any]) -> Table:
     """Attainable set of the knee."""
-    rows = []
-    for setting in SETTINGS:
-        found = results["joint"][setting.key]
-        low, high = found["attainable_stiffness_at_0_deg"]
-        first, last = found["static_range_deg"]
-        rows.append((setting.name, setting.connectors, number(low), number(high), number(first), number(last)))
+    found = {setting: results["joint"][setting.key] for setting in SETTINGS}
+    rows = [
+        (s.name, s.connectors, *map(number, [*of["attainable_stiffness_at_0_deg"], *of["static_range_deg"]]))
+        for s, of in found.items()
+    ]
     head = ("geometry", "connectors", "K_min at 0° [N·m/rad]", "K_max at 0° [N·m/rad]",
             "equilibrium from [deg]", "to [deg]")  # fmt: skip
     return Table("Knee with its load, pressures and contractions within their limits.", head, rows)
@@ -392,17 +281,8 @@ def settings_table(reproduction: Reproduction) -> Table:
 
 def coupling_table(results: Mapping[str, Any]) -> Table:
     """Coupling of position and stiffness."""
-    rows = []
-    for setting in SETTINGS:
-        found = results["coupling"][setting.key]
-        rows.append(
-            (
-                setting.name,
-                number(found["angle_by_step_deg"]),
-                number(found["stiffness_by_motion"]),
-                number(found["stiffness_at_rest"]),
-            )
-        )
+    keys = ("angle_by_step_deg", "stiffness_by_motion", "stiffness_at_rest")
+    rows = [(s.name, *(number(results["coupling"][s.key][key]) for key in keys)) for s in SETTINGS]
     head = ("geometry", "peak angle deviation after a stiffness step [deg]", "stiffness RMSE in motion [N·m/rad]",
             "stiffness RMSE at rest [N·m/rad]")  # fmt: skip
     return Table("Coupling of position and stiffness under PID with moderate gains.", head, rows)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
@@ -27,6 +27,7 @@ from mckibben.report.style import (
     draw_band,
     legend_above,
     letter,
+    log_ticks,
     looks_of,
     note_off_scale,
     robust_limits,
@@ -44,15 +45,7 @@ _BAND = "attainable stiffness"
 def tracking(results: Mapping[str, Result]) -> Figure:
     """Time traces of runs on one reference: angle, angle error, stiffness with the attainable range, pressures.
 
-    Parameters
-    ----------
-    results
-        Results by name, such as ``{"PID": result}``; those of the paper's study have fixed colours.
-
-    Raises
-    ------
-    RangeError
-        If there are no results, or their references differ.
+    Runs are given by name, such as ``{"PID": result}``. Raises `RangeError` if their references differ.
     """
     _same_reference(results)
     alone = len(results) == 1
@@ -60,13 +53,12 @@ def tracking(results: Mapping[str, Result]) -> Figure:
     grid = figure.subplots(4 if alone else 3, 1, sharex=True)
     looks = looks_of(results)
     first = next(iter(results.values()))
-    times = _column(first, "time")
-    grid[0].plot(times, _column(first, "desired_angle") / deg, label="desired", **DESIRED)
+    times = first.times
+    grid[0].plot(times, first["desired_angle"] / deg, label="desired", **DESIRED)
     errors: dict[str, NDArray[np.float64]] = {}
     for name, result in results.items():
-        angle = _column(result, "angle") / deg
-        errors[name] = angle - _column(result, "desired_angle") / deg
-        grid[0].plot(times, angle, label=name, **looks[name])
+        errors[name] = _angle_error(result)
+        grid[0].plot(times, result["angle"] / deg, label=name, **looks[name])
         grid[1].plot(times, errors[name], **looks[name])
     grid[0].set(ylabel=ANGLE)
     grid[0].set_ylim(*robust_limits([line.get_ydata() for line in grid[0].lines]))
@@ -74,10 +66,12 @@ def tracking(results: Mapping[str, Result]) -> Figure:
     grid[1].set(ylabel="actual − desired angle [deg]")
     grid[1].set_ylim(*robust_limits(list(errors.values()), floor=1e-3))
     note_off_scale(grid[1], times, errors, "deg")
-    _stiffness(grid[2], {name: (result, looks[name]) for name, result in results.items()})
+    _stiffness(grid[2], results, looks)
+    grid[2].set_ylim(*_stiffness_limits(list(results.values())))
+    note_off_scale(grid[2], times, {name: result["stiffness"] for name, result in results.items()}, "N·m/rad")
     if alone:
         for muscle, colour, style in (("1", BLUE, "-"), ("2", SKY, (0, (5, 1.5)))):
-            pressure = _column(first, f"pressure{muscle}") / bar
+            pressure = first[f"pressure{muscle}"] / bar
             grid[3].plot(times, pressure, color=colour, linestyle=style, label=f"muscle {muscle}")
         grid[3].set(ylabel="pressure [bar]")
         grid[3].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
@@ -89,13 +83,7 @@ def tracking(results: Mapping[str, Result]) -> Figure:
 
 @styled
 def control_results(panels: Mapping[str, tuple[str, Result]]) -> Figure:
-    """Fig. 7: angle, and stiffness with its attainable range, one panel for each run.
-
-    Parameters
-    ----------
-    panels
-        Name of the controller and its result, by panel title.
-    """
+    """Fig. 7: angle and stiffness with its attainable range: controller and result by panel title."""
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
     figure = blank(DOUBLE, 3.15 * rows + 0.4)
@@ -104,60 +92,47 @@ def control_results(panels: Mapping[str, tuple[str, Result]]) -> Figure:
     upper: list[Axes] = []
     lower: list[Axes] = []
     for i, (title, (name, result)) in enumerate(panels.items()):
+        left = i % columns == 0
         inner = outer[i // columns, i % columns].subgridspec(2, 1, hspace=0.02)
         above = figure.add_subplot(inner[0], sharex=upper[0] if upper else None, sharey=upper[0] if upper else None)
         below = figure.add_subplot(inner[1], sharex=above, sharey=lower[0] if lower else None)
-        times = _column(result, "time")
-        above.plot(times, _column(result, "desired_angle") / deg, label="desired", **DESIRED)
-        above.plot(times, _column(result, "angle") / deg, label=name, **looks[name])
-        above.tick_params(labelbottom=False)
-        _stiffness(below, {name: (result, looks[name])}, limit=False, label=False)
-        letter(above, "abcdefgh"[i], title)
-        if i % columns == 0:
-            above.set(ylabel=ANGLE)
-            below.set(ylabel=STIFFNESS)
-        else:
-            below.set(ylabel="")
-            above.tick_params(labelleft=False)
-            below.tick_params(labelleft=False)
-        below.set(xlabel=TIME)
+        above.plot(result.times, result["desired_angle"] / deg, label="desired", **DESIRED)
+        above.plot(result.times, result["angle"] / deg, label=name, **looks[name])
+        _stiffness(below, {name: result}, looks)
+        letter(above, i, title)
+        above.set(ylabel=ANGLE if left else "")
+        above.tick_params(labelbottom=False, labelleft=left)
+        below.set(xlabel=TIME, ylabel=STIFFNESS if left else "")
+        below.tick_params(labelleft=left)
         upper.append(above)
         lower.append(below)
-    runs = list(panels.values())
-    angles = [_column(r, c) / deg for _, r in runs for c in ("angle", "desired_angle")]
+    angles = [result[column] / deg for _, result in panels.values() for column in ("angle", "desired_angle")]
     upper[0].set_ylim(*robust_limits(angles, part=1.0 if _bounded(angles) else 0.98, margin=0.08))
-    lower[0].set_ylim(*_stiffness_limits([r for _, r in runs]))
-    for axes, (name, result) in zip(lower, runs, strict=True):
-        note_off_scale(axes, _column(result, "time"), {name: _column(result, "stiffness")}, "N·m/rad", bottom=True)
-    for axes, (name, result) in zip(upper, runs, strict=True):
-        note_off_scale(axes, _column(result, "time"), {name: _column(result, "angle") / deg}, "deg", bottom=True)
+    lower[0].set_ylim(*_stiffness_limits([result for _, result in panels.values()]))
+    for above, below, (name, result) in zip(upper, lower, panels.values(), strict=True):
+        note_off_scale(above, result.times, {name: result["angle"] / deg}, "deg", bottom=True)
+        note_off_scale(below, result.times, {name: result["stiffness"]}, "N·m/rad", bottom=True)
     figure.align_ylabels(upper + lower)
     legend_above(figure, *upper, *lower)
     return figure
 
 
-def _stiffness(axes: Axes, runs: Mapping[str, tuple[Result, dict]], *, limit: bool = True, label: bool = True) -> None:
-    first = next(iter(runs.values()))[0]
-    times = _column(first, "time")
-    draw_band(axes, times, _column(first, "lowest_stiffness"), _column(first, "highest_stiffness"), label=_BAND)
-    for name, (result, look) in runs.items():
-        axes.plot(times, _column(result, "stiffness"), label=name, **look)
-    axes.plot(times, _column(first, "desired_stiffness"), label="desired", **DESIRED)
+def _stiffness(axes: Axes, runs: Mapping[str, Result], looks: Mapping[str, dict[str, Any]]) -> None:
+    first = next(iter(runs.values()))
+    draw_band(axes, first.times, first["lowest_stiffness"], first["highest_stiffness"], label=_BAND)
+    for name, result in runs.items():
+        axes.plot(first.times, result["stiffness"], label=name, **looks[name])
+    axes.plot(first.times, first["desired_stiffness"], label="desired", **DESIRED)
     axes.set(ylabel=STIFFNESS)
-    if limit:
-        axes.set_ylim(*_stiffness_limits([result for result, _ in runs.values()]))
-        note_off_scale(
-            axes, times, {name: _column(result, "stiffness") for name, (result, _) in runs.items()}, "N·m/rad"
-        )
 
 
 def _stiffness_limits(results: list[Result]) -> tuple[float, float]:
     """Axis limits that contain the reference and most of the stiffness, with a margin."""
-    desired = [_column(r, "desired_stiffness") for r in results]
-    low, high = robust_limits(desired + [_column(r, "stiffness") for r in results], part=0.99, margin=0.0, floor=1e-3)
+    desired = [r["desired_stiffness"] for r in results]
+    low, high = robust_limits(desired + [r["stiffness"] for r in results], part=0.99, margin=0.0, floor=1e-3)
     low, high = min(low, *(float(d.min()) for d in desired)), max(high, *(float(d.max()) for d in desired))
-    band_low = np.nanmin([np.nanmin(_column(r, "lowest_stiffness"), initial=low) for r in results])
-    band_high = np.nanmax([np.nanmax(_column(r, "highest_stiffness"), initial=high) for r in results])
+    band_low = np.nanmin([np.nanmin(r["lowest_stiffness"], initial=low) for r in results])
+    band_high = np.nanmax([np.nanmax(r["highest_stiffness"], initial=high) for r in results])
     margin = 0.45 * (high - low)
     return max(low - margin, min(float(band_low) - 0.1 * margin, low - 0.2 * margin)), min(
         high + margin, max(float(band_high) + 0.1 * margin, high + 0.2 * margin)
@@ -176,15 +151,11 @@ def _same_reference(results: Mapping[str, Result]) -> None:
     first = next(iter(results.values()))
     for name, result in results.items():
         for column in ("time", "desired_angle", "desired_stiffness"):
-            if not np.array_equal(_column(first, column), _column(result, column)):
+            if not np.array_equal(first[column], result[column]):
                 raise RangeError(
                     f"{name} and {next(iter(results))} differ in {column.replace('_', ' ')}",
                     remedy="draw runs with different references in separate figures",
                 )
-
-
-def _column(result: Result, name: str) -> NDArray[np.float64]:
-    return result[name]
 
 
 _BEFORE = 0.05  # s shown before the stiffness step
@@ -193,35 +164,29 @@ _ZOOM = (0.1, 1.0)  # s, limits of the time shown after it
 
 @styled
 def error_curves(columns: Mapping[str, Mapping[str, Result]]) -> Figure:
-    """Fig. 8: errors of angle and stiffness over time, and the stiffness error after its last step.
-
-    Parameters
-    ----------
-    columns
-        Results by controller, by title of the column.
-    """
+    """Fig. 8: errors of angle and stiffness, and the settling of the stiffness: results by column and controller."""
     figure = blank(DOUBLE, 6.3)
     count = len(columns)
     grid = figure.subplots(3, count, squeeze=False)
     looks = looks_of(dict.fromkeys(name for runs in columns.values() for name in runs))
     angle = {title: {n: _angle_error(r) for n, r in runs.items()} for title, runs in columns.items()}
     stiffness = {title: {n: _stiffness_error(r) for n, r in runs.items()} for title, runs in columns.items()}
+    times = next(run.times for runs in columns.values() for run in runs.values())
     for i, (title, runs) in enumerate(columns.items()):
-        times = next(iter(runs.values())).times
-        for row, errors in ((0, angle[title]), (1, stiffness[title]), (2, stiffness[title])):
+        for row, errors in enumerate((angle[title], stiffness[title], stiffness[title])):
             axes = grid[row, i]
             for name, values in errors.items():
                 axes.plot(times, values, label=name, **looks[name])
             axes.axhline(0, color="#444444", linewidth=0.7, zorder=1.5)
-            axes.set(xlabel="time [s]" if row == 2 else "")
-        letter(grid[0, i], "abcdef"[i], f"angle, {title}")
-        letter(grid[1, i], "abcdef"[count + i], f"stiffness, {title}")
+            axes.set(xlabel=TIME if row == 2 else "")
+        letter(grid[0, i], i, f"angle, {title}")
+        letter(grid[1, i], count + i, f"stiffness, {title}")
         _settling(grid[2, i], runs, times)
-    _share_limits(grid[0], angle, next(iter(columns.values())), "deg", part=0.998, margin=0.12)
-    _share_limits(grid[1], stiffness, next(iter(columns.values())), "N·m/rad", part=0.975, margin=0.7)
+    _share_limits(grid[0], angle, times, "deg", part=0.998, margin=0.12)
+    _share_limits(grid[1], stiffness, times, "N·m/rad", part=0.975, margin=0.7)
     grid[0, 0].set_ylabel("angle error [deg]")
-    for row in (1, 2):
-        grid[row, 0].set_ylabel("stiffness error [N·m/rad]")
+    for axes in grid[1:, 0]:
+        axes.set_ylabel("stiffness error [N·m/rad]")
     figure.align_ylabels(list(grid[:, 0]))
     legend_above(figure, *grid.ravel())
     return figure
@@ -230,14 +195,13 @@ def error_curves(columns: Mapping[str, Mapping[str, Result]]) -> Figure:
 def _share_limits(
     row: Sequence[Axes],
     errors: Mapping[str, Mapping[str, NDArray[np.float64]]],
-    runs: Mapping[str, Result],
+    times: NDArray[np.float64],
     unit: str,
     *,
     part: float,
     margin: float,
 ) -> None:
     low, high = robust_limits([v for column in errors.values() for v in column.values()], part=part, margin=margin)
-    times = next(iter(runs.values())).times
     for axes, column in zip(row, errors.values(), strict=True):
         axes.set_ylim(low, high)
         note_off_scale(axes, times, dict(column), unit)
@@ -249,7 +213,7 @@ def _settling(axes: Axes, runs: Mapping[str, Result], times: NDArray[np.float64]
     desired = first["desired_stiffness"]
     change = int(last_change(desired).at)
     start = float(times[change])
-    band = float(settling_band(first["desired_stiffness"], first["stiffness"], SETTLING_PART))
+    band = float(settling_band(desired, first["stiffness"], SETTLING_PART))
     axes.axhspan(-band, band, color="#E8E8E8", zorder=0, label=f"{SETTLING_PART * 100:g} % of the step size")
     settled = {name: result.metrics["stiffness_settling"] for name, result in runs.items()}
     finite = [value for value in settled.values() if np.isfinite(value)]
@@ -296,13 +260,7 @@ _WIDEST = 1e3  # ratio of axis limits; larger values are drawn as arrows
 
 @styled
 def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, ControllerRun]]]) -> Figure:
-    """Median over seeds (dot) and worst seed (end of the line) of each controller, on logarithmic axes.
-
-    Parameters
-    ----------
-    found
-        Runs by geometry, stiffness reference and controller.
-    """
+    """Median over seeds (dot) and worst seed of runs by geometry, stiffness reference and controller."""
     figure = blank(DOUBLE, 2.5 * len(found) + 0.5)
     grid = figure.subplots(len(found), len(_METRICS), squeeze=False, sharey="row")
     for i, (geometry, references) in enumerate(found.items()):
@@ -316,36 +274,22 @@ def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, Controll
             axes.set_ylim(len(names) - 0.4, -0.6)
             axes.tick_params(axis="y", length=0)
             axes.grid(axis="y", visible=False)
-            letter(axes, "abcdefghi"[len(_METRICS) * i + j], geometry)
+            letter(axes, len(_METRICS) * i + j, geometry)
     references = next(iter(found.values()))
+    grey: dict[str, Any] = {"linestyle": "", "color": "#444444"}
     handles = [
-        Line2D(
-            [],
-            [],
-            linestyle="",
-            marker="o",
-            color="#444444",
-            markersize=5,
-            markerfacecolor=face,
-            label=f"{w} stiffness",
-        )
-        for w, face in zip(references, ("#444444", "white"), strict=False)
+        Line2D([], [], marker="o", markersize=5, markerfacecolor=face, label=f"{name} stiffness", **grey)
+        for name, face in zip(references, ("#444444", "white"), strict=False)
     ]
     handles.append(Line2D([], [], color="#444444", linewidth=1.6, alpha=0.6, label="median to worst seed"))
-    handles.append(Line2D([], [], linestyle="", marker=">", color="#444444", label="off scale, never or unstable"))
+    handles.append(Line2D([], [], marker=">", label="off scale, never or unstable", **grey))
     figure.legend(handles=handles, loc="outside upper center", ncols=4)
     return figure
 
 
 @styled
 def gain_histories(results: Mapping[str, tuple[Result, float]]) -> Figure:
-    """The gains of BP over time, relative to the base gains that it started from.
-
-    Parameters
-    ----------
-    results
-        By title: a run with telemetry of gains, and the largest factor by which they may move.
-    """
+    """Gains of BP over time relative to its base gains: by title a run and the largest gain ratio."""
     figure = blank(DOUBLE, 4.4)
     grid = figure.subplots(2, len(results), squeeze=False, sharex=True, sharey="col")
     for i, (title, (result, ratio)) in enumerate(results.items()):
@@ -360,9 +304,9 @@ def gain_histories(results: Mapping[str, tuple[Result, float]]) -> Figure:
             axes.set_yscale("log", base=2)
             axes.set_ylim(ratio**-1.15, ratio**1.15)
             axes.yaxis.set_major_locator(FixedLocator([1 / ratio, ratio**-0.5, 1, ratio**0.5, ratio]))
-            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:.3g}"))
             axes.yaxis.set_minor_locator(NullLocator())
-            letter(axes, "abcdefgh"[len(results) * row + i], f"{loop} loop")
+            letter(axes, len(results) * row + i, f"{loop} loop")
             if row == 0:
                 axes.annotate(title, (0, 1), (0, 18), **_ABOVE)
             axes.set(ylabel="gain / base gain [-]" if i == 0 else "", xlabel="time [s]" if row else "")
@@ -383,10 +327,13 @@ def _dots(
         y = place + (-0.17 if k == 0 else 0.17)
         look = CONTROLLERS.get(name, {"color": "#444444", "marker": "o"})
         worst = run.worst(metric) / unit
-        if not (median <= end) or run.unstable > run_count(run) / 2:
+        seeds = 1 if run.seeds is None else int(np.size(run.seeds.angle_rmse))
+        lost = not (median <= end) or run.unstable > seeds / 2
+        if lost or not (worst <= end):
             axes.plot(end, y, linestyle="", marker=">", color=look["color"], clip_on=False, markersize=5)
+        if lost:
             text = (
-                f"{run.unstable} of {run_count(run)} unstable"
+                f"{run.unstable} of {seeds} unstable"
                 if run.unstable
                 else "never"
                 if np.isnan(median)
@@ -394,28 +341,9 @@ def _dots(
             )
             axes.annotate(text, (end, y), (-6, 0), textcoords="offset points", ha="right", va="center", fontsize=6.5)
             continue
-        beyond = not (worst <= end)
-        axes.plot([median, end if beyond else worst], [y, y], color=look["color"], linewidth=1.8, alpha=0.55)
-        if beyond:
-            axes.plot(end, y, linestyle="", marker=">", color=look["color"], clip_on=False, markersize=5)
-        axes.plot(
-            median,
-            y,
-            linestyle="",
-            marker=look["marker"],
-            markersize=5,
-            markeredgewidth=1.1,
-            color=look["color"],
-            markerfacecolor=look["color"] if k == 0 else "white",
-            zorder=3,
-        )
+        axes.plot([median, worst if worst <= end else end], [y, y], color=look["color"], linewidth=1.8, alpha=0.55)
+        dot = {**look, "linestyle": "", "markersize": 5, "markeredgewidth": 1.1}
+        axes.plot(median, y, markerfacecolor=look["color"] if k == 0 else "white", zorder=3, **dot)
     axes.set_xscale("log")
     axes.set_xlim(smallest / 1.6, end)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if end / smallest < 60 else (1.0,)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-
-
-def run_count(run: ControllerRun) -> int:
-    """With how many seeds a controller was run; one where it has none."""
-    return 1 if run.seeds is None else int(np.size(run.seeds.angle_rmse))
+    log_ticks(axes.xaxis, *(1.0, 2.0, 5.0) if end / smallest < 60 else (1.0,))

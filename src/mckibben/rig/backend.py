@@ -10,59 +10,30 @@ from numpy.typing import NDArray
 
 
 class AnalogChannel(NamedTuple):
-    """Analog input or output of a rig, in volts.
+    """Analog input or output: its name, the range of the converter [V], and its terminal, such as "Dev1/ai0"."""
 
-    Attributes
-    ----------
-    name
-        "force", "pressure", "angle", "pressure1" ... of an input; "valve", "valve1", "valve2" of an output.
-    low, high
-        Range of the converter [V].
-    where
-        Terminal, such as "Dev1/ai0".
-    """
-
-    name: str
+    name: str  # "force", "pressure", "angle", "pressure1" ... of an input; "valve", "valve1", "valve2" of an output
     low: float
     high: float
     where: str = ""
 
 
 class Block(NamedTuple):
-    """Consecutive samples of all channels.
+    """Consecutive samples of all channels."""
 
-    Attributes
-    ----------
-    first
-        Number of the first sample since the backend was opened; above the expected number if samples were dropped.
-    time
-        Time since the backend was opened [s], by its clock, shape (samples,).
-    volts
-        Shape (samples, channels), in the order of `Backend.inputs`.
-    pulses
-        Position of the motor in pulses since it was opened, positive = stretching, shape (samples,); zeros without a
-        motor.
-    """
-
-    first: int
-    time: NDArray[float64]
-    volts: NDArray[float64]
-    pulses: NDArray[int64]
+    first: int  # number of the first sample since opening; above the expected one if samples were dropped
+    time: NDArray[float64]  # since opening [s], by the clock of the backend, shape (samples,)
+    volts: NDArray[float64]  # shape (samples, channels), in the order of `Backend.inputs`
+    pulses: NDArray[int64]  # of the motor since opening, positive = stretching, shape (samples,); zeros without a motor
 
 
 @runtime_checkable
 class Backend(Protocol):
-    """Sensors and valves of a rig, simulated or physical, in volts.
+    """Sensors and valves of a rig, in volts; vented when opened, and by its watchdog without `heartbeat`."""
 
-    A backend is vented and at rest when it is opened. Its watchdog expires when `heartbeat` was not called for
-    `patience` seconds (by its own clock): then it vents and stops by itself, until it is reopened.
-    """
+    rate: float  # sampling rate of each input [Hz]
 
-    rate: float
-    """Sampling rate of each input [Hz]."""
-
-    patience: float
-    """Timeout of the watchdog [s]."""
+    patience: float  # timeout of the watchdog [s], by the clock of the rig; until it is reopened
 
     @property
     def inputs(self) -> Sequence[AnalogChannel]:
@@ -80,46 +51,27 @@ class Backend(Protocol):
         ...
 
     def open(self) -> None:
-        """Open the devices; vented, at rest, the clock at 0.
-
-        Raises
-        ------
-        RigError
-            If a driver or a device is missing.
-        """
-        ...
+        """Open the devices; vented, at rest, the clock at 0. `RigError` if a driver or a device is missing."""
 
     def clock(self) -> float:
         """Time since it was opened [s]."""
         ...
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for a number of samples, and return them.
-
-        Raises
-        ------
-        SilentError
-            If they have not come within the timeout [s] after their duration.
-        RigError
-            If the device is lost.
-        """
+        """Wait for samples; `SilentError` if they are later than the timeout [s], `RigError` if the device is lost."""
         ...
 
     def set_valves(self, volts: Sequence[float]) -> None:
         """Set the signals of the valves [V], one per output."""
-        ...
 
     def heartbeat(self) -> None:
         """Reset the watchdog."""
-        ...
 
     def vent(self) -> None:
         """Vent at once. May be called at any time, repeatedly; never raises."""
-        ...
 
     def close(self) -> None:
         """Vent, stop, and close the devices. Never raises."""
-        ...
 
 
 @runtime_checkable
@@ -127,14 +79,7 @@ class MovingBackend(Backend, Protocol):
     """A backend with a motor that stretches the muscle."""
 
     def move(self, pulses: int, rate: float) -> None:
-        """Begin a move by a number of pulses, positive = stretching, at a rate [Hz]; returns at once.
-
-        Raises
-        ------
-        RigError
-            If it is moving, or the rate is too high.
-        """
-        ...
+        """Begin a move by pulses, positive = stretching, at a rate [Hz]; `RigError` if it is moving already."""
 
     @property
     def moving(self) -> bool:
@@ -143,17 +88,10 @@ class MovingBackend(Backend, Protocol):
 
     def stop(self) -> None:
         """Stop the motor at once. Never raises."""
-        ...
 
 
 class Watchdog:
-    """Watchdog of a rig: expires where it is not reset within a timeout, and stays so until it is started again.
-
-    Parameters
-    ----------
-    timeout
-        [s].
-    """
+    """Watchdog of a rig: expires without a reset within a timeout [s], and stays so until it is started again."""
 
     def __init__(self, timeout: float) -> None:
         self.timeout = timeout

@@ -40,39 +40,12 @@ _WHOLE = 1e-6  # pulses
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """Stepper motor, reducer and lead screw.
+    """Stepper motor, reducer and lead screw; the paper's."""
 
-    Parameters
-    ----------
-    steps
-        Pulses per revolution of the motor: 200 (ours; the usual motor, full steps).
-    reduction
-        Revolutions of the motor per revolution of the screw: 10 (the paper, "Experimental system").
-    lead
-        Travel per revolution of the screw [m]: 5 mm (the paper).
-    fastest
-        Highest pulse rate [Hz]: 2000 (ours), which is 5 mm/s.
-
-    Raises
-    ------
-    RangeError
-        If a number is not positive.
-
-    Examples
-    --------
-    >>> drive = Drive()
-    >>> drive.pulses_per_metre, drive.pulses(1 * mm), drive.rate(0.2 * mm)
-    (400000.0, 400, 80.0)
-    >>> drive.pulses(1.001 * mm)
-    Traceback (most recent call last):
-        ...
-    mckibben.errors.RangeError: 1.001 mm are 400.4 pulses; take a multiple of 0.0025 mm
-    """
-
-    steps: int = 200
-    reduction: float = 10.0
-    lead: float = 5 * mm
-    fastest: float = 2000.0
+    steps: int = 200  # pulses per revolution of the motor (ours: the usual motor, full steps)
+    reduction: float = 10.0  # revolutions of the motor per revolution of the screw (the paper, "Experimental system")
+    lead: float = 5 * mm  # travel per revolution of the screw [m] (the paper)
+    fastest: float = 2000.0  # highest pulse rate [Hz] (ours), which is 5 mm/s
 
     def __post_init__(self) -> None:
         check_positive("drive", steps=float(self.steps), reduction=self.reduction)
@@ -85,13 +58,7 @@ class Drive:
         return float(self.steps * Fraction(str(self.reduction)) / Fraction(str(self.lead)))
 
     def pulses(self, travel: float) -> int:
-        """Pulses for a travel [m].
-
-        Raises
-        ------
-        RangeError
-            If that is no whole number.
-        """
+        """Pulses for a travel [m]; `RangeError` if that is no whole number."""
         exact = travel * self.pulses_per_metre
         if not np.isfinite(exact) or abs(exact - round(exact)) > _WHOLE:
             one = 1 / self.pulses_per_metre / mm
@@ -112,13 +79,7 @@ class Drive:
         return np.asarray(pulses, np.float64) / self.pulses_per_metre
 
     def rate(self, speed: float) -> float:
-        """Pulse rate [Hz] for a speed [m/s].
-
-        Raises
-        ------
-        RangeError
-            If it is above that of the motor.
-        """
+        """Pulse rate [Hz] for a speed [m/s]; `RangeError` if it is above that of the motor."""
         rate = abs(speed) * self.pulses_per_metre
         if not 0 < rate <= self.fastest:
             raise RangeError(
@@ -134,46 +95,18 @@ class Drive:
 
 @dataclass(frozen=True, kw_only=True)
 class RigLimits:
-    """Limits of a test rig; a single sample beyond one of them stops the test.
+    """Limits of a test rig; a single sample beyond one of them stops the test."""
 
-    Parameters
-    ----------
-    pressure
-        Highest pressure [Pa, gauge].
-    force
-        Highest force [N].
-    stretch, shorten
-        Travel of the rig from where the muscle was mounted [m], either way.
-    pressure_rate
-        Highest rate of change of the pressure [Pa/s], between the means of two cycles: 50 bar/s. Not checked during
-        venting.
-    pressure_error
-        Highest deviation from the set pressure [Pa] after `settling`: 0.3 bar.
-    settling
-        Settling time of the pressure [s]: 10 s.
-    gap
-        Highest age of the newest sample, and longest time without one [s]: 0.5 s.
-    frozen
-        Longest time for which a sensor may read the same volts [s]; no limit unless given. For sensors with noise.
-    deviation
-        Highest deviation of a point's mean force from the law [N]; no limit unless given.
-
-    Raises
-    ------
-    RangeError
-        If one is not above 0, or not finite where it has to be.
-    """
-
-    pressure: Pressure
-    force: Tension
-    stretch: Travel
+    pressure: Pressure  # highest
+    force: Tension  # highest
+    stretch: Travel  # travel from where the muscle was mounted, either way
     shorten: Travel
-    pressure_rate: PressureRate = 50 * bar / s
-    pressure_error: Pressure = 0.3 * bar
-    settling: Duration = 10 * s
-    gap: PositiveTime = 500 * ms
-    frozen: Duration = math.inf
-    deviation: Tension = math.inf
+    pressure_rate: PressureRate = 50 * bar / s  # between the means of two cycles; not checked during venting
+    pressure_error: Pressure = 0.3 * bar  # highest deviation from the set pressure after `settling`
+    settling: Duration = 10 * s  # of the pressure
+    gap: PositiveTime = 500 * ms  # highest age of the newest sample, and longest time without one
+    frozen: Duration = math.inf  # longest time for which a sensor may read the same volts; for sensors with noise
+    deviation: Tension = math.inf  # highest deviation of a point's mean force from the law
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -187,21 +120,13 @@ class JointLimits:
 
     Parameters
     ----------
-    lowest_angle, highest_angle
-        [rad].
-    pressure
-        Highest pressure in either muscle [Pa, gauge].
-    angle_rate
-        Highest angular velocity [rad/s], between the means over two consecutive windows: 720 deg/s.
-    pressure_rate
-        Highest rate of change of a pressure [Pa/s], in the same way; no limit unless given.
-    window
-        Duration of a window [s].
+    lowest_angle, highest_angle, pressure
+        Limits [rad], [Pa, gauge] of either muscle.
+    angle_rate, pressure_rate
+        Highest rates [rad/s], [Pa/s] between the means over two consecutive windows [s].
     pressure_error
-        Highest deviation of a pressure from its command [Pa], low-pass filtered with `following`: 1 bar. Finds a lost
-        supply, a stuck valve, and a sensor that hangs.
-    following
-        Time constant of that filter [s].
+        Highest deviation of a pressure from its command [Pa], low-pass filtered with the time constant `following` [s].
+        Finds a lost supply, a stuck valve, and a sensor that hangs.
     silence
         Timeout of a sample after it was due [s].
     late
@@ -238,49 +163,20 @@ class JointLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Test bench: the muscle, how it is mounted, the motor, calibrations, limits and recording.
+    """Test bench: the muscle, how it is mounted, the motor, calibrations, limits and recording."""
 
-    Parameters
-    ----------
-    of
-        The muscle, or the specimen if its law is not known.
-    mounted_at
-        Contraction [-] at which the muscle was mounted, the origin of the motor.
-    drive
-        The motor.
-    calibrations
-        Of "force", "pressure" (inputs) and "valve" (output).
-    limits
-        Safety limits.
-    rate
-        Sampling rate of the backend [Hz].
-    cycle
-        Period at which samples are read and checked [s]: 100 ms.
-    between
-        Rate of the record between plateaus [Hz]: 10 Hz. All samples are checked; all samples of a block that stopped
-        the test, and those after it, are recorded.
-    settled
-        Tolerance of the set pressure, for the mean of a cycle [Pa]: 0.1 bar.
-    vented
-        Pressure below which the muscle is vented [Pa]: 0.1 bar.
-    steady
-        Time for which the pressure has to be settled or vented [s]: 1 s.
-    slack_force
-        Highest mean force of a slack muscle [N]: 1 N, for the zero error of a sensor.
-    """
-
-    of: Muscle | Specimen
-    mounted_at: float = 0.0
+    of: Muscle | Specimen  # the specimen if its law is not known
+    mounted_at: float = 0.0  # contraction, the origin of the motor
     drive: Drive
-    calibrations: Mapping[str, Calibration]
+    calibrations: Mapping[str, Calibration]  # of "force", "pressure" (inputs) and "valve" (output)
     limits: RigLimits
-    rate: float = 1000 * Hz
-    cycle: PositiveTime = 100 * ms
-    between: SampleRate = 10 * Hz
-    settled: float = 0.1 * bar
-    vented: float = 0.1 * bar
-    steady: float = 1 * s
-    slack_force: Force = 1 * N
+    rate: float = 1000 * Hz  # of each input
+    cycle: PositiveTime = 100 * ms  # period at which samples are read and checked
+    between: SampleRate = 10 * Hz  # rate of the record between plateaus; after a stop all samples are recorded
+    settled: float = 0.1 * bar  # tolerance of the set pressure, for the mean of a cycle [Pa]
+    vented: float = 0.1 * bar  # pressure below which the muscle is vented [Pa]
+    steady: float = 1 * s  # time for which the pressure has to be settled or vented [s]
+    slack_force: Force = 1 * N  # highest mean force of a slack muscle, for the zero error of a sensor
 
     def __post_init__(self) -> None:
         if not 1 <= self.rate * self.cycle:

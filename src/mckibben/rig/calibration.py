@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from mckibben.config.document import read_json
 from mckibben.errors import McKibbenError, Problem, RangeError, RigError, ScenarioError, quoted
 from mckibben.rig.backend import AnalogChannel
+from mckibben.rig.protocol import refuse_problems
 from mckibben.units import percent
 
 _NUMBERS = ("gain", "offset", "tare", "low", "high")
@@ -21,61 +22,22 @@ _NUMBERS = ("gain", "offset", "tare", "low", "high")
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    r"""Linear calibration of a channel, from volts to a quantity in SI.
+    """Linear calibration of a channel: x = gain (U - offset) - tare, in SI; valves are set by the inverse."""
 
-    .. math:: x = g\,(U - U_0) - x_0
-
-    Inputs are read by it; outputs (valves) are set by its inverse.
-
-    Parameters
-    ----------
-    name
-        Name of the channel: "force", "pressure", "valve", "angle" ...
-    unit
-        Unit of the quantity, SI: "N", "Pa", "rad".
-    gain
-        g, in the unit per volt; negative for a sensor wired in reverse.
-    offset
-        U0 [V].
-    tare
-        x0, in the unit: the reading of the unloaded sensor, see `tared`.
-    low, high
-        Span of the sensor, in the unit.
-    margin
-        Share of the span [-] by which a reading may leave it before the sensor counts as `lost`: 2 %.
-    made, by, method
-        Date, author and method, as text.
-    known, volts_read
-        Data that it was fitted to, in the unit and in volts; empty for values of a data sheet.
-    residual
-        Largest residual of the fit, in the unit.
-
-    Raises
-    ------
-    RangeError
-        If a number is not finite, or the span is empty.
-
-    Examples
-    --------
-    >>> force = Calibration(name="force", unit="N", gain=200.0, low=-2000.0, high=2000.0)
-    >>> force.si([0.0, 1.5]), float(force.volts(630.0))
-    (array([  0., 300.]), 3.15)
-    """
-
-    name: str
-    unit: str
-    gain: float
-    offset: float = 0.0
-    tare: float = 0.0
-    low: float
+    name: str  # of the channel: "force", "pressure", "valve", "angle" ...
+    unit: str  # SI: "N", "Pa", "rad"
+    gain: float  # unit per volt; negative for a sensor wired in reverse
+    offset: float = 0.0  # [V]
+    tare: float = 0.0  # reading of the unloaded sensor, see `tared`
+    low: float  # span of the sensor
     high: float
-    margin: float = 2 * percent
+    margin: float = 2 * percent  # share of the span by which a reading may leave it before the sensor counts as `lost`
     made: str = ""
     by: str = ""
     method: str = ""
-    known: tuple[float, ...] = ()
+    known: tuple[float, ...] = ()  # data that it was fitted to
     volts_read: tuple[float, ...] = ()
-    residual: float = 0.0
+    residual: float = 0.0  # largest residual of the fit
 
     _texts: ClassVar[tuple[str, ...]] = ("name", "unit", "made", "by", "method")
 
@@ -104,11 +66,7 @@ class Calibration:
         return (np.asarray(si, np.float64) + self.tare) / self.gain + self.offset
 
     def lost(self, volts: ArrayLike, channel: AnalogChannel | None = None) -> NDArray[np.bool_]:
-        """Whether no working sensor gives these volts [V]; any shape.
-
-        They are outside the span by more than the margin, at an end of the converter's range, or not a number. A tare
-        does not move the span.
-        """
+        """Whether volts [V] are outside the working range, which a tare does not move, or NaN; any shape."""
         volts = np.asarray(volts, np.float64)
         lowest, highest = self.working_volts(channel)
         return ~((volts >= lowest) & (volts <= highest))
@@ -128,10 +86,7 @@ class Calibration:
         return max(low, math.nextafter(channel.low, math.inf)), min(high, math.nextafter(channel.high, -math.inf))
 
     def check(self, low: float, high: float, channel: AnalogChannel | None = None) -> list[Problem]:
-        """Violations of measuring (or setting) values from low to high, in the unit.
-
-        They have to be within the span, and within the range of the converter, if it is given.
-        """
+        """Violations of span and converter range by values from low to high, in the unit."""
         problems: list[Problem] = []
         if low < self.low or high > self.high:
             problems.append(
@@ -155,13 +110,7 @@ class Calibration:
         return problems
 
     def tared(self, volts: ArrayLike) -> Calibration:
-        """Return the calibration that reads 0 at the mean of these volts [V] of the unloaded sensor.
-
-        Raises
-        ------
-        RigError
-            If the sensor is lost, or the tare exceeds a tenth of its span: then it is not unloaded.
-        """
+        """Calibration that reads 0 at these volts of the unloaded sensor; `RigError` beyond a tenth of the span."""
         readings = np.asarray(volts, np.float64)
         if not readings.size or self.lost(readings).any():
             raise RigError(f"no {self.name} to tare: the sensor is lost", remedy="check its wiring and its supply")
@@ -185,13 +134,7 @@ class Calibration:
 
     @classmethod
     def from_json(cls, form: Mapping[str, Any]) -> Calibration:
-        """Calibration from a JSON object.
-
-        Raises
-        ------
-        RangeError
-            If fields are missing, unknown, or of a wrong type; all of them at once.
-        """
+        """Calibration from a JSON object; `RangeError` with all fields that are missing, unknown or wrong."""
         lists, numbers = ("known", "volts_read"), (*_NUMBERS, "margin", "residual")
         needed = ("name", "unit", "gain", "low", "high")
         problems = [Problem("missing", field=field) for field in needed if field not in form]
@@ -207,9 +150,7 @@ class Calibration:
                 continue
             if not right:
                 problems.append(Problem(f"{quoted(value)} has no meaning", field=field))
-        if problems:
-            name = form.get("name", "a channel")
-            raise RangeError("\n  ".join([f"calibration of {name}: {len(problems)} problem(s)", *map(str, problems)]))
+        refuse_problems(f"calibration of {form.get('name', 'a channel')}", problems)
         values: dict[str, Any] = dict(form)
         values |= {field: float(values[field]) for field in numbers if field in values}
         values |= {field: tuple(map(float, values[field])) for field in lists if field in values}
@@ -226,40 +167,10 @@ def calibrate(
     high: float,
     made: str = "",
     by: str = "",
-    coverage: float = 60 * percent,
-    tolerance: float = 1 * percent,
+    coverage: float = 60 * percent,  # share of the span that the known values cover, of the smaller side of two signs
+    tolerance: float = 1 * percent,  # highest residual, as a share of the range of the known values
 ) -> Calibration:
-    """Least-squares calibration line through readings [V] at known values.
-
-    With more than two points the largest residual is stored and checked.
-
-    Parameters
-    ----------
-    name, unit
-        Name of the channel, unit of the known values.
-    volts, known
-        Readings [V] and known values, in the unit; shape (points,).
-    low, high
-        Span of the sensor, in the unit.
-    made, by
-        Date and author, as text.
-    coverage
-        Share of the span [-] that the known values have to cover, of the smaller side where the span has two signs:
-        60 %.
-    tolerance
-        Highest residual, as a share [-] of the range of the known values: 1 %.
-
-    Raises
-    ------
-    RigError
-        If there are fewer than two different points, the span is not covered, or the residual is too large.
-
-    Examples
-    --------
-    >>> made = calibrate("force", "N", volts=[0.02, 1.02, 3.02], known=[0, 200, 600], low=0, high=800)
-    >>> round(made.gain, 6), round(made.offset, 6), round(made.residual, 6)
-    (200.0, 0.02, 0.0)
-    """
+    """Least-squares calibration through readings [V] at known values, both of shape (points,)."""
     read, there = np.asarray(volts, np.float64), np.asarray(known, np.float64)
     if read.shape != there.shape or read.ndim != 1 or not np.isfinite([read, there]).all():
         raise RigError(f"{name}: {read.size} readings for {there.size} known values", remedy="give one for each")
@@ -307,14 +218,8 @@ def calibrate(
     )
 
 
-def content_of(path: Path, remedy: str) -> Mapping[str, Any]:
-    """Content of a file of calibrations, by the names of the channels; `remedy` is that of the error.
-
-    Raises
-    ------
-    ScenarioError
-        If it cannot be read, or is not a JSON object.
-    """
+def read_calibrations(path: Path, needed: Iterable[str], remedy: str) -> tuple[dict[str, Calibration], list[Problem]]:
+    """Calibrations of a JSON file by channel, and the problems of others; `remedy` is for those that are missing."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
@@ -322,13 +227,8 @@ def content_of(path: Path, remedy: str) -> Mapping[str, Any]:
     content = read_json(text, str(path))
     if not isinstance(content, dict):
         raise ScenarioError(str(path), [Problem("is no mapping of calibrations", remedy=remedy)])
-    return content
-
-
-def calibrations_in(content: Mapping[str, Any]) -> tuple[dict[str, Calibration], list[Problem]]:
-    """Calibrations that can be read, and the problems of the others."""
     found: dict[str, Calibration] = {}
-    problems: list[Problem] = []
+    problems = [Problem("is missing", field=name, remedy=remedy) for name in needed if name not in content]
     for name, form in content.items():
         try:
             found[name] = Calibration.from_json(form)

@@ -20,23 +20,7 @@ _HOLDING = 20.0  # s until a force is reached
 
 
 class DryRun(StepInterpreter):
-    """Dry run of a test.
-
-    Attributes
-    ----------
-    duration
-        [s]; upper bound where a step ends by a measurement.
-    plateaus
-        Number of points of the data; an upper bound in the same way.
-    samples, pulses, rows
-        Samples of the points; pulses of the motor, either direction; rows of the record.
-    at_most
-        Whether these are upper bounds.
-    pressure, contraction, force
-        Lowest and highest [Pa], [-]; highest by the law [N], 0 without a law.
-    problems
-        All violations; the field is the place of the step, such as ``[2].repeat.steps[0].move.to``.
-    """
+    """Dry run of a test: upper bounds where a step ends by a measurement (`at_most`), and all violations."""
 
     def __init__(self, bench: Bench) -> None:
         super().__init__(bench)
@@ -250,19 +234,7 @@ _KEYS = {Move: "move", Pressurise: "pressurise", HoldForce: "hold_force", Acquir
 def dry_run(
     steps: Sequence[Step], bench: Bench, inputs: Sequence[AnalogChannel] = (), *, patience: float = math.inf
 ) -> DryRun:
-    """Go through the steps of a test without a rig.
-
-    Parameters
-    ----------
-    steps
-        Of the test.
-    bench
-        Its limits, motor, valve and sensors are checked against the steps.
-    inputs
-        Channels of the backend, if known, whose ranges are checked against the limits.
-    patience
-        Timeout of the backend's watchdog [s]: two cycles have to fit into it.
-    """
+    """Dry run of steps: bench and inputs are checked, and two cycles against the watchdog's `patience` [s]."""
     found = DryRun(bench)
     found.run(steps, inputs, patience)
     return found

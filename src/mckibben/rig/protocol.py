@@ -31,15 +31,7 @@ from mckibben.units import (
 
 
 class Boundaries(NamedTuple):
-    """Stroke at each pressure of a protocol.
-
-    Attributes
-    ----------
-    pressure
-        Set pressures [Pa] in the order of the protocol, shape (pressures,).
-    contraction_min, contraction_max
-        Contraction of the most stretched and of the shortest plateau [-], shape (pressures,).
-    """
+    """Set pressures [Pa], and contractions [-] of the most stretched and the shortest plateau; shape (pressures,)."""
 
     pressure: NDArray[np.float64]
     contraction_min: NDArray[np.float64]
@@ -49,14 +41,11 @@ class Boundaries(NamedTuple):
 def boundaries(of: Muscle | Specimen, protocol: IsobaricProtocol) -> Boundaries:
     """Stroke at each pressure: "determining the boundary values" of the paper's procedure.
 
-    The whole stroke, limited at both ends:
+    The whole stroke (all there is for a specimen without a law), limited at both ends:
 
-    - Stretched end: no plateau at which the law's force at the set pressure exceeds the rated force less the
-      protocol's reserve (Eq. 3 gives 895 N at -3 % and 6 bar; the rating is 630 N).
-    - Slack end: `slack_steps` plateaus beyond the last taut one. They show the onset of slack and the zero
-      of the force sensor.
-
-    A specimen without a law has the whole stroke at every pressure.
+    - Stretched end: no plateau at which the law's force exceeds the rated force less the protocol's reserve (Eq. 3
+      gives 895 N at -3 % and 6 bar; the rating is 630 N).
+    - Slack end: `slack_steps` plateaus beyond the last taut one, which show the zero of the force sensor.
 
     Raises
     ------
@@ -115,30 +104,14 @@ PAPER_PRESSURES = tuple(0.5 * level * bar for level in range(13))
 
 
 class Plateaus(NamedTuple):
-    """Plateaus of a test in order, one row each.
+    """Plateaus of a test in order, one row each."""
 
-    Attributes
-    ----------
-    level
-        Index of the pressure in the protocol.
-    repeat
-        Number of the repeat, from 0.
-    stretching
-        Whether the plateau belongs to the loading pass.
-    contraction
-        Contraction [-].
-    travel
-        Travel from the plateau before [m], positive = stretching; 0 on the first of a pass.
-    time
-        Start of the acquisition [s] after the start of the test.
-    """
-
-    level: NDArray[np.int64]
-    repeat: NDArray[np.int64]
-    stretching: NDArray[np.bool_]
-    contraction: NDArray[np.float64]
-    travel: NDArray[np.float64]
-    time: NDArray[np.float64]
+    level: NDArray[np.int64]  # index of the pressure in the protocol
+    repeat: NDArray[np.int64]  # from 0
+    stretching: NDArray[np.bool_]  # whether the plateau belongs to the loading pass
+    contraction: NDArray[np.float64]  # [-]
+    travel: NDArray[np.float64]  # from the plateau before [m], positive = stretching; 0 on the first of a pass
+    time: NDArray[np.float64]  # start of the acquisition [s] after the start of the test
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,14 +221,7 @@ class IsobaricProtocol:
         )
 
     def check(self, of: Muscle | Specimen) -> None:
-        """Check that the test suits the muscle or specimen.
-
-        Raises
-        ------
-        RangeError
-            It lists the pressures outside the rating and the ends of the stroke outside the range, and what
-            to do.
-        """
+        """Raise `RangeError` with pressures outside the rating and ends of the stroke outside the range of a muscle."""
         name, domain = specimen_of(of).name, of.domain
         low, high = float(domain.pressure_min), float(domain.pressure_max)
         problems: list[Problem] = []
@@ -295,13 +261,7 @@ class IsobaricProtocol:
         refuse_problems(f"the isobaric protocol does not suit {name}", problems)
 
     def plateaus(self, of: Muscle | Specimen) -> Plateaus:
-        """Plateaus in order, within the `boundaries`.
-
-        Raises
-        ------
-        RangeError
-            As `check` and `boundaries` do.
-        """
+        """Plateaus in order, within the `boundaries`."""
         limits, stroke = boundaries(of, self), positions(of, self)
         passes: list[tuple[NDArray[np.float64], int, int, bool]] = []
         for level, (_, low, high) in enumerate(zip(*limits, strict=True)):
@@ -323,16 +283,7 @@ class IsobaricProtocol:
         )
 
     def describe(self, of: Muscle | Specimen) -> str:
-        """Text of plateaus, samples and duration.
-
-        A specimen without a law has the whole stroke at every pressure. The duration is without the time to adjust the
-        device and to set the pressures.
-
-        Raises
-        ------
-        RangeError
-            As `check` and `boundaries` do.
-        """
+        """Text of plateaus, samples and duration, which is without adjusting the device and setting the pressures."""
         rows, limits = self.plateaus(of), boundaries(of, self)
         duration = round(float(rows.time[-1]) + self.acquisition)
         passes = np.bincount(rows.level) // (2 * self.repeats)
@@ -361,18 +312,10 @@ def refuse_problems(what: str, problems: Sequence[Problem]) -> None:
 
 
 def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> IsobaricDataset:
-    """Points of a dataset at least a travel away from both ends of their stroke, in both directions.
+    """Points of a dataset at least a travel [m] away from both ends of their stroke, in both directions.
 
-    Friction adds to the force in one direction and reduces it in the other, so that a law fitted to both lies between
-    them. Just after a reversal the friction still has its sign from before, which biases the fit; the points of the
-    other direction are left out too, for balance.
-
-    Parameters
-    ----------
-    dataset
-        Its points need a direction, and its specimen an initial length.
-    travel
-        Least distance from the reversals [m].
+    A law fitted to both directions lies between their frictions. Just after a reversal the friction still has its sign
+    from before, which biases the fit; the points of the other direction are left out too, for balance.
 
     Raises
     ------

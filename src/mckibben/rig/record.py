@@ -24,15 +24,7 @@ SAMPLES, EVENT = b"S", b"E"
 
 
 class Column(NamedTuple):
-    """One quantity of a record.
-
-    Attributes
-    ----------
-    name, unit
-        "force", "V" ...
-    dtype
-        A number type of NumPy by name, stored little-endian.
-    """
+    """One quantity of a record: name, unit, and NumPy type, stored little-endian."""
 
     name: str
     unit: str
@@ -52,12 +44,7 @@ def pack_rows(columns: Sequence[Column], arrays: Sequence[np.ndarray]) -> bytes:
 
 
 def unpack_rows(columns: Sequence[Column], payload: bytes) -> dict[str, np.ndarray]:
-    """The columns of a payload of samples, read-only.
-
-    >>> columns = [Column("time", "s"), Column("count", "1", "int32")]
-    >>> unpack_rows(columns, pack_rows(columns, [np.array([0.5, 1.5]), np.array([3, 4])]))["count"]
-    array([3, 4], dtype=int32)
-    """
+    """The columns of a payload of samples, read-only."""
     row = sum(column.stored.itemsize for column in columns)
     count, at = len(payload) // row, 0
     found: dict[str, np.ndarray] = {}
@@ -68,13 +55,7 @@ def unpack_rows(columns: Sequence[Column], payload: bytes) -> dict[str, np.ndarr
 
 
 def read_header(path: Path) -> tuple[dict[str, Any], list[Column]]:
-    """Header of a recording's file, and its columns.
-
-    Raises
-    ------
-    DatasetError
-        If the file is no recording, or one of another version.
-    """
+    """Content of a segment's header and its columns; `DatasetError` if the file is no record of this version."""
     content = JournalReader(path).header()
     if content is None or "columns" not in content:
         raise DatasetError(str(path), [Problem("is no record of a rig", remedy="give the folder of `rig run --out`")])
@@ -85,17 +66,7 @@ def read_header(path: Path) -> tuple[dict[str, Any], list[Column]]:
 
 
 class Event(NamedTuple):
-    """Something that happened.
-
-    Attributes
-    ----------
-    kind, text
-        In one word, and in words.
-    row
-        How many rows of the record came before.
-    data
-        What belongs to it.
-    """
+    """An event: its kind in a word, its text, the number of rows before it, and its data."""
 
     kind: str
     text: str
@@ -112,21 +83,9 @@ class Rows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RigRecord:
-    """A record in memory.
+    """A record in memory: units and columns by name, and events in order."""
 
-    Attributes
-    ----------
-    header
-        As the first recorder was given it.
-    units
-        Of the columns, by name.
-    columns
-        Of each name an array of all rows.
-    events
-        In their order.
-    """
-
-    header: dict[str, Any]
+    header: dict[str, Any]  # of the first segment
     units: dict[str, str]
     columns: dict[str, np.ndarray]
     events: tuple[Event, ...]
@@ -136,13 +95,7 @@ class RigRecord:
 
 
 def read_record(folder: str | os.PathLike[str]) -> RigRecord:
-    """Read a record; what a process that died left of its last chunk is passed over.
-
-    Raises
-    ------
-    DatasetError
-        If there is none, or rows are missing from the middle of it.
-    """
+    """Read a record without an incomplete end; `DatasetError` if there is none, or rows are missing."""
     header, columns = header_of(folder)
     rows: list[dict[str, np.ndarray]] = []
     events: list[Event] = []
@@ -160,13 +113,7 @@ def read_record(folder: str | os.PathLike[str]) -> RigRecord:
 
 
 def header_of(folder: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Column]]:
-    """The header of a record and its columns.
-
-    Raises
-    ------
-    DatasetError
-        If there is none.
-    """
+    """The header of a record and its columns; `DatasetError` if there is none."""
     there = segments(Path(folder))
     if not there:
         raise DatasetError(
@@ -177,18 +124,7 @@ def header_of(folder: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Colu
 
 
 def passages(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
-    """Rows and events of a record in order, one journal record at a time.
-
-    Raises
-    ------
-    DatasetError
-        If there is no record, or rows are missing from the middle of it though nothing is damaged.
-
-    Warns
-    -----
-    McKibbenWarning
-        Of rows lost in damaged parts of a file, which are skipped.
-    """
+    """Rows and events of a record in order; warns of rows lost in damaged parts, raises of other gaps."""
     expected, damaged = 0, False
     for path in segments(Path(folder)):
         _, columns = read_header(path)
@@ -233,47 +169,23 @@ POINT, PLACE = "point", "place"
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """A plateau that was recorded whole.
+    """A plateau that was recorded whole."""
 
-    Attributes
-    ----------
-    number
-        Of all plateaus of the test, from 0.
-    first, rows
-        Which rows of the record are between its first and its last sample.
-    every
-        Of these each so manyth is a sample of the point: the card may sample faster than the protocol asks.
-    samples
-        Of the point.
-    time
-        Of the first sample, by the record's clock [s].
-    pulses
-        Where the motor stood, from where the muscle was mounted.
-    contraction, force, pressure
-        [-], and means [N], [Pa].
-    set_pressure
-        [Pa].
-    direction, phase, repeat
-        As in a dataset; the repeat is the number of the innermost one around it.
-    keep
-        Whether it is a point of the data.
-    """
-
-    number: int
-    first: int
-    rows: int
-    every: int
+    number: int  # of all plateaus of the test, from 0
+    first: int  # row of its first sample
+    rows: int  # from its first to its last sample
+    every: int  # of these every such row is a sample: the card may be faster than the protocol asks
     samples: int
-    time: float
-    pulses: int
+    time: float  # of the first sample, by the clock of the record [s]
+    pulses: int  # of the motor, from where the muscle was mounted
     contraction: float
-    force: float
-    pressure: float
-    set_pressure: float
+    force: float  # mean [N]
+    pressure: float  # mean [Pa]
+    set_pressure: float  # [Pa]
     direction: str
     phase: str
-    repeat: int
-    keep: bool
+    repeat: int  # number of the innermost one
+    keep: bool  # whether it is a point of the dataset
 
     def to_json(self) -> dict[str, Any]:
         """As the data of an event."""
@@ -296,36 +208,12 @@ def points(events: Iterable[Event]) -> list[Point]:
 
 
 def recorded_points(folder: str | os.PathLike[str]) -> list[Point]:
-    """The points of a record, in the order of their numbers, each once.
-
-    Raises
-    ------
-    DatasetError
-        As `passages` does.
-    """
+    """The points of a record, in the order of their numbers, each once."""
     return points(one for one in passages(folder) if isinstance(one, Event))
 
 
 def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") -> IsobaricDataset:
-    """The dataset of a record: one row a point, with its samples.
-
-    It takes the memory of the dataset, and of a chunk. The samples are float32, as they were recorded; where points
-    have different numbers of them the dataset has none, and its means are those of all.
-
-    Parameters
-    ----------
-    folder
-        Of the record.
-    bench
-        Whose calibrations turn volts into forces and pressures.
-    source
-        What the dataset says of itself.
-
-    Raises
-    ------
-    DatasetError
-        If the record cannot be read, has no points, or rows that a point needs are not there.
-    """
+    """The dataset of a record: one row a point, with its float32 samples where all points have as many."""
     kept = [point for point in recorded_points(folder) if point.keep]
     if not kept:
         raise DatasetError(str(folder), [Problem("holds no point yet", remedy="resume it")])

@@ -28,34 +28,7 @@ _RESERVE_NAME = "reserve"
 
 
 class Recorder:
-    """Appends samples and events to a record; a thread of its own writes them.
-
-    `append` and `event` take microseconds and never wait for the disk, unless it is a megabyte behind. What they took
-    is on the disk (``fsync``) a `PERIOD` later, or when `flush` returns. Samples and events keep their order.
-
-    Each process that records into a folder writes a file of its own, which holds the header and only ever grows:
-    nothing that was written is touched again.
-
-    Use `create` or `resume`. As a context manager it closes itself.
-
-    Raises
-    ------
-    RigError
-        From `append`, `event`, `flush` and `close`, if something could not be written: the disk is full, or gone. When
-        the disk fills up, what was appended until then still finds room that was kept for it, and the reason as well.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from mckibben.rig.record import read_record
-    >>> with tempfile.TemporaryDirectory() as name:
-    ...     with Recorder.create(name, {"specimen": "none"}, [Column("time", "s"), Column("force", "N")]) as recorder:
-    ...         recorder.append({"time": [0.0, 0.1], "force": [1.0, 2.0]})
-    ...         recorder.event("stopped", "that was all")
-    ...     record = read_record(name)
-    >>> record.columns["force"], record.events[0].text, record.events[0].row
-    (array([1., 2.]), 'that was all', 2)
-    """
+    """Appends samples and events to a record; a thread writes and syncs them, into a reserve if the disk is full."""
 
     def __init__(self, path: Path, header: Mapping[str, Any], columns: Sequence[Column], first: int) -> None:
         self.path = path
@@ -88,22 +61,7 @@ class Recorder:
 
     @classmethod
     def create(cls, folder: str | os.PathLike[str], header: Mapping[str, Any], columns: Sequence[Column]) -> Self:
-        """Begin a record in a folder, which is made if need be.
-
-        Parameters
-        ----------
-        folder
-            It may hold other things, but no record.
-        header
-            What belongs to the record and goes into JSON: protocol, specimen, calibration, versions ...
-        columns
-            The quantities of a row, all names different.
-
-        Raises
-        ------
-        FileError
-            If there is a record already, or the folder cannot be written to.
-        """
+        """Begin a record in a folder, made if need be; `FileError` if there is one, or it cannot be written."""
         folder = make_folder(folder)
         if segments(folder):
             remedy = "resume it, or choose another folder"
@@ -112,13 +70,7 @@ class Recorder:
 
     @classmethod
     def resume(cls, folder: str | os.PathLike[str], header: Mapping[str, Any], columns: Sequence[Column]) -> Self:
-        """Go on with a record, in a file of its own.
-
-        Raises
-        ------
-        FileError
-            If there is no record, one with other columns, or the folder cannot be written to.
-        """
+        """Continue a record in a file of its own; `FileError` if there is none, or one of other columns."""
         folder = Path(folder)
         there = segments(folder)
         if not there:
@@ -156,17 +108,7 @@ class Recorder:
             self._rows += count
 
     def event(self, kind: str, text: str = "", /, **data: Any) -> None:
-        """Note that something happened, between the rows before and after it.
-
-        Parameters
-        ----------
-        kind
-            In one word, for programs.
-        text
-            In words, for people.
-        data
-            Numbers and texts that go into JSON.
-        """
+        """Record an event between the rows before and after it: a kind (one word), a text, data for JSON."""
         content = {"kind": kind, "text": text, "data": data}
         with self._change:
             chunk = pack_json(EVENT, self._rows, content)

@@ -30,13 +30,7 @@ def columns_of(inputs: Sequence[str]) -> tuple[Column, ...]:
 
 
 class StepInterpreter(abc.ABC):
-    """Iteration over the steps of a test: the same on a rig (`Runner`) and in a dry run (`DryRun`).
-
-    Attributes
-    ----------
-    position
-        Set position of the motor [pulses], from where the muscle was mounted.
-    """
+    """Iteration over the steps of a test: the same on a rig (`Runner`) and in a dry run (`DryRun`)."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -115,17 +109,13 @@ class StepInterpreter(abc.ABC):
 
 @dataclass
 class _Target:
-    """State that the steps have asked for; on resuming it is reached before the first missing point.
+    """State that the steps have asked for, reached from the same side before the first missing point on resuming."""
 
-    `turn` is the start of the present motion, `before` that of the one before, and `via` the pressure before the set
-    one, so that a resumed test comes from the same side. `pressed` is the position at which the pressure was set.
-    """
-
-    pressed: int = 0
-    turn: int = 0
-    before: int = 0
+    pressed: int = 0  # position at which the pressure was set
+    turn: int = 0  # start of the present motion
+    before: int = 0  # start of the one before
     pressure: float = 0.0
-    via: float = 0.0
+    via: float = 0.0  # pressure before the set one
     holding: float | None = None
     hold: HoldForce | None = None
     speed: float = 0.0
@@ -133,31 +123,7 @@ class _Target:
 
 
 class Runner(StepInterpreter):
-    """Runs steps on a rig. `run` returns when all are done, vented; otherwise it vents, records the reason and raises.
-
-    Parameters
-    ----------
-    backend
-        Opened by `run` and closed by it.
-    bench
-        The test bench.
-    recorder
-        Of the samples; it is left open.
-    done
-        Points that were recorded before, where a test is resumed: all before the first missing one. They are not
-        repeated.
-    origin
-        Position of the motor when the backend is opened [pulses], from where the muscle was mounted.
-    since
-        Time of the record at the beginning [s].
-    report
-        Callback for the progress.
-
-    Notes
-    -----
-    After a stop the venting is observed and recorded for up to 10 s, until the muscle is empty; see `RigSession` for
-    the cycle.
-    """
+    """Runs steps on a rig, vented at the end; otherwise it vents, records the reason and raises."""
 
     def __init__(
         self,
@@ -185,18 +151,7 @@ class Runner(StepInterpreter):
         self._rig.interrupt(signal, name)
 
     def run(self, steps: Sequence[Step]) -> None:
-        """Open the backend, do the steps, vent, close.
-
-        Raises
-        ------
-        RigError
-            If the backend cannot be opened.
-        SignalledError
-            If it was interrupted.
-        StoppedError
-            If it was stopped for any other reason; the cause is chained. The muscle has been vented, and the reason
-            recorded.
-        """
+        """Open the backend, do the steps, vent, close; `StoppedError` (of a signal `SignalledError`) after a stop."""
         backend = self.backend
         try:
             backend.open()

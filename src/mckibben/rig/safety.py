@@ -54,44 +54,15 @@ class SignalLimits(NamedTuple):
 
 
 class VentResult(NamedTuple):
-    """Observation of the pressures after an emergency stop.
+    """Pressures after an emergency stop; None for what was not observed."""
 
-    Attributes
-    ----------
-    pressure
-        Highest of the pressures, as last measured [Pa]; None if nothing can be measured.
-    duration
-        From the stop until all pressures were below the threshold [s]; None if that was not observed.
-    pulses
-        Position of the motor at rest [pulses since it was opened]; None if it moved, or is not known.
-    """
-
-    pressure: float | None = None
-    duration: float | None = None
-    pulses: int | None = None
+    pressure: float | None = None  # highest, as last measured [Pa]
+    duration: float | None = None  # until all were below the threshold [s]
+    pulses: int | None = None  # position of the motor at rest, since it was opened
 
 
 class SafetyMonitor:
-    """Checks every sample, sends the heartbeat while all is well, and vents when it is not.
-
-    Parameters
-    ----------
-    backend
-        The rig.
-    signals
-        Limits of its inputs.
-    maximum_age
-        Highest age of the newest sample, and longest time without one [s].
-    frozen
-        Longest time for which a sensor may read the same volts [s].
-    window
-        Number of samples (or blocks) in each of the two windows between which rates of change are taken.
-
-    Raises
-    ------
-    StoppedError
-        From `check`: with the limit that was exceeded.
-    """
+    """Checks every sample, sends the heartbeat while all is well, and vents when it is not."""
 
     def __init__(
         self,
@@ -124,17 +95,7 @@ class SafetyMonitor:
         means: Sequence[float],
         clock: float | None,
     ) -> list[float]:
-        """Return the means of the signals in SI units, if no limit is exceeded.
-
-        Parameters
-        ----------
-        first, last
-            Times of the first and the last sample [s].
-        lowest, highest, means
-            Volts of all inputs over these samples; all three the same for a single sample.
-        clock
-            Of the backend after reading [s]; None for a sample that is known not to be the newest.
-        """
+        """Means in SI of samples from `first` to `last` [s], of which the volts are given; raises beyond a limit."""
         values = []
         for name, column, gain, zero, low, high, unit, lower, upper, _ in self.signals:
             least, most = lowest[column], highest[column]
@@ -186,23 +147,7 @@ class SafetyMonitor:
     def observe_venting(
         self, record: Callable[[Block], object], *, threshold: float, duration: float, samples: int, timeout: float
     ) -> VentResult:
-        """Read on after `stop` until all pressures are below a threshold.
-
-        Samples that were taken before the stop are recorded and not counted: they waited while the host was away.
-
-        Parameters
-        ----------
-        record
-            Called with each block.
-        threshold
-            [Pa].
-        duration
-            Longest observation [s].
-        samples
-            Samples read at once.
-        timeout
-            Of each read [s].
-        """
+        """Read and record after `stop` until all pressures are below a threshold [Pa], by samples taken after it."""
         backend, rate, found = self.backend, self.backend.rate, VentResult()
         pressures = [one for one in self.signals if one.name.startswith("pressure")]
         try:
@@ -323,24 +268,7 @@ class BlockMeans(NamedTuple):
 
 
 class RigMonitor(SafetyMonitor):
-    """Safety monitor of a test rig: also the travel of the motor, and the settling of the set pressure.
-
-    Parameters
-    ----------
-    backend, limits
-        The rig and its limits.
-    calibrations
-        Of the inputs "force" and "pressure" at least.
-    pulses_per_metre
-        Of the motor [1/m].
-    origin
-        Position of the motor when the backend was opened [pulses], from where the muscle was mounted.
-
-    Attributes
-    ----------
-    sums
-        Sums of the volts of each input over the block that was checked last.
-    """
+    """Safety monitor of a test rig: also the travel of the motor, and the settling of the set pressure."""
 
     def __init__(
         self,
@@ -393,13 +321,7 @@ class RigMonitor(SafetyMonitor):
             self._rates_from = time + self.limits.settling
 
     def check_block(self, block: Block, clock: float) -> BlockMeans:
-        """Means of a block, if no limit is exceeded; `clock` is that of the backend after reading [s].
-
-        Raises
-        ------
-        StoppedError
-            With the limit that was exceeded.
-        """
+        """Means of a block, if no limit is exceeded; `clock` is that of the backend after reading [s]."""
         columns = np.ascontiguousarray(block.volts.T)  # NumPy is several times as quick along the last axis
         self.sums = columns.sum(axis=1)
         pulses = block.pulses[[0, -1]]
@@ -427,17 +349,7 @@ class RigMonitor(SafetyMonitor):
 
 
 class JointMonitor(SafetyMonitor):
-    """Safety monitor of a joint rig: also the deviation of the pressures from their commands.
-
-    Parameters
-    ----------
-    backend, limits
-        The rig and its limits.
-    sensors
-        Calibrations of "angle", "pressure1" and "pressure2".
-    period
-        The control period [s].
-    """
+    """Safety monitor of a joint rig: also the deviation of the pressures from their commands."""
 
     def __init__(self, backend: Backend, limits: JointLimits, sensors: Sequence[Calibration], period: float) -> None:
         angle, *pressures = sensors
@@ -457,24 +369,7 @@ class JointMonitor(SafetyMonitor):
     def check_sample(
         self, time: float, volts: Sequence[float], commands: Sequence[float] | None, clock: float | None
     ) -> None:
-        """Check one sample.
-
-        Parameters
-        ----------
-        time
-            [s].
-        volts
-            Of all inputs.
-        commands
-            Pressures commanded until then [Pa]; None if there were none.
-        clock
-            Of the backend after reading [s]; None for a sample that is not the newest.
-
-        Raises
-        ------
-        StoppedError
-            With the limit that was exceeded.
-        """
+        """Check the volts of one sample [s] against limits and the commands until then [Pa]."""
         values = self.check(time, time, volts, volts, volts, clock)
         if commands is None:
             return

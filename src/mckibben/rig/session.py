@@ -49,31 +49,7 @@ class PlateauSamples(NamedTuple):
 
 
 class RigSession:
-    """One session of a test on a rig.
-
-    Parameters
-    ----------
-    backend, bench, recorder
-        The rig, the test bench, and the recorder of the samples.
-    origin
-        Position of the motor when the backend is opened [pulses], from where the muscle was mounted.
-    since
-        Time of the record at the beginning [s].
-    report
-        Callback for the progress.
-
-    Attributes
-    ----------
-    pulses
-        Position of the motor, from where the muscle was mounted.
-    monitor
-        The safety monitor.
-
-    Notes
-    -----
-    A cycle reads a block, checks it, sends the heartbeat and records the block. If samples do not come, a limit is
-    exceeded or a signal was received, the next call of the backend is `vent`.
-    """
+    """One session of a test: each cycle reads a block, checks it, sends the heartbeat and records the block."""
 
     def __init__(
         self,

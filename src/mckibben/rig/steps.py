@@ -41,15 +41,7 @@ SPEED = 0.2 * mm / s
 
 @dataclass(frozen=True, kw_only=True)
 class Move:
-    """Move of the motor.
-
-    Parameters
-    ----------
-    to
-        Target contraction [-].
-    speed
-        [m/s].
-    """
+    """Move of the motor to a contraction."""
 
     to: Contraction
     speed: Speed = SPEED
@@ -78,21 +70,11 @@ class Dwell:
 
 @dataclass(frozen=True, kw_only=True)
 class Pressurise:
-    """Change of the set pressure, until the muscle has it.
-
-    Parameters
-    ----------
-    pressure
-        [Pa, gauge].
-    rate
-        Rate of the set pressure [Pa/s]; a step unless given.
-    holding
-        Force [N] held meanwhile by moving, see `HoldForce`; constant length unless given.
-    """
+    """Change of the set pressure, until the muscle has it."""
 
     pressure: Pressure
-    rate: PressureRate | None = None
-    holding: Tension | None = None
+    rate: PressureRate | None = None  # of the set pressure; a step unless given
+    holding: Tension | None = None  # force held meanwhile by moving, see `HoldForce`; constant length unless given
 
     def __post_init__(self) -> None:
         _refuse(
@@ -111,24 +93,12 @@ class Pressurise:
 
 @dataclass(frozen=True, kw_only=True)
 class HoldForce:
-    """Move until the muscle has a force, by feedback of the force.
-
-    Parameters
-    ----------
-    force
-        [N].
-    tolerance
-        Tolerance of the mean over a cycle [N].
-    speed
-        Highest speed [m/s].
-    longest
-        Timeout [s], after which the test is stopped.
-    """
+    """Move until the muscle has a force, by feedback of the force."""
 
     force: Tension
-    tolerance: Tension = 2 * N
-    speed: Speed = SPEED
-    longest: Duration = 300 * s
+    tolerance: Tension = 2 * N  # of the mean over a cycle
+    speed: Speed = SPEED  # highest
+    longest: Duration = 300 * s  # timeout, after which the test is stopped
 
     def __post_init__(self) -> None:
         _refuse(
@@ -146,25 +116,13 @@ class HoldForce:
 
 @dataclass(frozen=True, kw_only=True)
 class Acquire:
-    """Acquire a point: the samples of a plateau.
-
-    Parameters
-    ----------
-    samples, duration
-        Number of samples, and their duration [s]: 1000 in 1 s.
-    direction
-        "loading" or "unloading", if the point belongs to a pass.
-    phase
-        "filling" or "venting", if it belongs to a change of pressure.
-    keep
-        Whether it is a point of the dataset; a point that only finds a boundary is not.
-    """
+    """Acquisition of a point: the samples of a plateau."""
 
     samples: Samples = 1000
     duration: Duration = 1 * s
     direction: Literal["", "loading", "unloading"] = ""
     phase: Phase = ""
-    keep: bool = True
+    keep: bool = True  # whether it is a point of the dataset, not one that only finds a boundary
 
     def __post_init__(self) -> None:
         _refuse(
@@ -182,31 +140,15 @@ class Acquire:
 
 @dataclass(frozen=True, kw_only=True)
 class Walk:
-    """Pass from plateau to plateau: acquire a point, then repeatedly move a step, wait, and acquire.
+    """Pass from plateau to plateau: acquire a point, then repeatedly move a step, wait, and acquire."""
 
-    Parameters
-    ----------
-    to
-        Contraction [-] at the end; None for the start of the walk before.
-    step
-        Travel between two plateaus [m].
-    speed, dwell
-        Speed of each move [m/s], and the wait after it [s].
-    acquire
-        Samples of each plateau.
-    force
-        It ends before a step that is predicted to take the force above this [N].
-    slack, slack_force
-        It ends this number of plateaus after the last one with a force above `slack_force` [N].
-    """
-
-    to: Contraction | None
+    to: Contraction | None  # None: the start of the walk before
     step: Travel = 1 * mm
     speed: Speed = SPEED
     dwell: WaitTime = 5 * s
     acquire: Acquire = field(default_factory=Acquire)
-    force: Tension | None = None
-    slack: Repeats | None = None
+    force: Tension | None = None  # ends before a step that is predicted to exceed it
+    slack: Repeats | None = None  # ends this number of plateaus after the last one above `slack_force`
     slack_force: Force = 1 * N
 
     def __post_init__(self) -> None:
@@ -267,11 +209,7 @@ Step = Move | Dwell | Pressurise | HoldForce | Acquire | Walk | Vent | Repeat
 
 
 def describe_steps(steps: Sequence[Step], indent: int = 0) -> list[str]:
-    """Lines of text of steps, those of a repeat indented.
-
-    >>> describe_steps([Repeat(times=2, steps=(Dwell(duration=1.0), Vent()))])
-    ['2 times', '  wait 1 s', '  vent']
-    """
+    """Lines of text of steps, those of a repeat indented."""
     lines: list[str] = []
     for step in steps:
         lines.append("  " * indent + step.describe())
@@ -311,18 +249,7 @@ _ADJUSTED = 5 * mm  # stretch before the first plateau: after 2 mm 2 % of a loop
 
 
 def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[Step, ...]:
-    """Steps of the paper's procedure: adjust, find the boundary values, unloading test, loading test, vent.
-
-    For a muscle the boundaries follow from its law. For a specimen alone they are found during the test: at each
-    pressure the rig starts where the muscle is shortest, and stretches it step by step until the next step would take
-    the force above the rated one less the protocol's reserve; an unloading pass then ends `slack_steps` plateaus after
-    the last taut one, and the loading pass returns to its start.
-
-    Raises
-    ------
-    RangeError
-        As the protocol's `check` and `boundaries` do.
-    """
+    """Steps of the paper's procedure: adjust, find the boundary values, unloading test, loading test, vent."""
     protocol.check(of)
     unloading, loading = (
         Acquire(samples=protocol.samples, duration=protocol.acquisition, direction=direction)
@@ -346,6 +273,7 @@ def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[S
                 Repeat(times=protocol.repeats, steps=passes),
             ]
         return (*steps, Vent())
+    # without a law: from the shortest length until the next step would exceed the limit, and back until it is slack
     first, last = protocol.stroke(of)
     limit = float(of.rated_force) * (1 - protocol.force_reserve)
     found = Acquire(samples=protocol.samples, duration=protocol.acquisition, keep=False)
@@ -368,25 +296,11 @@ def _short_of(low: float, protocol: IsobaricProtocol, of: Muscle) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class IsometricProtocol:
-    """Isometric test: constant length, the pressure stepped up and down.
+    """Isometric test: constant length, the pressure stepped up and down."""
 
-    Parameters
-    ----------
-    contractions
-        Contractions [-], in order: -3, 0, 5, 10, 15, 20 % (ours).
-    pressures
-        Set pressures [Pa, gauge], ascending; vented in descending order.
-    rate
-        Rate of the set pressure [Pa/s]; steps unless given.
-    speed
-        Speed of the moves between lengths [m/s].
-    dwell, acquisition, samples, repeats
-        As in the isobaric test.
-    """
-
-    contractions: Sequence[Contraction] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))
+    contractions: Sequence[Contraction] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))  # ours
     pressures: Sequence[Pressure] = PAPER_PRESSURES
-    rate: PressureRate | None = None
+    rate: PressureRate | None = None  # of the set pressure; steps unless given
     speed: Speed = SPEED
     dwell: WaitTime = 5 * s
     acquisition: Duration = 1 * s
@@ -424,26 +338,12 @@ class IsometricProtocol:
 
 @dataclass(frozen=True, kw_only=True)
 class IsotonicProtocol:
-    """Isotonic test: constant force, the pressure stepped up and down.
+    """Isotonic test: constant force, the pressure stepped up and down."""
 
-    Parameters
-    ----------
-    forces
-        Constant forces [N], in order: 50, 100, 200 N (ours).
-    pressures
-        Set pressures [Pa, gauge], ascending: 2, 2.5, ... 6 bar (ours; 200 N takes about 2 bar).
-    rate
-        Rate of the set pressure [Pa/s]: 0.1 bar/s (ours), slow enough for the motor.
-    tolerance
-        Tolerance of the force at a point [N].
-    speed, dwell, acquisition, samples, repeats
-        As in the isobaric test.
-    """
-
-    forces: Sequence[Tension] = (50.0, 100.0, 200.0)
-    pressures: Sequence[Pressure] = tuple(0.5 * level * bar for level in range(4, 13))
-    rate: PressureRate = 0.1 * bar / s
-    tolerance: Force = 2.0
+    forces: Sequence[Tension] = (50.0, 100.0, 200.0)  # ours
+    pressures: Sequence[Pressure] = tuple(0.5 * level * bar for level in range(4, 13))  # ours; 200 N takes about 2 bar
+    rate: PressureRate = 0.1 * bar / s  # ours, slow enough for the motor
+    tolerance: Force = 2.0  # of the force at a point
     speed: Speed = SPEED
     dwell: WaitTime = 5 * s
     acquisition: Duration = 1 * s

@@ -72,23 +72,8 @@ def episode(
 ) -> tuple[PlantState, Record]:
     """Run a controller on a plant; a pure function, to be compiled, vmapped and differentiated.
 
-    Parameters
-    ----------
-    plant, controller
-        Their numeric leaves may be traced.
-    setpoints
-        At the start of each control period, arrays of shape (periods,).
-    initial
-        The plant's initial state.
-    period
-        The control period [s].
-    substeps
-        Runge-Kutta steps per control period.
-
-    Returns
-    -------
-    final, record
-        The state after the last period, and the record of shape (periods,).
+    Setpoints at the start of each control period [s] are arrays of shape (periods,). Returns the plant's state after
+    the last period, and the record of shape (periods,).
     """
 
     def next_period(state: LoopState, setpoint: Setpoint) -> tuple[LoopState, Record]:
@@ -126,31 +111,13 @@ def streaming_episode(
     period: ArrayLike,
     substeps: int,
     *,
-    change: Change | None = None,
-    split: ArrayLike | None = None,
-    keep: tuple[str, ...] = (),
-    every: int = 1,
-    checkpoint: bool = False,
+    change: Change | None = None,  # of the desired stiffness; in 32 bits setpoints may round to one number
+    split: ArrayLike | None = None,  # period from which the run without that change is computed beside
+    keep: tuple[str, ...] = (),  # names of `Trajectory`
+    every: int = 1,  # control periods between two kept values; a divisor of their number
+    checkpoint: bool = False,  # whether reverse differentiation computes each period twice instead of storing it
 ) -> Streamed:
-    """`episode` that accumulates metrics on the way: memory does not grow with the duration.
-
-    Parameters
-    ----------
-    plant, controller, setpoints, initial, period, substeps
-        As for `episode`.
-    change
-        The last change of the desired stiffness; from the setpoints unless given (in 32 bits neighbouring setpoints
-        may round to the same number).
-    split
-        The control period from which the run without that change is computed beside, for the coupling; in a batch the
-        earliest of all runs. None leaves it out: the coupling is NaN.
-    keep
-        Names of `Trajectory` to keep over time.
-    every
-        Control periods between two kept values; a divisor of their number.
-    checkpoint
-        Whether reverse differentiation computes each control period twice instead of storing it.
-    """
+    """`episode` that accumulates metrics on the way: memory does not grow with the duration."""
     periods = setpoints.angle.shape[0]
     change = last_change(setpoints.stiffness) if change is None else change
 

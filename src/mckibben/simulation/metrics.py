@@ -56,15 +56,7 @@ class Trajectory(NamedTuple):
 
 
 def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, angle_without_step: Array) -> Trajectory:
-    """The trajectory of a record; elementwise, of one control period or of all.
-
-    Parameters
-    ----------
-    plant, setpoints, record
-        As `episode` took and returned them.
-    angle_without_step
-        The angle [rad] of the run `without_last_change` of the stiffness.
-    """
+    """Trajectory of a record; elementwise, of one control period or of all."""
     state, joint = record.state, plant.joint
     torque, stiffness = compute_once(joint.torque_and_stiffness, state.angle, state.pressures)
     pressure1, pressure2 = state.pressures
@@ -194,17 +186,7 @@ def in_shown_units(metrics: Mapping[str, float]) -> dict[str, float]:
 
 
 def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETTLING_PART) -> Metrics:
-    """The metrics of a trajectory.
-
-    Parameters
-    ----------
-    moved
-        The trajectory.
-    period
-        Its control period [s].
-    settling_part
-        Half the width of the settling band, as a fraction of the step of the desired stiffness.
-    """
+    """Metrics of a trajectory with a control period [s]; `settling_part` as `SETTLING_PART`."""
     stiffness = jnp.asarray(moved.stiffness)
     change = last_change(moved.desired_stiffness)
     before = [jnp.concatenate([air[:1], air[:-1]]) for air in map(jnp.asarray, (moved.air1, moved.air2))]
@@ -219,22 +201,12 @@ compiled_measure = compiled(measure)
 
 
 class Change(NamedTuple):
-    """The last change of the desired stiffness.
+    """Last change of the desired stiffness."""
 
-    Attributes
-    ----------
-    at
-        First control period with the new setpoint; 0 if it never changes.
-    before, after
-        Setpoints right before it and at the end of the run [N*m/rad].
-    ends
-        Whether there is a change, and a time after it without one.
-    """
-
-    at: Array
-    before: Array
-    after: Array
-    ends: Array
+    at: Array  # first control period with the new setpoint; 0 if it never changes
+    before: Array  # setpoint [N*m/rad]
+    after: Array  # setpoint at the end of the run [N*m/rad]
+    ends: Array  # whether there is a change, and a time after it without one
 
 
 def last_change(desired: ArrayLike) -> Change:

@@ -56,19 +56,7 @@ def split_problem(
     initial: PlantState | AtRest | None,
     over: Mapping[str, ArrayLike],
 ) -> tuple[SimulationProblem | None, SimulationProblem, int | None]:
-    """A problem with other values at named leaves, as its leaves that vary over runs, all others, and the run count.
-
-    Where no leaf varies, the first and the last are None.
-
-    Raises
-    ------
-    SimulationError
-        If an argument is of the wrong type.
-    ParameterError
-        If there is no such leaf, or their arrays are of different lengths.
-    RangeError
-        If an object refuses a value.
-    """
+    """Problem with other values at named leaves, as its leaves that vary over runs, all others, and the run count."""
     problem = SimulationProblem(plant, controller, reference, AtRest(math.nan) if initial is None else initial)
     _check_types(problem)
     if over:  # else each object has checked its values when it was made
@@ -122,13 +110,7 @@ def float_type(precision: Any) -> Any:
 
 
 def sample_reference(reference: Reference, times: ArrayLike) -> Setpoint:
-    """Setpoints at times [s], strongly typed: weakly typed ones would compile everything anew.
-
-    Raises
-    ------
-    SimulationError
-        If a signal is a function that JAX cannot trace.
-    """
+    """Setpoints at times [s], strongly typed: weakly typed ones would compile everything anew."""
     try:
         return Setpoint(*(jnp.asarray(setpoint, float) for setpoint in reference(times)))
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
@@ -142,13 +124,7 @@ compiled_reference = compiled(sample_reference)
 
 
 def sampled(reference: Reference, duration: float, period: float) -> tuple[NDArray[np.float64], Setpoint]:
-    """Start times [s] of the control periods in a duration, and the setpoints at them.
-
-    Raises
-    ------
-    SimulationError
-        If a time is not positive, or the duration is not a multiple of the period.
-    """
+    """Start times [s] of the control periods in a duration, and the setpoints; `SimulationError` if they do not fit."""
     times = sampling_times(duration, period)
     return times, compiled_reference(reference, times)
 

@@ -53,17 +53,7 @@ OUTCOMES = tuple(Outcome)
 def outcomes(
     *, angle_max: ArrayLike, left_domain: ArrayLike, saturated: ArrayLike, started: ArrayLike = True
 ) -> NDArray[np.int8]:
-    """Index of each run's outcome in `OUTCOMES`.
-
-    Parameters
-    ----------
-    angle_max
-        The largest angle error [rad]; not finite where the run diverged.
-    left_domain, saturated
-        Whether a muscle left its domain or rating, and whether a command was at a limit.
-    started
-        Whether the initial state exists.
-    """
+    """Index of each run's outcome in `OUTCOMES`; an infinite largest angle error [rad] is divergence."""
     angle_max = np.asarray(angle_max)
     worst_first = [
         (~np.asarray(started, bool), Outcome.NO_START),
@@ -141,17 +131,7 @@ UNITS = {
 
 
 class Columns(Mapping[str, np.ndarray]):
-    """Arrays by name; some are computed when they are first asked for.
-
-    Parameters
-    ----------
-    names
-        All names, in order; repetitions are ignored.
-    known
-        Arrays by name.
-    computed
-        Functions that return further arrays by name, each with the names of these.
-    """
+    """Arrays by name; some are computed when they are first asked for."""
 
     def __init__(
         self,
@@ -185,17 +165,9 @@ class Columns(Mapping[str, np.ndarray]):
 class Result:
     """A simulated run; ``result["angle"]`` is a column as an array, ``result["time"]`` its times.
 
-    Parameters
-    ----------
-    columns
-        Arrays of shape (periods,), one value per control period, by name: the fields of `Trajectory`, the attainable
-        stiffness (``lowest_stiffness``, ``highest_stiffness``), and the controller's telemetry.
-    control_period
-        Time between two values [s].
-    outcome
-        How it ended; from the columns unless given.
-    scenario
-        Text of the scenario; may be empty.
+    Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
+    ``highest_stiffness``), and the controller's telemetry. `control_period` is the time between two values [s],
+    `scenario` the text of the scenario, or empty.
     """
 
     def __init__(
@@ -280,10 +252,7 @@ class Result:
         return f"{sentence} ({'; '.join(spans)})" if spans else sentence
 
     def to_xarray(self) -> xr.Dataset:
-        """The columns along ``time`` [s], each with ``units`` and ``long_name``.
-
-        Attributes: ``control_period`` [s], ``scenario`` and ``outcome``.
-        """
+        """Columns along ``time`` [s], with ``units`` and ``long_name``; period, scenario and outcome as attributes."""
         import xarray as xr  # 0.15 s
 
         return xr.Dataset(
@@ -303,13 +272,7 @@ class Result:
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file of `to_netcdf`.
-
-        Raises
-        ------
-        FileError
-            If the file is missing, is not NetCDF, or lacks a column.
-        """
+        """Read a file of `to_netcdf`; `FileError` if it is missing, is not NetCDF, or lacks a column."""
         import xarray as xr
 
         from mckibben.dataset.hdf5_check import check_hdf5

@@ -43,10 +43,8 @@ class Feasibility:
 
     Attributes
     ----------
-    times
-        Shape (periods,) [s].
-    desired_angle, desired_stiffness
-        The setpoints [rad], [N*m/rad].
+    times, desired_angle, desired_stiffness
+        Shape (periods,): [s], [rad], [N*m/rad].
     lowest, highest
         The attainable stiffness at the desired angle while the muscles balance gravity [N*m/rad]; NaN where no
         pressures within limits hold the angle.
@@ -101,22 +99,7 @@ class Feasibility:
 def check_reference(
     plant: JointPlant, reference: Reference, *, duration: float = 10.0, control_period: float = 1e-3
 ) -> Feasibility:
-    """Compare a reference with the attainable stiffness of a plant's joint, statically, at every control period.
-
-    Parameters
-    ----------
-    plant
-        Joint and load.
-    reference
-        The desired angle and stiffness.
-    duration, control_period
-        Of the run [s].
-
-    Raises
-    ------
-    SimulationError
-        If the times do not fit together.
-    """
+    """Compare a reference with the attainable stiffness of a plant's joint, statically, at every control period [s]."""
     times, setpoints = sampled(reference, duration, control_period)
     lowest, highest = _band(plant, setpoints.angle)
     return Feasibility(*(np.asarray(x, float) for x in (times, setpoints.angle, setpoints.stiffness, lowest, highest)))
@@ -259,11 +242,7 @@ def _episode_result(
     known: Mapping[str, Any] = MappingProxyType({}),
     scenario: str = "",
 ) -> Result:
-    """The result of an episode of `numeric` parts, with further `known` columns.
-
-    Torque, stiffness and forces are computed when they are first asked for, and so is the second episode, without the
-    last change of the stiffness.
-    """
+    """Result of an episode of `numeric` parts; much is computed when it is first asked for."""
     period = np.asarray(control_period, setpoints.angle.dtype)
 
     def run(setpoints: Setpoint) -> Record:

@@ -27,11 +27,7 @@ _REPEAT_INTERVAL = 1.0  # s
 
 @contextmanager
 def handle_signals(callback: Callable[[int], None]) -> Iterator[None]:
-    """Call a function on a signal that would end the process; a repeated signal also raises KeyboardInterrupt.
-
-    Repeats within 1 s are ignored: a closing terminal may send SIGHUP twice. Signals that were ignored before (SIGHUP
-    under nohup) stay ignored. Outside of the main thread this does nothing.
-    """
+    """Call a function on each of `SIGNALS` unless ignored before; one repeated after 1 s also interrupts."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -64,28 +60,7 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of file sys
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
-    """Write a file so that it appears complete or not at all, also after a power cut.
-
-    The block writes to a temporary file in the same folder. At its end the file is synced and renamed to `path`; after
-    an exception it is removed. A symbolic link at `path` is replaced, not followed.
-
-    Parameters
-    ----------
-    path
-        The file to write.
-    overwrite
-        Replace an existing file.
-
-    Yields
-    ------
-    Path
-        The temporary file, empty.
-
-    Raises
-    ------
-    FileError
-        If `path` exists and `overwrite` is not set.
-    """
+    """Write a file that appears complete and synced at the end of the block, or not at all; yields a temporary file."""
     path = Path(path)
     temporary = path.with_name(f".{uuid.uuid4().hex}.part")
     os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY | _NO_FOLLOW, 0o666))
@@ -127,13 +102,7 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
-    """Create a folder and its parents unless they exist.
-
-    Raises
-    ------
-    FileError
-        If it cannot be created.
-    """
+    """Create a folder and its parents unless they exist; `FileError` if it cannot be created."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -147,13 +116,7 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def check_free(folder: Path, names: Iterable[str]) -> None:
-    """Raise if any of some files exists in a folder, which need not exist itself.
-
-    Raises
-    ------
-    FileError
-        With every file that exists.
-    """
+    """Raise `FileError` with all of some files that exist in a folder, which need not exist itself."""
     existing = [name for name in names if os.path.lexists(folder / name)]
     if existing:
         remedy = "choose another folder, or move what is there out of the way"
@@ -162,25 +125,7 @@ def check_free(folder: Path, names: Iterable[str]) -> None:
 
 @contextmanager
 def file_lock(path: Path, task: str) -> Iterator[None]:
-    """Hold an exclusive lock on a file, which is removed at the end; the lock of a killed process is void.
-
-    Parameters
-    ----------
-    path
-        The lock file, in an existing folder.
-    task
-        What the holder does, for the error of others, such as "computing this sweep".
-
-    Raises
-    ------
-    FileError
-        If another process holds the lock, or the file cannot be written.
-
-    Warns
-    -----
-    McKibbenWarning
-        If the file system or the platform has no such locks.
-    """
+    """Hold a lock on a file, removed at the end and void when its holder dies; `task` is for the error of others."""
     try:
         file = _lock(path, task)
     except OSError as error:

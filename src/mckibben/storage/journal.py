@@ -34,11 +34,7 @@ class JournalRecord(NamedTuple):
 
 
 def pack(kind: bytes, number: int, payload: bytes) -> bytes:
-    """Bytes of a record.
-
-    >>> pack(b"E", 7, b"{}")[:8], len(pack(b"E", 7, b"{}"))
-    (b'MCKCHUNK', 34)
-    """
+    """Bytes of a record."""
     front = _FRONT.pack(_MAGIC, kind, 0, len(payload), number)
     return _FRONT.pack(_MAGIC, kind, zlib.crc32(payload, zlib.crc32(front)), len(payload), number) + payload
 
@@ -49,18 +45,7 @@ def pack_json(kind: bytes, number: int, content: Mapping[str, Any]) -> bytes:
 
 
 class JournalReader:
-    """Iterates over the intact records of a journal, its header included.
-
-    A damaged record is skipped. An incomplete or damaged end, which a process leaves that was killed while it wrote, is
-    not counted as damage.
-
-    Attributes
-    ----------
-    damaged
-        Number of damaged records that were skipped so far.
-    end
-        Position after the last intact record so far [bytes].
-    """
+    """Iterates over the intact records of a journal, header included; an incomplete end is no damage."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -124,10 +109,7 @@ def _find_magic(file: BinaryIO, start: int) -> int | None:
 
 
 class Journal:
-    """Appends records to a journal; each append is on the disk (``fsync``) when it returns.
-
-    Use `create` or `resume`. Threads may append at once; processes need a `file_lock`.
-    """
+    """Appends records to a journal from any thread of a process; each append is synced to the disk when it returns."""
 
     def __init__(self, path: Path, end: int) -> None:
         self.path = path
@@ -137,13 +119,7 @@ class Journal:
 
     @classmethod
     def create(cls, path: Path, header: Mapping[str, Any], *, number: int = 0) -> Self:
-        """Begin a journal; the file appears with its header.
-
-        Raises
-        ------
-        FileError
-            If the file exists.
-        """
+        """Begin a journal; the file appears with its header. `FileError` if it exists."""
         content = pack_json(HEADER, number, header)
         with atomic_write(path) as temporary:
             temporary.write_bytes(content)
@@ -157,13 +133,7 @@ class Journal:
         return journal
 
     def append(self, content: bytes) -> None:
-        """Append packed records, all or none.
-
-        Raises
-        ------
-        OSError
-            If they cannot be written; the journal then ends as before.
-        """
+        """Append packed records, all or none."""
         with self._lock:
             try:
                 _write_at(self._file, self._end, content)
@@ -199,13 +169,7 @@ def _write_at(file: int, position: int, content: bytes) -> None:
 
 
 def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
-    """Header of a journal of a kind ("format") and version.
-
-    Raises
-    ------
-    FileError
-        If the file is missing, or is another one.
-    """
+    """Header of a journal of a kind ("format") and version; `FileError` if it is another file."""
     try:
         header = JournalReader(path).header()
     except (OSError, ValueError) as error:
@@ -221,15 +185,7 @@ def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
 def header_differences(
     kept: Mapping[str, Any], wanted: Mapping[str, Any], job: str, *, remedy: str, ignore: tuple[str, ...] = ()
 ) -> list[Problem]:
-    """Differences between a journal's header and the job that is to continue it.
-
-    Lists are compared by item, mappings by key and texts of several lines by line.
-
-    >>> for problem in header_differences({"seed": 1, "method": "sobol"}, {"seed": 2, "method": "sobol"}, "the sweep",
-    ...                                   remedy="choose another folder"):
-    ...     print(problem.field, problem.message, sep=": ")
-    seed: the sweep was begun with 1, not 2
-    """
+    """Differences between a journal's header and the job that is to continue it, each with its field."""
     found = []
     for name in dict.fromkeys([*wanted, *kept]):
         before, now = kept.get(name), wanted.get(name)

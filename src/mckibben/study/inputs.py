@@ -26,24 +26,7 @@ def data_named(
     slack_force: float | None = None,
     skip_corrupt: bool = False,
 ) -> IsobaricDataset:
-    """Read a dataset of the catalog, or a file of measurements.
-
-    Parameters
-    ----------
-    name
-        Such as "festo-tool-10mm" or "rig.csv".
-    columns, initial_length, specimen, slack_force
-        As for `mckibben.read_dataset`; for files only.
-    skip_corrupt
-        Skip and report rows without a number instead of refusing the file.
-
-    Raises
-    ------
-    NotInCatalogError
-        If there is no such dataset and the name is not a path; or options for files are given for a dataset.
-    FileError
-        If the file cannot be read.
-    """
+    """A dataset of the catalog, or a file of measurements, to which all options apply."""
     from mckibben.dataset import read_dataset
 
     known = catalog.names("datasets")
@@ -74,13 +57,7 @@ def data_named(
 
 
 def law_named(name: str, *, specimen: str = "") -> ForceLaw:
-    """A published parameter set, "chou" of a specimen, or the law of a fit file.
-
-    Raises
-    ------
-    NotInCatalogError
-        If it is none of these.
-    """
+    """A published parameter set, "chou" of a specimen, or the law of a fit file."""
     from mckibben.identification import read_law
     from mckibben.muscle import ChouLaw
 
@@ -95,19 +72,11 @@ def law_named(name: str, *, specimen: str = "") -> ForceLaw:
         return ChouLaw.of(catalog.specimen(specimen))
     if name in catalog.names("laws"):
         return catalog.law(name)
-    raise NotInCatalogError(
-        f"there is no law {name!r}",
-        value=name,
-        remedy=f"give a fit file (.yaml), 'chou', or one of {', '.join(catalog.names('laws'))}",
-    )
+    raise _unknown("law", name, f"give a fit file (.yaml), 'chou', or one of {', '.join(catalog.names('laws'))}")
 
 
 def law_type_named(name: str) -> type[ForceLaw]:
-    """A kind of law by its name, in any case, with or without "Law" and hyphens.
-
-    >>> law_type_named("exponential").__name__, law_type_named("tondu-lopez").__name__
-    ('ExponentialLaw', 'TonduLopezLaw')
-    """
+    """A kind of law by its name, in any case, with or without "Law" and hyphens."""
     from mckibben.identification.storage import law_types
 
     laws = law_types()
@@ -116,19 +85,11 @@ def law_type_named(name: str) -> type[ForceLaw]:
         if plain in (known.lower(), known.removesuffix("Law").lower()):
             return law_type
     short = ", ".join(re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws)
-    raise NotInCatalogError(f"there is no law {name!r}", value=name, remedy=f"known are {short}")
+    raise _unknown("law", name, f"known are {short}")
 
 
 def joint_named(name: str) -> AntagonisticJoint:
-    """A joint of the catalog, or that of a scenario file.
-
-    Raises
-    ------
-    NotInCatalogError
-        If it is neither.
-    ScenarioError
-        If the file is not a scenario.
-    """
+    """A joint of the catalog, or that of a scenario file."""
     if Path(name).suffix in (".yaml", ".yml"):
         from mckibben.study.scenario import Scenario
         from mckibben.study.scenario.building import build_joint
@@ -136,8 +97,8 @@ def joint_named(name: str) -> AntagonisticJoint:
         return build_joint(Scenario.read(name).joint)
     if name in catalog.names("joints"):
         return catalog.joint(name)
-    raise NotInCatalogError(
-        f"there is no joint {name!r}",
-        value=name,
-        remedy=f"give a scenario file (.yaml), or one of {', '.join(catalog.names('joints'))}",
-    )
+    raise _unknown("joint", name, f"give a scenario file (.yaml), or one of {', '.join(catalog.names('joints'))}")
+
+
+def _unknown(kind: str, name: str, remedy: str) -> NotInCatalogError:
+    return NotInCatalogError(f"there is no {kind} {name!r}", value=name, remedy=remedy)

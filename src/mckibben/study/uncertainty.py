@@ -30,22 +30,11 @@ from mckibben.numerics.compiled import compiled
 
 @dataclass(frozen=True)
 class JointBands:
-    """Torque and stiffness of a joint with intervals.
-
-    Attributes
-    ----------
-    torque
-        Torque of the muscles [N*m].
-    stiffness
-        Isobaric stiffness [N*m/rad].
-    may_be_slack
-        Mask of the points at which the interval of a muscle's force includes zero: the muscle may be slack, and the
-        intervals, which follow the law on one side, are too narrow.
-    """
+    """Torque [N*m] and stiffness [N*m/rad] of a joint with intervals."""
 
     torque: IntervalEstimate
     stiffness: IntervalEstimate
-    may_be_slack: NDArray[np.bool_]
+    may_be_slack: NDArray[np.bool_]  # the interval of a muscle's force includes zero, and the bands are too narrow
 
 
 def joint_bands(
@@ -57,7 +46,7 @@ def joint_bands(
     level: float = 0.95,
     by: Grouping | None = None,
 ) -> JointBands:
-    """Torque and stiffness of a joint with their uncertainty.
+    """Torque and stiffness of a joint with their uncertainty; a slack muscle contributes nothing.
 
     Parameters
     ----------
@@ -69,11 +58,6 @@ def joint_bands(
         Angle [rad] and gauge pressures [Pa]; they broadcast.
     level, by
         As for `Fit.intervals`.
-
-    Returns
-    -------
-    JointBands
-        Torque and stiffness; a slack muscle contributes nothing.
 
     Raises
     ------
@@ -107,7 +91,7 @@ def joint_bands(
     pressures = pressure_pair(pressures)  # type: ignore[arg-type]  # what NumPy takes for an array, JAX does as well
     where = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (angle, *pressures)))
     shape = where[0].shape
-    answers = _derivatives(with_laws, values, *where, one=one)
+    answers = torque_and_stiffness_gradients(with_laws, values, *where, one=one)
     found, gradients, contractions = jax.tree.map(np.asarray, answers)
     bands: list[IntervalEstimate] = []
     for i in range(2):
@@ -125,14 +109,8 @@ def joint_bands(
 
 
 @compiled
-def _derivatives(
-    joint: AntagonisticJoint,
-    values: tuple[Any, ...],
-    angle: Any,
-    pressure1: Any,
-    pressure2: Any,
-    *,
-    one: bool,
+def torque_and_stiffness_gradients(
+    joint: AntagonisticJoint, values: tuple[Any, ...], angle: Any, pressure1: Any, pressure2: Any, *, one: bool
 ) -> tuple[Array, list[Array], tuple[Array, Array]]:
     """Torque and stiffness, shape (2, ...); for each fit its gradients, shape (2, parameters, ...); contractions."""
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mckibben.errors import ScenarioError
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig import steps as typed
-from mckibben.study.rig.document import RigTest, build_steps, read_calibrations, read_test
+from mckibben.study.rig.document import RigTest, build_steps, read_test, rig_calibrations
 from mckibben.study.rig.running import check
 from mckibben.study.rig.steps import StepSpec
 from mckibben.units import bar, mm, percent
@@ -223,7 +223,7 @@ def test_a_card_and_its_calibrations(tmp_path):
     assert RigTest.parse(test.dumps(folder=tmp_path), folder=tmp_path) == test
     checked = check(test)
     assert [channel.where for channel in checked.setup.backend.inputs] == ["Dev2/ai0", "Dev2/ai1"]
-    assert read_calibrations(path)["force"] == FORCE
+    assert rig_calibrations(path)["force"] == FORCE
     path.write_text(to_json({"force": {**FORCE.to_json(), "gain": "much"}}))
     with pytest.raises(ScenarioError) as found:
         check(test)

@@ -26,10 +26,9 @@ _SAME = 1e-9
 class NiBackend:
     """Sensors and valves on a card; a `Backend`.
 
-    All inputs are sampled by one clock of the card. A card holds its last output when its host dies: nothing in it
-    vents. That is the task of an external watchdog relay on the line `heartbeat`, which cuts the current of a
-    spring-return vent valve; `patience` has to be its timeout. The same watchdog is enforced here: after it has expired
-    the line rests until the backend is reopened.
+    All inputs are sampled by one clock of the card. A card holds its last output when its host dies: an external
+    watchdog relay on the line `heartbeat` then cuts the current of a spring-return vent valve; `patience` has to be its
+    timeout. The same watchdog is enforced here: after it has expired the line rests until the backend is reopened.
 
     Parameters
     ----------
@@ -90,13 +89,7 @@ class NiBackend:
         }
 
     def open(self) -> None:
-        """Open the card; vented, at rest, its clock at 0.
-
-        Raises
-        ------
-        RigError
-            If the package, the driver, the device or a terminal is missing, or the card does not have the rate.
-        """
+        """Open the card as `Backend.open`; `RigError` also if it does not have the rate."""
         if self._driver is not None:
             raise RigError("the rig is already open", remedy="close it first")
         self._driver = Driver(self.server)
@@ -113,15 +106,7 @@ class NiBackend:
             return self._inputs.in_stream.total_samp_per_chan_acquired / self.rate
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for a number of samples, and return them.
-
-        Raises
-        ------
-        SilentError
-            If they have not come within the timeout [s] after their duration.
-        RigError
-            If the device is lost, or samples were overwritten.
-        """
+        """As `Backend.read`; `RigError` also if samples were overwritten."""
         driver = self._open()
         if count < 1:
             raise RangeError(f"{count} samples cannot be read", value=count, lower=1)
@@ -134,13 +119,7 @@ class NiBackend:
         return Block(first, times, np.ascontiguousarray(volts.T), self._counted(times))
 
     def set_valves(self, volts: Sequence[float]) -> None:
-        """Set the signals of the valves [V]; one other than that at rest closes the vent valve again.
-
-        Raises
-        ------
-        RigError
-            If it is not open, the watchdog has expired, or a signal is outside the range.
-        """
+        """Set the signals of the valves [V]; one other than that at rest closes the vent valve again."""
         driver = self._check_armed()
         low, high = self.wiring.output_range
         signals = np.asarray(volts, np.float64)
@@ -154,13 +133,7 @@ class NiBackend:
                 self._set(hold=True)
 
     def heartbeat(self) -> None:
-        """Reset the watchdog; no effect once it has expired.
-
-        Raises
-        ------
-        RigError
-            If the device is lost.
-        """
+        """Reset the watchdog; no effect once it has expired."""
         driver = self._open()
         if self._missed():
             return
@@ -321,13 +294,7 @@ class NiRig(NiBackend):
         super().open()
 
     def move(self, pulses: int, rate: float) -> None:
-        """Begin a move by a number of pulses, positive = stretching, at a rate [Hz].
-
-        Raises
-        ------
-        RigError
-            If it is moving, the watchdog has expired, or the card cannot send the pulses.
-        """
+        """As `MovingBackend.move`; `RigError` also if the watchdog has expired, or the card cannot send the pulses."""
         driver = self._check_armed()
         if self.moving:
             raise RigError("the motor is still moving", remedy="wait until it stops, or stop it")
@@ -403,17 +370,7 @@ _READING = 0.1  # s
 
 
 class ChannelStatus(NamedTuple):
-    """Status of one channel, device or driver.
-
-    Attributes
-    ----------
-    name, where
-        "pressure" at "Dev1/ai1"; "driver", "devices".
-    reading
-        Reading, such as "0.0131 V, 1.31e+03 Pa"; empty if there is none.
-    problem
-        Problem and remedy; empty if there is none.
-    """
+    """Status of a channel, device or driver: its reading as text, or its problem and the remedy."""
 
     name: str
     where: str
@@ -424,18 +381,9 @@ class ChannelStatus(NamedTuple):
 def channel_status(
     wiring: Terminals | None = None, calibrations: Mapping[str, Calibration] | None = None, *, server: str = ""
 ) -> list[ChannelStatus]:
-    """Status of driver, devices and terminals; each sensor is read for 0.1 s.
+    """Status of driver, devices and terminals; each sensor is read for 0.1 s, in its unit if it has a calibration.
 
     The muscle stays vented, and nothing moves. Missing parts are reported, not raised.
-
-    Parameters
-    ----------
-    wiring
-        Terminals; those of the paper's rig unless given.
-    calibrations
-        Of the inputs, by name: for readings in their unit, and lost sensors.
-    server
-        As for `NiBackend`.
     """
     wiring, calibrations = wiring or Terminals(), calibrations or {}
     found: list[ChannelStatus] = []

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from mckibben.errors import Problem, RangeError, RigError, SilentError
+from mckibben.errors import Problem, RigError, SilentError
+from mckibben.rig.protocol import refuse_problems
 
 _TIMEOUT = -200284
 _OVERWRITTEN = -200279
@@ -20,18 +21,7 @@ _DRIVER = "install NI-DAQmx from ni.com (`nidaqmx installdriver` helps), or give
 
 
 class Driver:
-    """The driver NI-DAQmx, by the package `nidaqmx`, which is imported on construction.
-
-    Parameters
-    ----------
-    server
-        Address of an NI gRPC Device Server, "host:port", on whose machine the cards are; empty: this one.
-
-    Raises
-    ------
-    RigError
-        If the package is missing.
-    """
+    """The driver NI-DAQmx of this machine, or of an NI gRPC Device Server at `server` ("host:port")."""
 
     def __init__(self, server: str = "") -> None:
         try:
@@ -79,15 +69,7 @@ class Driver:
 
     @contextmanager
     def translated(self, what: str) -> Iterator[None]:
-        """Translate errors of the driver to `RigError`.
-
-        Raises
-        ------
-        RigError
-            For any error of the driver, with a remedy.
-        SilentError
-            If samples timed out.
-        """
+        """Translate errors of the driver to `RigError` with a remedy, timeouts to `SilentError`."""
         errors = self.package.errors
         try:
             yield
@@ -147,7 +129,7 @@ def _first(error: Exception) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Terminals:
-    """Terminals of a rig, in the notation of the driver.
+    """Terminals of a rig, in the notation of the driver; by default the paper's.
 
     Parameters
     ----------
@@ -159,10 +141,8 @@ class Terminals:
         Digital line that toggles with each heartbeat; an external relay opens when it does not.
     hold
         Digital line that, through that relay, energises the spring-return vent valve: high = closed.
-    counter
-        Counter of the motor's pulses; empty without a motor.
-    direction
-        Digital line of the motor's direction: high = stretching.
+    counter, direction
+        Counter of the motor's pulses, empty without a motor; digital line of its direction: high = stretching.
     input_range, output_range
         Ranges of all inputs and of all outputs [V].
     rest
@@ -172,12 +152,6 @@ class Terminals:
     ------
     RangeError
         If terminals are missing or given twice; all of it at once.
-
-    Examples
-    --------
-    >>> wiring = Terminals()  # the paper's rig
-    >>> wiring.inputs["pressure"], wiring.outputs["valve"], wiring.counter
-    ('Dev1/ai1', 'Dev1/ao0', 'Dev1/ctr0')
     """
 
     inputs: Mapping[str, str] = field(default_factory=lambda: {"force": "Dev1/ai0", "pressure": "Dev1/ai1"})
@@ -215,8 +189,7 @@ class Terminals:
             Problem(f"{terminal} is given twice", field="wiring")
             for terminal in sorted({one for one in given if given.count(one) > 1})
         ]
-        if problems:
-            raise RangeError("\n  ".join([f"wiring: {len(problems)} problem(s)", *map(str, problems)]))
+        refuse_problems("wiring", problems)
 
     @property
     def lines(self) -> dict[str, str]:

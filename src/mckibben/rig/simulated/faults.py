@@ -17,13 +17,7 @@ _MAINS = 50.0  # Hz
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of simulated hardware.
-
-    Parameters
-    ----------
-    at
-        Time since the rig was first opened [s].
-    """
+    """A fault of simulated hardware, at a time since the rig was first opened [s]."""
 
     at: float
 
@@ -50,15 +44,7 @@ class ValveStuck(Fault):
 
 @dataclass(frozen=True)
 class SensorDisconnected(Fault):
-    """The cable of a sensor is disconnected.
-
-    Parameters
-    ----------
-    sensor
-        Name of the input.
-    volts
-        Reading of the open input [V]: 10 V, the rail to which a resistor pulls it. None: it floats, with mains hum.
-    """
+    """The cable of a sensor is disconnected: it reads `volts`, 10 by default (a rail); None: it floats, with hum."""
 
     sensor: str = "force"
     volts: float | None = 10.0

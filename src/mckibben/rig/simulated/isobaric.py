@@ -12,7 +12,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError
 from mckibben.muscle import Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
 from mckibben.muscle.friction import MIN_HALF_WIDTH
-from mckibben.rig.protocol import IsobaricProtocol, Plateaus
+from mckibben.rig.protocol import IsobaricProtocol, Plateaus, refuse_problems
 from mckibben.units import N, bar, kPa, mm, percent
 
 _HOUR = 3600.0  # s
@@ -101,9 +101,7 @@ class SimulatedIsobaricTest:
                     "take a tenth of the step for almost none" if name == "presliding_length" else "0 switches it off"
                 )
                 problems.append(Problem(f"{value:g} {unit} is out of range", field=name, remedy=remedy))
-        if problems:
-            heading = f"simulated isobaric test: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
-            raise RangeError("\n  ".join([heading, *map(str, problems)]))
+        refuse_problems("simulated isobaric test", problems)
 
     @property
     def friction(self) -> Friction:
@@ -115,29 +113,17 @@ class SimulatedIsobaricTest:
         return MaxwellSlip(self.hysteresis, self.presliding_length)
 
     def run(self, protocol: IsobaricProtocol, *, seed: int) -> IsobaricDataset:
-        """Run the test; return the dataset of the sensors' readings.
+        """Run the test within the `boundaries`; return the dataset of the sensors' readings.
 
-        The pressure of the dataset is the measured one, `set_pressure` the protocol's. Force and pressure of
-        a point are the means of its samples. Samples are float32: a rounding of 6e-8, below one step of an 18
-        bit card; those of a sensor without noise are float64, so that nothing stands between the law and the
-        data. `slack_force` is five standard errors of a plateau mean: a slack muscle reads more in one of 3
-        million plateaus. What the sensor has drifted upwards at most comes on top.
-
-        The four draws (regulator, force sensor, pressure sensor, wander of the force sensor) are independent
-        streams of the seed: switching one off leaves the others as they were.
-
-        Parameters
-        ----------
-        protocol
-            The protocol, limited to the `boundaries` of the muscle.
-        seed
-            The same seed gives the same data.
+        Samples are float32; those of a sensor without noise are float64, so that nothing stands between the law and the
+        data. `slack_force` is five standard errors of a plateau mean, and the highest drift. The draws (regulator,
+        force sensor, pressure sensor, wander) are independent streams of the seed.
 
         Raises
         ------
         RangeError
-            As the protocol's `check` and `boundaries`; or if hysteresis and offset could take the force above
-            the rated one.
+            As the protocol's `check` and `boundaries`; or if hysteresis and offset could take the force above the rated
+            one.
         """
         rows = protocol.plateaus(self.muscle)
         self._check_rating(protocol, rows)

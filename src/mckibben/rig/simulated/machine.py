@@ -29,19 +29,11 @@ _HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]]
 
 @dataclass(frozen=True)
 class ForceTable:
-    """Table of a law's force over contraction and pressure, a bicubic spline; not negative.
-
-    Attributes
-    ----------
-    contraction, pressure
-        Ranges [-], [Pa]; constant outside.
-    error
-        Largest deviation from the law in the centres of cells with a taut muscle [N].
-    """
+    """Table of a law's force over contraction [-] and pressure [Pa], a bicubic spline; constant outside."""
 
     contraction: tuple[float, float]
     pressure: tuple[float, float]
-    error: float
+    error: float  # largest deviation from the law in the centres of cells with a taut muscle [N]
     _cells: NDArray[np.float64]  # shape (contractions, pressures, 16)
 
     def force(self, contraction: float, pressure: float) -> float:
@@ -64,13 +56,7 @@ class ForceTable:
 
 
 def force_table(muscle: Muscle) -> ForceTable:
-    """Table of the law of a muscle, cached.
-
-    Raises
-    ------
-    RangeError
-        If the law is not smooth enough for a table, or not finite over the range of the specimen.
-    """
+    """Table of the law of a muscle, cached; `RangeError` if the law is not smooth or not finite."""
     bare = Muscle(muscle.specimen, muscle.law)
     try:
         return _cached(bare)
@@ -125,22 +111,7 @@ _LEAST = 1e-9  # N, least width of a friction band
 
 
 class Grip:
-    """Force of the muscle, with the states of friction and creep.
-
-    The same model as `MaxwellSlip` and `MaxwellCreep`, sample by sample in plain floats.
-
-    Parameters
-    ----------
-    muscle
-        With its friction and creep.
-    contraction
-        Contraction at which it is clamped, relaxed [-].
-
-    Raises
-    ------
-    RangeError
-        If its kind of friction or creep is not supported, or its law is not smooth enough for a table.
-    """
+    """Force of a muscle by `MaxwellSlip` and `MaxwellCreep` in plain floats; relaxed where it is clamped."""
 
     def __init__(self, muscle: Muscle, contraction: float) -> None:
         specimen, friction, creep = muscle.specimen, muscle.friction, muscle.creep
@@ -228,46 +199,20 @@ INSTANT = 1e-9
 
 
 class Truth(NamedTuple):
-    """True state of the simulated rig.
+    """True state of the simulated rig."""
 
-    Attributes
-    ----------
-    time
-        Time since the rig was first opened [s].
-    pressure
-        Pressure in the muscle [Pa, gauge].
-    force
-        Force at the clamps [N].
-    stretch
-        Travel of the carriage since the rig was first opened [m], positive = stretching.
-    contraction
-        Contraction of the muscle [-].
-    flow, mass
-        Flow of air into the muscle [kg/s], and its mass with that in the tube [kg].
-    vented
-        Whether the vent valve is open.
-    """
-
-    time: float
-    pressure: float
-    force: float
-    stretch: float
-    contraction: float
-    flow: float
-    mass: float
-    vented: bool
+    time: float  # since the rig was first opened [s]
+    pressure: float  # in the muscle [Pa, gauge]
+    force: float  # at the clamps [N]
+    stretch: float  # travel of the carriage since the rig was first opened [m], positive = stretching
+    contraction: float  # [-]
+    flow: float  # of air into the muscle [kg/s]
+    mass: float  # of the air in muscle and tube [kg]
+    vented: bool  # whether the vent valve is open
 
 
 class Knots(NamedTuple):
-    """Knots of a piecewise linear history.
-
-    Attributes
-    ----------
-    time
-        Time since the rig was first opened [s].
-    force, pressure
-        As in `Truth`.
-    """
+    """Knots of a piecewise linear history: time since the first opening [s], force [N], pressure [Pa]."""
 
     time: list[float]
     force: list[float]

@@ -36,33 +36,7 @@ _LAMINAR = 0.999  # ratio of pressures above which the flow is proportional to t
 
 
 def mass_flow(conductance: float, critical: float, upstream: float, downstream: float) -> float:
-    r"""Mass flow [kg/s] between two pressures [Pa, absolute]; negative for reverse flow.
-
-    .. math::
-
-        G = C \rho_0 p_1 \psi, \qquad \psi = \begin{cases} 1 & p_2/p_1 \le b \\
-        \sqrt{1 - \left(\frac{p_2/p_1 - b}{1 - b}\right)^2} & \text{above} \end{cases}
-
-    Parameters
-    ----------
-    conductance
-        C, sonic conductance [m^3/(s*Pa)].
-    critical
-        b, critical ratio of pressures [-].
-    upstream, downstream
-        p1 and p2.
-
-    References
-    ----------
-    ISO 6358-1:2013, "Determination of flow-rate characteristics of components using compressible fluids".
-
-    Examples
-    --------
-    A choked valve of 0.01 dm^3/(s*bar) at 10 bar passes 0.1 dm^3/s of air in its reference state:
-
-    >>> round(mass_flow(0.01 * L_PER_S_BAR, 0.3, 10e5, 2e5) / DENSITY * 1e3, 6)
-    0.1
-    """
+    """Mass flow [kg/s] by ISO 6358-1:2013 through C [m^3/(s*Pa)], b, at absolute pressures [Pa]; either way."""
     if downstream > upstream:
         return -mass_flow(conductance, critical, downstream, upstream)
     if upstream <= 0:
@@ -147,15 +121,7 @@ _NUDGE = 1.0  # Pa
 
 
 class Chamber:
-    """Air of the muscle. Its mass is the state; the pressure follows from the volume.
-
-    Parameters
-    ----------
-    regulator
-        Its regulator.
-    volume
-        Initial volume of the muscle [m^3].
-    """
+    """Air of the muscle. Its mass is the state; the pressure follows from the volume."""
 
     def __init__(self, regulator: Regulator, volume: float) -> None:
         self.regulator = regulator
@@ -313,13 +279,7 @@ class Motor:
         self._stalled: float | None = None  # position of the blocked shaft [pulses]
 
     def move(self, now: float, pulses: int, rate: float) -> None:
-        """Begin a move.
-
-        Raises
-        ------
-        RigError
-            If it is moving, or the rate is too high.
-        """
+        """Begin a move by pulses at a rate [Hz]; `RigError` if it is moving, or the rate is too high."""
         if self.moving(now):
             raise RigError("the motor is still moving", remedy="wait until it stops, or stop it")
         if not 0 < rate <= self._fastest:

@@ -57,10 +57,8 @@ class Sensor:
         True calibration, which may differ from that of the host.
     noise
         Standard deviation of a sample, white, in the calibration's unit.
-    drift
-        Drift of its zero in an hour, in the unit.
-    wander
-        Standard deviation of its zero's random walk after an hour, in the unit.
+    drift, wander
+        Drift of its zero, and standard deviation of its random walk, after an hour, in the unit.
     saturation
         Saturation of its amplifier, either way [V].
     """
@@ -87,17 +85,7 @@ PRESSURE_SENSOR = Sensor(calibration=PRESSURE, noise=0.5 * kPa)
 
 @dataclass(frozen=True, kw_only=True)
 class Converter:
-    """Data acquisition card such as the PCI-6281.
-
-    Parameters
-    ----------
-    bits
-        Resolution: 18 (the maker).
-    low, high
-        Range of its inputs [V]: -10 to 10 (the maker; its widest).
-    buffer
-        Length of its buffer [s]: 10 (ours).
-    """
+    """Data acquisition card such as the PCI-6281 (18 bits, -10 to 10 V its widest range), with a buffer [s] (ours)."""
 
     bits: int = 18
     low: float = -10.0
@@ -239,13 +227,7 @@ class Sampling:
         self._waiting.append(Block(first, since, self._converter.quantise(volts), motor.counted(time) - self._zero))
 
     def take(self, count: int) -> Block:
-        """Return the next samples of the buffer.
-
-        Raises
-        ------
-        RigError
-            If the buffer was overwritten.
-        """
+        """The next samples of the buffer; `RigError` if it was overwritten."""
         if self._overrun:
             raise RigError(
                 f"samples were overwritten: the host did not read for more than {self._converter.buffer:g} s",

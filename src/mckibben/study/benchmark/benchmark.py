@@ -27,8 +27,8 @@ from mckibben.study.parameters import batched, valid_rows
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.result import spearman
 from mckibben.study.tune.objective import FAILED_COST
-from mckibben.study.tune.search import Method, SearchSpace, Vector, by_cma, check_method
-from mckibben.study.tune.tune import CostEvaluator, TuningHistory
+from mckibben.study.tune.search import Costs, Method, Progress, SearchSpace, Vector, by_cma, check_method
+from mckibben.study.tune.tune import Evaluator, TuningHistory
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -38,22 +38,20 @@ _TUNING = 0.98  # share of the time of a controller
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BenchmarkResult:
-    """Result of a benchmark.
+    """Result of a benchmark, by controller.
 
     Attributes
     ----------
-    suite
-        The suite.
     runs
         Evaluation runs.
     tuned
-        Tuned values [SI] by name, of each controller; empty for one that was not tuned.
+        Tuned values [SI] by name; empty for one that was not tuned.
     training_cost
-        Cost of each tuned controller on the training runs after and before tuning.
+        Cost of a tuned controller on the training runs after and before tuning.
     at_bound
-        Parameters of each controller at an end of their range.
+        Parameters at an end of their range.
     batches
-        Results of each controller in the evaluation runs.
+        Results in the evaluation runs.
     """
 
     suite: Suite
@@ -112,12 +110,8 @@ def compare(
 
     Parameters
     ----------
-    suite
-        The suite.
-    folder
-        Folder for the tuning histories, a file for each controller; without one nothing is stored.
-    resume
-        Continue the histories in the folder.
+    folder, resume
+        Folder for the tuning histories, a file for each controller, and whether to continue those in it.
     progress
         Called with the present task and the finished share, 0 to 1.
 
@@ -126,7 +120,7 @@ def compare(
     ParameterError
         If a controller has nothing to tune, no trial succeeds, or no run can start.
     FileError
-        As for `TuningHistory.open`.
+        As for `tune`.
     """
     training = draw(suite, suite.tuning.runs, suite.tuning.seed)
     evaluation = draw(suite, suite.evaluation.runs, suite.evaluation.seed)
@@ -220,25 +214,24 @@ class ControllerTuning:
         }
 
     def run(
-        self, folder: Path | None, resume: bool, progress: Callable[[float], None]
+        self, folder: Path | None, resume: bool, progress: Progress
     ) -> tuple[dict[str, float], tuple[float, float], tuple[str, ...]]:
         """Best values [SI], their cost and the nominal one, and the parameters at a bound."""
         tuning, space = self.suite.tuning, self.space
         check_method(Method.CMA, numbers=max(len(space), 2), population=tuning.population)
         path = None if folder is None else folder / f"{filename(self.controller)}.journal"
         with TuningHistory.open(path, self.about(), resume=resume and path is not None and path.exists()) as past:
-            evaluator = CostEvaluator(self, past, tuning.population)
+            costs = Evaluator(space, past, tuning.population, lambda values: (self.costs(values), None)).costs
             first = space.point(space.nominal)
-            evaluator(first[None])
+            costs(first[None])
             starts = np.random.default_rng(tuning.seed).random((tuning.starts, len(space)))
             starts[0] = first
             for number, start in enumerate(starts):
-                self._search(
-                    evaluator,
-                    start,
-                    tuning.seed + number,
-                    lambda part, number=number: progress((number + part) / tuning.starts),
-                )
+
+                def report(part: float, number: int = number) -> None:
+                    progress((number + part) / tuning.starts)
+
+                self._search(costs, start, tuning.seed + number, report)
             best = past.best
             if best.cost >= FAILED_COST:
                 raise ParameterError(
@@ -246,18 +239,20 @@ class ControllerTuning:
                     remedy="search other ranges, or begin with other gains",
                 )
             rounded = space.rounded(space.values(np.array(best.point)[None])[0])
-            (cost,), (before,) = evaluator(space.point(rounded)[None]), evaluator(first[None])
+            (cost,), (before,) = costs(space.point(rounded)[None]), costs(first[None])
             values = dict(zip(space.names, rounded.tolist(), strict=True))
             return values, (float(cost), float(before)), space.at_bound(best.point)
 
-    def _search(self, evaluator: CostEvaluator, start: Vector, seed: int, progress: Callable[[float], None]) -> None:
-        tuning = self.suite.tuning
-        budget = {"population": tuning.population, "generations": tuning.generations}
-        if start.size >= 2:
-            by_cma(evaluator, start, seed=seed, progress=progress, **budget)
-        else:  # CMA-ES needs two parameters: add one without effect
-            padded = np.append(start, 0.5)
-            by_cma(lambda points: evaluator(points[:, :1]), padded, seed=seed, progress=progress, **budget)
+    def _search(self, costs: Costs, start: Vector, seed: int, progress: Progress) -> None:
+        tuning, count = self.suite.tuning, start.size
+        by_cma(
+            lambda points: costs(points[:, :count]),
+            start if count >= 2 else np.append(start, 0.5),  # CMA-ES needs two parameters: one without effect
+            seed=seed,
+            population=tuning.population,
+            generations=tuning.generations,
+            progress=progress,
+        )
 
 
 def _controller(runs: Runs, controller: str, table: dict[str, Any]) -> Controller:
@@ -295,25 +290,7 @@ _UNIT = {metric: unit for metric, _, unit in METRICS.values()}
 
 
 def statistics(result: BenchmarkResult) -> dict[str, Any]:
-    """Statistics of a benchmark, for JSON.
-
-    Parameters
-    ----------
-    result
-        Result of `compare`.
-
-    Returns
-    -------
-    numbers
-        ``suite``; ``runs``, of which ``no_start`` could not start; ``order``: controllers by median cost.
-        ``controllers``, by name: ``unstable`` runs; ``metrics`` under the names and in the units of results:
-        ``median`` and ``percentile_95`` over the stable runs, and the number of ``runs`` with a value;
-        ``ratio_to_first``: for both errors the ratio of the medians to the first controller's, with its 95 % bootstrap
-        interval over the runs; ``settled``: the number of ``runs`` in which the stiffness settled after its step,
-        ``of`` those with a step; ``by_reference`` and ``by_joint``: medians of both errors; ``correlations``:
-        Spearman's rank correlation of both errors with each condition; ``tuned``: values [SI]; ``training_cost``
-        before and after; ``at_bound``.
-    """
+    """Statistics of a benchmark, for JSON, in the units of results."""
     names = list(result.batches)
     median_cost = {name: float(np.median(result.cost(name))) for name in names}
     return {

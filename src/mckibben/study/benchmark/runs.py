@@ -53,17 +53,7 @@ class Runs:
         return len(self.joint)
 
     def scenario(self, controller: str, run: int, values: dict[str, float] | None = None) -> Scenario:
-        """Scenario of one run.
-
-        Parameters
-        ----------
-        controller
-            Name of the controller in the suite.
-        run
-            Number of the run, from 0.
-        values
-            Tuned values [SI] of the controller by name.
-        """
+        """Scenario of one run, numbered from 0, with a controller of tuned values [SI]."""
         reference = self.reference_name[run]
         place = [row for row, name in enumerate(self.reference_name) if name == reference].index(run)
         numbers = {name: column[run].item() for name, column in self.conditions.items()}

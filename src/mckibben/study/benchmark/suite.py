@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import jax
-from pydantic import Field, ValidationInfo, field_validator, model_serializer
+from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben.config.document import Document, dotted, to_text
+from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
@@ -20,7 +20,7 @@ from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.controller import AnyController
 from mckibben.study.scenario.plant import AnyDisturbance, AnyLoad, AnySensors, AnyValve, JointSpec, StartSpec
 from mckibben.study.scenario.reference import ReferenceSpec, SignalSpec
-from mckibben.study.scenario.scenario import check_divides_duration
+from mckibben.study.scenario.scenario import RunSpec
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
 from mckibben.units import AngularAcceleration, BoundedInt, Duration, PositiveTime
 
@@ -29,11 +29,7 @@ _LONGEST_NAME = 80
 
 
 def filename(name: str) -> str:
-    """A name as part of a path.
-
-    >>> filename("Sliding mode, 2")
-    'sliding-mode-2'
-    """
+    """A name as part of a path: "Sliding mode, 2" becomes "sliding-mode-2"."""
     return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() or "controller"
 
 
@@ -57,7 +53,7 @@ def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Pr
     check(("conditions",), lambda: _check_differs(suite))
     check(("tuning", "cost"), lambda: _check_cost(suite))
     for i, text in enumerate(suite.conditions):
-        check(("conditions", i), lambda text=text: _check_of_plant(parse_sweep(text, suite.example())))
+        check(("conditions", i), lambda text=text: _check_within(_OF_PLANT, [parse_sweep(text, suite.example())]))
     if not found:
         check(("conditions",), suite.conditions_over)
     for name, case in suite.references.items():
@@ -68,7 +64,7 @@ def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Pr
         for i, text in enumerate(case.over):
             check(
                 ("references", name, "over", i),
-                lambda name=name, text=text: _check_of_reference(text, suite.example(name)),
+                lambda name=name, text=text: _check_within(("reference",), [parse_sweep(text, suite.example(name))]),
             )
         if len(found) == before:
             check(("references", name, "over"), lambda name=name: suite.reference_over(name))
@@ -81,7 +77,7 @@ def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Pr
             check(("other_joints", name), lambda name=name: _check_joint(suite, name))
         for name in suite.controllers:
             place = ("tuning", "over", name) if name in suite.tuning.over else ("controllers", name)
-            check(place, lambda name=name: _check_of_controller(suite.tuned_over(name)))
+            check(place, lambda name=name: _check_within(("controller",), suite.tuned_over(name)))
     return found
 
 
@@ -134,24 +130,13 @@ def _check_known(suite: Suite, name: str) -> None:
         raise ParameterError(f"there is no controller {name!r}", remedy=suggest(name, list(suite.controllers)))
 
 
-def _check_of_plant(one: SweptParameter) -> None:
-    if one.name.split(".")[0] not in _OF_PLANT:
-        raise ParameterError(
-            f"{one.name} is not a parameter of the plant", remedy=f"a condition is a number of {', '.join(_OF_PLANT)}"
-        )
-
-
-def _check_of_reference(text: str, scenario: Scenario) -> None:
-    one = parse_sweep(text, scenario)
-    if not one.name.startswith("reference."):
-        raise ParameterError(f"{one.name} is not a parameter of the reference", remedy="put it among the conditions")
-
-
-def _check_of_controller(over: tuple[SweptParameter, ...]) -> None:
+def _check_within(sections: tuple[str, ...], over: Sequence[SweptParameter]) -> None:
     for one in over:
-        if not one.name.startswith("controller."):
+        if one.name.split(".")[0] not in sections:
+            whole = {"reference": "the reference", "controller": "the controller"}.get(sections[0], "the plant")
             raise ParameterError(
-                f"{one.name} is not a parameter of the controller", remedy="tune numbers that begin with `controller.`"
+                f"{one.name} is not a parameter of {whole}",
+                remedy=f"give a number of {', '.join(sections)}: conditions vary the plant, `over` the reference",
             )
 
 
@@ -190,22 +175,17 @@ class ReferenceCase(ConfigModel):
 
 
 class TuningSpec(ConfigModel):
-    """Tuning of each controller, with the same budget for all.
-
-    CMA-ES from each of `starts` points (the gains of the file, then random ones) runs `generations` of `population`
-    points, each on the same `runs` runs. Gains are searched over `decades` powers of ten down and up from those of the
-    file; `over` gives other parameters and ranges for a controller; those in `untuned` are not tuned.
-    """
+    """Tuning of each controller by CMA-ES, with the same budget for all."""
 
     cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
-    runs: Annotated[int, BoundedInt(1, _MOST)] = 32
+    runs: Annotated[int, BoundedInt(1, _MOST)] = 32  # training runs a point
     seed: _Seed = 99
-    starts: Annotated[int, BoundedInt(1, 1000)] = 2
+    starts: Annotated[int, BoundedInt(1, 1000)] = 2  # the gains of the file, then random ones
     generations: Annotated[int, BoundedInt(1, 100_000)] = 40
     population: Annotated[int, BoundedInt(4, 10_000)] = 16
-    decades: Annotated[int, BoundedInt(1, 6)] = 1
-    over: dict[str, tuple[str, ...]] = Field(default_factory=dict)
-    untuned: tuple[str, ...] = ()
+    decades: Annotated[int, BoundedInt(1, 6)] = 1  # powers of ten down and up from the gains of the file
+    over: dict[str, tuple[str, ...]] = Field(default_factory=dict)  # other parameters and ranges, by controller
+    untuned: tuple[str, ...] = ()  # controllers
 
     @field_validator("cost", mode="after")
     @classmethod
@@ -224,21 +204,15 @@ class EvaluationSpec(ConfigModel):
     seed: _Seed = 1
 
 
-class Suite(ConfigModel):
+class Suite(RunSpec):
     """A benchmark suite: plants, references, conditions and controllers.
 
     The models of all controllers are the nominal `joint`, `load` and `valve`, whatever the plant of a run.
 
     Attributes
     ----------
-    name
-        Title.
-    joint, load, valve, sensors, disturbance
-        Nominal plant, as in a scenario.
-    other_joints
-        Joints in place of `joint` in a share of the runs, with the same specimens and kinds of law.
-    joint_share
-        Share of `joint` itself.
+    other_joints, joint_share
+        Joints in place of `joint` in a share of the runs, with the same specimens and kinds of law; share of `joint`.
     conditions
         Plant parameters that vary, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.parse_sweep`.
     references
@@ -249,8 +223,6 @@ class Suite(ConfigModel):
         Controllers by name; the others are compared with the first.
     tuning, evaluation
         Training runs and budget, and evaluation runs.
-    duration, control_period, substeps
-        As in a scenario.
     """
 
     renamed: ClassVar = {"wishes": "references", "fastest": "max_angular_acceleration", "unseen": "evaluation"}
@@ -273,16 +245,6 @@ class Suite(ConfigModel):
     control_period: PositiveTime
     substeps: Annotated[int, BoundedInt(1, 1000)] = 4
 
-    @field_validator("valve", mode="before")
-    @classmethod
-    def _ideal(cls, value: Any) -> Any:
-        return None if value == "ideal" else value
-
-    @field_validator("control_period", mode="after")
-    @classmethod
-    def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
-        return check_divides_duration(value, info.data.get("duration"))
-
     @field_validator("evaluation", mode="after")
     @classmethod
     def _other_seed(cls, value: EvaluationSpec, info: ValidationInfo) -> EvaluationSpec:
@@ -291,20 +253,9 @@ class Suite(ConfigModel):
             fail_validation("has the seed of the tuning", "give another: the training runs are no evaluation")
         return value
 
-    @model_serializer(mode="wrap", when_used="json")
-    def _write(self, handler: Any) -> Any:
-        written = handler(self)
-        return {**written, "valve": written.get("valve") or "ideal"}
-
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Suite:
-        """Read a suite file.
-
-        Raises
-        ------
-        ScenarioError
-            With every problem of the file: line, field, value, allowed range and remedy.
-        """
+        """Read a suite file; raises ScenarioError with every problem of it."""
         return cls.parse(read_text(path, "a suite"), source=os.fspath(path), folder=Path(path).parent)
 
     @classmethod
@@ -315,10 +266,6 @@ class Suite(ConfigModel):
         if problems:
             raise ScenarioError(source, problems)
         return suite
-
-    def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
-        """Text from which `parse` restores the suite; paths are relative to a folder."""
-        return to_text(self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)}))
 
     @property
     def cost(self) -> Cost:

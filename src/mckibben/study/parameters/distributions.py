@@ -39,37 +39,39 @@ class Distribution(abc.ABC):
 
     @abc.abstractmethod
     def grid(self) -> NDArray:
-        """Values on a grid.
-
-        Raises
-        ------
-        ParameterError
-            If the distribution does not determine them.
-        """
+        """Values on a grid; raises ParameterError where the distribution does not determine them."""
 
 
 @dataclass(frozen=True)
-class Uniform(Distribution):
-    """Uniform distribution.
-
-    Parameters
-    ----------
-    low, high
-        Bounds [SI].
-    points
-        Number of values on a grid, bounds included.
-    """
+class _Range(Distribution):
+    """Range with a number of points on a grid, bounds included."""
 
     low: float
     high: float
     points: int | None = None
 
     def __post_init__(self) -> None:
-        _check_range(self.low, self.high, self.points)
+        if not (math.isfinite(self.low) and math.isfinite(self.high)):
+            raise ParameterError(f"{self.low:g} to {self.high:g} is no range", remedy="give two finite numbers")
+        if not self.low < self.high:
+            message = f"the range is empty: {self.low:g} is not below {self.high:g}"
+            raise ParameterError(message, remedy="write the lower end first")
+        if self.points is not None and not 2 <= self.points <= MAX_ROWS:
+            raise ParameterError(f"a grid of {self.points} points is none", remedy=f"choose 2 to {MAX_ROWS} points")
 
     @property
     def bounds(self) -> tuple[float, float]:
         return self.low, self.high
+
+    def grid(self) -> NDArray[np.float64]:
+        if self.points is None:
+            raise ParameterError("the range has no number of grid points", remedy="write it like `... in 9`")
+        return self.ppf(np.linspace(0.0, 1.0, self.points))
+
+
+@dataclass(frozen=True)
+class Uniform(_Range):
+    """Uniform distribution between bounds [SI], with so many `points` on a grid, bounds included."""
 
     def ppf(self, quantile: ArrayLike) -> NDArray[np.float64]:
         u = np.clip(np.asarray(quantile, float), 0.0, 1.0)
@@ -78,40 +80,22 @@ class Uniform(Distribution):
     def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
         return np.clip((np.asarray(value, float) - self.low) / (self.high - self.low), 0.0, 1.0)
 
-    def grid(self) -> NDArray[np.float64]:
-        return self.ppf(_steps(self.points))
-
 
 @dataclass(frozen=True)
-class LogUniform(Distribution):
-    """Log-uniform distribution, between bounds of one sign.
+class LogUniform(_Range):
+    """Log-uniform distribution between bounds [SI] of one sign, with so many `points` on a grid, bounds included.
 
     >>> LogUniform(1.0, 100.0, points=3).grid()
     array([  1.,  10., 100.])
-
-    Parameters
-    ----------
-    low, high
-        Bounds [SI].
-    points
-        Number of values on a grid, bounds included.
     """
 
-    low: float
-    high: float
-    points: int | None = None
-
     def __post_init__(self) -> None:
-        _check_range(self.low, self.high, self.points)
+        super().__post_init__()
         if self.low <= 0 <= self.high:
             raise ParameterError(
                 f"a range from {self.low:g} to {self.high:g} has no even logarithm",
                 remedy="give two ends of one sign, neither of them zero, or leave `log` out",
             )
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        return self.low, self.high
 
     def ppf(self, quantile: ArrayLike) -> NDArray[np.float64]:
         u = np.clip(np.asarray(quantile, float), 0.0, 1.0)
@@ -124,21 +108,10 @@ class LogUniform(Distribution):
         low, high = math.log(abs(self.low)), math.log(abs(self.high))
         return np.clip((np.log(np.abs(inside)) - low) / (high - low), 0.0, 1.0)
 
-    def grid(self) -> NDArray[np.float64]:
-        return self.ppf(_steps(self.points))
-
 
 @dataclass(frozen=True)
 class Normal(Distribution):
-    """Truncated normal distribution.
-
-    Parameters
-    ----------
-    mean, deviation
-        Mean and standard deviation before truncation [SI].
-    lower, upper
-        Bounds [SI]. Default: those of the parameter.
-    """
+    """Normal distribution [SI] truncated at bounds, by default those of the parameter."""
 
     mean: float
     deviation: float
@@ -153,8 +126,7 @@ class Normal(Distribution):
             )
         if not (self.lower <= self.mean <= self.upper and self.lower < self.upper):
             raise ParameterError(
-                f"the mean {self.mean:g} is outside {self.lower:g} to {self.upper:g}",
-                remedy="choose a mean inside",
+                f"the mean {self.mean:g} is outside {self.lower:g} to {self.upper:g}", remedy="choose a mean inside"
             )
 
     @property
@@ -250,21 +222,6 @@ class IntegerRange(Distribution):
         if self.high - self.low >= MAX_ROWS:
             raise ParameterError(f"{self.low} to {self.high} are more than {MAX_ROWS} values", remedy="choose fewer")
         return np.arange(self.low, self.high + 1, dtype=np.int64)
-
-
-def _check_range(low: float, high: float, points: int | None) -> None:
-    if not (math.isfinite(low) and math.isfinite(high)):
-        raise ParameterError(f"{low:g} to {high:g} is no range", remedy="give two finite numbers")
-    if not low < high:
-        raise ParameterError(f"the range is empty: {low:g} is not below {high:g}", remedy="write the lower end first")
-    if points is not None and not 2 <= points <= MAX_ROWS:
-        raise ParameterError(f"a grid of {points} points is none", remedy=f"choose 2 to {MAX_ROWS} points")
-
-
-def _steps(points: int | None) -> NDArray[np.float64]:
-    if points is None:
-        raise ParameterError("the range has no number of grid points", remedy="write it like `... in 9`")
-    return np.linspace(0.0, 1.0, points)
 
 
 def _indices(quantile: ArrayLike, count: int) -> NDArray[np.int64]:

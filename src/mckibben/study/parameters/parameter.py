@@ -20,10 +20,7 @@ from mckibben.units import BoundedInt, Quantity, show
 
 
 def effective_value(scenario: Scenario, part: ConfigModel, place: tuple[str, ...]) -> float | int | None:
-    """Effective value [SI] of a number of a section, also where the scenario leaves it unset.
-
-    None for a starting stiffness and a minimum tension that are unset.
-    """
+    """Effective value [SI] of a number, also where it is unset; None for a starting stiffness and a minimum tension."""
     key = place[-1]
     value = getattr(part, key)
     if value is not None:
@@ -63,19 +60,14 @@ _ABSENT = {
         "the controller's model is the joint of the plant itself",
         "write `model:` in the file to vary it apart from the plant",
     ),
-    ("controller", "decoupling", "load"): (
-        "the controller's load is that of the plant itself",
-        "write `load:` below `decoupling:` in the file to vary it apart from the plant",
-    ),
-    ("controller", "predictive", "load"): (
-        "the controller's load is that of the plant itself",
-        "write `load:` below `predictive:` in the file to vary it apart from the plant",
-    ),
-    ("controller", "inverse_model", "load"): (
-        "the controller's load is that of the plant itself, or none",
-        "write `load:` below `inverse_model:` in the file to vary it apart from the plant",
-    ),
     ("controller", "model", "spring"): ("the controller's model has no spring", "write one in the file"),
+    **{
+        ("controller", key, "load"): (
+            "the controller's load is that of the plant itself, or none",
+            f"write `load:` below `{key}:` in the file to vary it apart from the plant",
+        )
+        for key in ("decoupling", "predictive", "inverse_model")
+    },
 }
 
 
@@ -215,18 +207,10 @@ LISTING = "`mckibben sweep SCENARIO.yaml --list` shows all"
 
 @dataclass(frozen=True)
 class ScenarioParameter:
-    """A scalar parameter of a scenario.
+    """A scalar parameter of a scenario, such as "controller.position.kp".
 
-    Attributes
-    ----------
-    name
-        Name, such as "controller.position.kp".
-    place
-        Keys in the file, such as ("controller", "position", "pid", "kp").
-    mark
-        Annotation of the field, with unit, range and text form.
-    nominal
-        Value in the scenario, a float [SI] or an int; None for a starting stiffness or a minimum tension that is unset.
+    `place` has its keys in the file, `mark` unit, range and text form; its `nominal` value [SI] is None for a starting
+    stiffness or a minimum tension that is unset.
     """
 
     name: str
@@ -294,14 +278,7 @@ def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
 
 
 def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
-    """Parameter of a scenario by name.
-
-    Parameters
-    ----------
-    scenario
-        Scenario.
-    name
-        Name, such as "load.mass2"; the level `pid`, `backprop`, `sine`, ... is optional.
+    """Parameter of a scenario by name; the level `pid`, `backprop`, `sine`, ... is optional.
 
     Raises
     ------
@@ -322,15 +299,8 @@ def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
 
 
 def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioParameter]:
-    """Parameters of a scenario by their names, which must be different.
+    """Parameters of a scenario by their names, which must be different; raises ParameterError.
 
-    Raises
-    ------
-    ParameterError
-        As for `find_parameter`, and if one is named twice.
-
-    Examples
-    --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
     >>> find_parameters(scenario, ["load.mass2", "load.mass2"])
     Traceback (most recent call last):

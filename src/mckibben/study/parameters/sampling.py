@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NoReturn
 
@@ -28,13 +28,7 @@ from mckibben.units import Quantity, split_range
 
 @dataclass(frozen=True)
 class SweptParameter:
-    """A parameter and its distribution, which must lie in the parameter's range.
-
-    Raises
-    ------
-    ParameterError
-        If the distribution does not fit the parameter.
-    """
+    """A parameter and its distribution, which must lie in the parameter's range; else raises ParameterError."""
 
     parameter: ScenarioParameter
     distribution: Distribution
@@ -186,17 +180,16 @@ def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
 
 
 def parse_sweeps(texts: Iterable[str], scenario: Scenario) -> tuple[SweptParameter, ...]:
-    """Parse several parameters and their distributions.
+    """Parse several parameters and their distributions; raises ParameterError as well if a parameter is repeated."""
+    return parse_distinct(texts, lambda text: parse_sweep(text, scenario))
 
-    Raises
-    ------
-    ParameterError
-        As for `parse_sweep`, and if a parameter is repeated.
-    """
+
+def parse_distinct(texts: Iterable[str], parse: Callable[[str], SweptParameter]) -> tuple[SweptParameter, ...]:
+    """Parse each text; raises ParameterError if a parameter is repeated."""
     found: dict[str, str] = {}
     several = []
     for text in texts:
-        swept = parse_sweep(text, scenario)
+        swept = parse(text)
         if swept.name in found:
             _fail(f"{quoted(found[swept.name])} and {quoted(text)} are about the same parameter", "keep one of them")
         found[swept.name] = text
@@ -316,22 +309,15 @@ def sample(
     swept
         Parameters and their distributions.
     method
-        "sobol": scrambled Sobol sequence; "random": independent draws; of both, the first rows of a longer table are
-        the shorter one. "grid": all combinations of values, of ranges with a number of points, and of integers; the
-        last parameter runs fastest.
-    samples
-        Number of rows, except for a grid.
-    seed
-        Seed of the scrambling or the draws.
+        "sobol": scrambled Sobol sequence (`scipy.stats.qmc.Sobol`); "random": independent draws; of both, the first
+        rows of a longer table are the shorter one. "grid": all combinations; the last parameter runs fastest.
+    samples, seed
+        Number of rows, and seed of the scrambling or the draws; not of a grid.
 
     Raises
     ------
     ParameterError
         If there is no parameter, one is repeated, or a grid has no number of points.
-
-    References
-    ----------
-    `scipy.stats.qmc.Sobol`; S. Joe and F. Y. Kuo, SIAM J. Sci. Comput. 30 (2008) 2635-2654.
 
     Examples
     --------
@@ -352,8 +338,8 @@ def sample(
             raise ParameterError(f"{name} is varied twice", remedy="keep one of them")
     if method == "grid":
         return _grid(swept)
-    _check_count("samples", samples, 1, MAX_ROWS)
-    _check_count("seed", seed, 0, 2**63 - 1)
+    check_count("samples", samples, 1, MAX_ROWS)
+    check_count("seed", seed, 0, 2**63 - 1)
     if method == "sobol":
         quantiles = _sobol(len(swept), samples, seed)
     elif method == "random":
@@ -388,7 +374,8 @@ def _generator(seed: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(seed))
 
 
-def _check_count(what: str, value: object, least: int, most: int) -> None:
+def check_count(what: str, value: object, least: int, most: int) -> None:
+    """Raise ParameterError unless a value is a whole number in a range."""
     if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
         raise ParameterError(
             f"{what} is {value!r}",

@@ -163,10 +163,7 @@ def _search(attempt: _Attempt, table: Sequence[NDArray], rows: NDArray[np.int64]
     widths = [np.ptp(column[rows]) / max(np.ptp(column), 1e-300) for column in table]
     widest = table[int(np.argmax(widths))]
     ordered = rows[np.argsort(widest[rows], kind="stable")]
-    return {
-        **_search(attempt, table, ordered[: len(rows) // 2]),
-        **_search(attempt, table, ordered[len(rows) // 2 :]),
-    }
+    return {**_search(attempt, table, ordered[: len(rows) // 2]), **_search(attempt, table, ordered[len(rows) // 2 :])}
 
 
 def _ends(column: NDArray) -> list[Any]:
@@ -182,16 +179,7 @@ _PLANT = ("joint", "load", "valve")
 
 
 def with_values(scenario: Scenario, values: Mapping[str, float | int], *, known: Known = "all") -> Scenario:
-    """The scenario with other values, validated as if they were in its file.
-
-    Parameters
-    ----------
-    scenario
-        Scenario; it is not changed.
-    values
-        Values [SI] by name.
-    known
-        As for `batched`. Default: all, as in a file.
+    """The scenario with other values [SI] by name, validated as if they were in its file; `known` as for `batched`.
 
     Raises
     ------
@@ -204,9 +192,7 @@ def with_values(scenario: Scenario, values: Mapping[str, float | int], *, known:
     >>> with_values(scenario, {"load.mass2": 0.8}).plant().load.mass2
     0.8
     """
-    columns = {
-        parameter: _column(parameter, [value]) for parameter, value in zip(*_named(scenario, values), strict=True)
-    }
+    columns = _columns(scenario, {name: [value] for name, value in values.items()})
     _check_rules(scenario, columns)
     numbers = {parameter: column[0].item() for parameter, column in columns.items()}
     fixed = _with_fixed_model(scenario, numbers, known)
@@ -217,16 +203,8 @@ def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known 
     """A batch of scenarios, with arrays of shape (n,) for the varied parameters.
 
     The objects built from it (`plant`, `control`, `reference`) have these arrays among their leaves. Such a scenario
-    can be neither written nor compared. A controller's model that is taken from the plant stays the nominal one.
-
-    Parameters
-    ----------
-    scenario
-        Scenario; it is not changed.
-    table
-        Values [SI] by name, columns of one length n.
-    known
-        Plant parameters that the controller's model follows, "all" for all of them.
+    can be neither written nor compared. A controller's model that is taken from the plant stays the nominal one, but
+    for the `known` plant parameters, "all" for all of them.
 
     Raises
     ------
@@ -253,16 +231,7 @@ def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known 
 
 
 def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tuple[str, ...]:
-    """Names of the parameters that vary in the plant and in the controller's model alike.
-
-    Parameters
-    ----------
-    scenario
-        Scenario with the controller.
-    known
-        As for `batched`.
-    varied
-        Names of all varied parameters.
+    """Varied parameters that the plant and the controller's model have in common; `known` as for `batched`.
 
     Raises
     ------
@@ -328,16 +297,11 @@ def _follows(scenario: Scenario, parameter: ScenarioParameter) -> bool:
     return marked.with_fixed_model().controller != scenario.with_fixed_model().controller
 
 
-def _named(scenario: Scenario, values: Mapping[str, object]) -> tuple[list[ScenarioParameter], list]:
-    if not values:
-        raise ParameterError("no values are given", remedy="give one for each parameter that is to change")
-    return find_parameters(scenario, values), list(values.values())
-
-
 def _columns(scenario: Scenario, table: Mapping[str, ArrayLike]) -> dict[ScenarioParameter, NDArray]:
-    columns = {
-        parameter: _column(parameter, values) for parameter, values in zip(*_named(scenario, table), strict=True)
-    }
+    if not table:
+        raise ParameterError("no values are given", remedy="give one for each parameter that is to change")
+    pairs = zip(find_parameters(scenario, table), table.values(), strict=True)
+    columns = {parameter: _column(parameter, values) for parameter, values in pairs}
     lengths = {parameter.name: len(column) for parameter, column in columns.items()}
     if len(set(lengths.values())) > 1:
         given = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -381,24 +345,10 @@ def _row(row: int, rows: int) -> str:
 
 
 def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str | os.PathLike[str] = ".") -> str:
-    """The text of a scenario with other values; comments, order and layout stay.
+    """The text of a scenario with other values [SI] by name; comments, order and layout stay.
 
-    Values that are not in the text are added to it, in the units of `Scenario.dumps` and with all digits.
-
-    Parameters
-    ----------
-    text
-        YAML of a scenario.
-    values
-        Values [SI] by name.
-    folder
-        Folder to which paths in the text are relative.
-
-    Returns
-    -------
-    text
-        YAML that reads as `with_values` of the scenario. Where unusual YAML prevents an edit in place, it is written
-        anew without comments.
+    Values that are not in the text are added to it, in the units of `Scenario.dumps` and with all digits. Where unusual
+    YAML prevents an edit in place, it is written anew without comments.
 
     Raises
     ------

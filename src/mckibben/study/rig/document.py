@@ -15,11 +15,11 @@ from mckibben.config.document import Document, to_text
 from mckibben.config.fields import Flag, OneOf, Title
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text
 from mckibben.config.schema import model_of
-from mckibben.errors import Problem, ScenarioError
+from mckibben.errors import ScenarioError
 from mckibben.muscle import ChouLaw, ForceLaw, Muscle, NoCreep, NoFriction, Specimen
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench, Drive, RigLimits
-from mckibben.rig.calibration import Calibration, calibrations_in, content_of
+from mckibben.rig.calibration import Calibration, read_calibrations
 from mckibben.rig.steps import Step, steps_of
 from mckibben.storage.files import atomic_write
 from mckibben.study.rig.steps import Address, JsonPath, ProtocolSpec, steps
@@ -39,10 +39,7 @@ if TYPE_CHECKING:
 
 
 class TestedMuscleSpec(ConfigModel):
-    """Specimen under test.
-
-    With a `law` the boundaries of the test follow from it; without one the test finds them.
-    """
+    """Specimen under test; the boundaries of the test follow from its `law`, or are found without one."""
 
     specimen: Annotated[str, CatalogName("specimens")]
     law: Law | None = None
@@ -50,11 +47,7 @@ class TestedMuscleSpec(ConfigModel):
 
 
 class SimulatedRigSpec(ConfigModel):
-    """The simulated rig, see `SimulatedRig`.
-
-    Its muscle follows `law` (default: that of `muscle`), with friction and creep where given. Its `parts` are real
-    (noise, offsets, backlash, resolution) or ideal.
-    """
+    """The simulated rig: law (default: that of `muscle`), friction and creep of its muscle, real or ideal parts."""
 
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
     law: Law | None = None
@@ -130,29 +123,7 @@ class RecordingSpec(model_of(Bench, optional=True)):
 
 
 class RigTest(ConfigModel):
-    """A test: specimen, rig, limits and protocol in SI; `read` and `to_yaml` know the units.
-
-    Attributes
-    ----------
-    name
-        One line of text.
-    muscle
-        Specimen and law.
-    rig
-        Simulated rig, or a card.
-    limits
-        Safety limits.
-    recording
-        Cycle of the safety monitor, sample rate between plateaus.
-    protocol
-        Steps, or a whole test.
-
-    Examples
-    --------
-    >>> test = RigTest.read("examples/rig/paper-protocol.yaml")
-    >>> test.protocol.form, test.muscle.specimen
-    ('isobaric', 'MAS-10-180N-AA-MC-O')
-    """
+    """A test: specimen, rig, limits and protocol in SI; `read` and `to_yaml` know the units."""
 
     name: Title = Field(examples=["isobaric test of a new muscle"])
     muscle: TestedMuscleSpec
@@ -173,24 +144,12 @@ class RigTest(ConfigModel):
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> RigTest:
-        """Read a protocol file.
-
-        Raises
-        ------
-        ScenarioError
-            With every problem of the file: line, field, value, allowed range and remedy.
-        """
+        """Read a protocol file; `ScenarioError` with all problems: line, field, value, allowed range and remedy."""
         return read_test(path)[0]
 
     @classmethod
     def parse(cls, text: str, *, source: str = "protocol", folder: str | os.PathLike[str] = ".") -> RigTest:
-        """Read a protocol from text, in which paths are relative to a folder.
-
-        Raises
-        ------
-        ScenarioError
-            With every problem of the text.
-        """
+        """Read a protocol from text, in which paths are relative to a folder."""
         return parse_model(RigTest, text, source=source, folder=folder)[0]
 
     def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
@@ -207,13 +166,7 @@ class RigTest(ConfigModel):
 
 
 def read_test(path: str | os.PathLike[str]) -> tuple[RigTest, Document]:
-    """A protocol file, and the lines of its values.
-
-    Raises
-    ------
-    ScenarioError
-        As `RigTest.read`.
-    """
+    """A protocol file, and the lines of its values."""
     text = read_text(path, "a protocol", "examples/rig/paper-protocol.yaml")
     return parse_model(RigTest, text, source=os.fspath(path), folder=Path(path).parent)
 
@@ -230,15 +183,7 @@ class Setup:
 
 
 def build_setup(test: RigTest, session: int = 0) -> Setup:
-    """The rig of a test; `session` counts its resumptions.
-
-    Raises
-    ------
-    ScenarioError
-        If a calibration cannot be read.
-    RigError
-        If a driver or a package is missing.
-    """
+    """The rig of a test; `session` counts its resumptions."""
     of = build_muscle(test)
     if test.rig.simulated is not None:
         backend, calibrations, drive = _simulated(test.rig.simulated, test, of, session)
@@ -266,13 +211,7 @@ def build_muscle(test: RigTest) -> Muscle | Specimen:
 
 
 def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ...]:
-    """The steps of a protocol.
-
-    Raises
-    ------
-    RangeError
-        If a whole test does not suit the muscle.
-    """
+    """The steps of a protocol; `RangeError` if a whole test does not suit the muscle."""
     if protocol.steps is not None:
         return steps(protocol.steps)
     return steps_of(getattr(protocol, protocol.form).build(), of)
@@ -315,7 +254,7 @@ def _simulated(
 def _card(spec: CardSpec) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
     from mckibben.rig.ni import NiRig
 
-    calibrations = read_calibrations(cast(Path, spec.calibration))
+    calibrations = rig_calibrations(cast(Path, spec.calibration))
     given = {name: getattr(spec, name) for name in ("rate", "patience", "server") if getattr(spec, name) is not None}
     return NiRig(build_wiring(spec), **given), calibrations, Drive(**explicit_fields(spec.drive) if spec.drive else {})
 
@@ -337,23 +276,12 @@ def build_wiring(spec: CardSpec) -> Terminals:
     )
 
 
-def read_calibrations(path: Path) -> dict[str, Calibration]:
-    """The calibrations of a file: a JSON object of them, by the names of their channels.
-
-    Raises
-    ------
-    ScenarioError
-        With all that is wrong with them.
-    """
-    content = content_of(path, "see docs/rig-hardware.md")
-    problems = [
-        Problem("is missing", field=name, remedy="calibrate it, see docs/rig-hardware.md")
-        for name in ("force", "pressure", "valve")
-        if name not in content
-    ]
-    found, wrong = calibrations_in(content)
-    if problems or wrong:
-        raise ScenarioError(str(path), [*problems, *wrong])
+def rig_calibrations(path: Path) -> dict[str, Calibration]:
+    """The calibrations of a JSON file, by channel; `ScenarioError` with all problems."""
+    remedy = "calibrate it, see docs/rig-hardware.md"
+    found, problems = read_calibrations(path, ("force", "pressure", "valve"), remedy)
+    if problems:
+        raise ScenarioError(str(path), problems)
     return found
 
 

@@ -27,38 +27,32 @@ from mckibben.rig.runner import DONE, Runner, columns_of
 from mckibben.rig.session import VENTED, ProgressCallback
 from mckibben.rig.steps import Step, describe_steps
 from mckibben.storage.files import check_free, file_lock, handle_signals, make_folder
-from mckibben.study.rig.document import RigTest, Setup, build_setup, build_steps
+from mckibben.study.rig.document import (
+    RigTest,
+    Setup,
+    build_setup,
+    build_steps,
+    build_wiring,
+    read_test,
+    rig_calibrations,
+)
 from mckibben.units import bar, mm, percent
 
 if TYPE_CHECKING:
     from mckibben.rig.ni import ChannelStatus
-    from mckibben.study.rig.document import Setup
 
 
 def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
-    """Status of the channels of a rig: lines of text, each with whether it is without a problem. Nothing moves.
-
-    Parameters
-    ----------
-    protocol
-        Of the rig, which is then checked; None for the paper's terminals on ``Dev1``.
-
-    Raises
-    ------
-    ScenarioError
-        If the protocol cannot be read.
-    """
+    """Status of the channels of a protocol's rig, or of the paper's terminals: lines, each with whether it is well."""
     from mckibben.rig.ni import channel_status
 
     if protocol is None:
         yield from map(_status_line, channel_status())
         return
-    from mckibben.study.rig.document import build_setup, build_wiring, read_calibrations, read_test
-
     test, document = read_test(protocol)
     card = test.rig.nidaqmx
     if card is not None:
-        calibrations = read_calibrations(Path(str(card.calibration)))
+        calibrations = rig_calibrations(Path(str(card.calibration)))
         yield from map(_status_line, channel_status(build_wiring(card), calibrations, server=card.server or ""))
     else:
         yield from _simulated_status(build_setup(test))
@@ -97,21 +91,7 @@ def _simulated_status(setup: Setup) -> Iterator[tuple[str, bool]]:
 
 @dataclass(frozen=True)
 class CheckedTest:
-    """A checked test.
-
-    Attributes
-    ----------
-    test
-        The test.
-    setup
-        Its rig, closed.
-    steps
-        Its steps.
-    dry_run
-        Duration, travel and samples.
-    disk_space
-        Of record and dataset [bytes].
-    """
+    """A checked test: its rig (closed), steps, dry run, and the disk space of record and dataset [bytes]."""
 
     test: RigTest
     setup: Setup
@@ -146,24 +126,7 @@ class CheckedTest:
 def check(
     test: RigTest, document: Document | None = None, *, source: str = "protocol", session: int = 0
 ) -> CheckedTest:
-    """Check a test by a dry run.
-
-    Parameters
-    ----------
-    test
-        The test.
-    document
-        Its text, for the lines of the problems.
-    source
-        Its name in errors.
-    session
-        Number of previous sessions of the test, for the seed of a simulated rig.
-
-    Raises
-    ------
-    ScenarioError
-        With all problems.
-    """
+    """Check a test by a dry run; `ScenarioError` with all problems, at their lines in the document."""
     lines = document or Document()
     setup = build_setup(test, session)
     try:
@@ -178,13 +141,7 @@ def check(
 
 
 def check_disk_space(folder: Path, needed: int) -> None:
-    """Check the free space of a disk [bytes].
-
-    Raises
-    ------
-    ScenarioError
-        If it is too small.
-    """
+    """Raise `ScenarioError` if a disk has less free space [bytes] than needed."""
     there = folder
     while not there.exists():
         there = there.absolute().parent
@@ -248,31 +205,7 @@ def run_test(
     standing_at: float | None = None,
     report: ProgressCallback | None = None,
 ) -> IsobaricDataset:
-    """Run a checked test, record it in a folder, and make the dataset of the record.
-
-    Parameters
-    ----------
-    checked
-        From `check`.
-    folder
-        Of ``protocol.yaml``, the record and finally the dataset.
-    resume
-        Resume the test in the folder at the first missing point.
-    standing_at
-        With `resume`: the contraction [-] of the present position of the motor. Otherwise a simulated rig starts where
-        the muscle was mounted, a physical one where the record says that it was stopped.
-    report
-        Callback for the progress.
-
-    Raises
-    ------
-    FileError, ScenarioError
-        If the folder has a record already (or none to resume, or another one), is in use, or the disk is full.
-    RigError
-        If the rig is not connected.
-    StoppedError
-        If the test was stopped; the muscle has been vented, and the record is kept.
-    """
+    """Run a checked test, record it, and make its dataset; `standing_at` is the contraction [-] of the motor."""
     folder = Path(folder)
     if resume and not (folder / PROTOCOL).exists():
         raise FileError(str(folder), [Problem("holds no test to resume", remedy="leave --resume out")])
@@ -301,13 +234,7 @@ def run_test(
 
 
 def gather(folder: str | os.PathLike[str]) -> IsobaricDataset:
-    """Make the dataset of the record in a folder, finished or not.
-
-    Raises
-    ------
-    FileError
-        If there is none.
-    """
+    """Make the dataset of the record in a folder, finished or not; `FileError` if there is none."""
     folder = Path(folder)
     if not (folder / PROTOCOL).exists():
         raise FileError(str(folder), [Problem("holds no test", remedy="give the folder of `rig run --out`")])

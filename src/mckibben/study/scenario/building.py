@@ -22,38 +22,24 @@ from mckibben.control import (
     PositionStiffnessControl,
     PredictiveControl,
     PressureObserver,
-    Reference,
     VelocityObserver,
 )
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon
 from mckibben.muscle import ChouLaw, Muscle, NoCreep, NoFriction, scaled_law
-from mckibben.plant import (
-    IdealValve,
-    JointPlant,
-    NoDisturbance,
-    PerfectSensors,
-    PlantState,
-)
+from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
 from mckibben.study.parameters import Known, Table, batched
 from mckibben.study.scenario import Scenario
-from mckibben.study.scenario.controller import (
-    ControllerSpec,
-    DecouplingSpec,
-    ModelBasedSpec,
-    OwnControllerSpec,
-)
+from mckibben.study.scenario.controller import ControllerSpec, DecouplingSpec, ModelBasedSpec, OwnControllerSpec
 from mckibben.study.scenario.plant import (
     DisturbanceSpec,
     JointSpec,
     LoadSpec,
     MuscleSpec,
     SensorsSpec,
-    StartSpec,
     ValveSpec,
 )
-from mckibben.study.scenario.reference import ReferenceSpec
 
 _PARTS = ("poles", "sliding", "velocity_observer", "disturbance_observer", "pressure_observer", "load", "adaptation")
 
@@ -142,16 +128,6 @@ def observers(spec: ModelBasedSpec) -> tuple[Observer, PressureObserver]:
     return observer, PressureObserver(**explicit_fields(pressure))
 
 
-def build_reference(spec: ReferenceSpec) -> Reference:
-    """Reference over time."""
-    return Reference(angle=spec.angle.build(), stiffness=spec.stiffness.build())
-
-
-def build_start(plant: JointPlant, spec: StartSpec) -> PlantState:
-    """The state at rest to start from."""
-    return plant.equilibrium(spec.angle, stiffness=spec.stiffness)
-
-
 def _muscle(spec: MuscleSpec) -> Muscle:
     specimen = catalog.specimen(spec.specimen)
     friction = NoFriction() if spec.friction is None else spec.friction.build()
@@ -166,11 +142,7 @@ def _muscle(spec: MuscleSpec) -> Muscle:
 
 
 def initial_state(scenario: Scenario) -> AtRest:
-    """Initial state of a scenario, at rest; of a batch with one value a run.
-
-    >>> initial_state(Scenario.read("examples/pre-contracted-step-pid.yaml"))
-    AtRest(angle=0.0, stiffness=12.0)
-    """
+    """Initial state of a scenario, at rest; of a batch with one value a run."""
     stiffness = scenario.start.stiffness
     return AtRest(scenario.start.angle, math.nan if stiffness is None else stiffness)
 
@@ -233,30 +205,7 @@ def run_many(
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Batch:
-    """Simulate a scenario once for each row of a table of values.
-
-    Parameters
-    ----------
-    scenario
-        Scenario with the nominal values.
-    table
-        Values [SI] by parameter name, columns of one length; see `mckibben.study.parameters.sample`.
-    known
-        Plant parameters that the controller's model follows; see `mckibben.study.parameters.batched`.
-    metrics, precision, chunk, workers, progress
-        As for `simulate_many`.
-
-    Raises
-    ------
-    ParameterError
-        If a row makes no valid scenario; it names the first such row.
-
-    Examples
-    --------
-    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"duration": 0.2})
-    >>> run_many(scenario, {"load.mass2": [0.4, 0.5]}, metrics=["angle_rmse"]).count
-    2
-    """
+    """Simulate a scenario once for each row of a table of values; raises ParameterError for an invalid row."""
     many = batched(scenario, table, known=known)
     return simulate_many(
         many.plant(),

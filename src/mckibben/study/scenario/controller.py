@@ -146,10 +146,7 @@ _MODEL_FIELDS = ("valve_time_constant", "minimum_tension", "friction_compensatio
 
 
 class ModelBasedSpec(ComponentModel):
-    """Observers of a model-based controller, and its model of load and valves.
-
-    Load and valves are those of the plant unless given. `adaptation` estimates the strength of the muscles online.
-    """
+    """Observers of a model-based controller, and its model of load and valves, the plant's unless given."""
 
     velocity_observer: ObserverSpec | None = None
     disturbance_observer: ObserverSpec | None = None
@@ -191,10 +188,7 @@ class PredictiveSpec(model_of(PredictiveControl, base=ModelBasedSpec, without=_M
 
 
 class InverseModelSpec(model_of(InverseModelControl)):
-    """Parameters of `InverseModelControl`, and its model of the load.
-
-    Load and valves are the plant's own unless given; a network `alone` has no inverse model, and no load.
-    """
+    """Parameters of `InverseModelControl`, and its model of the load, the plant's unless given; `alone` has none."""
 
     alone: Flag | None = None
     load: LoadSpec | None = None

@@ -28,12 +28,7 @@ from mckibben.errors import quoted, suggest
 from mckibben.joint import KneeGeometry, Load, SeriesSpring
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.plant import FirstOrderValve, SampledSensors, TorquePulses
-from mckibben.units import (
-    Angle,
-    Distance,
-    Stiffness,
-    Strength,
-)
+from mckibben.units import Angle, Distance, Stiffness, Strength
 
 
 @dataclass(frozen=True)

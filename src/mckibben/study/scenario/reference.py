@@ -22,22 +22,7 @@ _LARGEST = 64 * 2**20
 
 
 def read_samples(path: Path, name: str, unit: str) -> tuple[list[float], list[float]]:
-    """The times [s] and the values of a quantity, in `unit`.
-
-    Parameters
-    ----------
-    path
-        Of the file.
-    name
-        What the column's title begins with, such as "angle"; its unit follows after "_".
-    unit
-        Of the answer.
-
-    Raises
-    ------
-    ScenarioError
-        With every problem of the file and its line.
-    """
+    """The times [s] and the values, in `unit`, of the column of a CSV file that is titled NAME_UNIT."""
     try:
         if path.stat().st_size > _LARGEST:
             raise ScenarioError(str(path), [Problem(f"is larger than {_LARGEST // 2**20} MiB")])

@@ -25,41 +25,58 @@ if TYPE_CHECKING:
 _MOST_PERIODS = 10_000_000
 
 
-def check_divides_duration(value: float, duration: float | None) -> float:
-    """The control period [s], if it divides the duration [s]; for validators."""
-    if duration is None:
+class RunSpec(ConfigModel):
+    """Base of files with a plant and the timing of its runs."""
+
+    @field_validator("valve", mode="before", check_fields=False)
+    @classmethod
+    def _ideal(cls, value: Any) -> Any:
+        if value == "ideal":
+            return None
+        if isinstance(value, str) and value:
+            fail_validation(f"{value[:40]!r} is no valve", "write ideal, or {time_constant: 20 ms}")
         return value
-    periods = duration / value
-    if periods > _MOST_PERIODS:
-        fail_validation(
-            f"{value * 1e3:g} ms divides the duration {duration:.12g} s into more than {_MOST_PERIODS} periods",
-            "choose a longer period or a shorter duration",
-        )
-    if whole_periods(duration, value) is None:
-        near = max(round(periods), 1) * value
-        fail_validation(
-            f"the duration {duration:.12g} s is no whole number of control periods of {value * 1e3:g} ms "
-            f"({periods:.10g})",
-            f"choose a duration of {near:.12g} s, or a period that divides {duration:.12g} s",
-        )
-    return value
+
+    @field_validator("control_period", mode="after", check_fields=False)
+    @classmethod
+    def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
+        duration = info.data.get("duration")
+        if duration is None:
+            return value
+        periods = duration / value
+        if periods > _MOST_PERIODS:
+            fail_validation(
+                f"{value * 1e3:g} ms divides the duration {duration:.12g} s into more than {_MOST_PERIODS} periods",
+                "choose a longer period or a shorter duration",
+            )
+        if whole_periods(duration, value) is None:
+            near = max(round(periods), 1) * value
+            fail_validation(
+                f"the duration {duration:.12g} s is no whole number of control periods of {value * 1e3:g} ms "
+                f"({periods:.10g})",
+                f"choose a duration of {near:.12g} s, or a period that divides {duration:.12g} s",
+            )
+        return value
+
+    @model_serializer(mode="wrap", when_used="json")
+    def _write(self, handler: Any) -> Any:
+        written = handler(self)
+        return {**written, "valve": written.get("valve") or "ideal"}
+
+    def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
+        """Text that `parse` reads back to the last bit; paths are relative to a folder."""
+        return to_text(self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)}))
 
 
-class Scenario(ConfigModel):
+class Scenario(RunSpec):
     """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
 
     Scenarios compare by value. Paths are absolute here, and relative to the file in the text.
 
     Attributes
     ----------
-    name
-        One line of text.
-    joint, load, valve
-        The plant; the valve is ideal unless given.
-    sensors, disturbance
-        Sensor model (default: ideal) and disturbance torques (default: none).
-    controller
-        The controller with its model of the joint.
+    valve, sensors, disturbance
+        None for ideal valves and sensors, and no disturbance torques.
     signals
         The references; ``reference`` in the text and as an argument.
     start
@@ -91,15 +108,6 @@ class Scenario(ConfigModel):
     control_period: PositiveTime = Field(examples=["1 ms"])
     substeps: Annotated[int, BoundedInt(1, 1000)] = 4
 
-    @field_validator("valve", mode="before")
-    @classmethod
-    def _ideal(cls, value: Any) -> Any:
-        if value == "ideal":
-            return None
-        if isinstance(value, str) and value:
-            fail_validation(f"{value[:40]!r} is no valve", "write ideal, or {time_constant: 20 ms}")
-        return value
-
     @field_validator("controller", mode="after")
     @classmethod
     def _friction_known(cls, value: ControllerSpec, info: ValidationInfo) -> ControllerSpec:
@@ -111,50 +119,15 @@ class Scenario(ConfigModel):
             )
         return value
 
-    @field_validator("control_period", mode="after")
-    @classmethod
-    def _whole_periods(cls, value: float, info: ValidationInfo) -> float:
-        return check_divides_duration(value, info.data.get("duration"))
-
-    @model_serializer(mode="wrap", when_used="json")
-    def _write(self, handler: Any) -> Any:
-        written = handler(self)
-        return {**written, "valve": written.get("valve") or "ideal"}
-
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Scenario:
-        """Read a scenario file.
-
-        Raises
-        ------
-        ScenarioError
-            With every problem of the file: line, field, value, allowed range and remedy.
-        """
+        """Read a scenario file; raises ScenarioError with every problem: line, field, value, range and remedy."""
         return cls.parse(read_text(path), source=os.fspath(path), folder=Path(path).parent)
 
     @classmethod
     def parse(cls, text: str, *, source: str = "scenario", folder: str | os.PathLike[str] = ".") -> Scenario:
-        """Read a scenario from text.
-
-        Parameters
-        ----------
-        text
-            YAML with units.
-        source
-            What errors call it.
-        folder
-            To which paths in the text are relative.
-
-        Raises
-        ------
-        ScenarioError
-            With every problem of the text.
-        """
+        """Read a scenario from YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
         return parse_model(cls, text, source=source, folder=folder)[0]
-
-    def dumps(self, *, folder: str | os.PathLike[str] = ".") -> str:
-        """The scenario as text that `parse` reads back to the last bit; paths are relative to a folder."""
-        return to_text(self.model_dump(mode="json", by_alias=True, context={"folder": Path(folder)}))
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write the scenario to a file that `read` reads back to the last bit."""
@@ -179,18 +152,10 @@ class Scenario(ConfigModel):
 
     def reference(self) -> Reference:
         """Angle and stiffness references over time."""
-        from mckibben.study.scenario.building import build_reference
+        from mckibben.control import Reference
 
-        return build_reference(self.signals)
+        return Reference(angle=self.signals.angle.build(), stiffness=self.signals.stiffness.build())
 
     def initial(self, plant: JointPlant) -> PlantState:
-        """The initial equilibrium of a plant.
-
-        Raises
-        ------
-        UnreachableError
-            If the plant has no such equilibrium.
-        """
-        from mckibben.study.scenario.building import build_start
-
-        return build_start(plant, self.start)
+        """The initial equilibrium of a plant; raises UnreachableError if there is none."""
+        return plant.equilibrium(self.start.angle, stiffness=self.start.stiffness)

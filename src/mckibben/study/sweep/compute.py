@@ -51,22 +51,7 @@ class _Case(NamedTuple):
 
 
 def feasibility(scenario: Scenario, table: Table, size: int) -> dict[str, NDArray[np.float64]]:
-    """Static feasibility of each run's reference, checked at 200 instants (50 with springs in series).
-
-    Parameters
-    ----------
-    scenario, table
-        As for `run_many`.
-    size
-        Runs that are computed together.
-
-    Returns
-    -------
-    columns
-        ``shortfall_max`` [N*m/rad]: largest distance of the stiffness reference from the attainable stiffness, where
-        the angle can be held; NaN where it never can. ``infeasible_time``: share of the time at which the angle cannot
-        be held.
-    """
+    """Variables of `FEASIBILITY` of each run at some instants; the shortfall is NaN if no angle can be held."""
     many = batched(scenario, table)
     case = numeric(_Case(many.plant(), many.reference()))
     times = sampling_times(scenario.duration, scenario.control_period)
@@ -119,40 +104,17 @@ def software() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class BatchTask:
-    """Computation of the rows of a table; picklable.
-
-    Attributes
-    ----------
-    scenario
-        With its nominal values.
-    metrics
-        Metrics to compute.
-    precision
-        64 or 32 bits.
-    batch_size
-        Runs computed together. A table is padded to a multiple of it, so that there is one compiled program and the
-        numbers of a run do not depend on the others.
-    software
-        Versions that the process must have; see `software`.
-    known
-        Plant parameters that the controller's model follows.
-    """
+    """Computation of the rows of a table; picklable."""
 
     scenario: Scenario
     metrics: tuple[str, ...]
-    precision: int
-    batch_size: int
-    software: dict[str, str]
-    known: tuple[str, ...] = ()
+    precision: int  # bits
+    batch_size: int  # tables are padded to a multiple of it, so that a run does not depend on others
+    software: dict[str, str]  # versions that the process must have
+    known: tuple[str, ...] = ()  # plant parameters that the controller's model follows
 
     def __call__(self, table: Table) -> Columns:
-        """Return the results of some rows.
-
-        Raises
-        ------
-        SimulationError
-            If this process has other software versions than the one that planned the sweep.
-        """
+        """Return the results of some rows; raises SimulationError where the software is another."""
         here = software()
         if here != self.software:
             raise SimulationError(
@@ -193,10 +155,7 @@ Blocks = Iterable[tuple[int, Table]]
 def compute_on_threads(
     task: BatchTask, blocks: Blocks, keep: Callable[[int, Columns], None], workers: int | None = None
 ) -> Iterator[int]:
-    """Compute blocks on threads, which call `keep` with each result; yields finished blocks in order.
-
-    When the iterator is closed early, blocks under way are finished and kept first.
-    """
+    """Compute blocks on threads, which call `keep`; yields finished blocks. Closed early, it keeps those under way."""
     listed = list(blocks)
 
     def compute(piece: slice) -> int:
@@ -211,13 +170,7 @@ def compute_on_threads(
 
 
 def check_cluster(address: str) -> None:
-    """Check the address of a dask cluster, and that dask is installed.
-
-    Raises
-    ------
-    ParameterError
-        If the address is none that `compute_on_cluster` takes, or dask is missing.
-    """
+    """Raise ParameterError unless dask is installed and can connect to such an address."""
     if address != LOCAL and not address.startswith(_SCHEMES):
         raise ParameterError(
             f"{address!r} is no dask cluster", value=address, remedy="give local, or an address like tcp://host:8786"
@@ -231,30 +184,9 @@ def check_cluster(address: str) -> None:
 
 
 def compute_on_cluster(
-    task: BatchTask,
-    blocks: Blocks,
-    keep: Callable[[int, Columns], None],
-    address: str,
-    workers: int | None = None,
+    task: BatchTask, blocks: Blocks, keep: Callable[[int, Columns], None], address: str, workers: int | None = None
 ) -> Iterator[int]:
-    """Compute blocks on a dask cluster and call `keep` here with each result; yields finished blocks.
-
-    Blocks of a worker that dies are computed by others.
-
-    Parameters
-    ----------
-    task, blocks, keep
-        As for `compute_on_threads`.
-    address
-        "local" for one process a core on this machine, or the address of a scheduler.
-    workers
-        Local processes.
-
-    Raises
-    ------
-    SimulationError
-        If the cluster does not answer, or a block keeps killing its workers.
-    """
+    """Compute blocks on a dask cluster and call `keep` here; yields finished blocks. Dead workers are replaced."""
     from distributed import CancelledError, as_completed
     from distributed.comm.core import CommClosedError
     from distributed.scheduler import KilledWorker

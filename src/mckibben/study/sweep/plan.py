@@ -85,46 +85,17 @@ class SweepOptions(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SweepPlan:
-    """A sweep before it is run.
-
-    Attributes
-    ----------
-    task
-        Computation of a block.
-    swept
-        The parameters and their distributions.
-    table
-        Values [SI], one row a run.
-    block
-        Rows of a block, the unit that is computed and stored.
-    manifest
-        All that determines the numbers, as JSON.
-    """
+    """A sweep before it is run."""
 
     task: BatchTask
     swept: tuple[SweptParameter, ...]
-    table: Table
-    block: int
-    manifest: dict[str, Any]
+    table: Table  # one row a run
+    block: int  # rows that are computed and stored together
+    manifest: dict[str, Any]  # all that determines the numbers, as JSON
 
     @classmethod
     def of(cls, scenario: Scenario, options: SweepOptions, *, folder: str = ".", source: str = "") -> SweepPlan:
-        """Make and check the table.
-
-        Parameters
-        ----------
-        scenario, options
-            The sweep.
-        folder
-            Folder to which paths in the manifest's scenario are relative.
-        source
-            Origin of the scenario, for the record.
-
-        Raises
-        ------
-        ParameterError
-            If the options are invalid, or a row makes no valid scenario.
-        """
+        """Make and check the table; `folder` is that of paths in the manifest, `source` the origin of the scenario."""
         method = "sobol" if options.design is None else options.design
         if method == "grid" and options.samples is not None:
             raise ParameterError(
@@ -189,13 +160,7 @@ class SweepPlan:
 
 
 def parse_metrics(names: Iterable[str] | None) -> tuple[str, ...]:
-    """Metrics by their names in `Metrics` or in results; all for None.
-
-    Raises
-    ------
-    ParameterError
-        If a name is unknown, or there is none.
-    """
+    """Metrics by their names in `Metrics` or in results; all for None."""
     if names is None:
         return Metrics._fields
     if isinstance(names, str):

@@ -32,16 +32,12 @@ _KIND = "mckibben sweep"
 
 @dataclass(frozen=True, eq=False)
 class SweepResult:
-    """Results of a sweep.
+    """Results of a sweep, `computed` of them by this call; the others were stored before.
 
-    Attributes
-    ----------
-    table
-        Along ``run``, all in SI: the inputs by their names in the scenario (attribute ``shown_units``: their unit in
-        files), the metrics, ``outcome`` (a code; ``flag_meanings`` lists the words), ``shortfall_max`` and
-        ``infeasible_time`` (see `mckibben.study.sweep.compute.feasibility`). Its attributes identify the sweep.
-    computed
-        Number of runs that were computed by this call; the others were stored before.
+    The table has along ``run``, all in SI: the inputs by their names in the scenario (attribute ``shown_units``: their
+    unit in files), the metrics, ``outcome`` (a code; ``flag_meanings`` lists the words), ``shortfall_max`` (largest
+    distance of the stiffness reference from the attainable stiffness) and ``infeasible_time`` (share of the time at
+    which no pressures hold the angle). Its attributes identify the sweep.
     """
 
     table: xr.Dataset
@@ -115,19 +111,9 @@ class SweepResult:
         return np.array([outcome.failed for outcome in OUTCOMES])[self.table["outcome"].to_numpy()]
 
     def scenario(self, run: int, *, folder: str | os.PathLike[str] = ".") -> Scenario:
-        """Scenario of one run; its controller's model is written out if the plant varied.
+        """Scenario of one run, from 0, its controller's model written out if the plant varied.
 
-        Parameters
-        ----------
-        run
-            Number of the run, from 0.
-        folder
-            Output folder of the sweep, for a scenario that names files.
-
-        Raises
-        ------
-        ParameterError
-            If there is no such run.
+        The folder is that of the sweep, for a scenario that names files. Raises ParameterError if there is no such run.
         """
         if not 0 <= run < self.count:
             raise ParameterError(f"there is no run {run}", value=run, remedy=f"choose 0 to {self.count - 1}")
@@ -143,13 +129,7 @@ class SweepResult:
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file that `to_netcdf` wrote.
-
-        Raises
-        ------
-        FileError
-            If the file is missing, damaged, or no sweep.
-        """
+        """Read a file that `to_netcdf` wrote; raises FileError if it is missing, damaged, or no sweep."""
         from mckibben.dataset.schema import load_netcdf
 
         source = str(path)
@@ -209,11 +189,7 @@ def main_metrics(sweep: SweepResult) -> tuple[str, ...]:
 
 
 def spearman(x: ArrayLike, y: ArrayLike) -> float:
-    """Spearman's rank correlation of two columns, with mean ranks for ties; NaN where a column is constant.
-
-    >>> round(spearman([1, 2, 3, 4], [1, 10, 100, 50]), 6)
-    0.8
-    """
+    """Spearman's rank correlation of two columns, with mean ranks for ties; NaN where a column is constant."""
     from scipy.stats import rankdata
 
     ranks = [rankdata(np.asarray(values, float)) for values in (x, y)]

@@ -32,10 +32,7 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class SweepStore:
-    """Blocks of a sweep in a journal, whose header is the manifest.
-
-    Use `begin` or `resume`, inside of `lock`.
-    """
+    """Blocks of a sweep in a journal, whose header is the manifest; use `begin` or `resume` inside of `lock`."""
 
     def __init__(self, folder: Path, plan: SweepPlan) -> None:
         self.folder = folder
@@ -62,13 +59,7 @@ class SweepStore:
             self._journal = Journal.create(self.folder / JOURNAL, self.plan.manifest)
 
     def resume(self) -> None:
-        """Open the journal and find the intact blocks.
-
-        Warns
-        -----
-        McKibbenWarning
-            Of damaged blocks, which count as missing.
-        """
+        """Open the journal and find the intact blocks; warns of damaged ones, which count as missing."""
         reader = JournalReader(self.folder / JOURNAL)
         self.kept = {record.number for record in reader if record.kind == _BLOCK}
         self._journal = Journal.resume(reader)
@@ -88,13 +79,7 @@ class SweepStore:
         return sum(span.stop - span.start for span in spans)
 
     def keep(self, block: int, columns: Columns) -> None:
-        """Append the results of a block; thread-safe.
-
-        Raises
-        ------
-        FileError
-            If the disk is full.
-        """
+        """Append the results of a block; thread-safe."""
         content = io.BytesIO()
         np.savez(content, **columns)  # type: ignore[arg-type]  # names of ours, none of savez's own
         assert self._journal is not None
@@ -103,13 +88,7 @@ class SweepStore:
         self.kept.add(block)
 
     def columns(self) -> Columns:
-        """Results of all runs.
-
-        Raises
-        ------
-        FileError
-            If a block was damaged after it was written.
-        """
+        """Results of all runs."""
         parts: dict[int, Columns] = {}
         for record in JournalReader(self.folder / JOURNAL):
             if record.kind == _BLOCK:
@@ -122,13 +101,7 @@ class SweepStore:
         return {name: np.concatenate([part[name] for part in ordered]) for name in ordered[0]}
 
     def write_table(self, swept: SweepResult) -> None:
-        """Write the table.
-
-        Raises
-        ------
-        FileError
-            If the disk is full.
-        """
+        """Write the table."""
         with self.explain_full_disk():
             if shutil.disk_usage(self.folder).free < 1.2 * swept.table.nbytes + 200_000:  # HDF5 fails badly then
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -170,13 +143,7 @@ def check_unused(folder: Path) -> None:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Manifest of the sweep in a folder.
-
-    Raises
-    ------
-    FileError
-        If there is none, or the file is no sweep.
-    """
+    """Manifest of the sweep in a folder."""
     if not (folder / JOURNAL).exists():
         problem = Problem(f"there is no sweep to continue ({JOURNAL})", remedy="leave --resume (resume=True) out")
         raise FileError(str(folder), [problem])

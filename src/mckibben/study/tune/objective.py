@@ -16,15 +16,7 @@ from mckibben.numerics.batching import cores, named_leaves
 from mckibben.simulation import Metrics, differentiate
 from mckibben.simulation.problem import split_problem
 from mckibben.simulation.result import attributes
-from mckibben.study.parameters import (
-    Known,
-    SweptParameter,
-    Table,
-    batched,
-    find_parameters,
-    known_names,
-    valid_rows,
-)
+from mckibben.study.parameters import Known, SweptParameter, Table, batched, find_parameters, known_names, valid_rows
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import initial_state, run_many
 from mckibben.study.tune.search import SearchSpace, Vector, is_gain
@@ -188,24 +180,12 @@ FAILED_COST = 1e6
 
 @dataclass(frozen=True)
 class TuningProblem:
-    """Parameters of scenarios to tune, and the cost of their values.
-
-    Parameters
-    ----------
-    scenarios
-        Scenarios whose runs count; all have the parameters.
-    space
-        Parameters and ranges.
-    cost
-        Cost of the runs.
-    known
-        Plant parameters that the controllers' models follow; see `mckibben.study.parameters.batched`.
-    """
+    """Parameters of scenarios to tune, and the cost of their values."""
 
     scenarios: tuple[Scenario, ...]
     space: SearchSpace
     cost: Cost
-    known: Known = ()
+    known: Known = ()  # plant parameters that the controllers' models follow
     _leaf_names: dict[tuple[int, str], list[str]] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import ParameterError, quoted
+from mckibben.errors import ParameterError
 from mckibben.study.parameters import (
     LogUniform,
     ScenarioParameter,
@@ -22,6 +22,7 @@ from mckibben.study.parameters import (
     list_parameters,
     parse_sweep,
 )
+from mckibben.study.parameters.sampling import parse_distinct
 from mckibben.study.scenario import Scenario
 from mckibben.units import quantity
 
@@ -35,13 +36,7 @@ _DIGITS = 6  # of values that are written to files
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """Parameters with a range each; points of the unit cube map to their values [SI].
-
-    Raises
-    ------
-    ParameterError
-        If there is no parameter, or one has no range.
-    """
+    """Parameters with a range each (else raises ParameterError); points of the unit cube map to their values [SI]."""
 
     swept: tuple[SweptParameter, ...]
 
@@ -104,11 +99,7 @@ _GAINS = ("kp", "ki", "kd", "bandwidth", "stiffness_bandwidth", "slope", "reach"
 
 
 def is_gain(name: str) -> bool:
-    """Whether a scenario parameter is a gain of its controller.
-
-    >>> is_gain("controller.position.kp"), is_gain("controller.position.filter_time")
-    (True, False)
-    """
+    """Whether a scenario parameter is a gain of its controller."""
     *above, last = name.split(".")
     return above[:1] == ["controller"] and "adaptation" not in above and last in _GAINS
 
@@ -145,25 +136,21 @@ def parse_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[SweptParamet
         if not gains:
             raise ParameterError("all gains are zero", remedy="say what to search with --parameters 'NAME=LOW..HIGH'")
         return tuple(SweptParameter(find_parameter(scenario, name), around) for name, around in gains.items())
-    found: dict[str, tuple[str, SweptParameter]] = {}
-    for text in texts:
+
+    def parse(text: str) -> SweptParameter:
         if "=" in text:
-            swept = parse_sweep(text, scenario)
-        else:
-            parameter = find_parameter(scenario, text)
-            if not parameter.nominal or parameter.is_integer:
-                what = "a whole number" if parameter.is_integer else "zero, or not given"
-                raise ParameterError(
-                    f"{parameter.name} is {what}: there is no range around it",
-                    value=text,
-                    remedy=f"write {parameter.name}=LOW..HIGH",
-                )
-            swept = SweptParameter(parameter, _range_around(parameter, 2.0))
-        if swept.name in found:
-            message = f"{quoted(found[swept.name][0])} and {quoted(text)} are about the same parameter"
-            raise ParameterError(message, value=text, remedy="keep one of them")
-        found[swept.name] = (text, swept)
-    return tuple(swept for _, swept in found.values())
+            return parse_sweep(text, scenario)
+        parameter = find_parameter(scenario, text)
+        if not parameter.nominal or parameter.is_integer:
+            what = "a whole number" if parameter.is_integer else "zero, or not given"
+            raise ParameterError(
+                f"{parameter.name} is {what}: there is no range around it",
+                value=text,
+                remedy=f"write {parameter.name}=LOW..HIGH",
+            )
+        return SweptParameter(parameter, _range_around(parameter, 2.0))
+
+    return parse_distinct(texts, parse)
 
 
 def _range_around(parameter: ScenarioParameter, decades: float) -> LogUniform:
@@ -201,13 +188,7 @@ _MIN_POPULATION = {Method.EVOLUTION: 5, Method.CMA: 4}
 
 
 def check_method(method: Method, *, numbers: int, population: int) -> None:
-    """Check that a method can be used.
-
-    Raises
-    ------
-    ParameterError
-        If its package is missing, or there are too few parameters or points of a generation.
-    """
+    """Check that the package of a method is there, and that it can search so many parameters."""
     if method is Method.CMA and importlib.util.find_spec("cmaes") is None:
         raise ParameterError("CMA-ES needs the package cmaes", remedy="pip install 'mckibben[tune]'")
     if method is Method.CMA and numbers < 2:
@@ -222,13 +203,7 @@ def check_method(method: Method, *, numbers: int, population: int) -> None:
 def by_gradient(
     function: CostsAndGradients, first: Points, *, starts: int, iterations: int, seed: int, progress: Progress
 ) -> None:
-    """L-BFGS-B from the first point and from Sobol points, side by side.
-
-    References
-    ----------
-    R. H. Byrd, P. Lu, J. Nocedal and C. Zhu, "A limited memory algorithm for bound constrained optimization", SIAM J.
-    Scientific Computing 16 (1995) 1190-1208; the implementation is `scipy.optimize.minimize`.
-    """
+    """L-BFGS-B (Byrd et al., SIAM J. Sci. Comput. 16 (1995) 1190) from the first and Sobol points, side by side."""
     from scipy.optimize import minimize  # 0.3 s at import
     from scipy.stats import qmc
 
@@ -260,20 +235,7 @@ def by_gradient(
 def side_by_side(
     function: CostsAndGradients, searches: list[Callable[[Callable[[Points], tuple[float, Points]]], None]]
 ) -> None:
-    """Run searches in threads and evaluate the points that all of them wait for together.
-
-    Parameters
-    ----------
-    function
-        Costs and gradients of points of shape (n, parameters).
-    searches
-        Each is called with a function that evaluates one point.
-
-    Raises
-    ------
-    BaseException
-        Exception of the function or a search, or an interruption, after all searches have ended.
-    """
+    """Run searches in threads; `function` gets the points that all of them wait for, shape (n, parameters)."""
     meeting = threading.Condition()
     asked: dict[int, Points] = {}
     answers: dict[int, tuple[float, Points]] = {}
@@ -328,13 +290,7 @@ def side_by_side(
 def by_evolution(
     function: Costs, first: Points, *, population: int, generations: int, seed: int, progress: Progress
 ) -> None:
-    """Differential evolution from random points and the first one.
-
-    References
-    ----------
-    R. Storn and K. Price, "Differential evolution", J. Global Optimization 11 (1997) 341-359; the implementation is
-    `scipy.optimize.differential_evolution`.
-    """
+    """Differential evolution (Storn and Price, J. Global Optim. 11 (1997) 341) from random points and the first one."""
     from scipy.optimize import differential_evolution  # 0.3 s at import
 
     done = 0
@@ -362,13 +318,7 @@ def by_evolution(
 
 
 def by_cma(function: Costs, first: Points, *, population: int, generations: int, seed: int, progress: Progress) -> None:
-    """CMA-ES from the first point, which replaces the first draw.
-
-    References
-    ----------
-    N. Hansen, "The CMA evolution strategy: a tutorial", arXiv:1604.00772 (2016); the implementation is the package
-    cmaes.
-    """
+    """CMA-ES (Hansen, arXiv:1604.00772) from the first point, which replaces the first draw."""
     from cmaes import CMA
 
     bounds = np.tile([0.0, 1.0], (first.size, 1))

@@ -10,17 +10,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple, Self
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.dataset.schema import html_table
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
 from mckibben.storage.files import file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_json, read_header
 from mckibben.study.parameters import Distribution, Known, SweptParameter, sweep_parameters, with_values
+from mckibben.study.parameters.sampling import check_count
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune.objective import FAILED_COST, Cost, TuningProblem
 from mckibben.study.tune.search import Method, SearchSpace, Vector, by_cma, by_evolution, by_gradient, check_method
@@ -39,11 +39,7 @@ class Trial(NamedTuple):
 
 
 class TuningHistory:
-    """Trials in the order in which they were made, also in a journal if there is one.
-
-    A trial is on the disk before the search continues. Searches are deterministic, so an interrupted one is repeated:
-    its points are answered from the history until one is new.
-    """
+    """Trials, on the disk before the search continues; repeated, it is answered from them until a point is new."""
 
     def __init__(self, trials: Sequence[Trial] = (), journal: Journal | None = None) -> None:
         self._by_point = {trial.point: trial for trial in trials}
@@ -52,28 +48,7 @@ class TuningHistory:
     @classmethod
     @contextmanager
     def open(cls, path: Path | None, about: Mapping[str, Any], *, resume: bool = False) -> Iterator[Self]:
-        """Open the history of a search for one process.
-
-        Parameters
-        ----------
-        path
-            Journal, whose folder is made if need be; None keeps trials in memory only.
-        about
-            Everything that determines the trials, as JSON.
-        resume
-            Continue an existing history.
-
-        Raises
-        ------
-        FileError
-            If there is a history and `resume` is not set; with `resume`, if there is none, or that of another search;
-            if another process has it.
-
-        Warns
-        -----
-        McKibbenWarning
-            Of damaged trials, which are computed again.
-        """
+        """Open the history of a search (None: in memory); `about` determines the trials. Warns of damaged ones."""
         if path is None:
             yield cls()
             return
@@ -139,13 +114,7 @@ def _trials(reader: JournalReader) -> list[Trial]:
 
 
 def read_trials(path: Path) -> list[Trial]:
-    """Intact trials of a tuning history.
-
-    Raises
-    ------
-    FileError
-        If the file is no tuning history.
-    """
+    """Intact trials of a tuning history; raises FileError if the file is none."""
     read_header(path, FORMAT, VERSION)
     return _trials(JournalReader(path))
 
@@ -162,12 +131,10 @@ class TuningResult:
         Scenarios with these values.
     cost, cost_before
         Cost of these values, and of those of the first scenario in all scenarios (NaN where they are not valid).
-    evaluated
-        Number of points that were tried.
+    evaluated, trials
+        Number of points that were tried, and all of them in order.
     at_bound
         Names of parameters within 1 % of an end of their range: a wider range may have better values.
-    trials
-        All trials in order.
     """
 
     values: dict[str, float]
@@ -225,10 +192,8 @@ def tune(
         Points of a generation.
     seed
         Seed of the search.
-    history
-        File in which every trial is stored; see `TuningHistory`.
-    resume
-        Continue the search in that file.
+    history, resume
+        File in which every trial is stored, and whether to continue the search in it.
     known
         Tuned plant parameters that the controllers' models follow, "all" for all of them. Default: none.
     progress
@@ -242,13 +207,12 @@ def tune(
         If a parameter is not in every scenario or has no range, the method cannot search the space, the cost is not
         differentiable, or no trial succeeded.
     FileError
-        As for `TuningHistory.open`.
+        If there is a history and `resume` is not set; with `resume`, if there is none, or that of another search; if
+        another process has it.
     """
     for name, count in (("starts", starts), ("iterations", iterations), ("population", population)):
-        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-            raise ParameterError(f"{name} is {count}", value=count, remedy="give a whole number from 1 up")
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _MAX_SEED:
-        raise ParameterError(f"seed is {seed}", value=seed, remedy=f"give a whole number, 0 to {_MAX_SEED}")
+        check_count(name, count, 1, 10**9)
+    check_count("seed", seed, 0, _MAX_SEED)
     several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
     swept = sweep_parameters(several[0], over) if isinstance(over, Mapping) and several else list(over)  # type: ignore[arg-type]
     problem = TuningProblem.of(several, swept, cost, known)  # type: ignore[arg-type]
@@ -280,12 +244,14 @@ def tune(
         report(0.0)
         first = problem.space.point(problem.space.nominal)
         if method is Method.GRADIENT:
-            evaluator = GradientEvaluator(problem, past, starts)
-            by_gradient(evaluator, first, starts=starts, iterations=iterations, seed=seed, progress=report)
+            evaluator = Evaluator(problem.space, past, starts, problem.costs_and_gradients)
+            by_gradient(
+                evaluator.costs_and_gradients, first, starts=starts, iterations=iterations, seed=seed, progress=report
+            )
         else:
-            evaluator = CostEvaluator(problem, past, population)
+            evaluator = Evaluator(problem.space, past, population, lambda values: (problem.costs(values), None))
             search = by_cma if method is Method.CMA else by_evolution
-            search(evaluator, first, population=population, generations=iterations, seed=seed, progress=report)
+            search(evaluator.costs, first, population=population, generations=iterations, seed=seed, progress=report)
         return _result(problem, past, evaluator.cost)
 
 
@@ -326,63 +292,38 @@ def _digest(scenario: Scenario) -> str:
     return hashlib.sha256(repr([np.asarray(leaf).tolist() for leaf in leaves]).encode()).hexdigest()
 
 
-class GradientEvaluator:
-    """Costs and gradients at points, from the history or from runs of a fixed number of points at once."""
+class Evaluator:
+    """Trials at points, from the history, or computed a fixed number at once from values [SI]."""
 
-    def __init__(self, problem: TuningProblem, past: TuningHistory, starts: int) -> None:
-        self._problem, self._past, self._starts = problem, past, starts
+    def __init__(
+        self, space: SearchSpace, past: TuningHistory, batch: int, compute: Callable[[Vector], tuple[Vector, Any]]
+    ) -> None:
+        self._space, self._past, self._batch, self._compute = space, past, batch, compute
 
-    def __call__(self, points: Vector) -> tuple[Vector, Vector]:
+    def _trials(self, points: Vector) -> list[Trial]:
         new = np.array([point for point in points if self._past.find(point) is None])
-        if new.size:
-            space = self._problem.space
-            values = _padded(space.values(new), self._starts)
-            costs, gradients = self._problem.costs_and_gradients(values)
-            found = zip(new, costs.tolist(), (gradients * space.slopes(values)).tolist(), strict=False)
-            self._past.add([Trial(tuple(point.tolist()), cost, tuple(slope)) for point, cost, slope in found])
-        known = [self._past.find(point) for point in points]
-        return np.array([t.cost for t in known]), np.array([t.gradient for t in known])  # type: ignore[union-attr]
+        for start in range(0, len(new), self._batch):
+            some = new[start : start + self._batch]
+            values = self._padded(self._space.values(some))
+            costs, gradients = self._compute(values)
+            slopes = None if gradients is None else (gradients * self._space.slopes(values)).tolist()
+            found = zip(some.tolist(), costs.tolist(), slopes or [None] * len(some), strict=False)
+            self._past.add([Trial(tuple(point), cost, slope and tuple(slope)) for point, cost, slope in found])
+        return [self._past.find(point) for point in points]  # type: ignore[misc]
+
+    def costs(self, points: Vector) -> Vector:
+        """Costs at points."""
+        return np.array([trial.cost for trial in self._trials(points)])
+
+    def costs_and_gradients(self, points: Vector) -> tuple[Vector, Vector]:
+        """Costs at points and their derivatives."""
+        trials = self._trials(points)
+        return np.array([trial.cost for trial in trials]), np.array([trial.gradient for trial in trials])
 
     def cost(self, values: Vector) -> float:
         """Cost of values [SI], which may lie outside their ranges."""
-        return float(self._problem.costs_and_gradients(_padded(values[None], self._starts))[0][0])
+        return float(self._compute(self._padded(values[None]))[0][0])
 
-
-class Objective(Protocol):
-    """A cost on a search space."""
-
-    @property
-    def space(self) -> SearchSpace:
-        """Parameters and ranges."""
-        ...
-
-    def costs(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Cost of each row of values [SI]."""
-        ...
-
-
-class CostEvaluator:
-    """Costs at points, from the history or from runs of a fixed number of points at once."""
-
-    def __init__(self, problem: Objective, past: TuningHistory, population: int) -> None:
-        self._problem, self._past, self._population = problem, past, population
-
-    def __call__(self, points: Vector) -> Vector:
-        new = np.array([point for point in points if self._past.find(point) is None])
-        for start in range(0, len(new), self._population):
-            some = new[start : start + self._population]
-            costs = self._costs(self._problem.space.values(some))
-            self._past.add([Trial(tuple(p.tolist()), float(c)) for p, c in zip(some, costs, strict=True)])
-        return np.array([self._past.find(point).cost for point in points])  # type: ignore[union-attr]
-
-    def cost(self, values: Vector) -> float:
-        """Cost of values [SI], which may lie outside their ranges."""
-        return float(self._costs(values[None])[0])
-
-    def _costs(self, values: Vector) -> Vector:
-        return self._problem.costs(_padded(values, self._population))[: len(values)]
-
-
-def _padded(rows: Vector, count: int) -> Vector:
-    """Rows with the last one repeated up to a count, for one compiled program."""
-    return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])
+    def _padded(self, rows: Vector) -> Vector:
+        """Rows with the last one repeated, for one compiled program."""
+        return np.concatenate([rows, np.repeat(rows[-1:], self._batch - len(rows), axis=0)])

@@ -1,0 +1,87 @@
+from . import catalog as catalog, report as report, units as units
+from .control import (
+    PID as PID,
+    BackpropPID as BackpropPID,
+    Constant as Constant,
+    DecouplingControl as DecouplingControl,
+    ExtendedStateObserver as ExtendedStateObserver,
+    FrictionCompensation as FrictionCompensation,
+    InverseModelControl as InverseModelControl,
+    Jacobian as Jacobian,
+    Multisine as Multisine,
+    PolePlacement as PolePlacement,
+    PositionStiffnessControl as PositionStiffnessControl,
+    PredictiveControl as PredictiveControl,
+    Reference as Reference,
+    Samples as Samples,
+    Sine as Sine,
+    SlidingMode as SlidingMode,
+    Step as Step,
+    VelocityObserver as VelocityObserver,
+)
+from .dataset import (
+    IsobaricDataset as IsobaricDataset,
+    Recording as Recording,
+    read_dataset as read_dataset,
+    read_recording as read_recording,
+)
+from .errors import (
+    McKibbenError as McKibbenError,
+)
+from .experiment_design import (
+    plan as plan,
+)
+from .identification import (
+    Fit as Fit,
+    identify as identify,
+    identify_hysteresis as identify_hysteresis,
+    rank as rank,
+    validate as validate,
+)
+from .joint import (
+    AntagonisticJoint as AntagonisticJoint,
+    KneeGeometry as KneeGeometry,
+    Load as Load,
+    RigidTendon as RigidTendon,
+    SeriesSpring as SeriesSpring,
+)
+from .muscle import (
+    ChouLaw as ChouLaw,
+    Domain as Domain,
+    ExponentialLaw as ExponentialLaw,
+    MaxwellCreep as MaxwellCreep,
+    MaxwellSlip as MaxwellSlip,
+    Muscle as Muscle,
+    Specimen as Specimen,
+    TripleExponentialLaw as TripleExponentialLaw,
+)
+from .paper import (
+    reproduce as reproduce,
+)
+from .plant import (
+    FirstOrderValve as FirstOrderValve,
+    IdealValve as IdealValve,
+    JointPlant as JointPlant,
+)
+from .rig import (
+    IsobaricProtocol as IsobaricProtocol,
+    SimulatedIsobaricTest as SimulatedIsobaricTest,
+)
+from .simulation import (
+    Result as Result,
+    check_reference as check_reference,
+    differentiate as differentiate,
+    simulate as simulate,
+    simulate_many as simulate_many,
+)
+from .study.scenario import (
+    Scenario as Scenario,
+)
+from .study.sweep import (
+    sweep as sweep,
+)
+from .study.tune import (
+    tune as tune,
+)
+
+__version__: str
