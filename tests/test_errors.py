@@ -7,6 +7,7 @@ from mckibben.errors import (
     DatasetError,
     FileError,
     McKibbenError,
+    McKibbenWarning,
     NotInCatalogError,
     Problem,
     RangeError,
@@ -90,3 +91,13 @@ def test_a_simple_error_survives_a_trip_to_another_process():
     copy = pickle.loads(pickle.dumps(error))
     assert str(copy) == str(error)
     assert (copy.value, copy.lower, copy.upper, copy.unit, copy.remedy) == (3, 0.0, 1.0, "m", "less")
+
+
+def test_control_characters_and_long_texts_of_a_file_are_text_in_its_messages():
+    field = "force\x1b[2J\n" + 5000 * "y"
+    problem = Problem("'\x1b[31m' is no number" + 5000 * "x", line=3, field=field, remedy="\x07" * 5000)
+    error = FileError("rig\x1b.csv", [problem] * 30)
+    assert all(letter.isprintable() or letter == "\n" for letter in str(error))
+    assert len(str(problem)) < 5000
+    assert len(str(error)) < 60_000
+    assert str(McKibbenWarning("\x1b[31mred")) == "\\x1b[31mred"

@@ -10,12 +10,25 @@ LONGEST_VALUE = 80
 """Characters of a value in a message."""
 
 _LONGEST_MESSAGE = 2000
+_LONGEST_TEXT = 50_000  # of all messages of a file
 
 
 def quoted(value: object) -> str:
     """The `repr` of a value, at most `LONGEST_VALUE` characters long."""
     text = repr(value)
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 4]}...{text[-1]}"
+
+
+def printable(text: str, longest: int = _LONGEST_MESSAGE) -> str:
+    r"""A text for a terminal or a figure: at most so long, with control characters except line ends escaped.
+
+    >>> print(printable("\x1b[31mforce\u202e"))
+    \x1b[31mforce\u202e
+    """
+    shown = text[:longest]
+    if not shown.isprintable():
+        shown = "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in shown)
+    return shown if len(text) <= longest and len(shown) <= longest else f"{shown[:longest]}..."
 
 
 def closest(name: str, known: Sequence[str]) -> str:
@@ -31,6 +44,9 @@ def suggest(name: str, known: Sequence[str]) -> str:
 
 class McKibbenWarning(UserWarning):
     """Input or result that is valid but probably not intended."""
+
+    def __init__(self, message: object) -> None:
+        super().__init__(printable(str(message), _LONGEST_TEXT))
 
 
 class ReachabilityWarning(McKibbenWarning):
@@ -69,7 +85,7 @@ class McKibbenError(Exception):
         self.remedy = remedy
 
     def __str__(self) -> str:
-        return f"{self.message}; {self.remedy}" if self.remedy else self.message
+        return printable(f"{self.message}; {self.remedy}" if self.remedy else self.message, _LONGEST_TEXT)
 
 
 class UnitError(McKibbenError, ValueError):
@@ -142,10 +158,10 @@ class Problem:
 
     def __str__(self) -> str:
         where = [f"line {self.line}"] if self.line is not None else []
-        where += [self.field] if self.field else []
-        message = self.message if len(self.message) <= _LONGEST_MESSAGE else f"{self.message[:_LONGEST_MESSAGE]}..."
+        where += [printable(self.field, LONGEST_VALUE).replace("\n", "\\n")] if self.field else []
+        message = printable(self.message)
         text = ": ".join([", ".join(where), message]) if where else message
-        return f"{text}; {self.remedy}" if self.remedy else text
+        return f"{text}; {printable(self.remedy)}" if self.remedy else text
 
 
 class FileError(McKibbenError, ValueError):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mckibben.dataset.columns import find_columns
 from mckibben.dataset.schema import VACUUM, WORDS, unquote
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
-from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError
+from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError, printable
 from mckibben.units import factor, quantity
 
 OnCorrupt = Literal["raise", "report"]
@@ -109,7 +109,7 @@ class ColumnConverter:
             raise DatasetError(str(path), found)
         for text in self.suspect:
             warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=4)
-        attrs = {"ignored_columns": ", ".join(self.ignored)} if self.ignored else {}
+        attrs = {"ignored_columns": printable(", ".join(self.ignored))} if self.ignored else {}
         if "repairs" in self.sheet.comments:  # of the file from which this one was made
             attrs["repairs"] = unquote(self.sheet.comments["repairs"][1])
         if self.corrupt:
