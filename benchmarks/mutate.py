@@ -298,12 +298,13 @@ def work(name: str, first: int, count: int) -> None:
             start = time.perf_counter()
             failure = check(name, form, seed, Path(folder) / form.name)
             faulthandler.cancel_dump_traceback_later()
-            print(json.dumps([failure, time.perf_counter() - start]), flush=True)
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+            print(json.dumps([failure, time.perf_counter() - start, peak]), flush=True)
 
 
-def examine(name: str, first: int, count: int) -> list[tuple[int, str, float]]:
+def examine(name: str, first: int, count: int) -> list[tuple[int, str, float, float]]:
     """Seed, failure and time of each file; a worker that ended is started again behind the file that ended it."""
-    found: list[tuple[int, str, float]] = []
+    found: list[tuple[int, str, float, float]] = []
     while len(found) < count:
         at = first + len(found)
         command = [sys.executable, __file__, "--work", name, str(at), str(first + count - at)]
@@ -312,7 +313,7 @@ def examine(name: str, first: int, count: int) -> list[tuple[int, str, float]]:
         for seed, answer in zip(lines[::2], lines[1::2], strict=False):
             found.append((int(seed), *json.loads(answer)))
         if len(lines) % 2:
-            found.append((int(lines[-1]), f"ended with {done.returncode}: {done.stderr[-300:]}", SECONDS))
+            found.append((int(lines[-1]), f"ended with {done.returncode}: {done.stderr[-300:]}", SECONDS, MEMORY))
         elif not lines:
             raise RuntimeError(done.stderr[-2000:])
     return found
@@ -347,14 +348,14 @@ def main() -> None:
             found = [one for part in parts for one in part]
             failures = [one for one in found if one[1] not in ("", "refused")]
             refused = sum(one[1] == "refused" for one in found)
-            slowest = max(found, key=lambda one: one[2])
+            slowest, peak = max(found, key=lambda one: one[2]), max(one[3] for one in found)
             print(
                 f"{name:16} {len(found):6} files, {len(found) - refused - len(failures):6} read, {refused:6} refused, "
                 f"{len(failures):3} failed; slowest {slowest[2]:.2f} s (seed {slowest[0]}), "
-                f"{time.perf_counter() - begin:.0f} s in all",
+                f"peak {peak / 1e6:.0f} MB, {time.perf_counter() - begin:.0f} s in all",
                 flush=True,
             )
-            for seed, failure, seconds in failures[:20]:
+            for seed, failure, seconds, _ in failures[:20]:
                 print(f"  --repeat {name} {seed}: {failure} ({seconds:.1f} s)", flush=True)
             failed += len(failures)
         sys.exit(bool(failed))
