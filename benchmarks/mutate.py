@@ -15,6 +15,7 @@ import json
 import random
 import re
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -79,7 +80,7 @@ def formats() -> dict[str, Callable[[], Format]]:
         "netcdf": lambda: Format("rig.nc", _netcdf(), _dataset),
         "tdms": lambda: Format("rig.tdms", _tdms(), _dataset),
         "scenario": lambda: Format("s.yaml", (EXAMPLES / "pre-contracted-step-pid.yaml").read_bytes(), _scenario),
-        "suite": lambda: Format("s.yaml", (EXAMPLES / "comparison/knee.yaml").read_bytes(), _suite),
+        "suite": lambda: Format("comparison/s.yaml", (EXAMPLES / "comparison/knee.yaml").read_bytes(), _suite),
         "protocol": lambda: Format("s.yaml", (EXAMPLES / "rig/paper-protocol.yaml").read_bytes(), _protocol),
         "joint-rig": lambda: Format("s.yaml", (EXAMPLES / "rig/joint-rig.yaml").read_bytes(), _joint_rig),
         "fit": lambda: Format("fit.yaml", _fit(), _read_fit),
@@ -292,6 +293,7 @@ def work(name: str, first: int, count: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder:
+        shutil.copytree(EXAMPLES, folder, dirs_exist_ok=True)  # a suite names other files
         for seed in range(first, first + count):
             print(seed, flush=True)
             faulthandler.dump_traceback_later(SECONDS, exit=True)
@@ -334,7 +336,7 @@ def main() -> None:
     elif given.repeat:
         name, seed = given.repeat[0], int(given.repeat[1])
         form = formats()[name]()
-        path = Path(f"mutated-{seed}-{form.name}")
+        path = Path(f"mutated-{seed}-{Path(form.name).name}")
         path.write_bytes(damaged(name, form.content, seed))
         print(path, form.read(path))
     else:
