@@ -209,9 +209,13 @@ def _read_fit(path: Path) -> Any:
 
 
 def _calibrations(path: Path) -> Any:
-    from mckibben.study.rig.document import read_calibrations
+    from mckibben.errors import ScenarioError
+    from mckibben.rig.calibration import read_calibrations
 
-    return read_calibrations(path)
+    found, problems = read_calibrations(path, ("force", "pressure"), "calibrate it")
+    if problems:
+        raise ScenarioError(str(path), problems)
+    return found
 
 
 def mutated(content: bytes, chance: random.Random) -> bytes:

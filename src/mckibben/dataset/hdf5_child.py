@@ -123,7 +123,8 @@ def _serve() -> None:
             answer = {"error": f"takes more than {_MEMORY >> 20} MiB of memory"}
         except Exception as error:  # h5py and h5netcdf raise nearly every kind on a damaged file
             answer = {"error": (str(error) or type(error).__name__)[:1000]}
-        print(json.dumps(answer), flush=True)
+        sys.stdout.write(json.dumps(answer) + "\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":
