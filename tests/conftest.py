@@ -45,6 +45,12 @@ def pytest_unconfigure() -> None:
     gc.freeze()  # nor is there anything to look for at the exit
 
 
+@pytest.fixture(autouse=True, scope="module")
+def without_old_objects_in_collections():
+    """What collects garbage, as a run on a rig does, does not go through the programs of earlier files."""
+    gc.freeze()
+
+
 class PaperKnee:
     """Eqs. 3 to 8 and Table 2 as printed, written anew: bar, percent, plain NumPy; nothing of mckibben in it."""
 

@@ -137,11 +137,13 @@ def test_json_fewer_runs_and_a_quick_look(cli, written, tmp_path):
         refused = cli("compare", "suite.yaml", "--out", "kept", "--repeat", run)
         assert (refused.code, refused.out) == (2, "")
         assert said in refused.err
-    for content in ("", "{", "[]", '{"controllers": 3}', '{"controllers": {"PID 3": {}}}', "[" * 100_000):
-        (tmp_path / "kept" / "results.json").write_text(content, encoding="utf-8")
+    runs = tmp_path / "kept" / "runs.nc"
+    content = runs.read_bytes()
+    for damaged in (b"", content[:2000], content[:1000] + bytes([content[1000] ^ 4]) + content[1001:]):
+        runs.write_bytes(damaged)
         refused = cli("compare", "suite.yaml", "--out", "kept", "--repeat", "PID 3 1")
         assert (refused.code, refused.out) == (2, "")
-        assert "results.json" in refused.err and "it is damaged" in refused.err
+        assert "runs.nc" in refused.err
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,17 @@
 """mckibben simulate: our examples, mistakes, warnings, and what is kept."""
 
+import errno
 import json
+import os
 import re
+import shutil
+import sys
 from pathlib import Path
 
 import pytest
 
+from mckibben import report
+from mckibben.errors import FileError
 from mckibben.simulation import Result
 from mckibben.simulation.metrics import METRICS
 from mckibben.study.scenario import Scenario
@@ -146,3 +152,69 @@ def test_a_period_that_does_not_quite_divide_is_refused_with_its_line(cli, tmp_p
     found = cli("simulate", "odd.yaml")
     assert (found.code, found.out) == (2, "")
     assert re.search(r"line \d+, control_period", found.err)
+
+
+@pytest.fixture
+def kept(cli, tmp_path, shortened):
+    """Folder of a run that was kept."""
+    (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
+    assert cli("simulate", "short.yaml", "--out", "kept").code == 0
+    return tmp_path / "kept"
+
+
+def test_results_are_replaced_by_force_alone_and_links_are_not_followed(cli, kept, tmp_path):
+    before = {path.name: path.read_bytes() for path in kept.iterdir()}
+    found = cli("simulate", "short.yaml", "--out", "kept")
+    assert found.code == 2
+    assert "result.nc: it is there already" in found.err and "--force" in found.err
+    assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
+    precious = tmp_path / "precious"
+    for name in before:
+        (kept / name).unlink()
+        (kept / name).symlink_to(precious)
+    precious.write_text("mine")
+    assert cli("simulate", "short.yaml", "--out", "kept").code == 2
+    assert cli("simulate", "short.yaml", "--out", "kept", "--force").code == 0
+    assert precious.read_text() == "mine"
+    assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
+
+
+def test_results_are_kept_though_nobody_reads_what_is_printed(cli, kept, monkeypatch):
+    shutil.rmtree(kept)
+
+    def closed(*_):
+        raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+    monkeypatch.setattr(sys.stdout, "write", closed)
+    cli("simulate", "short.yaml", "--out", "kept")
+    monkeypatch.undo()
+    assert {path.name for path in kept.iterdir()} >= {"result.nc", "results.json", "scenario.yaml", "tracking.svg"}
+
+
+def test_a_full_disk_says_what_is_kept_and_a_vanished_folder_that_nothing_is(cli, kept, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def vanished(*_, **__):
+        shutil.rmtree(kept)
+        os.open(kept / "tracking.png", os.O_CREAT)
+
+    monkeypatch.setattr(report, "save", full)
+    found = cli("simulate", "short.yaml", "--out", "kept", "--force")
+    assert found.code == 2
+    assert "the disk is full; kept are result.nc, " in found.err and "make room" in found.err
+    monkeypatch.setattr(report, "save", vanished)
+    found = cli("simulate", "short.yaml", "--out", "kept", "--force")
+    assert found.code == 2
+    assert "the folder has vanished" in found.err
+
+
+def test_a_flipped_bit_of_a_result_is_found(kept):
+    path = kept / "result.nc"
+    whole = path.read_bytes()
+    for place in range(0, 8 * (len(whole) - 80), len(whole) // 3):
+        damaged = bytearray(whole)
+        damaged[place // 8] ^= 1 << place % 8
+        path.write_bytes(damaged)
+        with pytest.raises(FileError):
+            Result.from_netcdf(path)

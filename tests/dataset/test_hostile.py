@@ -76,7 +76,7 @@ def content_of(name):
         path = Path(folder) / name
         IsobaricDataset.of(
             pressure=[1e5, 2e5, 3e5], contraction=[0, 0.1, 0.2], force=[50, 90, 120], direction=["loading"] * 3
-        ).to_netcdf(path)
+        ).table.to_netcdf(path, engine="h5netcdf")
         return path.read_bytes()
 
 

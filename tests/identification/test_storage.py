@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben import catalog
-from mckibben.errors import ScenarioError
+from mckibben.errors import FileError, ScenarioError
 from mckibben.identification import DatasetSummary, Fit, identify, read_law
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw
 from mckibben.units import deg, mm
@@ -127,6 +127,18 @@ def test_a_broken_file_lists_all_its_problems_with_lines(fit, tmp_path):
     assert found["parameters.a1.estimate"].value == "much"
     assert found["parameters.a2.unit"].unit == "N/Pa"
     assert (found["points.used"].value, found["points.used"].lower) == (-3, 0)
+
+
+def test_a_changed_digit_is_found_and_meant_changes_are_possible(fit, tmp_path):
+    path = tmp_path / "fit.yaml"
+    fit.to_yaml(path)
+    text = path.read_text()
+    changed = text.replace("estimate: -", "estimate: -1", 1)
+    path.write_text(changed)
+    with pytest.raises(FileError, match="it has changed since it was written"):
+        read_law(path)
+    path.write_text(changed.rpartition("# sha256")[0])
+    assert read_law(path) != fit.law
 
 
 @pytest.mark.parametrize(

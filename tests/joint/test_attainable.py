@@ -218,12 +218,13 @@ def test_one_pass_holds_the_first_of_many_angles_and_gives_the_range_at_all(knee
 
 def test_pressures_for_broadcast(knee):
     angles, torques = np.array([0.0, 0.05, 0.1]), np.array([[-0.5], [0.3]])
-    pressures = knee.pressures_for(angles, torques, 14.0)
+    pressures = knee.pressures_for(angles, torques, np.full(3, 14.0))
     assert [pressure.shape for pressure in pressures] == [(2, 3), (2, 3)]
-    np.testing.assert_allclose(knee.torque(angles, pressures), np.broadcast_to(torques, (2, 3)), atol=1e-9)
-    np.testing.assert_allclose(knee.stiffness(angles, pressures), 14.0, rtol=1e-9)
+    torque, stiffness = jax.jit(knee.torque_and_stiffness)(angles, pressures)
+    np.testing.assert_allclose(torque, np.broadcast_to(torques, (2, 3)), atol=1e-9)
+    np.testing.assert_allclose(stiffness, 14.0, rtol=1e-9)
     with pytest.raises(UnreachableError) as caught:
-        knee.pressures_for(angles, 0.0, np.array([14.0, 99.0, 98.0]))
+        knee.pressures_for(angles, torques, np.array([14.0, 99.0, 98.0]))
     assert caught.value.value == 99.0
     with pytest.raises(RangeError, match="the angle is"):
         knee.pressures_for(np.array([0.0, np.nan]), 0.0)
@@ -241,11 +242,11 @@ def test_the_torque_ends_where_a_tension_reaches_its_rating(as_printed):
 
 def test_every_attainable_state_is_below_the_rating(as_printed):
     angles = np.linspace(-10, 10, 9) * deg
-    lowest, highest = as_printed.attainable_torque(angles)
-    attainable, tensions = jax.jit(as_printed.attainable_stiffness), jax.jit(as_printed.tensions)
+    lowest, highest = jax.jit(as_printed.attainable_torque)(angles)
+    tensions = jax.jit(as_printed.tensions)
     for angle, low, high in zip(angles, np.asarray(lowest), np.asarray(highest), strict=True):
         for torque in np.linspace(low, high, 5)[1:-1]:
-            low_stiffness, high_stiffness = (float(k) for k in attainable(angle, torque))
+            low_stiffness, high_stiffness = (float(k) for k in attainable(as_printed, angle, torque))
             for part in (0.001, 0.5, 0.999):
                 wanted = low_stiffness + part * (high_stiffness - low_stiffness)
                 pressures = as_printed.pressures_for(float(angle), float(torque), wanted)

@@ -1,14 +1,17 @@
 """Whatever goes wrong, and whenever: both muscles are vented within a period, and no sample is lost."""
 
 import math
+import shutil
 import signal
 
 import numpy as np
 import pytest
 
-from mckibben.realtime import loop
+from mckibben.errors import RigError, StoppedError
+from mckibben.realtime import JointSession, Wiring, loop
 from mckibben.realtime.loop import StopFlag
 from mckibben.realtime.simulated import SimulatedJoint
+from mckibben.rig.recorder import Recorder
 from mckibben.rig.simulated.faults import (
     HostDelayed,
     SamplesDelayed,
@@ -184,9 +187,42 @@ def test_a_host_that_dies_is_found_by_the_rig_itself(stiff):
         assert max(joint.truth[2:]) < 0.05 * bar
 
 
-def test_a_recorder_that_fails_stops_the_run(stiff, watched):
-    from mckibben.errors import RigError
+def session(stiff, joint, plan):
+    """A run without reference and result: it is about the record."""
+    header = {"what": "joint rig"}
+    return JointSession(stiff.scenario, stiff.plant, None, joint, Wiring(), LIMITS, plan, stiff.control, header)
 
+
+def test_a_folder_that_vanishes_stops_the_run_at_once(stiff, watched, tmp_path):
+    folder = tmp_path / "out"
+
+    def progress(shown):
+        if shown.time > 0.1:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    joint = watched(paced=True)
+    with pytest.raises(StoppedError, match=f"nothing is kept at {folder};.*; both muscles were below 0.2 bar"):
+        session(stiff, joint, stiff.plan(5000)).run(folder, progress=progress)
+    assert joint.vented_at < 1.5
+
+
+def test_a_record_whose_end_is_not_written_is_no_completed_run(stiff, watched, tmp_path, monkeypatch):
+    from mckibben.realtime import session as module
+
+    close = Recorder.close
+
+    def fail(recorder):
+        close(recorder)
+        raise RigError("no space left")
+
+    monkeypatch.setattr(Recorder, "close", fail)
+    monkeypatch.setattr(module, "measured_result", lambda *_, **__: None)
+    ran = session(stiff, watched(), stiff.plan(30)).run(tmp_path)
+    assert (ran.outcome.kind, ran.outcome.text) == ("rig", "no space left")
+    assert ran.outcome.vented_after is not None and ran.timing.periods == 30
+
+
+def test_a_recorder_that_fails_stops_the_run(stiff, watched):
     class Full(Kept):
         def append(self, table):
             if len(self.tables) == 1:

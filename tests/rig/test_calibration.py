@@ -1,3 +1,4 @@
+import dataclasses
 import json
 
 import numpy as np
@@ -104,7 +105,24 @@ def test_all_that_is_wrong_in_a_form_is_told_at_once():
         assert text in str(caught.value)
     for wrong in ({"gain": 0.0}, {"gain": np.inf}, {"low": 3000.0}):
         with pytest.raises(RangeError):
-            Calibration(**{**FORCE.to_json(), **wrong})
+            dataclasses.replace(FORCE, **wrong)
+
+
+def test_a_damaged_form_is_refused_unless_its_checksum_was_taken_out():
+    text = json.dumps(FORCE.to_json())
+    for place in range(len(text)):
+        for bit in (1, 2, 4):
+            damaged = text[:place] + chr(ord(text[place]) ^ bit) + text[place + 1 :]
+            try:
+                form = json.loads(damaged)
+            except ValueError:
+                continue
+            if form.get("checksum") is not None and form != json.loads(text):
+                with pytest.raises(RangeError, match="checksum"):
+                    Calibration.from_json(form)
+    form = FORCE.to_json() | {"gain": 300.0}
+    del form["checksum"]
+    assert Calibration.from_json(form).gain == 300.0
 
 
 def test_drive_is_that_of_the_paper():

@@ -2,7 +2,9 @@
 
 import errno
 import os
+import shutil
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from mckibben.rig import recorder as recorder_module
 from mckibben.rig.record import Column, Event, passages, read_record, rows_in, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.storage import journal
-from mckibben.storage.journal import JournalReader
+from mckibben.storage.journal import HEADER, JournalReader
 
 COLUMNS = [Column("time", "s"), Column("force", "V", "float32"), Column("pulses", "1", "int32")]
 
@@ -64,7 +66,7 @@ def test_a_file_cut_anywhere_keeps_all_whole_chunks(filled):
     (path,) = segments(filled)
     content = path.read_bytes()
     generator = np.random.default_rng(0)
-    header = len(content) - sum(40 + len(chunk.payload) - 8 for chunk in list(JournalReader(path))[1:])
+    header = len(content) - sum(32 + len(chunk.payload) for chunk in JournalReader(path) if chunk.kind != HEADER)
     for cut in [len(content), *generator.integers(header + 60, len(content), 60).tolist()]:
         path.write_bytes(content[:cut])
         record = read_record(filled)
@@ -85,6 +87,38 @@ def test_a_damaged_chunk_is_skipped_and_the_rows_after_it_keep_their_numbers(fil
     assert len(pulses) == 49 and len(set(firsts)) == 49
     for first, column in zip(firsts, pulses, strict=True):
         np.testing.assert_array_equal(column, np.arange(first, first + 20))
+
+
+def test_every_damaged_bit_costs_its_chunk_and_is_said(filled):
+    (path,) = segments(filled)
+    content = path.read_bytes()
+    about = sum(32 + len(chunk.payload) for chunk in JournalReader(path) if chunk.kind == HEADER)
+    for place in np.random.default_rng(2).integers(0, len(content), 60).tolist():
+        path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            record = read_record(filled)
+        assert record.header == {"specimen": "ours"}
+        lost = 50 - len(record.events) + (1000 - len(record)) / 20
+        assert lost == (place >= about) and len(said) >= lost
+        pulses = record.columns["pulses"]
+        assert (record.columns["force"] == np.sin(pulses).astype(np.float32)).all() and (np.diff(pulses) > 0).all()
+
+
+@pytest.mark.parametrize("lose", [shutil.rmtree, lambda folder: folder.rename(folder.with_name("elsewhere"))])
+def test_a_folder_that_vanishes_is_noticed_within_a_period(tmp_path, lose):
+    folder = tmp_path / "record"
+    recorder = Recorder.create(folder, {}, COLUMNS)
+    recorder.append(rows(0, 10))
+    recorder.flush()
+    lose(folder)
+    with pytest.raises(RigError) as failed:
+        for first in range(10, 10_000, 10):
+            recorder.append(rows(first, 10))
+            time.sleep(recorder_module.PERIOD / 4)
+    assert first < 100 and f"nothing is kept at {folder}" in failed.value.remedy
+    with pytest.raises(RigError):
+        recorder.close()
 
 
 def test_a_record_goes_on_in_a_file_of_its_own_after_a_torn_end(filled):
@@ -148,14 +182,15 @@ def test_rows_that_are_none_are_refused(tmp_path):
             recorder.append({**rows(0, 3), "other": [1.0, 2.0, 3.0]})
 
 
-def test_a_full_disk_keeps_what_came_before_and_the_reason(tmp_path, monkeypatch):
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_keeps_what_came_before_and_the_reason(tmp_path, monkeypatch, number):
     put, left = journal._write_at, [2]
 
     def filling(file, at, content):
         left[0] -= 1
         if left[0] == 0:  # part of it is written, as a full disk does
             os.pwrite(file, content[: len(content) // 2], at)
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            raise OSError(number, os.strerror(number))
         put(file, at, content)
 
     monkeypatch.setattr(journal, "_write_at", filling)
@@ -163,12 +198,12 @@ def test_a_full_disk_keeps_what_came_before_and_the_reason(tmp_path, monkeypatch
     recorder.append(rows(0, 10))
     recorder.flush()
     recorder.append(rows(10, 10))
-    with pytest.raises(RigError, match=r"cannot be written: No space left on device; what was recorded before is kept"):
+    with pytest.raises(RigError, match=f"{os.strerror(number)}; what was recorded before is kept"):
         recorder.flush()
-    with pytest.raises(RigError, match="No space left"):
+    with pytest.raises(RigError, match=os.strerror(number)):
         recorder.append(rows(20, 10))
     recorder.event("stopped", "the disk is full")
-    with pytest.raises(RigError, match="No space left"):
+    with pytest.raises(RigError, match=os.strerror(number)):
         recorder.close()
     record = read_record(tmp_path)
     np.testing.assert_array_equal(record.columns["pulses"], np.arange(20))

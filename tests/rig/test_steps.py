@@ -1,5 +1,6 @@
 """Steps and whole tests, and what they add up to before anything moves."""
 
+import importlib
 import math
 from dataclasses import replace
 
@@ -10,7 +11,8 @@ from mckibben.errors import RangeError
 from mckibben.muscle import Muscle
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig.bench import Bench, Drive, RigLimits
-from mckibben.rig.dry_run import dry_run
+from mckibben.rig.dry_run import DryRun, dry_run
+from mckibben.rig.runner import StepInterpreter
 from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
 from mckibben.rig.steps import (
     Acquire,
@@ -143,6 +145,59 @@ def test_a_force_that_cannot_be_held_is_refused():
 def test_the_cycle_has_to_fit_into_the_patience():
     (said,) = problems(Dwell(duration=1.0), bench=replace(BENCH, cycle=0.6), patience=1.0)
     assert said == "recording.cycle: 0.6 s is more than half of the 1 s after which the rig vents by itself; shorten it"
+
+
+class Unrolled(DryRun):
+    """A dry run that goes through every repeat."""
+
+    _do_again = StepInterpreter._do_again
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        (Repeat(times=7, steps=(Move(to=0.05), Walk(to=0.1), Repeat(times=3, steps=(Walk(to=None),)), Vent())),),
+        (Repeat(times=4, steps=(Walk(to=0.1), Repeat(times=3, steps=(Pressurise(pressure=2 * bar), Acquire())))),),
+        (Vent(), Repeat(times=5, steps=(Pressurise(pressure=2 * bar), HoldForce(force=100.0), Acquire(keep=False)))),
+        steps_of(IsotonicProtocol(forces=[50.0], pressures=[3e5, 4e5], repeats=3), MUSCLE),
+        steps_of(IsobaricProtocol(pressures=[1e5, 2e5], repeats=3), MUSCLE.specimen),
+    ],
+)
+def test_repeats_that_lead_back_are_counted_without_going_through_them(steps):
+    found, expected = dry_run(steps, BENCH), Unrolled(BENCH)
+    expected.run(steps, (), math.inf)
+    for name in ("plateaus", "samples", "pulses", "rows", "at_most", "pressure", "contraction", "force", "position"):
+        assert getattr(found, name) == getattr(expected, name), name
+    assert found.duration == pytest.approx(expected.duration, rel=1e-12)
+    assert found.problems == expected.problems
+
+
+def test_a_huge_test_is_counted_at_once():
+    nested = Repeat(times=1000, steps=(Repeat(times=900, steps=(Vent(),)), Pressurise(pressure=2 * bar)))
+    found = dry_run([nested], BENCH)
+    assert not found.problems and found.duration == pytest.approx(1000 * 901 * 1.5)
+
+
+def test_more_steps_or_points_than_a_test_may_have_are_refused_before_they_are_laid_out(monkeypatch):
+    steps = (Vent(),)
+    for _ in range(8):
+        steps = (Repeat(times=10_000, steps=steps),)
+    (problem,) = dry_run((Vent(), *steps), BENCH).problems
+    assert problem.field == "[1].repeat.times"
+    assert f"{10**32 + 1} steps" in problem.message and "1000000" in problem.message
+    monkeypatch.setattr(importlib.import_module("mckibben.rig.dry_run"), "MOST_POINTS", 30_000)
+    walk = Walk(to=0.2, step=MUSCLE.specimen.initial_length / 180 / 400)
+    (problem,) = dry_run([Repeat(times=1000, steps=(Move(to=0.0), walk))], BENCH).problems
+    assert problem.field == "[0].repeat.steps[1].walk" and "30000" in problem.message
+    back = Repeat(times=10_000, steps=(Walk(to=None, step=0.0025 * mm),))  # leads back only every other time
+    (problem,) = dry_run([Move(to=0.1), Walk(to=0.12, step=0.0025 * mm), back], BENCH).problems
+    assert problem.field == "[2].repeat.steps[0].walk"
+
+
+@pytest.mark.parametrize("changed", [{"step": 1e-12}, {"repeats": 10_000, "step": 0.01 * mm}])
+def test_a_whole_test_of_too_many_plateaus_is_refused(changed):
+    with pytest.raises(RangeError, match=r"step: .* plateaus, and 100000 at most"):
+        steps_of(IsobaricProtocol(**changed), MUSCLE)
 
 
 def test_a_walk_back_returns_to_where_the_one_before_began():

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def test_what_is_appended_is_read_back(filled):
 
 def test_a_journal_cut_anywhere_keeps_its_complete_records_and_goes_on(filled):
     content = filled.read_bytes()
-    ends = np.cumsum([len(pack_json(HEADER, 0, ABOUT)), *(32 + len(content_of(number)) for number in range(20))])
+    ends = np.cumsum([2 * len(pack_json(HEADER, 0, ABOUT)), *(32 + len(content_of(number)) for number in range(20))])
     for cut in np.random.default_rng(0).integers(ends[0], len(content), 40).tolist():
         filled.write_bytes(content[:cut])
         kept = list(range(int(np.searchsorted(ends, cut, side="right")) - 1))
@@ -58,13 +59,37 @@ def test_a_journal_cut_anywhere_keeps_its_complete_records_and_goes_on(filled):
 
 def test_damage_costs_the_records_that_it_hits_and_is_counted(filled):
     content = filled.read_bytes()
-    for place in np.random.default_rng(1).integers(len(pack_json(HEADER, 0, ABOUT)), len(content) - 400, 40).tolist():
+    for place in np.random.default_rng(1).integers(2 * len(pack_json(HEADER, 0, ABOUT)), len(content), 40).tolist():
         changed = bytearray(content)
         changed[place] ^= 0x20
         filled.write_bytes(bytes(changed))
         reader = JournalReader(filled)
         found = [record.number for record in reader if record.kind == ITEM]
-        assert len(found) == 19 and reader.damaged == 1 and reader.end == len(content)
+        assert len(found) == 19 and reader.damaged == 1
+        assert reader.end == len(content) or found[-1] == 18
+
+
+def test_a_damaged_header_is_read_from_its_copy(filled):
+    content = filled.read_bytes()
+    size = len(pack_json(HEADER, 0, ABOUT))
+    for place in range(2 * size):
+        filled.write_bytes(content[:place] + bytes([content[place] ^ 0x10]) + content[place + 1 :])
+        assert read_header(filled, "test journal", 1) == ABOUT
+    assert numbers(filled) == list(range(20))
+    filled.write_bytes(content[2 * size :])
+    with pytest.raises(FileError):
+        read_header(filled, "test journal", 1)
+
+
+@pytest.mark.parametrize("lose", [Path.unlink, lambda path: path.rename(path.with_name("elsewhere"))])
+def test_a_journal_that_was_removed_or_moved_is_not_written_on_in_silence(filled, lose):
+    reader = JournalReader(filled)
+    list(reader)
+    with Journal.resume(reader) as journal:
+        journal.append(pack(ITEM, 20, content_of(20)))
+        lose(filled)
+        with pytest.raises(FileNotFoundError):
+            journal.append(pack(ITEM, 21, content_of(21)))
 
 
 def test_a_window_without_a_record_is_searched_in_parts(tmp_path, monkeypatch):
@@ -133,7 +158,7 @@ from mckibben.storage.journal import Journal, JournalReader, pack
 path = Path(sys.argv[1])
 if path.exists():
     reader = JournalReader(path)
-    kept = len(list(reader)) - 1
+    kept = sum(record.kind == b"I" for record in reader)
     journal = Journal.resume(reader)
 else:
     kept = 0

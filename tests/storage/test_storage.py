@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from mckibben.errors import FileError, McKibbenWarning
-from mckibben.storage.files import atomic_write, check_free, file_lock
+from mckibben.storage.files import atomic_write, check_free, file_lock, make_folder
 
 
 def test_only_one_at_a_time(tmp_path):
@@ -120,6 +120,15 @@ def test_a_written_file_and_its_folder_are_synced(tmp_path, monkeypatch):
     with atomic_write(tmp_path / "a") as part:
         part.write_text("text")
     assert synced == [(tmp_path / "a").stat().st_ino, tmp_path.stat().st_ino]
+
+
+def test_new_folders_are_synced_into_their_parents(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda file: synced.append(os.fstat(file).st_ino))
+    make_folder(tmp_path / "a" / "b")
+    assert set(synced) == {tmp_path.stat().st_ino, (tmp_path / "a").stat().st_ino}
+    make_folder(tmp_path / "a" / "b")
+    assert len(synced) == 2
 
 
 def test_without_the_modules_of_unix_the_package_imports():

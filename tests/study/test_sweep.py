@@ -333,6 +333,42 @@ def test_a_scheduler_that_does_not_answer(scenario, monkeypatch, tmp_path):
         sweep(scenario, OVER, dask="tcp://127.0.0.1:1", out=tmp_path)
 
 
+def test_workers_that_do_not_start(scenario, monkeypatch, tmp_path):
+    distributed = pytest.importorskip("distributed")
+
+    def killed(**_):
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr(distributed, "LocalCluster", killed)
+    with pytest.raises(SimulationError, match=r"did not start \(Nanny failed to start.\)") as caught:
+        sweep(scenario, OVER, dask="local", out=tmp_path)
+    assert "--resume" in caught.value.remedy
+
+
+def test_the_path_of_the_scenario_is_kept_in_short(scenario):
+    plan = SweepPlan.of(scenario, SweepOptions(OVER, samples=8), source="/home/me/caf\udce9.yaml")
+    assert plan.manifest["source"] == "caf\\udce9.yaml"
+
+
+def test_a_flipped_bit_of_the_table_is_found(kept, tmp_path):
+    whole = (kept[1] / TABLE).read_bytes()
+    for place in range(0, 8 * (len(whole) - 80), len(whole) // 3):
+        damaged = bytearray(whole)
+        damaged[place // 8] ^= 1 << place % 8
+        (tmp_path / TABLE).write_bytes(damaged)
+        with pytest.raises(FileError):
+            SweepResult.from_netcdf(tmp_path / TABLE)
+
+
+def test_a_vanished_folder_is_told(scenario, tmp_path):
+    def vanish(done, runs):
+        if done:
+            shutil.rmtree(tmp_path / "out", ignore_errors=True)
+
+    with pytest.raises(FileError, match="the folder has vanished"):
+        sweep(scenario, OVER, out=tmp_path / "out", workers=1, progress=vanish, **SOME)
+
+
 def test_a_full_disk_loses_nothing(kept, scenario, tmp_path, monkeypatch):
     real, written = journal_module._write_at, []
 
@@ -346,9 +382,14 @@ def test_a_full_disk_loses_nothing(kept, scenario, tmp_path, monkeypatch):
     with pytest.raises(FileError, match="the disk is full; 32 of 72 runs are kept; make room, and continue"):
         sweep(scenario, OVER, out=tmp_path, workers=1, **SOME)
     monkeypatch.undo()
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(1, 1, 0))
+
+    def no_room(path, content):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", no_room)
     with pytest.raises(FileError, match="the disk is full; 72 of 72 runs are kept"):
         sweep(scenario, out=tmp_path, resume=True)
+    assert not [path for path in tmp_path.iterdir() if path.suffix in (".nc", ".part")]
     monkeypatch.undo()
     assert sweep(scenario, out=tmp_path, resume=True).computed == 0
     assert table_of(tmp_path) == table_of(kept[1])

@@ -15,7 +15,7 @@ from typer import Argument, Option
 import mckibben
 from mckibben.cli.compare import compare
 from mckibben.cli.identify import identify, points, validate
-from mckibben.cli.options import Json, Out, format_metrics, notify, progress, table
+from mckibben.cli.options import Force, Json, Out, format_metrics, keeping, notify, progress, results_folder, table
 from mckibben.cli.plan import envelope, plan
 from mckibben.cli.rig import rig
 from mckibben.cli.sweep import sweep, tune
@@ -82,10 +82,10 @@ def simulate(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
     json: Json = False,
     out: Out = None,
+    force: Force = False,
 ) -> None:
     """Simulate a scenario: a controller on a joint."""
-    if out:
-        make_folder(out)
+    results_folder(out, ("result.nc", "results.json", "scenario.yaml", "tracking.png", "tracking.svg"), force)
     from mckibben.study.scenario import Scenario
 
     read = Scenario.read(scenario)
@@ -101,6 +101,10 @@ def simulate(
         "infeasible": infeasible,
         "metrics": in_shown_units(result.metrics),
     }
+    if out:  # before it is printed: who reads that may have gone
+        with keeping(out):
+            _keep_run(out, read, result)
+            write_json(out / "results.json", numbers)
     if json:
         typer.echo(to_json(numbers))
     else:
@@ -109,8 +113,6 @@ def simulate(
         table(read.name, ("metric", "value", "unit"), format_metrics(numbers["metrics"]))
         typer.echo(result.describe())
     if out:
-        _keep_run(out, read, result)
-        write_json(out / "results.json", numbers)
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
     if result.outcome.failed:
         raise typer.Exit(1)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from mckibben.cli.options import Json, long_job, metric, required_folder, table
+from mckibben.cli.options import Json, keeping, long_job, metric, required_folder, table
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.storage.files import atomic_write, check_free, make_folder, to_json, write_json
+from mckibben.storage.files import atomic_write, check_free, make_folder, make_subfolder, to_json, write_json
 
 if TYPE_CHECKING:
     from mckibben.study.benchmark import BenchmarkResult, Suite
@@ -61,6 +61,8 @@ def compare(
             raise FileError(str(searches), [Problem("there are histories of searches already", remedy=remedy)])
         check_free(out, _KEPT)
     make_folder(out)
+    for name in ("tuning", "figures"):
+        make_subfolder(out, name)
     with long_job(quiet=json, kept=f"the evaluated points are in {searches}; continue with --resume") as bar:
         result = run(read, folder=searches, resume=resume, progress=bar)
     _show(result, out, json)
@@ -81,21 +83,13 @@ def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
 
 def _alone(out: Path, repeat: str) -> str:
     """Return one run of a finished comparison as the text of a scenario."""
-    import json
+    from mckibben.study.benchmark import draw
+    from mckibben.study.benchmark.benchmark import read_runs
 
-    from mckibben.study.benchmark import Suite, draw
-
-    kept = out / "results.json"
+    kept = out / "runs.nc"  # it has a checksum
     if not kept.is_file():
         raise ParameterError(f"{out} holds no comparison", remedy="run it first, without --repeat")
-    try:
-        numbers = json.loads(kept.read_text(encoding="utf-8"))
-        tuned = {each: found["tuned"] for each, found in numbers["controllers"].items()}
-        count = int(numbers["runs"])
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        remedy = "run the comparison again in another folder"
-        raise FileError(str(kept), [Problem("it is damaged, or no result of a comparison", remedy=remedy)]) from None
-    suite = Suite.read(out / "suite.yaml")
+    suite, tuned, count = read_runs(kept)
     name, _, run = repeat.rpartition(" ")
     if name not in tuned:
         raise ParameterError(f"there is no controller {name!r}", value=name, remedy=f"known are {', '.join(tuned)}")
@@ -110,12 +104,13 @@ def _show(result: BenchmarkResult, out: Path, json: bool) -> None:
     from mckibben.study.benchmark.benchmark import statistics, write_table
 
     numbers = statistics(result)
-    write_json(out / "results.json", numbers)  # before anything is drawn
-    write_table(result, out / "runs.nc")
-    with atomic_write(out / "suite.yaml", overwrite=True) as part:
-        part.write_text(result.suite.dumps(folder=out), encoding="utf-8")
-    kept = _tuned_scenarios(result, out)
-    page = report.write_benchmark(result, numbers, out)
+    with keeping(out, "make room, and continue with --resume"):
+        write_json(out / "results.json", numbers)  # before anything is drawn
+        write_table(result, out / "runs.nc")
+        with atomic_write(out / "suite.yaml", overwrite=True) as part:
+            part.write_text(result.suite.dumps(folder=out), encoding="utf-8")
+        kept = _tuned_scenarios(result, out)
+        page = report.write_benchmark(result, numbers, out)
     if json:
         typer.echo(to_json(numbers))
     else:
@@ -167,7 +162,7 @@ def _tuned_scenarios(result: BenchmarkResult, out: Path) -> int:
     from mckibben.study.benchmark.benchmark import filename
     from mckibben.study.parameters import with_values
 
-    kept = make_folder(out / "controllers")
+    kept = make_subfolder(out, "controllers")
     reference = next(iter(result.suite.references))
     for name, values in result.tuned.items():
         scenario = result.suite.scenario(name, reference)

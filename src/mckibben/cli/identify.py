@@ -12,11 +12,13 @@ from typer import Argument, Option
 from mckibben.cli.options import (
     Column,
     Data,
+    Force,
     InitialLength,
     Json,
     Out,
     SkipCorrupt,
     SlackForce,
+    keeping,
     notify,
     parse_columns,
     parse_optional_quantity,
@@ -24,10 +26,11 @@ from mckibben.cli.options import (
     progress,
     read_data,
     report_ignored_columns,
+    results_folder,
     table,
 )
 from mckibben.errors import DatasetError, ParameterError, Problem, UnitError
-from mckibben.storage.files import make_folder, to_json, write_json
+from mckibben.storage.files import make_subfolder, to_json, write_json
 from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
@@ -207,14 +210,16 @@ def identify(
     skip_corrupt: SkipCorrupt = False,
     json: Json = False,
     out: Out = None,
+    force: Force = False,
 ) -> None:
     """Fit a force law to measured points: estimates with standard errors, and cross-validation errors.
 
     With --law all every law is fitted, and they are ranked by cross-validation over pressures, directions and repeats.
     With --hysteresis the friction between loading and unloading is identified with the law.
     """
-    if out:
-        make_folder(out)
+    figures = ("fit", "bands", "loops", "ranking")
+    names = [f"{name}{end}" for name in figures for end in (".png", ".svg")]
+    results_folder(out, ("fit.yaml", "data.nc", "results.json", "fits", *names), force)
     from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law) if law != _ALL else None
@@ -240,19 +245,22 @@ def identify(
         numbers["hysteresis"] = hysteresis_numbers(friction)
     texts = [friction.report() + "\n\nForce law of the points corrected for friction and drift:\n" if friction else ""]
     texts += [fit.report(level), uncertainty.describe()]
-    typer.echo(to_json(numbers) if json else "\n".join(filter(None, texts)))
+    drawn = {}
     if out:
         from mckibben import report
 
-        fit.to_yaml(out / "fit.yaml")
-        points.to_netcdf(out / "data.nc")
-        write_json(out / "results.json", numbers)
-        figures = {"fit": report.isobaric(static, fit), "bands": report.force_bands(static, fit, level=level)}
-        figures |= {f"profile-{one.name}": report.profile_likelihood(one, fit) for one in uncertainty.profiles}
-        figures |= {"loops": report.loops(points, friction)} if friction else {}
-        for name, figure in figures.items():
-            report.save(figure, out, name)
-        notify(f"wrote fit.yaml, data.nc, results.json and {', '.join(figures)} as .png and .svg to {out}", json)
+        with keeping(out):
+            fit.to_yaml(out / "fit.yaml")
+            points.to_netcdf(out / "data.nc")
+            write_json(out / "results.json", numbers)
+            drawn = {"fit": report.isobaric(static, fit), "bands": report.force_bands(static, fit, level=level)}
+            drawn |= {f"profile-{one.name}": report.profile_likelihood(one, fit) for one in uncertainty.profiles}
+            drawn |= {"loops": report.loops(points, friction)} if friction else {}
+            for name, figure in drawn.items():
+                report.save(figure, out, name)
+    typer.echo(to_json(numbers) if json else "\n".join(filter(None, texts)))
+    if out:
+        notify(f"wrote fit.yaml, data.nc, results.json and {', '.join(drawn)} as .png and .svg to {out}", json)
 
 
 def validate(
@@ -265,21 +273,23 @@ def validate(
     skip_corrupt: SkipCorrupt = False,
     json: Json = False,
     out: Out = None,
+    force: Force = False,
 ) -> None:
     """Validate a force law with measured points: errors by pressure and direction."""
-    if out:
-        make_folder(out)
+    results_folder(out, ("results.json",), force)
     from mckibben.study.inputs import law_named
 
     known = law_named(law, specimen=specimen)
     points = read_data(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
     from mckibben.identification import validate as run
 
-    validation = run({law: known}, points)
+    validation = run({Path(law).name if Path(law).is_absolute() else law: known}, points)
     numbers = {"slack": validation.slack, "errors": validation.records()}
+    if out:
+        with keeping(out):
+            write_json(out / "results.json", numbers)
     typer.echo(to_json(numbers) if json else validation.report())
     if out:
-        write_json(out / "results.json", numbers)
         notify(f"wrote results.json to {out}", json)
 
 
@@ -297,22 +307,24 @@ def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
         "not_left_out": ranking.missing,
         "laws": ranking.records(),
     }
+    if out:
+        from mckibben import report
+
+        assert best.fit is not None
+        with keeping(out):
+            for entry in ranking.entries:
+                if entry.fit:
+                    entry.fit.to_yaml(make_subfolder(out, "fits") / f"{entry.law}.yaml")
+            best.fit.to_yaml(out / "fit.yaml")
+            points.to_netcdf(out / "data.nc")
+            write_json(out / "results.json", numbers)
+            report.save(report.ranking(ranking), out, "ranking")
+            report.save(report.isobaric(points, best.fit), out, "fit")
     if json:
         typer.echo(to_json(numbers))
     else:
         _show(ranking)
     if out:
-        from mckibben import report
-
-        for entry in ranking.entries:
-            if entry.fit:
-                entry.fit.to_yaml(make_folder(out / "fits") / f"{entry.law}.yaml")
-        assert best.fit is not None
-        best.fit.to_yaml(out / "fit.yaml")
-        points.to_netcdf(out / "data.nc")
-        write_json(out / "results.json", numbers)
-        report.save(report.ranking(ranking), out, "ranking")
-        report.save(report.isobaric(points, best.fit), out, "fit")
         notify(f"wrote fit.yaml ({best.law}), fits/, data.nc, results.json, ranking.png and fit.png to {out}", json)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -12,6 +13,7 @@ import typer
 from typer import Argument, Option
 
 from mckibben.errors import ParameterError, UnitError
+from mckibben.storage.files import check_free, explain_write_errors, make_folder
 from mckibben.units import parse_range, quantity
 
 if TYPE_CHECKING:
@@ -166,6 +168,30 @@ def time_text(seconds: float) -> str:
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"
+
+
+Force = Annotated[bool, Option("--force", help="Replace the results of an earlier run in DIR.")]
+
+
+def results_folder(out: Path | None, names: Iterable[str], force: bool) -> None:
+    """Make the folder of the results before they are computed; `FileError` if it has some and `force` is not set."""
+    if out is not None:
+        make_folder(out)
+        if not force:
+            check_free(out, names, "choose another folder, or replace it with --force")
+
+
+@contextmanager
+def keeping(out: Path, remedy: str = "make room, and run it again with --force") -> Iterator[None]:
+    """Say which results are kept where not all can be written: the disk is full, or the folder has vanished."""
+    begun = time.time()
+
+    def kept() -> str:
+        names = [path.name for path in sorted(out.iterdir()) if path.is_file() and path.stat().st_mtime >= begun - 1]
+        return f"kept are {', '.join(names)}" if names else "nothing is kept"
+
+    with explain_write_errors(out, kept, remedy):
+        yield
 
 
 INTERRUPTED = 130

@@ -11,20 +11,23 @@ from typer import Argument, Option
 from mckibben.cli.options import (
     Column,
     Data,
+    Force,
     InitialLength,
     Json,
     Out,
     SlackForce,
     check_choice,
+    keeping,
     notify,
     parse_limits,
     parse_optional_quantity,
     parse_quantity,
     read_data,
+    results_folder,
     table,
 )
 from mckibben.errors import ParameterError, UnitError
-from mckibben.storage.files import make_folder, to_json, write_json
+from mckibben.storage.files import to_json, write_json
 from mckibben.units import deg, mm, quantity
 
 if TYPE_CHECKING:
@@ -74,10 +77,10 @@ def plan(
     column: Column = None,
     json: Json = False,
     out: Out = None,
+    force: Force = False,
 ) -> None:
     """Plan the next test: the points that most reduce the uncertainty of a quantity, and diagnostics of the data."""
-    if out:
-        make_folder(out)
+    results_folder(out, ("plan.csv", "results.json", "plan.png", "plan.svg"), force)
     check_choice(directions, _DIRECTIONS, "a direction")
     from mckibben import catalog
     from mckibben.experiment_design import parse_quantity_of_interest
@@ -109,17 +112,19 @@ def plan(
         guess=initial,
     )
     numbers = found.records()
+    if out:
+        from mckibben.report.study import planned
+        from mckibben.report.style import save
+
+        with keeping(out):
+            found.to_csv(out / "plan.csv")
+            write_json(out / "results.json", numbers)
+            save(planned(found), out, "plan")
     if json:
         typer.echo(to_json(numbers))
     else:
         _show(found, read.table.attrs["specimen"] or "unnamed specimen")
     if out:
-        from mckibben.report.study import planned
-        from mckibben.report.style import save
-
-        found.to_csv(out / "plan.csv")
-        write_json(out / "results.json", numbers)
-        save(planned(found), out, "plan")
         notify(f"kept plan.csv, results.json and plan.png and .svg in {out}", json)
 
 
@@ -193,10 +198,12 @@ def envelope(
     minimum_tension: Annotated[str, Option(metavar="FORCE", help="Minimum muscle tension of a design.")] = "0 N",
     json: Json = False,
     out: Out = None,
+    force: Force = False,
 ) -> None:
     """Show the static envelope, whether the reference is trackable, and the nearest that is; or size the joint."""
-    if out:
-        make_folder(out)
+    name = "envelope" if design is None else "design"
+    nearest = [f"nearest-{kind}" for kind in ("angle", "amplitude", "stiffness")] if design is None else [name]
+    results_folder(out, ("results.json", f"{name}.png", f"{name}.svg", *(f"{one}.yaml" for one in nearest)), force)
     fraction = parse_quantity("--margin", margin, "1")
     width = parse_optional_quantity("--smoothing", smoothing, "s")
     reserve = parse_quantity("--torque-reserve", torque_reserve, "N*m")
@@ -224,6 +231,16 @@ def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
     from mckibben.reachability import HEADERS, save_reference
 
     numbers, static = found.records(), found.static
+    names = ["results.json"]
+    if out:
+        from mckibben.report.joint import envelope as draw
+        from mckibben.report.style import save
+
+        with keeping(out):
+            for near in found.nearest:
+                names += save_reference(found.scenario, near, out, f"nearest-{near.preserved.name.lower()}")
+            write_json(out / "results.json", numbers)
+            save(draw(found), out, "envelope")
     if json:
         typer.echo(to_json(numbers))
     else:
@@ -236,14 +253,6 @@ def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
         if not found.trackability.trackable and not found.nearest:
             typer.echo("no smaller or slower motion about this centre is feasible either")
     if out:
-        from mckibben.report.joint import envelope as draw
-        from mckibben.report.style import save
-
-        names = ["results.json"]
-        for near in found.nearest:
-            names += save_reference(found.scenario, near, out, f"nearest-{near.preserved.name.lower()}")
-        write_json(out / "results.json", numbers)
-        save(draw(found), out, "envelope")
         notify(f"kept {', '.join(names)} and envelope.png and .svg in {out}", json)
 
 
@@ -251,6 +260,16 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
     from mckibben.reachability import save_design, static_envelope
 
     numbers = found.records()
+    names = ["results.json"]
+    if out:
+        from mckibben.report.joint import design as draw
+        from mckibben.report.style import save
+
+        with keeping(out):
+            names += ["design.yaml"] if save_design(scenario, found, out / "design.yaml") else []
+            write_json(out / "results.json", numbers)
+            about = sum(found.target.angles) / 2
+            save(draw(found, static_envelope(scenario.plant(), about=about)), out, "design")
     if json:
         typer.echo(to_json(numbers))
     else:
@@ -262,15 +281,6 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
         table("Attained", ("angle", "stiffness"), found.rows())
         typer.echo(found.describe())
     if out:
-        from mckibben.report.joint import design as draw
-        from mckibben.report.style import save
-
-        names = ["results.json"]
-        if save_design(scenario, found, out / "design.yaml"):
-            names.append("design.yaml")
-        else:
+        if "design.yaml" not in names:
             typer.echo("no scenario written: the length of a muscle belongs to its specimen in the catalog", err=True)
-        write_json(out / "results.json", numbers)
-        about = sum(found.target.angles) / 2
-        save(draw(found, static_envelope(scenario.plant(), about=about)), out, "design")
         notify(f"kept {', '.join(names)} and design.png and .svg in {out}", json)

@@ -62,11 +62,16 @@ def control(
         typer.echo(f"warning: {session.reach.describe()}", err=True)
     read.to_yaml(out / "scenario.yaml")
     with _line(quiet=json) as progress:
-        ran = session.run(out, progress=progress)
-    _report(ran, session, out, paced=not unpaced, json=json)
+        try:
+            ran = session.run(out, progress=progress)
+        except StoppedError as stopped:
+            typer.echo(str(stopped), err=True)
+            raise typer.Exit(1) from None
     error = ran.outcome.error
-    if error is not None:
+    if error is not None:  # before the results, for which the disk may be full
         typer.echo(f"stopped: {ran.outcome.text}; {ran.outcome.venting}", err=True)
+    _report(ran, session, out, paced=not unpaced, json=json)
+    if error is not None:
         raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1)
     if ran.result is not None and ran.result.outcome.failed:
         raise typer.Exit(1)
@@ -233,7 +238,8 @@ def run(
             data = run_test(checked, out, resume=resume, standing_at=standing, report=report)
     except StoppedError as error:
         typer.echo(str(error), err=True)
-        typer.echo(f"resume with: mckibben rig run {protocol} --out {out} --resume", err=True)
+        if segments(out):
+            typer.echo(f"resume with: mckibben rig run {protocol} --out {out} --resume", err=True)
         raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1) from None
     name = out / data_name(test)
     if json:

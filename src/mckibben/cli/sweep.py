@@ -16,6 +16,7 @@ from mckibben.cli.options import (
     Known,
     check_choice,
     format_metrics,
+    keeping,
     long_job,
     metric,
     required_folder,
@@ -93,11 +94,14 @@ def sweep(
 
 def _show(swept: SweepResult, out: Path, json: bool) -> None:
     """Write and print the statistics, and write the figure."""
+    from mckibben import report
     from mckibben.study.sweep import summary
     from mckibben.study.sweep.result import correlation_rows, feasibility_sentence, metric_rows, outcome_rows
 
     numbers = summary(swept)
-    write_json(out / "results.json", numbers)
+    with keeping(out, "make room, and continue with --resume"):
+        write_json(out / "results.json", numbers)
+        report.save(report.sweep(swept), out, "sweep")
     if json:
         typer.echo(to_json(numbers))
     else:
@@ -109,9 +113,6 @@ def _show(swept: SweepResult, out: Path, json: bool) -> None:
         ranked = ("parameter", "metric", "Spearman")
         table("Rank correlations, strongest first", ranked, correlation_rows(numbers))
         typer.echo(feasibility_sentence(numbers))
-    from mckibben import report
-
-    report.save(report.sweep(swept), out, "sweep")
     typer.echo(f"wrote sweep.nc, results.json, sweep.png and sweep.svg to {out}", err=json)
 
 
@@ -218,7 +219,6 @@ def _show_tuned(
 ) -> None:
     from mckibben import report
 
-    kept = _keep_scenarios(tuned, paths, out)
     runs = [
         {"scenario": old.name, "before": _metrics(old), "tuned": _metrics(new)}
         for old, new in zip(before, tuned.scenarios, strict=True)
@@ -232,8 +232,10 @@ def _show_tuned(
         "values": {name: {"si": tuned.values[name], "shown": text} for name, text in shown_values.items()},
         "runs": runs,
     }
-    write_json(out / "results.json", numbers)
-    report.save(report.tuning(tuned), out, "tuning")
+    with keeping(out, "make room, and continue with --resume"):
+        kept = _keep_scenarios(tuned, paths, out)
+        write_json(out / "results.json", numbers)
+        report.save(report.tuning(tuned), out, "tuning")
     if json:
         typer.echo(to_json(numbers))
     else:

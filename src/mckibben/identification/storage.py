@@ -22,7 +22,7 @@ from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.uncertainty import Grouping
 from mckibben.muscle import LAWS, Domain, ForceLaw
-from mckibben.storage.files import atomic_write
+from mckibben.storage.files import atomic_write, check_seal, sealed
 from mckibben.units import BoundedInt, factor, quantity, show
 
 _HEAD = "# A force law identified by mckibben. Numbers have their unit beside them, comments that of publications.\n"
@@ -73,8 +73,9 @@ def write_fit(fit: Fit, path: Path) -> None:
             "pressure_unit": "Pa",
         },
     }
+    text = _HEAD + to_text(data, comments, width=200)
     with atomic_write(path, overwrite=True) as sibling:
-        sibling.write_text(_HEAD + to_text(data, comments, width=200), encoding="utf-8", newline="\n")
+        sibling.write_bytes(sealed(text.encode()))
 
 
 def read_law(path: str | os.PathLike[str]) -> ForceLaw:
@@ -269,7 +270,9 @@ class _FitFile(_LawFile):
 def _read(path: str | os.PathLike[str], *, complete: bool) -> Any:
     """The checked content of a file: a `_FitFile`, or a `_LawFile` if it need not be complete."""
     source = os.fspath(path)
-    document = read_document(read_text(path, "a fit", "docs/files.md"))
+    text = read_text(path, "a fit", "docs/files.md")
+    check_seal(Path(path))
+    document = read_document(text)
     if not document.readable:
         raise ScenarioError(source, document.problems)
     data = document.data if isinstance(document.data, dict) else {}

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 import mckibben
-from mckibben.errors import FileError, McKibbenError, Problem, RigError, ScenarioError
+from mckibben.errors import FileError, McKibbenError, Problem, RigError, ScenarioError, StoppedError
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import ControlProgram, vented_angle
 from mckibben.realtime.config import JointCardSpec, JointRig, Wiring
@@ -31,7 +31,8 @@ from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.calibration import read_calibrations
-from mckibben.rig.record import read_record
+from mckibben.rig.ni.watchdog import host_watchdog
+from mckibben.rig.record import read_record, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.simulation import Feasibility, Result, check_reference, sampled
 from mckibben.storage.files import file_lock, make_folder
@@ -87,16 +88,20 @@ class JointSession:
             If the folder cannot be written to, or holds a record.
         RigError
             If the rig is not connected, or does not fit, before anything moves.
+        StoppedError
+            If the folder was removed during the run, which was stopped and vented.
         """
-        folder = make_folder(folder)
+        folder, outcome = make_folder(folder), None
         with (
             file_lock(folder / "lock", "running a joint rig"),
             stop_on_signals() as stop_flag,
+            host_watchdog(self.backend),
             realtime_process_settings() as priority,
         ):
             header = {**self.header, "priority": priority}
-            with Recorder.create(folder, header, columns(self.program.telemetry)) as recorder:
-                try:
+            recorder = Recorder.create(folder, header, columns(self.program.telemetry))
+            try:
+                with recorder:
                     outcome = control(
                         self.backend,
                         self.program,
@@ -107,11 +112,15 @@ class JointSession:
                         stop_flag=stop_flag,
                         progress=progress,
                     )
-                except RigError:
+            except RigError as error:
+                if outcome is None:
                     if recorder.rows == 0:  # nothing has moved: the folder may be used again
-                        recorder.close()
                         recorder.path.unlink()
                     raise
+                if outcome.completed:  # the end of the record was not written
+                    outcome = RunOutcome("rig", str(error), error, outcome.vented_after)
+        if not segments(folder):  # it was removed
+            raise StoppedError(f"stopped: {outcome.text}; {outcome.venting}")
         table = read_record(folder).columns
         period = self.plan.period
         text = self.scenario.dumps()

@@ -24,6 +24,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.storage.files import atomic_write
 
 SINGLE, DOUBLE = 3.5, 7.2
 """Widths of one and of two columns of a journal [inches]."""
@@ -137,9 +138,11 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: 
         figure.draw_without_rendering()  # one layout instead of one per draw
         figure.set_layout_engine("none")
     # `Figure.savefig` would draw everything twice
-    FigureCanvasAgg(figure).print_png(png, metadata={"Software": None})
+    with atomic_write(png, overwrite=True) as part:
+        FigureCanvasAgg(figure).print_png(part, metadata={"Software": None})
     if not preview:
-        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None, "Creator": None})
+        with atomic_write(svg, overwrite=True) as part:
+            FigureCanvasSVG(figure).print_svg(part, metadata={"Date": None, "Creator": None})
     return png, svg
 
 

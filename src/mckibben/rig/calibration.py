@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -130,7 +132,7 @@ class Calibration:
         form |= {field: getattr(self, field) for field in self._texts[2:] if getattr(self, field)}
         if self.known:
             form |= {"known": list(self.known), "volts_read": list(self.volts_read), "residual": self.residual}
-        return form
+        return form | {"checksum": _checksum(form)}
 
     @classmethod
     def from_json(cls, form: Mapping[str, Any]) -> Calibration:
@@ -138,6 +140,11 @@ class Calibration:
         lists, numbers = ("known", "volts_read"), (*_NUMBERS, "margin", "residual")
         needed = ("name", "unit", "gain", "low", "high")
         problems = [Problem("missing", field=field) for field in needed if field not in form]
+        form = dict(form)
+        checksum = form.pop("checksum", None)
+        if checksum not in (None, _checksum(form)):
+            remedy = "restore the file; if it was changed on purpose, leave the checksum out"
+            problems.append(Problem("does not fit: something was changed or damaged", field="checksum", remedy=remedy))
         for field, value in form.items():
             if field in cls._texts:
                 right = isinstance(value, str)
@@ -155,6 +162,10 @@ class Calibration:
         values |= {field: float(values[field]) for field in numbers if field in values}
         values |= {field: tuple(map(float, values[field])) for field in lists if field in values}
         return cls(**values)
+
+
+def _checksum(form: Mapping[str, Any]) -> str:
+    return f"{zlib.crc32(json.dumps(form, sort_keys=True).encode()):08x}"
 
 
 def calibrate(

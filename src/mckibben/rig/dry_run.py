@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 
@@ -11,8 +12,18 @@ from mckibben.errors import McKibbenError, Problem
 from mckibben.muscle import Muscle, forces
 from mckibben.rig.backend import AnalogChannel
 from mckibben.rig.bench import Bench
+from mckibben.rig.protocol import MOST_POINTS, MOST_STEPS
 from mckibben.rig.runner import StepInterpreter
-from mckibben.rig.steps import Acquire, HoldForce, Move, Pressurise, Step, Walk
+from mckibben.rig.steps import (
+    Acquire,
+    HoldForce,
+    Move,
+    Pressurise,
+    Repeat,
+    Step,
+    Walk,
+    count_steps,
+)
 from mckibben.units import bar, mm, percent
 
 _SETTLING = 1.5  # s of a change of pressure, besides a ramp
@@ -29,6 +40,7 @@ class DryRun(StepInterpreter):
         self.at_most = False
         self.pressure, self.contraction = (0.0, 0.0), (bench.mounted_at, bench.mounted_at)
         self.problems: list[Problem] = []
+        self._acquired = 0
         self._reported: set[str] = set()
         self._place, self._by_force = "", False
         self._set_pressure = 0.0
@@ -41,7 +53,7 @@ class DryRun(StepInterpreter):
     def run(self, steps: Sequence[Step], inputs: Sequence[AnalogChannel], patience: float) -> None:
         """Go through the steps, and check the bench; arguments as for `dry_run`."""
         bench, limits = self.bench, self.bench.limits
-        self._do(steps)
+        self._do_within_limits(steps)
         if 2 * bench.cycle > patience:
             message = f"{bench.cycle:g} s is more than half of the {patience:g} s after which the rig vents by itself"
             self._report(message, "recording.cycle", "shorten it")
@@ -55,7 +67,32 @@ class DryRun(StepInterpreter):
         self._check_law()
         self._check_sensors(inputs)
 
+    def _do_within_limits(self, steps: Sequence[Step]) -> None:
+        counts = [count_steps([step]) for step in steps]
+        if sum(counts) > MOST_STEPS:
+            longest = counts.index(max(counts))
+            message = f"{sum(counts)} steps with all repeats are more than {MOST_STEPS}"
+            self._report(message, f"[{longest}].repeat.times", "repeat less often, or make several tests of it")
+            return
+        with contextlib.suppress(_TooLongError):
+            self._do(steps)
+        if self._acquired > MOST_POINTS:
+            message = f"the points are {self._acquired} or more, and {MOST_POINTS} at most are allowed"
+            self._report(message, self._place, "lengthen the step of walks, or repeat less often")
+
     # what the steps do
+
+    def _do_again(self, repeat: Repeat, number: int, place: str) -> bool:
+        """Do the steps; if that leads back to where they began, add all further repeats, which are the same."""
+        names = ("duration", "plateaus", "samples", "pulses", "rows", "_acquired")
+        begin, counts = (self.position, self._set_pressure, self._walked_from), [getattr(self, name) for name in names]
+        self._do(repeat.steps, place)
+        if (self.position, self._set_pressure, self._walked_from) != begin:
+            return False
+        for name, count in zip(names, counts, strict=True):
+            now = getattr(self, name)
+            setattr(self, name, now + (repeat.times - number - 1) * (now - count))
+        return True
 
     def _begin(self, step: Step, place: str) -> None:
         """Check the numbers of a step."""
@@ -107,6 +144,9 @@ class DryRun(StepInterpreter):
         self._hold_at(step.force)
 
     def _acquire(self, acquire: Acquire) -> float:
+        self._acquired += 1
+        if self._acquired > MOST_POINTS:
+            raise _TooLongError
         every = max(1, round(self.bench.rate * acquire.duration / acquire.samples))
         self.duration += acquire.duration
         self.rows += (acquire.samples - 1) * every + 1
@@ -226,6 +266,10 @@ class DryRun(StepInterpreter):
                 continue
             for problem in calibrations[name].check(0.0, highest, channels.get(name)):
                 self._report(problem.message, f"rig.{problem.field}", problem.remedy)
+
+
+class _TooLongError(Exception):
+    """The points of a test are too many to go through."""
 
 
 _KEYS = {Move: "move", Pressurise: "pressurise", HoldForce: "hold_force", Acquire: "acquire", Walk: "walk"}

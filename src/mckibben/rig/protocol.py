@@ -85,8 +85,11 @@ def positions(of: Muscle | Specimen, protocol: IsobaricProtocol) -> NDArray[np.f
     """Contraction [-] of the plateaus of the whole stroke, ascending."""
     first, last = protocol.stroke(of)
     step = protocol.step / float(specimen_of(of).initial_length)
-    count = math.floor((last - first) / step + 1e-9) + 1
-    return first + step * np.arange(count, dtype=np.float64)
+    return first + step * np.arange(_plateaus_in(protocol.step, first, last, of), dtype=np.float64)
+
+
+def _plateaus_in(step: float, first: float, last: float, of: Muscle | Specimen) -> int:
+    return math.floor((last - first) / (step / float(specimen_of(of).initial_length)) + 1e-9) + 1
 
 
 def specimen_of(of: Muscle | Specimen) -> Specimen:
@@ -99,6 +102,9 @@ def _after_last(where: NDArray[np.bool_]) -> NDArray[np.int64]:
     count = where.shape[1]
     return np.where(where.any(axis=1), count - np.argmax(where[:, ::-1], axis=1), 0).astype(np.int64)
 
+
+MOST_POINTS, MOST_STEPS = 100_000, 1_000_000
+"""Most points and steps of a test with all its repeats: more are refused before they are laid out."""
 
 PAPER_PRESSURES = tuple(0.5 * level * bar for level in range(13))
 
@@ -249,7 +255,12 @@ class IsobaricProtocol:
                         remedy="give the end of the stroke inside, as a ratio, or leave it to the muscle",
                     )
                 )
-        if not problems and len(positions(of, self)) < 2:
+        count = 0 if problems else _plateaus_in(self.step, first, last, of)
+        total = 2 * count * self.repeats * len(self.pressures)
+        if total > MOST_POINTS:
+            message = f"{self.step / mm:g} mm make {total} plateaus, and {MOST_POINTS} at most are allowed"
+            problems.append(Problem(message, field="step", remedy="lengthen the step, or repeat less often"))
+        if not problems and count < 2:
             problems.append(
                 Problem(
                     f"a step of {self.step / mm:g} mm does not fit into the stroke "

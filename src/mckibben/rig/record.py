@@ -15,7 +15,7 @@ import numpy as np
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.rig.bench import Bench
-from mckibben.storage.journal import JournalReader
+from mckibben.storage.journal import HEADER, JournalReader
 
 VERSION = 1
 
@@ -128,16 +128,16 @@ def passages(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
     expected, damaged = 0, False
     for path in segments(Path(folder)):
         _, columns = read_header(path)
-        reader = JournalReader(path)
+        reader, known = JournalReader(path), 0
         for record in reader:
-            damaged = damaged or reader.damaged > 0
-            if record.number != expected:
-                if record.number < expected or not damaged:
-                    gap = record.number - expected
-                    message = f"{gap} rows are missing before row {record.number}" if gap > 0 else f"{-gap} rows repeat"
-                    raise DatasetError(str(path), [Problem(message, remedy="the file was changed, or one is missing")])
-                message = f"{path} is damaged: rows {expected} to {record.number - 1} are lost"
-                warnings.warn(message, McKibbenWarning, stacklevel=2)
+            gap, lost = record.number - expected, reader.damaged - known
+            known, damaged = reader.damaged, damaged or lost > 0
+            if gap < 0 or (gap and not damaged):
+                message = f"{gap} rows are missing before row {record.number}" if gap > 0 else f"{-gap} rows repeat"
+                raise DatasetError(str(path), [Problem(message, remedy="the file was changed, or one is missing")])
+            if gap or (lost and record.kind != HEADER):  # of the header there are two
+                what = f"rows {expected} to {record.number - 1}" if gap else f"{lost} chunk(s) before row {expected}"
+                _warn_of_damage(path, f"{what} are lost")
                 expected = record.number
             if record.kind == SAMPLES:
                 rows = unpack_rows(columns, record.payload)
@@ -146,7 +146,13 @@ def passages(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
             elif record.kind == EVENT:
                 content = json.loads(record.payload)
                 yield Event(content["kind"], content["text"], record.number, content["data"])
+        if reader.damaged > known:
+            _warn_of_damage(path, "its end is lost")
         damaged = damaged or reader.end < path.stat().st_size
+
+
+def _warn_of_damage(path: Path, lost: str) -> None:
+    warnings.warn(f"{path} is damaged: {lost}", McKibbenWarning, stacklevel=3)
 
 
 def rows_in(folder: str | os.PathLike[str]) -> int:

@@ -25,6 +25,7 @@ PERIOD = 0.25
 _MOST_PENDING = 1 << 20  # bytes: an append waits while more than that is to be written
 _RESERVE = 1 << 22  # bytes kept free for what is pending, and for the reason, when the disk is full
 _RESERVE_NAME = "reserve"
+_FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class Recorder:
@@ -153,12 +154,12 @@ class Recorder:
 
     def _raise_failure(self, *, but_full: bool = False) -> None:
         failure = self._failure
-        if failure is not None and not (but_full and getattr(failure, "errno", None) == errno.ENOSPC):
+        if failure is not None and not (but_full and getattr(failure, "errno", None) in _FULL):
             reason = getattr(failure, "strerror", None) or f"{type(failure).__name__}: {failure}".rstrip(": ")
-            raise RigError(
-                f"{self.path} cannot be written: {reason}",
-                remedy="what was recorded before is kept; make room and resume",
-            ) from failure
+            remedy = "what was recorded before is kept; make room and resume"
+            if isinstance(failure, FileNotFoundError):
+                remedy = f"nothing is kept at {self.path.parent}; if it was moved, what was recorded before is with it"
+            raise RigError(f"{self.path} cannot be written: {reason}", remedy=remedy) from failure
 
     def _work(self) -> None:
         lost = False
@@ -203,7 +204,7 @@ class Recorder:
         try:
             self._journal.append(content)
         except OSError as error:
-            if error.errno != errno.ENOSPC:
+            if error.errno not in _FULL:
                 raise
             self._reserve.unlink(missing_ok=True)
             self._journal.append(content)

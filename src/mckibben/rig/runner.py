@@ -47,7 +47,8 @@ class StepInterpreter(abc.ABC):
                     around = self._repeat
                     for number in range(step.times):
                         self._repeat = number
-                        self._do(step.steps, f"{here}.repeat.steps")
+                        if self._do_again(step, number, f"{here}.repeat.steps"):
+                            break
                     self._repeat = around
                 case Move():
                     self._move_to(self.bench.pulses_at(step.to), step.speed)
@@ -63,6 +64,11 @@ class StepInterpreter(abc.ABC):
                     self._walk(step)
                 case Vent():
                     self._vent()
+
+    def _do_again(self, repeat: Repeat, number: int, place: str) -> bool:
+        """Do the steps of a repeat for the so manyth time; return whether that was all."""
+        self._do(repeat.steps, place)
+        return False
 
     def _walk(self, walk: Walk) -> None:
         begin = self.position
@@ -165,7 +171,8 @@ class Runner(StepInterpreter):
                     self._rig.move_to(0, self._speed)
                 self._do(steps)
                 self._vent()
-                self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self._rig.pulses)
+                for _ in range(2):  # a chunk that is damaged later must not let a finished test move again
+                    self.recorder.event(DONE, "all steps are done", points=self._number, pulses=self._rig.pulses)
         except BaseException as error:
             raise self._rig.record_stop(error) from error
         finally:

@@ -12,7 +12,13 @@ import numpy as np
 
 from mckibben.errors import Problem, RangeError
 from mckibben.muscle import Muscle, Specimen, forces
-from mckibben.rig.protocol import PAPER_PRESSURES, IsobaricProtocol, boundaries, refuse_problems, specimen_of
+from mckibben.rig.protocol import (
+    PAPER_PRESSURES,
+    IsobaricProtocol,
+    boundaries,
+    refuse_problems,
+    specimen_of,
+)
 from mckibben.units import (
     Contraction,
     Duration,
@@ -216,6 +222,15 @@ def describe_steps(steps: Sequence[Step], indent: int = 0) -> list[str]:
         if isinstance(step, Repeat):
             lines += describe_steps(step.steps, indent + 1)
     return lines
+
+
+def count_steps(steps: Sequence[Step]) -> int:
+    """Number of steps with all repeats.
+
+    >>> count_steps([Vent(), Repeat(times=3, steps=(Vent(), Repeat(times=10, steps=(Vent(),))))])
+    34
+    """
+    return sum(step.times * count_steps(step.steps) if isinstance(step, Repeat) else 1 for step in steps)
 
 
 def _refuse(what: str, *problems: Problem | None) -> None:

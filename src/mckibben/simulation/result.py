@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from mckibben.errors import FileError, Problem, SimulationError
 from mckibben.simulation.metrics import METRICS, Trajectory, compiled_measure
-from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
@@ -266,25 +265,20 @@ class Result:
         )
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write to a NetCDF file, atomically."""
-        with atomic_write(path, overwrite=True) as part:
-            self.to_xarray().to_netcdf(part, engine="h5netcdf")
+        """Write to a NetCDF file, atomically and with a checksum."""
+        from mckibben.dataset.schema import write_netcdf
+
+        write_netcdf(self.to_xarray(), Path(path))
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file of `to_netcdf`; `FileError` if it is missing, is not NetCDF, or lacks a column."""
-        import xarray as xr
-
-        from mckibben.dataset.hdf5_check import check_hdf5
+        """Read a file of `to_netcdf`; `FileError` if it is missing, is not NetCDF, damaged, or lacks a column."""
+        from mckibben.dataset.schema import load_netcdf
 
         source = str(path)
         if not Path(path).is_file():
             raise FileError(source, [Problem("there is no such file")])
-        check_hdf5(Path(path), "NetCDF", netcdf=True)
-        try:
-            table = xr.load_dataset(path, engine="h5netcdf")
-        except Exception as error:  # HDF5 has many ways to say that a file is damaged
-            raise FileError(source, [Problem(f"it cannot be read as NetCDF: {error}")]) from error
+        table = load_netcdf(Path(path))
         columns = (*Trajectory._fields, *BAND)
         missing = [name for name in columns if name not in table]
         if missing:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import math
 import os
@@ -19,8 +20,9 @@ from typing import Any
 
 from mckibben.errors import FileError, McKibbenWarning, Problem
 
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Signals that stop a job: Ctrl-C, termination and a closed terminal."""
+_SIGNAL_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+SIGNALS = tuple(getattr(signal, name) for name in _SIGNAL_NAMES if hasattr(signal, name))
+"""Signals that stop a job: Ctrl-C, termination, a closed terminal and Ctrl-\\."""
 
 _REPEAT_INTERVAL = 1.0  # s
 
@@ -55,6 +57,7 @@ except ImportError:  # Windows
     fcntl = None
 
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
+_PIECE = 1 << 20  # bytes read at once
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of file systems without locks
 
 
@@ -87,6 +90,63 @@ def _rename_new(temporary: Path, path: Path) -> None:
         temporary.replace(path)
 
 
+_SEAL = b"# sha256 "
+_SEALED = len(_SEAL) + 64 + 1
+
+
+def sealed(content: bytes | memoryview) -> bytes:
+    """The content with its checksum in a last line: a comment in YAML, and bytes that HDF5 does not read."""
+    return b"".join((content, _SEAL, hashlib.sha256(content).hexdigest().encode(), b"\n"))
+
+
+def check_seal(path: Path) -> None:
+    """Check the checksum in the last line of a file; files without one, written by hand or by others, pass.
+
+    Raises
+    ------
+    FileError
+        If the content has changed since it was written.
+    """
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - _SEALED, 0))
+        last = file.read()
+        if len(last) < _SEALED or not last.startswith(_SEAL) or not last.endswith(b"\n"):
+            return
+        file.seek(0)
+        digest = hashlib.sha256()
+        for start in range(0, size - _SEALED, _PIECE):
+            digest.update(file.read(min(_PIECE, size - _SEALED - start)))
+    if digest.hexdigest().encode() != last[len(_SEAL) : -1]:
+        remedy = "make it again; or, if the change was meant, remove the last line (# sha256 ...)"
+        raise FileError(str(path), [Problem("it is damaged: it has changed since it was written", remedy=remedy)])
+
+
+_WRITE_ERRORS = {
+    errno.ENOSPC: "the disk is full",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "the file is larger than this process may write",
+    errno.EROFS: "the disk can no longer be written to",
+    errno.EIO: "the disk fails",
+}
+
+
+@contextmanager
+def explain_write_errors(folder: Path, kept: Callable[[], str], remedy: str) -> Iterator[None]:
+    """Raise a `FileError` that says what is kept, where a disk is full or fails, or the folder has vanished."""
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error, FileNotFoundError) and not folder.is_dir():
+            problem = Problem("the folder has vanished, with what was kept in it", remedy="begin anew")
+        elif error.errno in _WRITE_ERRORS:
+            listed = kept()
+            problem = Problem(_WRITE_ERRORS[error.errno] + (f"; {listed}" if listed else ""), remedy=remedy)
+        else:
+            raise
+        raise FileError(str(folder), [problem]) from error
+
+
 def sync_folder(path: Path) -> None:
     """Make new names in a folder durable, where the system can."""
     if hasattr(os, "O_DIRECTORY"):
@@ -102,10 +162,13 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
-    """Create a folder and its parents unless they exist; `FileError` if it cannot be created."""
+    """Create a folder and its parents unless they exist, synced; `FileError` if it cannot be created."""
     path = Path(path)
+    made = [one for one in (path, *path.parents) if not one.exists()]
     try:
         path.mkdir(parents=True, exist_ok=True)
+        for one in made:
+            sync_folder(one.parent)
     except FileExistsError as error:
         raise FileError(str(path), [Problem("it is a file", remedy="give a folder")]) from error
     except OSError as error:
@@ -115,11 +178,21 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def check_free(folder: Path, names: Iterable[str]) -> None:
+def make_subfolder(folder: Path, name: str) -> Path:
+    """Create a folder in another unless it exists; `FileError` if it is a symbolic link, which is not followed."""
+    if (folder / name).is_symlink():
+        problem = Problem("it is a symbolic link", field=name, remedy="remove it, or choose another folder")
+        raise FileError(str(folder), [problem])
+    return make_folder(folder / name)
+
+
+_ELSEWHERE = "choose another folder, or move what is there out of the way"
+
+
+def check_free(folder: Path, names: Iterable[str], remedy: str = _ELSEWHERE) -> None:
     """Raise `FileError` with all of some files that exist in a folder, which need not exist itself."""
     existing = [name for name in names if os.path.lexists(folder / name)]
     if existing:
-        remedy = "choose another folder, or move what is there out of the way"
         raise FileError(str(folder), [Problem("it is there already", field=name, remedy=remedy) for name in existing])
 
 
@@ -149,7 +222,7 @@ def _lock(path: Path, task: str) -> int:
             if not _try_flock(file, path, task):
                 message = f"the file system of {path.parent} has no locks: take care that one process alone is {task}"
                 warnings.warn(message, McKibbenWarning, stacklevel=4)
-            if not _is_same(path, file):  # its last holder removed it meanwhile
+            if not is_same_file(path, file):  # its last holder removed it meanwhile
                 os.close(file)
                 continue
             os.ftruncate(file, 0)
@@ -177,10 +250,11 @@ def _try_flock(file: int, path: Path, task: str) -> bool:
     return True
 
 
-def _is_same(path: Path, file: int) -> bool:
+def is_same_file(path: Path, file: int) -> bool:
+    """Whether a path still names an open file, which may have been removed or moved."""
     try:
         return os.path.samestat(path.stat(), os.fstat(file))
-    except FileNotFoundError:
+    except OSError:
         return False
 
 

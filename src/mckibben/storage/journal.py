@@ -1,7 +1,8 @@
-"""Append-only journals: a header that identifies the job, then records with a checksum each."""
+"""Append-only journals: a header that identifies the job, twice, then records with a checksum each."""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import struct
@@ -14,10 +15,10 @@ from types import TracebackType
 from typing import Any, BinaryIO, NamedTuple, Self
 
 from mckibben.errors import FileError, Problem
-from mckibben.storage.files import atomic_write
+from mckibben.storage.files import atomic_write, is_same_file
 
 HEADER = b"H"
-"""Kind of the first record: JSON that identifies what made the journal."""
+"""Kind of the first two records: JSON that identifies what made the journal."""
 
 _MAGIC = b"MCKCHUNK"
 _FRONT = struct.Struct("<8s1s3xIQQ")  # magic, kind, CRC-32 of the rest, length of the payload [bytes], number
@@ -66,13 +67,14 @@ class JournalReader:
                 skipped += 1
                 found = _find_magic(file, position + 1)
                 if found is None:
+                    self.damaged += skipped - _is_cut(file, position)
                     return
                 position = found
 
     def header(self) -> dict[str, Any] | None:
-        """Content of the header; None if the file begins with none."""
+        """Content of the first intact record, if that is a header."""
         record = next(iter(self), None)
-        if record is None or record.kind != HEADER or self.damaged:
+        if record is None or record.kind != HEADER:
             return None
         content = json.loads(record.payload)
         return content if isinstance(content, dict) else None
@@ -88,10 +90,21 @@ def _read(file: BinaryIO, position: int) -> JournalRecord | None:
     if magic != _MAGIC or length > _MAX_PAYLOAD:
         return None
     payload = file.read(length)
-    blank = _FRONT.pack(magic, kind, 0, length, number)
+    blank = front[:12] + bytes(4) + front[16:]  # without the checksum
     if len(payload) < length or zlib.crc32(payload, zlib.crc32(blank)) != checksum:
         return None
     return JournalRecord(kind, number, payload)
+
+
+def _is_cut(file: BinaryIO, position: int) -> bool:
+    """Whether the record at a position is incomplete, as a process leaves it that dies while it writes."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(position)
+    front = file.read(_FRONT.size)
+    if len(front) < _FRONT.size:
+        return True
+    magic, _, _, length, _ = _FRONT.unpack(front)
+    return magic != _MAGIC or position + _FRONT.size + length > size
 
 
 def _find_magic(file: BinaryIO, start: int) -> int | None:
@@ -120,7 +133,7 @@ class Journal:
     @classmethod
     def create(cls, path: Path, header: Mapping[str, Any], *, number: int = 0) -> Self:
         """Begin a journal; the file appears with its header. `FileError` if it exists."""
-        content = pack_json(HEADER, number, header)
+        content = 2 * pack_json(HEADER, number, header)
         with atomic_write(path) as temporary:
             temporary.write_bytes(content)
         return cls(path, len(content))
@@ -133,7 +146,7 @@ class Journal:
         return journal
 
     def append(self, content: bytes) -> None:
-        """Append packed records, all or none."""
+        """Append packed records, all or none; `FileNotFoundError` if the file is no longer at its path."""
         with self._lock:
             try:
                 _write_at(self._file, self._end, content)
@@ -141,6 +154,8 @@ class Journal:
                 os.ftruncate(self._file, self._end)
                 raise
             self._end += len(content)
+            if not is_same_file(self.path, self._file):
+                raise FileNotFoundError(errno.ENOENT, "it was removed or moved while it was written")
 
     @property
     def closed(self) -> bool:

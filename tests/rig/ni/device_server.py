@@ -120,6 +120,16 @@ class Card(service.NiDAQmxServicer):
             self.twin.close()
         task.started = False
 
+    def ResetDevice(self, request: Any, context: Any) -> Any:
+        assert request.device_name == "Dev1"
+        for task in self.tasks.values():
+            self._halt(task)
+            task.kind = "cleared"
+        self.lines = dict.fromkeys(LINES, False)
+        self.valve = 0.0
+        self.twin.vent()
+        return messages.ResetDeviceResponse()
+
     # Channels
 
     def _add(self, request: Any, kind: str, channel: str, known: Any) -> None:

@@ -1,5 +1,6 @@
 """A protocol file on a card, from the check to the dataset: stopped, and gone on with from where the motor stood."""
 
+import contextlib
 import importlib.util
 import json
 import signal
@@ -14,6 +15,7 @@ from mckibben.errors import FileError, SignalledError, StoppedError
 from mckibben.muscle import Muscle, forces
 from mckibben.rig.record import read_record, segments
 from mckibben.rig.simulated import SamplesStopped, SimulatedRig
+from mckibben.study.rig import running
 from mckibben.study.rig.document import read_test
 from mckibben.study.rig.running import check, readings, run_test
 from mckibben.units import bar
@@ -38,7 +40,21 @@ protocol:
 
 
 @pytest.fixture
-def on_card(tmp_path):
+def watched(monkeypatch):
+    """The backends that a second process watched; its own tests are in test_watchdog."""
+    backends = []
+
+    @contextlib.contextmanager
+    def watch(backend):
+        backends.append(backend)
+        yield
+
+    monkeypatch.setattr(running, "host_watchdog", watch)
+    return backends
+
+
+@pytest.fixture
+def on_card(tmp_path, watched):
     """A protocol whose card has a muscle of this contraction in its clamps; the twin, and the test read and checked."""
     servers = []
 
@@ -71,12 +87,13 @@ def stopping(after, twin):
     return report
 
 
-def test_a_protocol_on_a_card_is_stopped_and_goes_on_from_where_the_motor_stands(on_card, tmp_path):
+def test_a_protocol_on_a_card_is_stopped_and_goes_on_from_where_the_motor_stands(on_card, tmp_path, watched):
     twin, checked = on_card()
     shown = list(readings(tmp_path / "p.yaml"))
     assert all(well for _, well in shown), shown
     with pytest.raises(SignalledError, match="the muscle is vented"):
         run_test(checked, tmp_path / "out", report=stopping(5, twin))
+    assert watched == [checked.setup.backend]
     twin.pass_time(1.0)
     assert twin.truth.pressure < 0.2 * bar and not twin.is_open
     left = read_record(tmp_path / "out").events[-1].data["pulses"]

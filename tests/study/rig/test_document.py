@@ -195,6 +195,17 @@ def test_what_exceeds_the_rig_is_told_with_its_line_before_anything_moves(tmp_pa
     assert "line 19, protocol.steps[9].repeat.steps[0].walk.step: 2.0001 mm are 800.04 pulses; take a mult" in said
 
 
+def test_a_test_of_too_many_steps_is_told_with_line_field_value_and_limit(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(STEPS.replace("times: 3", "times: 10000").replace("{times: 2, ", "{times: 10000, "))
+    test, document = read_test(path)
+    with pytest.raises(ScenarioError) as found:
+        check(test, document, source="p.yaml")
+    (problem,) = found.value.problems
+    assert (problem.line, problem.field) == (17, "protocol.steps[9].repeat.times")
+    assert "100020009 steps" in problem.message and "1000000" in problem.message
+
+
 def test_a_whole_test_that_does_not_suit_the_muscle_is_told_with_its_line():
     text = f"{HEAD}protocol:\n  isobaric: {{pressures: [0 bar, 9 bar]}}\n"
     test = RigTest.parse(text)

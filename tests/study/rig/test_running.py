@@ -3,7 +3,10 @@
 import dataclasses
 import errno
 import fcntl
+import shutil
 import signal
+import time
+import warnings
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from mckibben.rig.recorder import Recorder
 from mckibben.study.rig import running
 from mckibben.study.rig.document import RigSpec, RigTest
 from mckibben.study.rig.running import check, gather, run_test
+from mckibben.units import bar
 
 TEXT = """name: a short test
 muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
@@ -55,7 +59,7 @@ def test_a_folder_has_the_protocol_the_record_and_the_dataset(tmp_path):
     assert header["calibration"]["force"]["unit"] == "N"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_signal_stops_it_vented_and_it_goes_on(tmp_path, number):
     handlers = signal.getsignal(number)
     if number != signal.SIGINT:
@@ -84,6 +88,76 @@ def test_it_overwrites_nothing_and_goes_on_with_nothing_else(tmp_path):
         run_test(checked(), tmp_path)
     with pytest.raises(ScenarioError, match="holds another test; resume it with its own"):
         run_test(checked(TEXT.replace("repeats: 1", "repeats: 2")), tmp_path, resume=True)
+
+
+@pytest.mark.parametrize("left", [b"", b"name: [", TEXT.replace("repeats: 1", "repeats: 2").encode(), None])
+def test_a_protocol_that_is_damaged_or_missing_is_read_from_the_record(tmp_path, left):
+    made = run_test(checked(), tmp_path)
+    path = tmp_path / "protocol.yaml"
+    path.unlink() if left is None else path.write_bytes(left)
+    with pytest.warns(McKibbenWarning, match=r"protocol\.yaml (was damaged or missing|is not what was recorded)"):
+        again = gather(tmp_path)
+    assert again.table.identical(made.table)
+    if left is None or len(left) < 10:
+        assert run_test(checked(), tmp_path, resume=True).table.identical(made.table)  # it was restored
+    else:
+        assert path.read_bytes() == left
+
+
+def test_a_finished_test_never_moves_again_whatever_bit_of_it_is_damaged(tmp_path, monkeypatch):
+    made = run_test(checked(), tmp_path)
+    monkeypatch.setattr("mckibben.rig.simulated.SimulatedRig.open", lambda rig: pytest.fail("it is opened"))
+    (path,) = segments(tmp_path)
+    content = path.read_bytes()
+    last = np.arange(len(content) - 300, len(content), 15)  # what tells that it is finished
+    for place in [*np.random.default_rng(3).integers(0, len(content), 30).tolist(), *last.tolist()]:
+        path.write_bytes(content[:place] + bytes([content[place] ^ 2]) + content[place + 1 :])
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            data = run_test(checked(), tmp_path, resume=True)
+        same = np.isin(made.table["time"], data.table["time"])
+        assert same.sum() == len(data) >= len(made) - 2 and (len(data) == len(made) or said)
+        np.testing.assert_array_equal(data.force, made.force[same])
+    path.unlink()
+    with pytest.raises(FileError):
+        run_test(checked(), tmp_path, resume=True)
+
+
+def test_a_damaged_test_that_is_not_finished_goes_on_at_its_first_lost_point(tmp_path):
+    with pytest.raises(SignalledError):
+        run_test(checked(), tmp_path, report=stopping(11))
+    (path,) = segments(tmp_path)
+    content = path.read_bytes()
+    place = content.index(b'{"kind": "point"')
+    path.write_bytes(content[:place] + b"_" + content[place + 1 :])
+    with pytest.warns(McKibbenWarning, match="is damaged"):
+        data = run_test(checked(session=1), tmp_path, resume=True)
+    assert len(data) == 32
+
+
+def test_another_law_than_the_recorded_steps_came_from_is_refused(tmp_path, monkeypatch):
+    with pytest.raises(SignalledError):
+        run_test(checked(), tmp_path, report=stopping(3))
+    other = dataclasses.replace(checked(), steps=checked().steps[1:])
+    with pytest.raises(ScenarioError) as refused:
+        run_test(other, tmp_path, resume=True)
+    assert refused.value.problems[0].field == "steps"
+
+
+def test_a_folder_that_vanishes_stops_the_test_at_once(tmp_path):
+    folder, after = tmp_path / "out", []
+
+    def report(progress):
+        if progress.points >= 3:
+            after.append(progress.points)
+            shutil.rmtree(folder, ignore_errors=True)
+            time.sleep(0.1)
+
+    test = checked()
+    with pytest.raises(StoppedError, match=f"nothing is kept at {folder}.*the muscle is vented"):
+        run_test(test, folder, report=report)
+    assert len(after) < 10 and not folder.exists()
+    assert test.setup.backend.truth.pressure < 0.2 * bar
 
 
 def test_a_folder_in_use_is_left_alone(tmp_path):

@@ -61,6 +61,11 @@ class Driver:
         with self.translated("the devices"):
             return {device.name: (device.product_type, f"{device.serial_num:X}") for device in self._system().devices}
 
+    def reset(self, device: str) -> None:
+        """Abort the tasks of a device, whose lines and outputs rest then."""
+        with self.translated(device):
+            self._system().devices[device].reset_device()
+
     def close(self) -> None:
         """Close the connection."""
         if self._channel is not None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mckibben.control import Controller
 from mckibben.dataset.schema import html_table
-from mckibben.errors import ParameterError
+from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
 from mckibben.simulation.metrics import METRICS
 from mckibben.study.benchmark.runs import Runs, draw
@@ -332,10 +332,23 @@ def table_of(result: BenchmarkResult) -> xr.Dataset:
 
 
 def write_table(result: BenchmarkResult, path: Path) -> None:
-    """Write `table_of` to a NetCDF file atomically."""
+    """Write `table_of` and the suite to a NetCDF file."""
     from mckibben.dataset.schema import write_netcdf
 
-    write_netcdf(table_of(result), path)
+    write_netcdf(table_of(result).assign_attrs(suite=result.suite.dumps(folder=path.parent)), path)
+
+
+def read_runs(path: Path) -> tuple[Suite, dict[str, dict[str, float]], int]:
+    """Suite, tuned values and number of runs of a file of `write_table`."""
+    from mckibben.dataset.schema import load_netcdf
+
+    table = load_netcdf(path)
+    try:
+        suite, tuned, count = table.attrs["suite"], json.loads(table.attrs["tuned"]), table.sizes["run"]
+    except (KeyError, ValueError):
+        remedy = "run the comparison again in another folder"
+        raise FileError(str(path), [Problem("it is no result of a comparison", remedy=remedy)]) from None
+    return Suite.parse(suite, source=str(path), folder=path.parent), tuned, count
 
 
 def _controller_statistics(result: BenchmarkResult, name: str, median_cost: float) -> dict[str, Any]:

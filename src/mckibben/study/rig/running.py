@@ -20,7 +20,9 @@ import mckibben
 from mckibben.config.document import Document, Place, dotted
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, RangeError, RigError, ScenarioError
+from mckibben.rig.calibration import Calibration
 from mckibben.rig.dry_run import DryRun, dry_run
+from mckibben.rig.ni.watchdog import host_watchdog
 from mckibben.rig.record import Event, Point, assemble, header_of, passages, points, read_header, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import DONE, Runner, columns_of
@@ -207,8 +209,10 @@ def run_test(
 ) -> IsobaricDataset:
     """Run a checked test, record it, and make its dataset; `standing_at` is the contraction [-] of the motor."""
     folder = Path(folder)
-    if resume and not (folder / PROTOCOL).exists():
-        raise FileError(str(folder), [Problem("holds no test to resume", remedy="leave --resume out")])
+    if resume and not segments(folder):
+        if not (folder / PROTOCOL).exists():
+            raise FileError(str(folder), [Problem("holds no test to resume", remedy="leave --resume out")])
+        check_free(folder, [data_name(checked.test)])
     if not resume:
         if segments(folder):
             remedy = "resume it (--resume), or choose another folder"
@@ -217,7 +221,7 @@ def run_test(
     make_folder(folder)
     with file_lock(folder / "lock", "running a test here"):
         if resume:
-            _check_same(checked.test, folder)
+            _check_same(checked, folder)
         past = _past(folder) if resume else _PastSessions()
         if not past.finished:
             check_disk_space(folder, checked.disk_space)
@@ -236,19 +240,47 @@ def run_test(
 def gather(folder: str | os.PathLike[str]) -> IsobaricDataset:
     """Make the dataset of the record in a folder, finished or not; `FileError` if there is none."""
     folder = Path(folder)
-    if not (folder / PROTOCOL).exists():
-        raise FileError(str(folder), [Problem("holds no test", remedy="give the folder of `rig run --out`")])
-    checked = check(RigTest.read(folder / PROTOCOL))
+    checked = check(_kept_test(folder))
     with file_lock(folder / "lock", "running a test here"):
+        _warn_of_calibration(checked, folder)
         return _save_dataset(checked, folder)
 
 
-def _save_dataset(checked: CheckedTest, folder: Path) -> IsobaricDataset:
-    calibration = _header(checked)["calibration"]
+def _kept_test(folder: Path) -> RigTest:
+    """Test of a folder, by its record, which has checksums; a protocol file that is damaged or missing is restored."""
+    path = folder / PROTOCOL
+    if not segments(folder):
+        if not path.exists():
+            raise FileError(str(folder), [Problem("holds no test", remedy="give the folder of `rig run --out`")])
+        return RigTest.read(path)
+    recorded = RigTest.parse(header_of(folder)[0]["protocol"], source=f"the record in {folder}", folder=folder)
+    try:
+        written = RigTest.read(path)
+    except FileError:
+        recorded.to_yaml(path)
+        warnings.warn(f"{path} was damaged or missing: it is restored from the record", McKibbenWarning, stacklevel=3)
+        return recorded
+    if _is_same(written, recorded):
+        return written
+    warnings.warn(f"{path} is not what was recorded: the test of the record is used", McKibbenWarning, stacklevel=3)
+    return recorded
+
+
+def _is_same(test: RigTest, other: RigTest) -> bool:
+    """Whether two tests are the same, if on cards at other terminals."""
+    on_cards = test.rig.nidaqmx is not None and other.rig.nidaqmx is not None
+    return (test.model_copy(update={"rig": other.rig}) if on_cards else test) == other
+
+
+def _warn_of_calibration(checked: CheckedTest, folder: Path) -> None:
     for path in segments(folder):
-        if read_header(path)[0]["header"]["calibration"] != calibration:
+        kept = read_header(path)[0]["header"]["calibration"]
+        if {name: Calibration.from_json(form) for name, form in kept.items()} != dict(checked.setup.bench.calibrations):
             message = f"{path} was recorded with another calibration; the dataset is made with the present one"
             warnings.warn(message, McKibbenWarning, stacklevel=3)
+
+
+def _save_dataset(checked: CheckedTest, folder: Path) -> IsobaricDataset:
     data = assemble(folder, checked.setup.bench, source=_source(checked, folder))
     name = data_name(checked.test)
     try:
@@ -271,9 +303,10 @@ def _run_session(
     origin = _origin(checked, folder, past, standing_at)
     columns = columns_of([channel.name for channel in backend.inputs])
     begin = Recorder.resume if segments(folder) else Recorder.create
-    with begin(folder, _header(checked), columns) as recorder:
+    with begin(folder, _header(checked, folder), columns) as recorder:
         runner = Runner(backend, bench, recorder, done=past.done, origin=origin, since=past.since, report=report)
-        with handle_signals(lambda number: runner.interrupt(number, signal.Signals(number).name)):
+        stop_on_signals = handle_signals(lambda number: runner.interrupt(number, signal.Signals(number).name))
+        with host_watchdog(backend), stop_on_signals:
             runner.run(checked.steps)
 
 
@@ -309,19 +342,23 @@ def _past(folder: Path) -> _PastSessions:
     )
 
 
-def _check_same(test: RigTest, folder: Path) -> None:
-    """Check that the test in the folder is this one."""
-    if RigTest.read(folder / PROTOCOL) == test:
-        return
-    remedy = f"resume it with its own protocol ({folder / PROTOCOL}), or choose another folder"
-    raise ScenarioError(str(folder), [Problem("holds another test", remedy=remedy)])
+def _check_same(checked: CheckedTest, folder: Path) -> None:
+    """Check that the test in the folder is this one, with the same steps; warn of another calibration."""
+    kept = _kept_test(folder)
+    if not _is_same(checked.test, kept):
+        remedy = f"resume it with its own protocol ({folder / PROTOCOL}), or choose another folder"
+        raise ScenarioError(str(folder), [Problem("holds another test", remedy=remedy)])
+    if segments(folder) and header_of(folder)[0]["steps"] != describe_steps(checked.steps):
+        remedy = "restore the files that the protocol names, such as that of its law"
+        raise ScenarioError(str(folder), [Problem("holds a test of other steps", field="steps", remedy=remedy)])
+    _warn_of_calibration(checked, folder)
 
 
-def _header(checked: CheckedTest) -> dict[str, Any]:
+def _header(checked: CheckedTest, folder: Path) -> dict[str, Any]:
     bench = checked.setup.bench
     specimen = bench.specimen
     return {
-        "protocol": checked.test.dumps(),
+        "protocol": checked.test.dumps(folder=folder),
         "steps": describe_steps(checked.steps),
         "specimen": {
             "name": specimen.name,

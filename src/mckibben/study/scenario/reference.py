@@ -14,9 +14,8 @@ from mckibben.config.fields import TablePath
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
 from mckibben.config.schema import ComponentModel, PartOf, model_of, named_model
 from mckibben.control import Constant, Multisine, Samples, Signal, Sine, Step
-from mckibben.dataset.sheet import is_number
 from mckibben.errors import Problem, ScenarioError, UnitError
-from mckibben.units import Angle, Instant, Phase, Stiffness, factor
+from mckibben.units import NUMBER, Angle, Instant, Phase, Stiffness, factor
 
 _LARGEST = 64 * 2**20
 
@@ -70,8 +69,8 @@ def _column(header: list[str], name: str, unit: str, problems: list[Problem]) ->
 
 
 def _number(row: list[str], place: int, scale: float) -> float:
-    cell = row[place].strip() if place < len(row) else ""
-    return float(cell) * scale if is_number(cell) else math.nan
+    text = row[place].strip() if place < len(row) else ""
+    return float(text) * scale if NUMBER.fullmatch(text) else math.nan  # not 1_0, nor digits of other scripts
 
 
 MOST_SAMPLES = 2000

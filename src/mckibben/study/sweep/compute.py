@@ -277,14 +277,18 @@ def _client(address: str, workers: int, blocks: int) -> Iterator[Any]:
         return
     quiet = {"distributed.scheduler.allowed-failures": _DEATHS, "distributed.logging.distributed": "critical"}
     with config.set(quiet):
-        cluster = LocalCluster(
-            n_workers=min(workers, blocks),
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=None,  # type: ignore[arg-type]  # none
-            memory_limit=0,  # a share of the memory says nothing about what a block needs
-            silence_logs=logging.CRITICAL,
-        )
+        try:
+            cluster = LocalCluster(
+                n_workers=min(workers, blocks),
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address=None,  # type: ignore[arg-type]  # none
+                memory_limit=0,  # a share of the memory says nothing about what a block needs
+                silence_logs=logging.CRITICAL,
+            )
+        except (OSError, RuntimeError, TimeoutError) as error:  # such as of a worker that was killed meanwhile
+            message = f"the workers on this machine did not start ({error})"
+            raise SimulationError(message, remedy="run it again with --resume, or without dask") from error
         with cluster, Client(cluster, set_as_default=False) as client:
             client.register_plugin(_ignore_interrupts())
             yield client

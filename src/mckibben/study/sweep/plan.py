@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -118,7 +119,7 @@ class SweepPlan:
             "format": FORMAT,
             "version": VERSION,
             "scenario": scenario.dumps(folder=folder),
-            "source": source,
+            "source": _plain(Path(source).name if Path(source).is_absolute() else source),
             "over": [each.text for each in swept],
             "known": list(known),
             "design": method,
@@ -157,6 +158,11 @@ class SweepPlan:
     def block_table(self, block: int) -> Table:
         """Values of a block."""
         return {name: column[self.block_rows(block)] for name, column in self.table.items()}
+
+
+def _plain(text: str) -> str:
+    """Text that UTF-8 can hold: the bytes of a path need not be any."""
+    return text.encode(errors="backslashreplace").decode()
 
 
 def parse_metrics(names: Iterable[str] | None) -> tuple[str, ...]:

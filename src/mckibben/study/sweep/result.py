@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.schema import html_table
+from mckibben.dataset.schema import html_table, load_netcdf, write_netcdf
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES, attributes
-from mckibben.storage.files import atomic_write
 from mckibben.study.parameters import list_parameters, with_values
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.compute import FEASIBILITY, Columns
@@ -123,15 +122,11 @@ class SweepResult:
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write a NetCDF file atomically, replacing an existing one; the same sweep gives the same bytes."""
-        floats = [name for name, values in self.table.variables.items() if values.dtype.kind == "f"]
-        with atomic_write(path, overwrite=True) as part:
-            self.table.to_netcdf(part, engine="h5netcdf", encoding={name: {"_FillValue": None} for name in floats})
+        write_netcdf(self.table, Path(path))
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
         """Read a file that `to_netcdf` wrote; raises FileError if it is missing, damaged, or no sweep."""
-        from mckibben.dataset.schema import load_netcdf
-
         source = str(path)
         table = load_netcdf(Path(path))
         missing = [name for name in ("outcome", *FEASIBILITY) if name not in table or table[name].dims != ("run",)]

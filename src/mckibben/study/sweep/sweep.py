@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import io
 import os
-import shutil
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
-from mckibben.storage.files import check_free, file_lock, make_folder
+from mckibben.storage.files import check_free, explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, pack, read_header
 from mckibben.study.parameters import Known
 from mckibben.study.scenario import Scenario
@@ -28,7 +26,6 @@ from mckibben.study.sweep.result import SweepResult
 JOURNAL = "sweep.journal"
 TABLE = "sweep.nc"
 _BLOCK, _TABLE = b"B", b"T"  # kinds of records; that of the table holds the digest of its file
-_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class SweepStore:
@@ -43,20 +40,22 @@ class SweepStore:
     @contextmanager
     def lock(self) -> Iterator[None]:
         """Keep other processes out; the folder is made if need be."""
-        with self.explain_full_disk():
-            make_folder(self.folder)
-        with file_lock(self.folder / ".lock", "computing this sweep"):
+        make_folder(self.folder)
+        writing = explain_write_errors(self.folder, self._kept, "make room, and continue with --resume (resume=True)")
+        with file_lock(self.folder / ".lock", "computing this sweep"), writing:
             try:
                 yield
             finally:
                 if self._journal is not None:
                     self._journal.close()
 
+    def _kept(self) -> str:
+        return "" if self._journal is None else f"{self.runs} of {self.plan.rows} runs are kept"
+
     def begin(self) -> None:
         """Create the journal."""
         check_unused(self.folder)
-        with self.explain_full_disk():
-            self._journal = Journal.create(self.folder / JOURNAL, self.plan.manifest)
+        self._journal = Journal.create(self.folder / JOURNAL, self.plan.manifest)
 
     def resume(self) -> None:
         """Open the journal and find the intact blocks; warns of damaged ones, which count as missing."""
@@ -83,8 +82,7 @@ class SweepStore:
         content = io.BytesIO()
         np.savez(content, **columns)  # type: ignore[arg-type]  # names of ours, none of savez's own
         assert self._journal is not None
-        with self.explain_full_disk():
-            self._journal.append(pack(_BLOCK, block, content.getvalue()))
+        self._journal.append(pack(_BLOCK, block, content.getvalue()))
         self.kept.add(block)
 
     def columns(self) -> Columns:
@@ -102,12 +100,9 @@ class SweepStore:
 
     def write_table(self, swept: SweepResult) -> None:
         """Write the table."""
-        with self.explain_full_disk():
-            if shutil.disk_usage(self.folder).free < 1.2 * swept.table.nbytes + 200_000:  # HDF5 fails badly then
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            swept.to_netcdf(self.folder / TABLE)
-            assert self._journal is not None
-            self._journal.append(pack(_TABLE, 0, self._digest()))
+        swept.to_netcdf(self.folder / TABLE)
+        assert self._journal is not None
+        self._journal.append(pack(_TABLE, 0, self._digest()))
 
     def read_table(self) -> SweepResult | None:
         """The table, if it is the file that was written."""
@@ -120,18 +115,6 @@ class SweepStore:
     def _digest(self) -> bytes:
         with (self.folder / TABLE).open("rb") as file:
             return hashlib.file_digest(file, "sha256").digest()
-
-    @contextmanager
-    def explain_full_disk(self) -> Iterator[None]:
-        """Raise a FileError on a full disk that says what is stored."""
-        try:
-            yield
-        except OSError as error:
-            if error.errno not in _FULL and "No space left" not in str(error):
-                raise
-            kept = f"; {self.runs} of {self.plan.rows} runs are kept" if self._journal is not None else ""
-            remedy = "make room, and continue with --resume (resume=True)"
-            raise FileError(str(self.folder), [Problem(f"the disk is full{kept}", remedy=remedy)]) from None
 
 
 def check_unused(folder: Path) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from mckibben.dataset.schema import html_table
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
-from mckibben.storage.files import file_lock, make_folder
+from mckibben.storage.files import explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_json, read_header
 from mckibben.study.parameters import Distribution, Known, SweptParameter, sweep_parameters, with_values
 from mckibben.study.parameters.sampling import check_count
@@ -57,7 +57,15 @@ class TuningHistory:
             raise FileError(str(path), [problem])
         make_folder(path.parent)
         begin = cls._resumed if resume else cls._created
-        with file_lock(path.with_name(f".{path.name}.lock"), "continuing this search"), begin(path, about) as history:
+        opened: list[Self] = []
+
+        def kept() -> str:
+            return f"{len(opened[0].trials)} trials are kept" if opened else ""
+
+        lock = file_lock(path.with_name(f".{path.name}.lock"), "continuing this search")
+        writing = explain_write_errors(path.parent, kept, "make room, and continue with --resume (resume=True)")
+        with lock, writing, begin(path, about) as history:
+            opened.append(history)
             yield history
 
     @classmethod
