@@ -281,7 +281,7 @@ def check(name: str, form: Format, seed: int, path: Path) -> str:
         text = str(error)
         if len(text) > 100_000:
             return f"a message of {len(text)} characters"
-        bad = [letter for letter in text if not letter.isprintable() and letter != "\n"]
+        bad = [letter for letter in text if not letter.isprintable() and letter not in "\n\t\u00a0"]
         return f"the message holds {bad[0]!r}" if bad else "refused"
     except Exception as error:
         return f"{type(error).__name__}: {str(error)[:200]}"

@@ -392,6 +392,7 @@ def main() -> int:
     cuts = int(sys.argv[1]) if len(sys.argv) > 1 else 100
     cases = sys.argv[2:] or list(CASES)
     random.seed(1)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # nothing stays mounted
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         disk = mountable(Path(name)) if os.environ.get("POWER") != "recorded" else None

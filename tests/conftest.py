@@ -28,6 +28,12 @@ gc.set_threshold(100_000, 10, 10)  # as the command does: looking for garbage to
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # run in the background: what the tests start would ignore Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# Two thirds of the time of the tests is compilation; an older code generator takes a third off, with the same numbers.
+# With MCKIBBEN_FULL_COMPILATION set, programs are compiled as users do. Older versions abort at flags unknown to them.
+if "MCKIBBEN_FULL_COMPILATION" not in os.environ and jax.__version_info__ >= (0, 10):
+    flags = os.environ.get("XLA_FLAGS", "")
+    os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_use_fusion_emitters=false"
+
 # Workers, subprocesses and later runs share compiled programs; `make clean` removes them.
 for option, value in (
     ("jax_compilation_cache_dir", str(Path(__file__).parents[1] / "build" / "jax-cache")),
@@ -49,6 +55,18 @@ def pytest_unconfigure() -> None:
 def without_old_objects_in_collections():
     """What collects garbage, as a run on a rig does, does not go through the programs of earlier files."""
     gc.freeze()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """A file for a worker, but all of the paper, whose files share a reproduction, for one."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return "tests/paper" if nodeid.startswith("tests/paper/") else super()._split_scope(nodeid)
+
+    return Scheduling(config, log)
 
 
 class PaperKnee:

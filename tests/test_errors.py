@@ -7,11 +7,11 @@ from mckibben.errors import (
     DatasetError,
     FileError,
     McKibbenError,
-    McKibbenWarning,
     NotInCatalogError,
     Problem,
     RangeError,
     UnitError,
+    printable,
 )
 
 
@@ -93,11 +93,21 @@ def test_a_simple_error_survives_a_trip_to_another_process():
     assert (copy.value, copy.lower, copy.upper, copy.unit, copy.remedy) == (3, 0.0, 1.0, "m", "less")
 
 
-def test_control_characters_and_long_texts_of_a_file_are_text_in_its_messages():
-    field = "force\x1b[2J\n" + 5000 * "y"
-    problem = Problem("'\x1b[31m' is no number" + 5000 * "x", line=3, field=field, remedy="\x07" * 5000)
-    error = FileError("rig\x1b.csv", [problem] * 30)
-    assert all(letter.isprintable() or letter == "\n" for letter in str(error))
-    assert len(str(problem)) < 5000
-    assert len(str(error)) < 60_000
-    assert str(McKibbenWarning("\x1b[31mred")) == "\\x1b[31mred"
+@pytest.mark.parametrize("char", ["\x1b", "\r", "\x00", "\u202e", "\u200b", "\udcff"])
+def test_what_a_terminal_would_obey_is_escaped(char):
+    shown = printable(f"a{char}b\nü \N{GRINNING FACE}")
+    assert char not in shown
+    assert shown == f"a{char.encode('unicode_escape').decode()}b\nü \N{GRINNING FACE}"
+    assert char not in str(RangeError(f"name {char}", remedy=char))
+    assert char not in str(FileError("f.yaml", [Problem(char, field=char, remedy=char)]))
+
+
+def test_messages_are_of_limited_length():
+    long = "x" * 100_000
+    assert len(str(RangeError(long, remedy=long))) < 2100
+    assert len(str(FileError("f.yaml", [Problem(long, field=long, remedy=long)] * 100))) < 70_000
+    assert RangeError(long).message == long
+
+
+def test_control_characters_in_a_warning_are_escaped():
+    assert str(errors.McKibbenWarning("\x1b[31mred")) == "\\x1b[31mred"

@@ -9,26 +9,23 @@ from dataclasses import dataclass
 LONGEST_VALUE = 80
 """Characters of a value in a message."""
 
-_LONGEST_MESSAGE = 2000
-_LONGEST_TEXT = 50_000  # of all messages of a file
+_LONGEST_MESSAGE = 1000
+
+
+def printable(text: str, longest: int | None = None) -> str:
+    """The text with control, format and other unprintable characters but line ends escaped, and at most so long."""
+    if longest is not None and len(text) > longest:
+        text = f"{text[: longest - 3]}..."
+    if text.isascii() and text.isprintable():
+        return text
+    keep = "\n\t\u00a0"
+    return "".join(c if c.isprintable() or c in keep else c.encode("unicode_escape").decode() for c in text)
 
 
 def quoted(value: object) -> str:
     """The `repr` of a value, at most `LONGEST_VALUE` characters long."""
     text = repr(value)
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 4]}...{text[-1]}"
-
-
-def printable(text: str, longest: int = _LONGEST_MESSAGE) -> str:
-    r"""A text for a terminal or a figure: at most so long, with control characters except line ends escaped.
-
-    >>> print(printable("\x1b[31mforce\u202e"))
-    \x1b[31mforce\u202e
-    """
-    shown = text[:longest]
-    if not shown.isprintable():
-        shown = "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in shown)
-    return shown if len(text) <= longest and len(shown) <= longest else f"{shown[:longest]}..."
 
 
 def closest(name: str, known: Sequence[str]) -> str:
@@ -46,7 +43,7 @@ class McKibbenWarning(UserWarning):
     """Input or result that is valid but probably not intended."""
 
     def __init__(self, message: object) -> None:
-        super().__init__(printable(str(message), _LONGEST_TEXT))
+        super().__init__(printable(str(message), 20 * _LONGEST_MESSAGE))
 
 
 class ReachabilityWarning(McKibbenWarning):
@@ -60,9 +57,11 @@ class DomainWarning(McKibbenWarning):
 class McKibbenError(Exception):
     """Base class of all errors of mckibben: a message, and the offending `value` of a `field` in its unit.
 
-    ``str(error)`` is ``"message; remedy"``; `remedy` may be replaced before the error is shown, for example by the
-    option of a command.
+    ``str(error)`` is ``"message; remedy"``, each of limited length; `remedy` may be replaced before the error is shown,
+    for example by the option of a command.
     """
+
+    longest = _LONGEST_MESSAGE
 
     def __init__(
         self,
@@ -85,7 +84,8 @@ class McKibbenError(Exception):
         self.remedy = remedy
 
     def __str__(self) -> str:
-        return printable(f"{self.message}; {self.remedy}" if self.remedy else self.message, _LONGEST_TEXT)
+        message = printable(self.message, self.longest)
+        return f"{message}; {printable(self.remedy, _LONGEST_MESSAGE)}" if self.remedy else message
 
 
 class UnitError(McKibbenError, ValueError):
@@ -158,10 +158,10 @@ class Problem:
 
     def __str__(self) -> str:
         where = [f"line {self.line}"] if self.line is not None else []
-        where += [printable(self.field, LONGEST_VALUE).replace("\n", "\\n")] if self.field else []
-        message = printable(self.message)
-        text = ": ".join([", ".join(where), message]) if where else message
-        return f"{text}; {printable(self.remedy)}" if self.remedy else text
+        where += [self.field] if self.field else []
+        message = printable(self.message, _LONGEST_MESSAGE)
+        text = ": ".join([printable(", ".join(where), _LONGEST_MESSAGE), message]) if where else message
+        return f"{text}; {printable(self.remedy, _LONGEST_MESSAGE)}" if self.remedy else text
 
 
 class FileError(McKibbenError, ValueError):
@@ -173,6 +173,7 @@ class FileError(McKibbenError, ValueError):
     """
 
     shown = 20
+    longest = 100_000  # each problem is short
 
     def __init__(self, source: str, problems: Sequence[Problem]) -> None:
         self.source = source
@@ -194,3 +195,10 @@ class DatasetError(FileError):
 
 class ScenarioError(FileError):
     """A scenario, suite, protocol, fit or calibration file cannot be read."""
+
+
+def refuse_problems(what: str, problems: Sequence[Problem]) -> None:
+    """Raise a `RangeError` with all problems, if there are any."""
+    if problems:
+        heading = f"{what}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
+        raise RangeError("\n  ".join([heading, *map(str, problems)]))

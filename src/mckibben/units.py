@@ -81,6 +81,7 @@ _UNIT = re.compile(rf"{_FACTOR}(?:[*/]{_FACTOR})*")
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _WHOLE = re.compile(r"[+-]?[0-9]{1,15}")
 _TOKEN = re.compile(rf"{_NAME}|[*/()]")
+_COMMON = {"m": "mm", "Pa": "bar"}  # units of examples
 _LONGEST = 80  # characters in a unit
 _REST = re.compile(r"(?:(?:1?/|[A-Za-z%°(]).*)?", re.DOTALL)
 
@@ -170,7 +171,9 @@ def quantity(text: str, unit: str) -> float:
     number = NUMBER.match(stripped)
     rest = stripped[number.end() :].strip() if number else ""
     if not number or not (rest or unit == "1") or not _REST.fullmatch(rest):
-        example = stripped.replace(",", ".") if re.fullmatch(r"\d+,\d+ \S+", stripped) else f"12.5 {unit}"
+        example = (
+            stripped.replace(",", ".") if re.fullmatch(r"\d+,\d+ \S+", stripped) else f"12.5 {_COMMON.get(unit, unit)}"
+        )
         raise UnitError(
             f"{quoted(text)} is not a number and a unit", value=text, unit=unit, remedy=f"write it like {example!r}"
         )

@@ -1,10 +1,12 @@
 """The command as a whole: exit codes, what goes where, what is imported."""
 
+import errno
 import json
 import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -132,3 +134,61 @@ def test_names_survive_the_width_of_a_pipe(cli, monkeypatch):
     for kind in ("specimens", "datasets"):
         for name in catalog.names(kind):
             assert name in found
+
+
+def test_a_full_disk_while_printing_is_one_line_and_exit_1():
+    with Path("/dev/full").open("w") as full:
+        found = subprocess.run(
+            [sys.executable, "-m", "mckibben", "--version"], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60
+        )
+    assert found.returncode == 1
+    assert found.stderr == f"failed: not all could be printed: {os.strerror(errno.ENOSPC)}\n"
+
+
+def test_a_closed_pipe_is_one_line_and_exit_1():
+    reading, writing = os.pipe()
+    os.close(reading)
+    found = subprocess.run(
+        [sys.executable, "-m", "mckibben", "--version"], stdout=writing, stderr=subprocess.PIPE, text=True, timeout=60
+    )
+    os.close(writing)
+    assert found.returncode == 1
+    assert found.stderr == f"failed: not all could be printed: {os.strerror(errno.EPIPE)}\n"
+
+
+def test_names_that_the_terminal_cannot_show_are_escaped(tmp_path, shortened):
+    text = shortened("pre-contracted-step-pid")
+    name = re.search("^name: (.*)$", text, re.MULTILINE)[1]
+    (tmp_path / "odd.yaml").write_text(text.replace(name, "Knie ü \N{GRINNING FACE}"), encoding="utf-8")
+    found = run("sweep", "odd.yaml", "--list", cwd=tmp_path, PYTHONIOENCODING="ascii")
+    assert (found.returncode, found.stderr) == (0, "")
+    assert r"Knie \xfc \U0001f600" in found.stdout
+
+
+def test_a_path_that_is_no_text_is_bad_input(tmp_path):
+    found = run("simulate", "a\udcff\x1b[31m.yaml", cwd=tmp_path, PYTHONIOENCODING="ascii")
+    assert found.returncode == 2
+    assert found.stderr.startswith(r"error: a\udcff\x1b[31m.yaml: 1 problem")
+
+
+def test_an_interrupt_during_an_import_ends_the_command_without_a_word(tmp_path):
+    (tmp_path / "slow.py").write_text(
+        "import os, signal\ntry: os.kill(os.getpid(), signal.SIGINT)\nexcept BaseException: pass\n"
+    )
+    found = run("--extension", "slow.py", "laws", cwd=tmp_path)
+    assert (found.returncode, found.stdout, found.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize("end", ["pass", "raise RuntimeError('half an import')"])
+def test_an_interrupt_that_something_swallows_is_still_the_exit_code(end):
+    code = (
+        "import os, signal, mckibben.cli as cli\n"
+        "def app():\n"
+        "    try: os.kill(os.getpid(), signal.SIGINT)\n"
+        f"    except KeyboardInterrupt: {end}\n"
+        "    raise SystemExit(0)\n"
+        "cli.app = app\n"
+        "cli.main()\n"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (found.returncode, found.stderr) == (130, "")

@@ -13,7 +13,7 @@ from mckibben.errors import RangeError
 from mckibben.identification import identify
 from mckibben.muscle import ExponentialLaw
 from mckibben.paper.settings import SETTINGS, StiffnessReference
-from mckibben.report import isobaric, law_comparison, save, tracking
+from mckibben.report import isobaric, law_comparison, measured_muscles, save, tracking
 from mckibben.report.style import CONTROLLERS, house_style, looks_of, robust_limits
 
 NAMES = (
@@ -166,3 +166,31 @@ def test_a_controller_looks_the_same_everywhere_and_others_get_their_own_look():
     looks = looks_of(["mine", "BP", "yours"])
     assert looks["BP"]["color"] == CONTROLLERS["BP"]["color"]
     assert len({look["color"] for look in looks.values()}) == 3
+
+
+@pytest.mark.parametrize("name", [r"gain $\kp$", "$", "_hidden", "50 $ and 60 $", "\N{GRINNING FACE}", "^_{", "a\nb"])
+def test_names_are_text_and_not_mathematics(name, reproduction, tmp_path):
+    result = next(iter(reproduction.tracking.runs.values())).result
+    figure = tracking({name: result, "other": result})
+    assert {name, "other"} <= set(texts(figure))
+    data = catalog.dataset("festo-tool-10mm")
+    titled = isobaric(IsobaricDataset(data.table.assign_attrs(specimen=name)))
+    assert titled.axes[0].get_title(loc="left") == name
+    fits = measured_muscles({name: (data, None), "other": (data, None)})
+    for drawn in (figure, titled, fits):
+        assert save(drawn, tmp_path, "odd", preview=True)[0].stat().st_size > 5000
+
+
+def test_long_and_unprintable_names_are_shortened_and_escaped(reproduction):
+    result = next(iter(reproduction.tracking.runs.values())).result
+    shown = texts(tracking({"\u202e\x1b" + "x" * 10_000: result}))
+    assert max(map(len, shown)) < 140
+    assert any(text.startswith(r"\u202e\x1bxxx") for text in shown)
+
+
+def test_figures_replace_links_and_not_what_they_point_to(tmp_path):
+    (tmp_path / "victim").write_text("mine")
+    (tmp_path / "figure.png").symlink_to(tmp_path / "victim")
+    save(isobaric(catalog.dataset("festo-tool-10mm")), tmp_path, "figure", preview=True)
+    assert (tmp_path / "victim").read_text() == "mine"
+    assert not (tmp_path / "figure.png").is_symlink()

@@ -39,7 +39,7 @@ def run(path, *, scenarios=STILL, ranges=RANGES, cost=COST, **changes):
 def cut(path, trials, *, torn=0):
     """Leave so many trials of a history, and some bytes of another."""
     reader = JournalReader(path)
-    for _, _ in zip(range(trials + 1), reader, strict=False):
+    for _, _ in zip(range(trials + 2), reader, strict=False):  # the header is there twice
         end = reader.end
     assert end + torn < path.stat().st_size
     path.write_bytes(path.read_bytes()[: end + torn])

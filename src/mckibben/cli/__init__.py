@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-import gc
+import errno
+import io
 import os
+import signal
 import sys
+import threading
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -15,17 +21,31 @@ from typer import Argument, Option
 import mckibben
 from mckibben.cli.compare import compare
 from mckibben.cli.identify import identify, points, validate
-from mckibben.cli.options import Force, Json, Out, format_metrics, keeping, notify, progress, results_folder, table
+from mckibben.cli.options import (
+    INTERRUPTED,
+    Force,
+    Json,
+    Out,
+    echo,
+    format_metrics,
+    keeping,
+    notify,
+    progress,
+    results_folder,
+    table,
+)
 from mckibben.cli.plan import envelope, plan
 from mckibben.cli.rig import rig
 from mckibben.cli.sweep import sweep, tune
-from mckibben.errors import McKibbenError, McKibbenWarning
+from mckibben.errors import McKibbenError, McKibbenWarning, printable
 from mckibben.storage.files import make_folder, to_json, write_json
 from mckibben.units import mm
 
 if TYPE_CHECKING:
     from mckibben.simulation import Result
     from mckibben.study.scenario import Scenario
+
+_LONGEST_REASON = 1000  # characters of an exception that is not ours
 
 app = typer.Typer(
     name="mckibben",
@@ -59,7 +79,7 @@ def reproduce(
         page = write_report(done, out)
         report("done", 1.0)
     if json:
-        typer.echo(to_json(done.results()))
+        echo(to_json(done.results()))
         return
     table(
         "The paper's claims",
@@ -69,7 +89,7 @@ def reproduce(
             for claim in done.claims
         ],
     )
-    typer.echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
+    echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
 
 
 app.command()(points)
@@ -106,12 +126,12 @@ def simulate(
             _keep_run(out, read, result)
             write_json(out / "results.json", numbers)
     if json:
-        typer.echo(to_json(numbers))
+        echo(to_json(numbers))
     else:
         if infeasible:
-            typer.echo(f"warning: {infeasible}", err=True)
+            echo(f"warning: {infeasible}", err=True)
         table(read.name, ("metric", "value", "unit"), format_metrics(numbers["metrics"]))
-        typer.echo(result.describe())
+        echo(result.describe())
     if out:
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
     if result.outcome.failed:
@@ -136,7 +156,7 @@ def laws(json: Json = False) -> None:
     if json:
         numbers = {name: {"equation": law.equation, "source": law.source} for name, law in LAWS.items()}
         sets = {name: {"law": type(law).__name__, "domain": str(law.domain)} for name, law in published.items()}
-        typer.echo(to_json({"laws": numbers, "published": sets}))
+        echo(to_json({"laws": numbers, "published": sets}))
         return
     rows = [(name, law.equation, law.source) for name, law in LAWS.items()]
     table("Laws", ("law", "equation", "source"), rows)
@@ -162,7 +182,7 @@ def specimens(json: Json = False) -> None:
             }
             for name, s in known.items()
         }
-        typer.echo(to_json({"specimens": numbers, "datasets": data}))
+        echo(to_json({"specimens": numbers, "datasets": data}))
         return
     rows = [
         (name, f"{s.initial_length / mm:g} x {s.initial_diameter / mm:g} mm", f"{s.rated_force:g} N", str(s.domain))
@@ -181,7 +201,7 @@ def _root(
     ] = None,
 ) -> None:
     if version:
-        typer.echo(f"mckibben {mckibben.__version__}")
+        echo(f"mckibben {mckibben.__version__}")
         raise typer.Exit
     for path in extension or ():
         from mckibben.config.schema import load_extension
@@ -190,34 +210,83 @@ def _root(
 
 
 def main() -> None:
-    """Run the command line: exit code 2 with a message for bad input, 1 for other failures."""
-    from mckibben.numerics.runtime import use_program_cache
-
-    use_program_cache()
+    """Run the command line: exit code 2 with a message for bad input, 1 for other failures, 130 after Ctrl-C."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # for names that the encoding of the terminal lacks
     warnings.showwarning = _show_warning
+    with _interrupts() as interrupts:
+        code = _run(interrupts)
+    if interrupts and code == 0:  # an interrupt that an imported module swallowed
+        code = INTERRUPTED
+    sys.exit(code)
+
+
+def _run(interrupts: list[int]) -> int:
+    """Exit code of the command."""
+    stdout = sys.stdout
     try:
-        app()
-    except (McKibbenError, OSError) as error:
-        typer.echo(f"error: {error}", err=True)
-        sys.exit(2)
+        from mckibben.numerics.runtime import use_program_cache
+
+        use_program_cache()
+        try:
+            app()
+        except SystemExit as end:
+            if sys.stdout is not stdout:  # as typer does after EPIPE
+                raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE)) from None
+            stdout.flush()
+            return end.code if isinstance(end.code, int) else 0
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except McKibbenError as error:
+        return _failed(f"error: {error}", 2)
+    except OSError as error:
+        if error.filename is None and error.errno in (errno.EPIPE, errno.ENOSPC, errno.EIO):
+            sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 (what is left is not tried again)
+            return _failed(f"failed: not all could be printed: {error.strerror}", 1)
+        return _failed(f"error: {error}", 1 if error.errno in (errno.ENOSPC, errno.EIO) else 2)
     except Exception as error:
+        if interrupts:  # for example an import that was broken off
+            return INTERRUPTED
         if os.environ.get("MCKIBBEN_DEBUG"):
             raise
-        typer.echo(
-            f"failed: {type(error).__name__}: {error}\n"
-            "This is a fault of mckibben. Please report it, with what the same command prints under MCKIBBEN_DEBUG=1.",
-            err=True,
-        )
-        sys.exit(1)
+        advice = "Please report it, with what the same command prints under MCKIBBEN_DEBUG=1."
+        reason = printable(str(error), _LONGEST_REASON)
+        return _failed(f"failed: {type(error).__name__}: {reason}\nThis is a fault of mckibben. {advice}", 1)
+    return 0
 
 
-def run() -> None:
-    """Entry point of the installed command; garbage collection of permanent objects would take 40 % of its time."""
-    gc.set_threshold(100_000, 10, 10)
+def _failed(text: str, code: int) -> int:
+    with suppress(OSError):
+        echo(text, err=True)
+    return code
+
+
+@contextmanager
+def _interrupts() -> Iterator[list[int]]:
+    """Record each Ctrl-C, which raises `KeyboardInterrupt`; one that is ignored stays so.
+
+    During an import it ends the process, as a kill would: compiled modules crash when their import is broken off.
+    """
+    found: list[int] = []
+
+    def record(number: int, frame: FrameType | None) -> None:
+        found.append(number)
+        while frame is not None:
+            if frame.f_code.co_filename.startswith("<frozen importlib"):
+                os._exit(INTERRUPTED)
+            frame = frame.f_back
+        raise KeyboardInterrupt
+
+    before = signal.getsignal(signal.SIGINT)
+    if before == signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+        yield found
+        return
+    signal.signal(signal.SIGINT, record)
     try:
-        main()
+        yield found
     finally:
-        gc.freeze()
+        signal.signal(signal.SIGINT, before)
 
 
 def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:
@@ -230,4 +299,4 @@ def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
     if issubclass(category, McKibbenWarning):
-        typer.echo(f"warning: {message}", err=True)
+        echo(f"warning: {message}", err=True)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from typer import Argument, Option
 
-from mckibben.cli.options import Json, keeping, long_job, metric, required_folder, table
+from mckibben.cli.options import Json, echo, keeping, long_job, metric, required_folder, table
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.storage.files import atomic_write, check_free, make_folder, make_subfolder, to_json, write_json
 
@@ -50,7 +49,7 @@ def compare(
 
     read = _smaller(Suite.read(suite), runs, quick)
     if repeat is not None:
-        typer.echo(_alone(out, repeat), nl=False)
+        echo(_alone(out, repeat), nl=False)
         return
     from mckibben.study.benchmark import compare as run
 
@@ -112,10 +111,10 @@ def _show(result: BenchmarkResult, out: Path, json: bool) -> None:
         kept = _tuned_scenarios(result, out)
         page = report.write_benchmark(result, numbers, out)
     if json:
-        typer.echo(to_json(numbers))
+        echo(to_json(numbers))
     else:
         _tables(numbers)
-    typer.echo(
+    echo(
         f"wrote results.json, runs.nc, suite.yaml, tuning/, {kept} tuned scenarios and figures; the report is {page}",
         err=json,
     )
@@ -143,10 +142,10 @@ def _tables(numbers: dict[str, Any]) -> None:
         [(name, *_ratios(found[name]["ratio_to_first"])) for name in numbers["order"] if name != first],
     )
     if numbers["no_start"]:
-        typer.echo(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
+        echo(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
     for name, each in found.items():
         if each["at_bound"]:
-            typer.echo(f"{name}: at a bound of the range: {', '.join(each['at_bound'])}; consider a wider range")
+            echo(f"{name}: at a bound of the range: {', '.join(each['at_bound'])}; consider a wider range")
 
 
 def _ratios(against: dict[str, dict[str, float]]) -> list[str]:

@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
 from typer import Argument, Option
 
 from mckibben.cli.options import (
@@ -18,6 +17,7 @@ from mckibben.cli.options import (
     Out,
     SkipCorrupt,
     SlackForce,
+    echo,
     keeping,
     notify,
     parse_columns,
@@ -134,7 +134,7 @@ def _show_points(read: Recording, found: ExtractedPoints, path: Path, json: bool
             "notes": list(found.notes),
             "repairs": read.table.attrs.get("repairs", "").splitlines(),
         }
-        typer.echo(to_json(numbers))
+        echo(to_json(numbers))
         return
     formats = _COLUMNS.values()
     shown = [tuple(map(format, row, formats)) for row in rows[:_SHOWN]]
@@ -144,7 +144,7 @@ def _show_points(read: Recording, found: ExtractedPoints, path: Path, json: bool
         ("time s", "pressure bar", "contraction %", "force N", "spread N", "samples", "direction"),
         shown,
     )
-    typer.echo(found.describe())
+    echo(found.describe())
 
 
 def _rows(found: ExtractedPoints) -> list[tuple[float | str, ...]]:
@@ -258,7 +258,7 @@ def identify(
             drawn |= {"loops": report.loops(points, friction)} if friction else {}
             for name, figure in drawn.items():
                 report.save(figure, out, name)
-    typer.echo(to_json(numbers) if json else "\n".join(filter(None, texts)))
+    echo(to_json(numbers) if json else "\n".join(filter(None, texts)))
     if out:
         notify(f"wrote fit.yaml, data.nc, results.json and {', '.join(drawn)} as .png and .svg to {out}", json)
 
@@ -288,7 +288,7 @@ def validate(
     if out:
         with keeping(out):
             write_json(out / "results.json", numbers)
-    typer.echo(to_json(numbers) if json else validation.report())
+    echo(to_json(numbers) if json else validation.report())
     if out:
         notify(f"wrote results.json to {out}", json)
 
@@ -321,7 +321,7 @@ def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
             report.save(report.ranking(ranking), out, "ranking")
             report.save(report.isobaric(points, best.fit), out, "fit")
     if json:
-        typer.echo(to_json(numbers))
+        echo(to_json(numbers))
     else:
         _show(ranking)
     if out:
@@ -348,16 +348,16 @@ def _show(ranking: Ranking) -> None:
     rows = [row(entry) for entry in fitted]
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)
     for name, reason in ranking.missing.items():
-        typer.echo(f"no cross-validation over {name}s: {reason}")
+        echo(f"no cross-validation over {name}s: {reason}")
     if not ranking.blocks:
-        typer.echo("no block of points could be held out: ranked by AICc")
+        echo("no block of points could be held out: ranked by AICc")
     for entry in ranking.entries:
         for what, texts in (("not fitted", [entry.refused]), ("flagged", entry.flags), ("note on", entry.remarks)):
             if any(texts):
-                typer.echo(f"{what} {_short(entry)}: {'; '.join(texts)}")
+                echo(f"{what} {_short(entry)}: {'; '.join(texts)}")
     best, first = ranking.best, ranking.entries[0]
     if best is not first:
-        typer.echo(f"selected: {_short(best)}; {_short(first)} is flagged and not substantially better")
+        echo(f"selected: {_short(best)}; {_short(first)} is flagged and not substantially better")
 
 
 def _short(entry: RankedLaw) -> str:

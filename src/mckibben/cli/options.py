@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from mckibben.errors import ParameterError, UnitError
+from mckibben.errors import ParameterError, UnitError, printable
 from mckibben.storage.files import check_free, explain_write_errors, make_folder
 from mckibben.units import parse_range, quantity
 
@@ -66,12 +66,17 @@ def report_ignored_columns(attributes: Mapping[str, Any]) -> None:
     """Report the columns of a file that were not read, on standard error."""
     ignored = attributes.get("ignored_columns")
     if ignored:
-        typer.echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
+        echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
+
+
+def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
+    """Print a text; what a terminal would obey, such as escape sequences in names, is escaped."""
+    typer.echo(printable(text), err=err, nl=nl)
 
 
 def notify(text: str, json: bool) -> None:
     """Print a message; on standard error where standard output is JSON."""
-    typer.echo(text, err=json)
+    echo(text, err=json)
 
 
 def parse_columns(columns: list[str] | None) -> dict[str, str] | None:
@@ -112,6 +117,7 @@ def check_choice(name: str, choices: Iterable[str], what: str) -> None:
         raise ParameterError(f"{name!r} is not {what}", value=name, remedy=f"choose one of {', '.join(choices)}")
 
 
+_LONGEST_CELL = 500  # characters
 _PIPED_WIDTH = 240  # columns of a table written to a file or a pipe
 
 
@@ -121,14 +127,15 @@ def table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> 
         return
     from rich import box
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(*headers, box=box.SIMPLE_HEAD)
+    table = Table(*(escape(printable(header, _LONGEST_CELL)) for header in headers), box=box.SIMPLE_HEAD)
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*(Text(printable(cell, _LONGEST_CELL)) for cell in row))
     console = Console(highlight=False, width=None if sys.stdout.isatty() else _PIPED_WIDTH)
-    console.print(Text(title))
+    console.print(Text(printable(title)))
     console.print(table)
 
 
@@ -222,7 +229,7 @@ def long_job(*, quiet: bool, kept: str) -> Iterator[Callable[[str, float], None]
         with job_progress(quiet=quiet) as report:
             yield report
     except KeyboardInterrupt as interrupt:
-        typer.echo(f"interrupted: {str(interrupt) or kept}", err=True)
+        echo(f"interrupted: {str(interrupt) or kept}", err=True)
         raise typer.Exit(INTERRUPTED) from None
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
 from typer import Argument, Option
 
 from mckibben.cli.options import (
@@ -17,6 +16,7 @@ from mckibben.cli.options import (
     Out,
     SlackForce,
     check_choice,
+    echo,
     keeping,
     notify,
     parse_limits,
@@ -121,7 +121,7 @@ def plan(
             write_json(out / "results.json", numbers)
             save(planned(found), out, "plan")
     if json:
-        typer.echo(to_json(numbers))
+        echo(to_json(numbers))
     else:
         _show(found, read.table.attrs["specimen"] or "unnamed specimen")
     if out:
@@ -132,9 +132,9 @@ def _show(found: ExperimentPlan, specimen: str) -> None:
     headers, *rows = found.rows()
     law = type(found.law).__name__.removesuffix("Law")
     table(f"{specimen}, {law} law: {len(rows)} points to measure next, by gain", headers, rows)
-    typer.echo(found.summary())
+    echo(found.summary())
     for sentence in found.sentences():
-        typer.echo(sentence)
+        echo(sentence)
 
 
 def _limits(contraction: str, pressure: str, specimen: Specimen | None) -> Domain | None:
@@ -242,16 +242,16 @@ def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
             write_json(out / "results.json", numbers)
             save(draw(found), out, "envelope")
     if json:
-        typer.echo(to_json(numbers))
+        echo(to_json(numbers))
     else:
         if static.exists:
             angles = f"{static.angle_min / deg:.4g} to {static.angle_max / deg:.4g} deg"
             table(f"{found.scenario.name}: static range {angles}", HEADERS, found.rows())
-        typer.echo(found.verdict())
+        echo(found.verdict())
         for near in found.nearest:
-            typer.echo(f"nearest, {near.preserved.name.lower()} preserved: {near.describe()}")
+            echo(f"nearest, {near.preserved.name.lower()} preserved: {near.describe()}")
         if not found.trackability.trackable and not found.nearest:
-            typer.echo("no smaller or slower motion about this centre is feasible either")
+            echo("no smaller or slower motion about this centre is feasible either")
     if out:
         notify(f"kept {', '.join(names)} and envelope.png and .svg in {out}", json)
 
@@ -271,7 +271,7 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
             about = sum(found.target.angles) / 2
             save(draw(found, static_envelope(scenario.plant(), about=about)), out, "design")
     if json:
-        typer.echo(to_json(numbers))
+        echo(to_json(numbers))
     else:
         rows = [
             (name.replace("_", " "), f"{found.initial[name] / mm:.4g} mm", f"{value / mm:.4g} mm")
@@ -279,8 +279,8 @@ def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None
         ]
         table(f"{scenario.name}: {found.target.describe()}", ("length", "initial", "design"), rows)
         table("Attained", ("angle", "stiffness"), found.rows())
-        typer.echo(found.describe())
+        echo(found.describe())
     if out:
         if "design.yaml" not in names:
-            typer.echo("no scenario written: the length of a muscle belongs to its specimen in the catalog", err=True)
+            echo("no scenario written: the length of a muscle belongs to its specimen in the catalog", err=True)
         notify(f"kept {', '.join(names)} and design.png and .svg in {out}", json)

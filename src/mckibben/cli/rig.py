@@ -14,7 +14,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument, Option
 
-from mckibben.cli.options import Json, format_metrics, job_progress, notify, parse_optional_quantity, table, time_text
+from mckibben.cli.options import (
+    Json,
+    echo,
+    format_metrics,
+    job_progress,
+    notify,
+    parse_optional_quantity,
+    table,
+    time_text,
+)
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
 from mckibben.storage.files import check_free, make_folder, to_json, write_json
 from mckibben.units import bar, deg, percent
@@ -59,17 +68,17 @@ def control(
     check_free(make_folder(out), (*_KEPT, "record-0001.chunks"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
     if not session.reach.feasible:
-        typer.echo(f"warning: {session.reach.describe()}", err=True)
+        echo(f"warning: {session.reach.describe()}", err=True)
     read.to_yaml(out / "scenario.yaml")
     with _line(quiet=json) as progress:
         try:
             ran = session.run(out, progress=progress)
         except StoppedError as stopped:
-            typer.echo(str(stopped), err=True)
+            echo(str(stopped), err=True)
             raise typer.Exit(1) from None
     error = ran.outcome.error
     if error is not None:  # before the results, for which the disk may be full
-        typer.echo(f"stopped: {ran.outcome.text}; {ran.outcome.venting}", err=True)
+        echo(f"stopped: {ran.outcome.text}; {ran.outcome.venting}", err=True)
     _report(ran, session, out, paced=not unpaced, json=json)
     if error is not None:
         raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1)
@@ -113,11 +122,11 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
         report.save(report.tracking({name: result}), out, "tracking")
         kept += ["result.nc", "tracking.png and .svg"]
     if json:
-        typer.echo(to_json(numbers))
+        echo(to_json(numbers))
     else:
         table(name, ("metric", "value", "unit"), format_metrics(metrics))
         if result is not None:
-            typer.echo(result.describe())
+            echo(result.describe())
         if paced:
             spreads = (
                 ("sample to loop", timing.lateness),
@@ -131,7 +140,7 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
                 [(what, *(f"{time * 1e6:.0f}" for time in spread)) for what, spread in spreads],
             )
         if ran.outcome.completed:
-            typer.echo(ran.outcome.venting)
+            echo(ran.outcome.venting)
     notify(f"kept {', '.join(kept)} in {out}", json)
 
 
@@ -226,7 +235,7 @@ def run(
     if dry_run:
         if out:
             check_disk_space(out, checked.disk_space)
-        typer.echo(to_json(_numbers(checked)) if json else checked.describe())
+        echo(to_json(_numbers(checked)) if json else checked.describe())
         return
     if out is None:
         raise FileError(str(protocol), [Problem("needs a folder to record to", remedy="add --out DIR, or --dry-run")])
@@ -237,15 +246,15 @@ def run(
         with _progress_line(checked, quiet=json) as report:
             data = run_test(checked, out, resume=resume, standing_at=standing, report=report)
     except StoppedError as error:
-        typer.echo(str(error), err=True)
+        echo(str(error), err=True)
         if segments(out):
-            typer.echo(f"resume with: mckibben rig run {protocol} --out {out} --resume", err=True)
+            echo(f"resume with: mckibben rig run {protocol} --out {out} --resume", err=True)
         raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1) from None
     name = out / data_name(test)
     if json:
-        typer.echo(to_json({**_numbers(checked), "data": str(name), "points": len(data)}))
+        echo(to_json({**_numbers(checked), "data": str(name), "points": len(data)}))
     else:
-        typer.echo(repr(data))
+        echo(repr(data))
     notify(f"recorded in {out} within {time.monotonic() - begun:.0f} s; next: mckibben identify {name}", json)
 
 
@@ -254,7 +263,7 @@ def data(folder: Annotated[Path, Argument(metavar="DIR", help="A folder of `rig 
     """Make the dataset of a test from its record, finished or not."""
     from mckibben.study.rig.running import gather
 
-    typer.echo(repr(gather(folder)))
+    echo(repr(gather(folder)))
 
 
 @rig.command()
@@ -268,7 +277,7 @@ def check(
 
     missing = False
     for line, there in readings(protocol):
-        typer.echo(line)
+        echo(line)
         missing |= not there
     if missing:
         raise typer.Exit(1)

@@ -8,13 +8,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from typer import Argument, Option
 
 from mckibben.cli.options import (
     Json,
     Known,
     check_choice,
+    echo,
     format_metrics,
     keeping,
     long_job,
@@ -103,17 +103,17 @@ def _show(swept: SweepResult, out: Path, json: bool) -> None:
         write_json(out / "results.json", numbers)
         report.save(report.sweep(swept), out, "sweep")
     if json:
-        typer.echo(to_json(numbers))
+        echo(to_json(numbers))
     else:
         if not swept.computed:
-            typer.echo(f"the sweep in {out} is already complete")
+            echo(f"the sweep in {out} is already complete")
         table(f"{numbers['scenario']}: {swept.count} runs", ("runs", "share", "outcome"), outcome_rows(numbers))
         headers = ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", "")
         table("Runs that completed", headers, metric_rows(numbers))
         ranked = ("parameter", "metric", "Spearman")
         table("Rank correlations, strongest first", ranked, correlation_rows(numbers))
-        typer.echo(feasibility_sentence(numbers))
-    typer.echo(f"wrote sweep.nc, results.json, sweep.png and sweep.svg to {out}", err=json)
+        echo(feasibility_sentence(numbers))
+    echo(f"wrote sweep.nc, results.json, sweep.png and sweep.svg to {out}", err=json)
 
 
 def _list(path: Path, json: bool) -> None:
@@ -123,7 +123,7 @@ def _list(path: Path, json: bool) -> None:
     read: Scenario = Scenario.read(path)
     numbers = parameter_rows(read)
     if json:
-        typer.echo(to_json(numbers))
+        echo(to_json(numbers))
         return
     rows = [(each["name"], each["nominal"] or "-", each["range"], each["unit"]) for each in numbers]
     table(read.name, ("parameter", "value", "range", "unit"), rows)
@@ -237,7 +237,7 @@ def _show_tuned(
         write_json(out / "results.json", numbers)
         report.save(report.tuning(tuned), out, "tuning")
     if json:
-        typer.echo(to_json(numbers))
+        echo(to_json(numbers))
     else:
         named = [(each.parameter, each.parameter.nominal) for each in ranges]
         old = ["-" if nominal is None else parameter.show(nominal) for parameter, nominal in named]
@@ -249,8 +249,8 @@ def _show_tuned(
             rows = [(name, old, new, unit) for (name, old, _), (_, new, unit) in pairs]
             table(run["scenario"], ("metric", "before", "tuned", "unit"), rows)
         if tuned.at_bound:
-            typer.echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
-    typer.echo(f"wrote {', '.join(kept)}, history.journal, results.json, tuning.png and tuning.svg to {out}", err=json)
+            echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
+    echo(f"wrote {', '.join(kept)}, history.journal, results.json, tuning.png and tuning.svg to {out}", err=json)
 
 
 def _metrics(scenario: Scenario) -> dict[str, float]:

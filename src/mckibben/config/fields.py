@@ -65,7 +65,7 @@ class OneOf:
 
 
 def read_path(value: Any, info: ValidationInfo, ending: str) -> Path:
-    """The absolute path of a file that exists; text is relative to the scenario's folder."""
+    """The absolute path of a file that exists; text is relative to the folder of the configuration file."""
     folder = (info.context or {}).get("folder") or Path()
     if not isinstance(value, str | Path) or not str(value):
         fail_validation(f"{quoted(value)} is not a path", f"name a file, such as 'some{ending}'")
@@ -76,12 +76,14 @@ def read_path(value: Any, info: ValidationInfo, ending: str) -> Path:
         found = False
     if not found:
         where = folder.absolute()
-        fail_validation(f"there is no file {quoted(str(value))}", f"paths are relative to the scenario, here {where}")
+        fail_validation(
+            f"there is no file {quoted(str(value))}", f"paths are relative to the file that names them, here {where}"
+        )
     return path
 
 
 def write_path(path: Path, info: SerializationInfo) -> str:
-    """A path relative to the scenario's folder where it lies below it, else absolute."""
+    """A path relative to the folder of the configuration file where it lies below it, else absolute."""
     folder = (info.context or {}).get("folder") or Path()
     folder = Path(os.path.abspath(folder))  # noqa: PTH100
     return (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
@@ -95,7 +97,7 @@ def read_table(value: Any, info: ValidationInfo) -> Path:
 def read_title(value: Any) -> str:
     """One line of text."""
     if not isinstance(value, str) or not value.strip():
-        fail_validation(f"{quoted(value)} is not a name", "name the scenario in a few words")
+        fail_validation(f"{quoted(value)} is not a name", "name it in a few words")
     if len(value.strip()) > 200 or not value.strip().isprintable():
         fail_validation(f"{quoted(value)} is not one line of at most 200 characters", "shorten it")
     return value.strip()

@@ -12,6 +12,7 @@ import jinja2
 import markupsafe
 
 from mckibben import catalog
+from mckibben.errors import printable
 from mckibben.paper import Reproduction, file_stem
 from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, StiffnessReference
 from mckibben.paper.tracking import PID
@@ -34,6 +35,7 @@ def template_of(name: str) -> jinja2.Template:
         loader=jinja2.FunctionLoader(_resource),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
+        finalize=lambda value: printable(value) if type(value) is str else value,
         trim_blocks=True,
         lstrip_blocks=True,
     )
@@ -48,7 +50,7 @@ def style_sheet() -> markupsafe.Markup:
 
 def typeset(text: str) -> markupsafe.Markup:
     """Typeset powers of ten, signs, ranges and units of a text as HTML."""
-    safe = str(markupsafe.escape(text))
+    safe = str(markupsafe.escape(printable(text) if type(text) is str else text))
     safe = re.sub(r"\^([−-]?\d+)", r"<sup>\1</sup>", safe)
     safe = safe.replace("+-", "±").replace("N*m/rad", "N·m/rad").replace(" %", "\u00a0%")
     safe = re.sub(r"(\d)\.\.(−?\d|-)", r"\1 to \2", safe)

@@ -30,6 +30,7 @@ from mckibben.report.style import (
     log_ticks,
     minus,
     part_of,
+    plain_numbers,
     robust_limits,
     styled,
 )
@@ -61,6 +62,7 @@ def tuning(tuned: TuningResult) -> Figure:
     lost = int(np.sum(~finite))
     besides = f"; {lost} not drawn: invalid or unstable" if lost else ""
     costs_axes.set(xlabel=f"evaluated points{besides}", ylabel="cost", yscale="log", xlim=(0, costs.size + 1))
+    plain_numbers(costs_axes.yaxis)
     low, high = costs_axes.get_ylim()
     costs_axes.set_ylim(low, high * (high / low) ** 0.3)  # space for the legend
     costs_axes.legend(loc="upper right")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+import re
 import string
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,12 +19,17 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.collections import Collection
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.text import Text
+from matplotlib.ticker import FixedFormatter, LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.errors import printable
 from mckibben.storage.files import atomic_write
 
 SINGLE, DOUBLE = 3.5, 7.2
@@ -80,9 +86,30 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
     @functools.wraps(draw)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
         with house_style():
-            return draw(*args, **kwargs)
+            drawn = draw(*args, **kwargs)
+            if isinstance(drawn, Figure):
+                _limit_texts(drawn)
+            return drawn
 
     return wrapped
+
+
+def _limit_texts(figure: Figure) -> None:
+    """Escape unprintable characters in the texts of a figure, which hold names that users gave, and limit their lines.
+
+    That no text but the letter of a panel is parsed as mathematics is a setting of the style.
+    """
+
+    def limited(text: str) -> str:
+        return "\n".join(printable(line, _LONGEST_LINE) for line in text.split("\n"))
+
+    for axes in figure.findobj(Axes):
+        for axis in (axes.xaxis, axes.yaxis):
+            if isinstance(formatter := axis.get_major_formatter(), FixedFormatter):
+                formatter.seq = [limited(text) for text in formatter.seq]
+    for text in figure.findobj(Text):
+        if text.get_text() != (short := limited(text.get_text())):
+            text.set_text(short)
 
 
 def blank(width: float, height: float) -> Figure:
@@ -146,13 +173,16 @@ def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: 
     return png, svg
 
 
+_NO_LABEL = re.compile(r"_(child\d+|nolegend_)$")  # other names with a leading underscore are given by users
+_LONGEST_LINE = 120  # characters
 _HALO = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
 _MOST_VERTICES = 600
 
 
 def letter(axes: Axes, index: int, title: str) -> None:
     """Set the title of the panel at an index: "(a) title" with a bold letter."""
-    axes.set_title(rf"$\bf{{({string.ascii_lowercase[index % 26]})}}$ {title}")
+    mark = rf"$\bf{{({string.ascii_lowercase[index % 26]})}}$"
+    axes.set_title(f"{mark} {title.replace('$', chr(92) + '$')}", parse_math=True)
 
 
 def panels(figure: Figure | SubFigure, count: int, columns: int, **options: Any) -> NDArray[Any]:
@@ -237,8 +267,10 @@ def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:
     """Draw one legend above the figure, each label once in order of appearance."""
     found: dict[str, Any] = {}
     for panel in axes:
-        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
+        for handle in panel.get_children():
+            label = str(handle.get_label())
+            if isinstance(handle, Line2D | Patch | Collection) and label and not _NO_LABEL.match(label):
+                found.setdefault(label, handle)
     figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=min(columns, len(found)))
 
 

@@ -298,7 +298,7 @@ def gain_histories(results: Mapping[str, tuple[Result, float]]) -> Figure:
             for gain, look in _GAINS.items():
                 values = result[f"{loop}_{gain}"]
                 if values[0] != 0:  # a loop without this part
-                    axes.plot(result.times, values / values[0], label=f"${gain[0]}_{gain[1]}$", **look)
+                    axes.plot(result.times, values / values[0], label=gain, **look)
             for bound in (ratio, 1 / ratio):
                 axes.axhline(bound, color="#888888", linewidth=0.8, linestyle=(0, (2, 2)), label="bound on the gains")
             axes.set_yscale("log", base=2)

@@ -1,6 +1,5 @@
 """The test rig: protocols, runner, recorder and safety monitor; simulated rig and NI cards."""
 
-from mckibben.rig.protocol import Boundaries, IsobaricProtocol, Plateaus, away_from_turns, boundaries
-from mckibben.rig.simulated.isobaric import SimulatedIsobaricTest
+import lazy_loader
 
-__all__ = ["Boundaries", "IsobaricProtocol", "Plateaus", "SimulatedIsobaricTest", "away_from_turns", "boundaries"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # the watchdog's process needs little

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.config.document import read_json
-from mckibben.errors import McKibbenError, Problem, RangeError, RigError, ScenarioError, quoted
+from mckibben.errors import McKibbenError, Problem, RangeError, RigError, ScenarioError, quoted, refuse_problems
 from mckibben.rig.backend import AnalogChannel
-from mckibben.rig.protocol import refuse_problems
 from mckibben.units import percent
 
 _NUMBERS = ("gain", "offset", "tare", "low", "high")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import Problem, RangeError
+from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
 from mckibben.units import (
     Contraction,
@@ -313,13 +313,6 @@ class IsobaricProtocol:
             f"{duration // 3600} h {duration // 60 % 60:02d} min {duration % 60:02d} s"
         )
         return "\n".join(lines)
-
-
-def refuse_problems(what: str, problems: Sequence[Problem]) -> None:
-    """Raise a `RangeError` with all problems, if there are any."""
-    if problems:
-        heading = f"{what}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
-        raise RangeError("\n  ".join([heading, *map(str, problems)]))
 
 
 def away_from_turns(dataset: IsobaricDataset, *, travel: float = 2 * mm) -> IsobaricDataset:

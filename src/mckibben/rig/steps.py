@@ -10,13 +10,12 @@ from typing import Literal
 
 import numpy as np
 
-from mckibben.errors import Problem, RangeError
+from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Muscle, Specimen, forces
 from mckibben.rig.protocol import (
     PAPER_PRESSURES,
     IsobaricProtocol,
     boundaries,
-    refuse_problems,
     specimen_of,
 )
 from mckibben.units import (

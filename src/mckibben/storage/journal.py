@@ -187,7 +187,7 @@ def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
     """Header of a journal of a kind ("format") and version; `FileError` if it is another file."""
     try:
         header = JournalReader(path).header()
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise FileError(str(path), [Problem(f"it cannot be read: {error}")]) from None
     if header is None or header.get("format") != kind:
         raise FileError(str(path), [Problem(f"it is no {kind}", remedy="choose another folder, or remove the file")])

@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from mckibben.errors import Problem, RigError, SilentError
-from mckibben.rig.protocol import refuse_problems
+from mckibben.errors import Problem, RigError, SilentError, refuse_problems
 
 _TIMEOUT = -200284
 _OVERWRITTEN = -200279

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -16,8 +17,14 @@ from mckibben.rig.backend import Backend
 from mckibben.rig.ni.backend import NiBackend
 from mckibben.rig.ni.driver import Driver, Terminals
 
-_READY, _DONE = "ready\n", "done\n"
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
+
+_READY, _DONE = b"ready\n", b"done\n"
 _ATTEMPTS, _PAUSE = 50, 0.1  # of venting; s between them
+_LONGEST, _MEMORY = 60, 4 << 30  # s and bytes after which it is ended: nobody else watches it
 
 
 @contextlib.contextmanager
@@ -29,10 +36,10 @@ def host_watchdog(backend: Backend) -> Iterator[None]:
     command = [sys.executable, "-m", "mckibben.rig.ni.watchdog"]
     settings = {"wiring": asdict(backend.wiring), "server": backend.server}
     # in a session of its own: Ctrl-C and a closed terminal are for the test alone
-    with subprocess.Popen(command, stdin=-1, stdout=-1, text=True, start_new_session=True) as process:
+    with subprocess.Popen(command, bufsize=0, stdin=-1, stdout=-1, start_new_session=True) as process:
         assert process.stdin is not None
         assert process.stdout is not None
-        _tell(process.stdin, json.dumps(settings) + "\n")
+        _tell(process.stdin, json.dumps(settings).encode() + b"\n")
         if process.stdout.readline() != _READY:
             raise RigError("the process that vents when this one dies does not start", remedy="see its messages")
         try:
@@ -41,22 +48,28 @@ def host_watchdog(backend: Backend) -> Iterator[None]:
             _tell(process.stdin, _DONE)
 
 
-def _tell(pipe: IO[str], text: str) -> None:
+def _tell(pipe: IO[bytes], text: bytes) -> None:
     with contextlib.suppress(BrokenPipeError):
         pipe.write(text)
-        pipe.flush()
 
 
 def main() -> None:
     """Wait for the end of the standard input, which comes with the end of the test's process, and vent."""
-    settings = json.loads(sys.stdin.readline())
+    if resource is not None:
+        most = resource.getrlimit(resource.RLIMIT_AS)[1]
+        if most == resource.RLIM_INFINITY or most > _MEMORY:
+            resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, most))
+    told, answer = sys.stdin.buffer, sys.stdout.buffer
+    settings = json.loads(told.readline())
     wiring = Terminals(**settings["wiring"])
-    sys.stdout.write(_READY)
-    sys.stdout.flush()
-    if sys.stdin.readline() == _DONE:
+    answer.write(_READY)
+    answer.flush()
+    if told.readline() == _DONE:
         return
+    if resource is not None:
+        signal.alarm(_LONGEST)
     for _ in range(_ATTEMPTS):
-        with contextlib.suppress(RigError):
+        with contextlib.suppress(Exception):
             _vent(wiring, settings["server"])
             return
         time.sleep(_PAUSE)

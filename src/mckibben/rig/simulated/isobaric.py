@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import Problem, RangeError
+from mckibben.errors import Problem, RangeError, refuse_problems
 from mckibben.muscle import Friction, MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
 from mckibben.muscle.friction import MIN_HALF_WIDTH
-from mckibben.rig.protocol import IsobaricProtocol, Plateaus, refuse_problems
+from mckibben.rig.protocol import IsobaricProtocol, Plateaus
 from mckibben.units import N, bar, kPa, mm, percent
 
 _HOUR = 3600.0  # s
