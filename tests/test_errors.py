@@ -107,3 +107,7 @@ def test_messages_are_of_limited_length():
     assert len(str(RangeError(long, remedy=long))) < 2100
     assert len(str(FileError("f.yaml", [Problem(long, field=long, remedy=long)] * 100))) < 70_000
     assert RangeError(long).message == long
+
+
+def test_control_characters_in_a_warning_are_escaped():
+    assert str(errors.McKibbenWarning("\x1b[31mred")) == "\\x1b[31mred"

@@ -42,6 +42,9 @@ def suggest(name: str, known: Sequence[str]) -> str:
 class McKibbenWarning(UserWarning):
     """Input or result that is valid but probably not intended."""
 
+    def __init__(self, message: object) -> None:
+        super().__init__(printable(str(message), 20 * _LONGEST_MESSAGE))
+
 
 class ReachabilityWarning(McKibbenWarning):
     """A reference leaves the attainable set of the joint."""

@@ -86,9 +86,7 @@ def test_a_stray_quotation_mark_does_not_swallow_rows_in_silence(put):
     rows[3] = rows[3].replace(",ok", ',"ok')
     rows[8] = rows[8].replace(",ok", ',o"k')
     path = put(HEADER.replace("\n", ",note\n") + "".join(rows))
-    assert (
-        "a quotation mark makes one row of lines 5 to 10" in said_of(path)[0] or "goes on to line" in said_of(path)[0]
-    )
+    assert [line.split(":")[0] for line in said_of(path)] == ["line 5"]
     legal = [row.replace(",ok", ',"two\nlines"') for row in rows[:3]]
     assert len(read_dataset(put(HEADER.replace("\n", ",note\n") + "".join(legal)))) == 3
 

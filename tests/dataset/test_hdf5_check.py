@@ -1,65 +1,93 @@
-"""Files whose heap of texts is damaged: the HDF5 library would go round in circles for ever."""
+"""HDF5 and NetCDF files that lead elsewhere, claim what they do not hold, or make the HDF5 library loop."""
 
 import struct
+import time
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
-from mckibben.dataset import read_dataset
-from mckibben.dataset.matlab import global_heaps_are_valid
+from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import DatasetError
+
+SECONDS = 20.0
+COLUMNS = {"pressure": np.arange(6.0) * 1e5, "contraction": np.arange(6) / 50, "force": np.arange(6.0)}
 
 
 @pytest.fixture
-def content(tmp_path):
-    path = tmp_path / "rig.h5"
-    with h5py.File(path, "w") as file:
-        for name, unit in (("Pressure", "bar"), ("Force", "N"), ("Contraction", "%")):
-            file[name] = np.arange(6.0)
-            file[name].attrs["unit"] = unit
-    return path.read_bytes()
+def dataset():
+    return IsobaricDataset.of(**COLUMNS, direction=["loading", "unloading"] * 3)
 
 
-def parts(content):
-    """Where the parts of the heap begin, and its end."""
-    at = content.find(b"GCOL") + 16
-    end = at - 16 + struct.unpack("<Q", content[at - 8 : at])[0]
-    found = []
-    while at + 16 <= end:
-        found.append(at)
-        index, size = struct.unpack("<H6xQ", content[at : at + 16])
-        at += size if index == 0 else 16 + -(-size // 8) * 8
-    return found, end
+@pytest.fixture
+def netcdf(tmp_path, dataset):
+    path = tmp_path / "rig.nc"
+    dataset.table.to_netcdf(path, engine="h5netcdf")  # without a checksum
+    return path
 
 
-def test_what_h5py_writes_is_sound(content):
-    assert global_heaps_are_valid(content)
-    assert len(parts(content)[0]) == 4  # three texts and what is free
-
-
-@pytest.mark.parametrize("size", [57, 1 << 40, (1 << 64) - 1])
-@pytest.mark.parametrize("part", [0, 1, 2])
-def test_a_part_of_another_size_is_not_sound_and_is_an_error_in_no_time(content, tmp_path, part, size):
-    # 57 in place of 1: the library found free space of no size behind it, and never came back
-    damaged = bytearray(content)
-    at = parts(content)[0][part]
-    damaged[at + 8 : at + 16] = struct.pack("<Q", size)
-    path = tmp_path / "damaged.h5"
-    path.write_bytes(damaged)
-    assert not global_heaps_are_valid(bytes(damaged))
-    with pytest.raises(DatasetError, match="a heap of strings is corrupt"):
+def refused(path):
+    start = time.perf_counter()
+    with pytest.raises(DatasetError) as caught:
         read_dataset(path)
+    assert time.perf_counter() - start < SECONDS
+    assert caught.value.source == str(path)
+    return caught.value.problems[0]
 
 
-@pytest.mark.parametrize("size", [0, 15, 5000])
-def test_free_space_has_to_lie_inside(content, size):
-    damaged = bytearray(content)
-    at = parts(content)[0][-1]
-    damaged[at + 8 : at + 16] = struct.pack("<Q", size)
-    assert not global_heaps_are_valid(bytes(damaged))
+def replace_force(path, make):
+    with h5py.File(path, "r+") as file:
+        del file["force"]
+        make(file)
 
 
-def test_a_heap_that_is_longer_than_its_file_is_not_sound(content):
-    at = content.find(b"GCOL")
-    assert not global_heaps_are_valid(content[: at + 100])
+def external_storage(file):
+    secret = file.filename + ".txt"
+    Path(secret).write_bytes(bytes(48))
+    file.create_dataset("force", (6,), "f8", external=[(secret, 0, 48)])
+
+
+def external_link(file):
+    with h5py.File(file.filename + ".h5", "w") as other:
+        other["force"] = COLUMNS["force"]
+    file["force"] = h5py.ExternalLink(file.filename + ".h5", "force")
+
+
+def virtual(file):
+    layout = h5py.VirtualLayout((6,), "f8")
+    layout[:] = h5py.VirtualSource(file.filename + ".h5", "force", (6,))
+    file.create_virtual_dataset("force", layout)
+
+
+@pytest.mark.parametrize("make", [external_storage, external_link, virtual])
+def test_netcdf_never_leads_to_another_file(netcdf, make):
+    replace_force(netcdf, make)
+    assert refused(netcdf).field == "force"
+
+
+def test_values_that_the_file_does_not_hold_are_not_allocated(netcdf):
+    replace_force(netcdf, lambda file: file.create_dataset("force", (150_000_000,), "f8", chunks=(1024,)))
+    assert netcdf.stat().st_size < 1e5
+    assert "150000000 values" in refused(netcdf).message
+
+
+def test_a_group_in_itself_ends(netcdf):
+    with h5py.File(netcdf, "r+") as file:
+        file["again"] = file["/"]
+    assert refused(netcdf).field == "again"
+
+
+@pytest.mark.parametrize("name", ["rig.h5", "rig.nc"])
+def test_a_heap_in_which_the_library_loops_is_an_error_and_the_next_file_is_read(tmp_path, netcdf, dataset, name):
+    path = tmp_path / ("damaged" + name[3:])
+    with h5py.File(path, "w") as file:
+        for field, unit in (("Pressure", "bar"), ("Force", "N"), ("Contraction", "%")):
+            file[field] = np.arange(6.0)
+            file[field].attrs["unit"] = unit
+    damaged = bytearray(path.read_bytes())
+    at = damaged.find(b"GCOL") + 16
+    damaged[at + 8 : at + 16] = struct.pack("<Q", 57)  # it was 1: then follows free space of no size
+    path.write_bytes(damaged)
+    assert "too long" in refused(path).message
+    assert read_dataset(netcdf).table.identical(dataset.table)

@@ -152,15 +152,15 @@ def test_a_missing_netcdf_file_and_renamed_columns_are_refused(tmp_path):
         read_dataset(tmp_path / "none.nc", columns={"a": "force_N"})
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(cut=st.integers(0, 20_000))
-def test_a_truncated_netcdf_file_is_refused(cut, tmp_path):
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(cut=st.floats(0, 1, exclude_max=True))
+def test_a_netcdf_file_that_lost_values_is_refused(cut, tmp_path):
     path = tmp_path / "data.nc"
-    if not path.exists() or cut == 0:
+    if not path.exists():
         IsobaricDataset.of(pressure=[1e5], contraction=[0], force=[3], specimen="A").to_netcdf(path)
-    whole = path.read_bytes()
+    values = path.read_bytes().rpartition(b"# sha256")[0]
     part = tmp_path / "part.nc"
-    part.write_bytes(whole[: min(cut, len(whole) - 75)])  # the checksum, 74 bytes, is no part of the content
+    part.write_bytes(values[: int(cut * len(values))])
     with pytest.raises(DatasetError):
         read_dataset(part)
 

@@ -195,7 +195,10 @@ def alone(parts):
 def test_each_run_of_a_batch_is_the_single_run(everything, alone):
     tame = [row for row in range(len(ROWS)) if row != special("diverged")]
     assert_singles(everything, [alone(row) for row in tame], tame, rtol=1e-11)
-    assert alone(special("diverged")).outcome is Outcome.DIVERGED
+    with pytest.raises(SimulationError) as caught:
+        alone(special("diverged"))
+    assert caught.value.field == "substeps"
+    assert everything.outcomes[special("diverged")] is Outcome.DIVERGED
     assert not np.isfinite(everything.metrics["angle_max"][special("diverged")])
 
 

@@ -27,8 +27,8 @@ from mckibben.control import (
 )
 from mckibben.errors import FileError, ReachabilityWarning, SimulationError
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, PlantState
-from mckibben.simulation import Outcome, Result, Trajectory, simulate
-from mckibben.simulation.result import UNITS
+from mckibben.simulation import Outcome, Result, Trajectory, run_episode, sampled, simulate
+from mckibben.simulation.result import BAND, UNITS
 from mckibben.units import bar, deg
 
 POSITION, STIFFNESS = PID(2 * bar, 60 * bar, 0.4 * bar), PID(0.08 * bar, 5 * bar, 0.0)
@@ -63,7 +63,9 @@ def diverged(knee, load):
     stiff = JointPlant(knee, dataclasses.replace(load, damping=1000 * load.total_inertia), FirstOrderValve(0.02))
     reference = Reference(angle=Sine(0.0, 0.5, offset=1 * deg), stiffness=Constant(15.0))
     control = PositionStiffnessControl(POSITION, STIFFNESS, model=knee)
-    return simulate(stiff, control, reference, duration=40.0, control_period=0.2)  # 200 periods, as in the other runs
+    _, setpoints = sampled(reference, 40.0, 0.2)  # 200 periods, as in the other runs
+    run = run_episode(stiff, control, setpoints, stiff.equilibrium(1 * deg), 0.2, 4)  # `simulate` refuses it
+    return Result({**run.columns, **dict.fromkeys(BAND, np.full(200, np.nan))}, 0.2)
 
 
 def said(text: str, what: str) -> tuple[float, float]:
@@ -208,8 +210,8 @@ def test_netcdf_gives_the_same_run_back(which, request, tmp_path):
 def test_a_file_is_replaced_whole_or_not_at_all(completed, saturated, tmp_path, monkeypatch):
     completed.to_netcdf(tmp_path / "run.nc")
 
-    def interrupted(path, _):
-        path.write_text("half")
+    def interrupted(path, content):
+        path.open("wb").write(content[: len(content) // 2])
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Path, "write_bytes", interrupted)
@@ -286,7 +288,11 @@ def test_a_damaged_file_is_an_error_of_ours_whatever_the_damage(completed, tmp_p
 
 def test_a_run_that_never_was_finite_can_be_described(plant, knee, playback):
     reference = Reference(angle=Constant(0.0), stiffness=Constant(15.0))
-    result = simulate(plant, playback, reference, duration=0.2, initial=PlantState(np.nan, 0.0, (1e5, 1e5)))
+    start = PlantState(np.nan, 0.0, (1e5, 1e5))
+    with pytest.raises(SimulationError) as caught:
+        simulate(plant, playback, reference, duration=0.2, initial=start)
+    assert caught.value.field == "initial.angle"
+    result = run_episode(plant, playback, sampled(reference, 0.2, 1e-3)[1], start, 1e-3, 4)
     assert result.outcome is Outcome.DIVERGED
     assert "diverged" in result.describe()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from mckibben.catalog import FOLDER, find
 from mckibben.joint import AntagonisticJoint, KneeGeometry, Load
@@ -48,27 +48,12 @@ def dataset(name: str) -> IsobaricDataset:
 
 def geometry(name: str) -> KneeGeometry:
     """Return the geometry of a published joint, such as "knee-table-2"."""
-    entry, _ = find("geometries", name)
-    return KneeGeometry(
-        **{key: quantity(entry[key], "m") for key in ("joint_length", "joint_radius", "connector_length")}
-    )
+    return KneeGeometry(**_quantities(KneeGeometry, find("geometries", name)[0]))
 
 
 def load(name: str) -> Load:
     """Return the load of a published joint, such as "knee-table-2"."""
-    entry, _ = find("loads", name)
-    units = {
-        "mass1": "kg",
-        "mass2": "kg",
-        "distance1": "m",
-        "distance2": "m",
-        "inertia": "kg*m^2",
-        "damping": "N*m*s/rad",
-        "hanging_angle": "rad",
-        "gravity": "m/s^2",
-    }
-    values: dict[str, Any] = {key: quantity(entry[key], unit) for key, unit in units.items()}
-    return Load(**values)
+    return Load(**_quantities(Load, find("loads", name)[0]))
 
 
 def joint(name: str) -> AntagonisticJoint:
@@ -78,9 +63,12 @@ def joint(name: str) -> AntagonisticJoint:
     return AntagonisticJoint(geometry(entry["geometry"]), muscle, muscle)
 
 
+def _quantities(kind: type, entry: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a class with the unit of each, in SI."""
+    hints = get_type_hints(kind, include_extras=True).items()
+    return {name: mark.read(entry[name]) for name, hint in hints for mark in getattr(hint, "__metadata__", ())}
+
+
 def _domain(entry: dict[str, Any]) -> Domain:
     contraction, pressure = entry["contraction"], entry["pressure"]
-    return Domain(
-        *(quantity(text, "1") for text in contraction),
-        *(quantity(text, "Pa") for text in pressure),
-    )
+    return Domain(*(quantity(text, "1") for text in contraction), *(quantity(text, "Pa") for text in pressure))

@@ -122,12 +122,7 @@ class BackpropPID(Loop):
         )
 
     def step(
-        self,
-        state: BackpropState,
-        setpoint: ArrayLike,
-        measured: ArrayLike,
-        sensitivity: ArrayLike,
-        period: ArrayLike,
+        self, state: BackpropState, setpoint: ArrayLike, measured: ArrayLike, sensitivity: ArrayLike, period: ArrayLike
     ) -> tuple[BackpropState, Scalar]:
         error = jnp.asarray(setpoint) - measured
         derivative = self.base.derivative(state.pid, setpoint, measured, period)

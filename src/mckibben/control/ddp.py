@@ -353,8 +353,7 @@ def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, t
         q_u_x_columns = transpose(add(matmul(q_uu, gain), q_ux))
         gradient = add(q_x, add(matvec(gain_columns, add(q_u, matvec(q_uu, step))), matvec(q_ux_columns, step)))
         hessian = symmetric(
-            4,
-            lambda i, j: q_xx[i][j] + dot(gain_columns[i], q_u_x_columns[j]) + dot(q_ux_columns[i], gain_columns[j]),
+            4, lambda i, j: q_xx[i][j] + dot(gain_columns[i], q_u_x_columns[j]) + dot(q_ux_columns[i], gain_columns[j])
         )
         u = add(at.u, step)
         offset = subtract(u, matvec(gain, at.x))

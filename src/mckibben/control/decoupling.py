@@ -128,13 +128,7 @@ class DecouplingControl(ModelBasedControl):
 
     @computed_once
     def _allocate(
-        self,
-        model: AntagonisticJoint,
-        angle: Scalar,
-        pressures: Pair,
-        torque: Scalar,
-        stiffness: Scalar,
-        speed: Scalar,
+        self, model: AntagonisticJoint, angle: Scalar, pressures: Pair, torque: Scalar, stiffness: Scalar, speed: Scalar
     ) -> Allocation:
         """Pressures [Pa] for a torque and a stiffness at an angle [rad], attainable with commands within limits."""
         lowest, highest = pressure_range(model, angle, self.minimum_tension)

@@ -19,12 +19,7 @@ Scalar = Float[Array, ""]
 class Feedback(eqx.Module):
     r"""Outer loop of a linearised joint, :math:`\ddot\theta = a`, whose acceleration lags its command a_c.
 
-    .. math:: T \dot a + a = a_c
-
-    Attributes
-    ----------
-    lag
-        T [s], time constant required of the acceleration, and so of the pressures.
+    .. math:: T \dot a + a = a_c, \quad T = \mathrm{lag}\,[s]
     """
 
     lag: eqx.AbstractVar[Any]
@@ -43,23 +38,15 @@ class Feedback(eqx.Module):
 
 
 class PolePlacement(Feedback):
-    r"""All poles of the closed loop at :math:`s = -\omega_c`.
+    r"""All poles of the closed loop at :math:`s = -\omega_c`, the bandwidth [rad/s].
 
     .. math:: a = k_d \dot e + k_p e \; [+ k_i \int e], \quad
               T s^3 + s^2 + k_d s + k_p = T (s + \omega_c)^3
 
     so that :math:`T = 1/(3\omega_c), k_d = \omega_c, k_p = \omega_c^2/3`. With an integral there are four poles:
     :math:`T = 1/(4\omega_c), k_d = 3\omega_c/2, k_p = \omega_c^2, k_i = \omega_c^3/4`. The integral removes the static
-    error of a wrong model; beside a disturbance observer it is redundant.
-
-    With a lag g times that of the model the loop is stable up to g = 9 (5 with the integral).
-
-    Parameters
-    ----------
-    bandwidth
-        omega_c [rad/s].
-    integral
-        Whether to add the integral.
+    error of a wrong model; beside a disturbance observer it is redundant. With a lag g times that of the model the loop
+    is stable up to g = 9 (5 with the integral).
 
     References
     ----------

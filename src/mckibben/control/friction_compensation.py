@@ -29,7 +29,7 @@ class FrictionCompensationState(NamedTuple):
 
 
 class FrictionCompensation(Controller):
-    r"""Wrapper that adds the pressures to overcome friction to a controller's commands.
+    r"""Wrapper that adds the pressures to overcome friction to the commands of an inner controller.
 
     .. math:: p_d \leftarrow p_d - \tau_f \Big/ \frac{\partial\tau}{\partial p_d}
 
@@ -38,13 +38,6 @@ class FrictionCompensation(Controller):
     drift once friction is overestimated. Viscous friction is not compensated: a step of the reference would cause a
     kick. Limits that the shift meets are not fed back to the inner controller, whose minimum tension holds here as
     well.
-
-    Parameters
-    ----------
-    controller
-        Inner controller.
-    model
-        Model of the joint, with muscles that have friction.
     """
 
     controller: Controller
@@ -52,9 +45,7 @@ class FrictionCompensation(Controller):
 
     def __check_init__(self) -> None:
         check_kind(
-            "FrictionCompensation",
-            controller=(self.controller, Controller),
-            model=(self.model, AntagonisticJoint),
+            "FrictionCompensation", controller=(self.controller, Controller), model=(self.model, AntagonisticJoint)
         )
         if not self.model.has_friction:
             raise RangeError(
@@ -68,11 +59,7 @@ class FrictionCompensation(Controller):
         return FrictionCompensationState(self.controller.init(measurement), muscles, zero, jnp.asarray(False))
 
     def step(
-        self,
-        state: FrictionCompensationState,
-        setpoint: Setpoint,
-        measurement: Measurement,
-        period: ArrayLike,
+        self, state: FrictionCompensationState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[FrictionCompensationState, tuple[Scalar, Scalar]]:
         inner, (command1, command2) = self.controller.step(state.inner, setpoint, measurement, period)
         pressures = measurement.pressures

@@ -69,10 +69,7 @@ class VelocityObserver(Observer):
 
     .. math:: l_1 = 1 - \beta^2, \quad l_2 = (1 - \beta)^2 / h, \quad \beta = e^{-\omega_o h}
 
-    Parameters
-    ----------
-    bandwidth
-        omega_o [rad/s]. An unmodelled acceleration a biases the velocity by 2 a / omega_o.
+    An unmodelled acceleration a biases the velocity by 2 a / omega_o, with the bandwidth omega_o [rad/s].
 
     References
     ----------
@@ -101,10 +98,7 @@ class ExtendedStateObserver(Observer):
     .. math:: l_1 = 1 - \beta^3, \quad l_2 = \tfrac{3}{2} (1 - \beta)^2 (1 + \beta) / h, \quad
               l_3 = (1 - \beta)^3 / h^2, \quad \beta = e^{-\omega_o h}
 
-    Parameters
-    ----------
-    bandwidth
-        omega_o [rad/s]: what changes more slowly than this is seen. Noise of the encoder is what bounds it.
+    What changes more slowly than the bandwidth omega_o [rad/s] is seen. Noise of the encoder is what bounds it.
 
     References
     ----------
@@ -135,12 +129,8 @@ class PressureObserver(eqx.Module):
     .. math:: \hat p^- = \hat p + (1 - e^{-h/\tau_v}) (p_{command} - \hat p), \quad
               \hat p = \hat p^- + (1 - e^{-\omega_p h}) (p - \hat p^-)
 
-    White noise is attenuated by :math:`\sqrt{\omega_p h / 2}`; the error of a wrong lag decays with omega_p.
-
-    Parameters
-    ----------
-    bandwidth
-        omega_p [rad/s]; infinite for no filter.
+    White noise is attenuated by :math:`\sqrt{\omega_p h / 2}`; the error of a wrong lag decays with the bandwidth
+    omega_p [rad/s], infinite for no filter.
     """
 
     bandwidth: Bandwidth = 200.0

@@ -30,19 +30,14 @@ class PID(Loop):
     .. math:: u = k_p e + k_i \int e \, dt + k_d \dot e
 
     The derivative passes a first-order filter. It acts on the measurement alone, so that a step of the setpoint causes
-    no kick, or on the error with `derivative_on_error`. A reverse-acting loop has negative gains.
+    no kick, or on the error with `derivative_on_error`. A reverse-acting loop has negative gains, in the units of
+    output and error.
 
     Parameters
     ----------
-    kp, ki, kd
-        Gains [u/e], [u/(e*s)], [u*s/e], in the units of output u and error e.
-    filter_time
-        Time constant of the derivative's filter [s].
-    tracking_time
-        Time constant of the anti-windup [s]; at or below the control period the integral is reset at once. Without
-        integral action (ki = 0) there is none.
-    derivative_on_error
-        Whether the derivative acts on the error.
+    filter_time, tracking_time
+        Time constants [s] of the derivative's filter, and of the anti-windup: at or below the control period the
+        integral is reset at once, and with ki = 0 there is none.
 
     References
     ----------
@@ -67,12 +62,7 @@ class PID(Loop):
         )
 
     def step(
-        self,
-        state: PIDState,
-        setpoint: ArrayLike,
-        measured: ArrayLike,
-        sensitivity: ArrayLike,
-        period: ArrayLike,
+        self, state: PIDState, setpoint: ArrayLike, measured: ArrayLike, sensitivity: ArrayLike, period: ArrayLike
     ) -> tuple[PIDState, Scalar]:
         error = jnp.asarray(setpoint) - measured
         derivative = self.derivative(state, setpoint, measured, period)

@@ -13,7 +13,7 @@ from mckibben.control.base import Controller, Loop, Measurement, Setpoint
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import derivative
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.checks import check_kind, check_positive
 
 Scalar = Float[Array, ""]
 
@@ -60,6 +60,12 @@ class PositionStiffnessControl(Controller):
     minimum_tension: float | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
+        check_kind(
+            "PositionStiffnessControl",
+            position=(self.position, Loop),
+            stiffness=(self.stiffness, Loop),
+            model=(self.model, AntagonisticJoint),
+        )
         if self.minimum_tension is not None:
             check_positive("PositionStiffnessControl", "N", minimum_tension=self.minimum_tension)
 

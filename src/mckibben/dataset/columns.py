@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from mckibben import units
 from mckibben.dataset.sheet import RawTable
-from mckibben.errors import Problem
+from mckibben.errors import Problem, quoted
 
 _PRESSURE = ("bar", "kPa", "MPa", "Pa", "mbar", "psi")
 
@@ -107,6 +107,8 @@ def is_unit(text: str) -> bool:
 
 def _readings(header: str, unit: str) -> list[tuple[str, str]]:
     """Candidate readings of a header: pairs of quantity and unit as spelled."""
+    if len(header) > _LONGEST:
+        return []
     text = " ".join(header.split())
     found: list[tuple[str, str]] = []
     if match := _CLASSIC.fullmatch(text):
@@ -146,6 +148,7 @@ def _same_unit(spelled: str, known: str, quantity: str) -> bool:
     return text == known or (text.lower() == known.lower() and known[0] not in "mM")
 
 
+_LONGEST = 200  # characters of a name; the patterns take quadratic time
 _SHOWN = 40  # names of the file's columns in a message
 
 
@@ -162,12 +165,13 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
     """Find the columns of known quantities; `mapping` (name in the file to header) has priority."""
     layout = Layout(ignored=list(sheet.ignored))
     header = sheet.names
-    shown = ", ".join(map(repr, header[:_SHOWN])) + (f" ... ({len(header)} in all)" if len(header) > _SHOWN else "")
+    shown = ", ".join(map(quoted, header[:_SHOWN])) + (f" ... ({len(header)} in all)" if len(header) > _SHOWN else "")
 
     def problem(message: str, field: str = "", remedy: str = "") -> None:
         layout.problems.append(sheet.kind(message, line=sheet.header_line, field=field, remedy=remedy))
 
     asked: set[str] = set()
+    seen: set[str] = set()
     for given, name in mapping.items():
         column = parse_header(name)
         if given not in header:
@@ -179,8 +183,9 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
     for index, channel in enumerate(sheet.channels):
         text = channel.name
         mapped = text in mapping
+        seen.add(header[index - 1] if index else "")
         column = parse_header(mapping[text]) if mapped else parse_header(channel.label, channel.unit)
-        if text and text in header[:index]:
+        if text and text in seen:
             problem("stands twice in the header", text)
         elif column is None or (column.quantity in asked and not mapped):
             if column is None and not mapped and (reason := unit_error(channel.label, channel.unit)):

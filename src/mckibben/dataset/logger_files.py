@@ -21,7 +21,10 @@ from mckibben.errors import DatasetError, Problem
 _ROWS = 1_048_576  # of a sheet of Excel
 _HEADER = 60  # rows in which a header is looked for
 _SQUEEZED = 300  # times smaller than its content a workbook may be; sheets of numbers are 3 to 20 times
-_LARGEST = 2**30  # bytes of a workbook's content
+_LARGEST = 2**28  # bytes of a workbook's content
+_BESIDES = 2**25  # bytes of texts, styles and names in it
+_MOST_COLUMNS = 4096
+_MOST_CELLS = 10_000_000
 
 
 def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> RawTable:
@@ -36,7 +39,9 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(info.file_size for info in archive.infolist())
-        if size > max(_SQUEEZED * len(data), 2**22) or size > _LARGEST:
+            parts = (info for info in archive.infolist() if info.filename.endswith((".xml", ".rels")))
+            besides = sum(info.file_size for info in parts if not info.filename.startswith("xl/worksheets/"))
+        if besides > _BESIDES or size > max(_SQUEEZED * len(data), 2**22) or size > _LARGEST:
             raise DatasetError(str(path), [Problem(f"is a workbook that would unpack to {size} bytes")])
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
         tables = {sheet.title: _rows(path, sheet) for sheet in book.worksheets}
@@ -61,13 +66,19 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
 def _rows(path: Path, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
     """Rows of a sheet that are not empty, with their numbers."""
     sheet.reset_dimensions()  # what the file says of its size is not always true
-    rows = [
-        (number, row)
-        for number, row in enumerate(islice(sheet.iter_rows(values_only=True), _ROWS + 1), 1)
-        if any(cell is not None and cell != "" for cell in row)
-    ]
-    if rows and rows[-1][0] > _ROWS:
-        raise DatasetError(str(path), [Problem(f"sheet {sheet.title!r} has more than {_ROWS} rows")])
+    rows: list[tuple[int, tuple[Any, ...]]] = []
+    cells = 0
+    for number, row in enumerate(islice(sheet.iter_rows(values_only=True), _ROWS + 1), 1):
+        width = max((i for i, cell in enumerate(row, 1) if cell is not None and cell != ""), default=0)
+        cells += width
+        if not width:
+            continue
+        limits = ((number, _ROWS, "rows"), (width, _MOST_COLUMNS, "columns"), (cells, _MOST_CELLS, "cells"))
+        for count, most, what in limits:
+            if count > most:
+                problem = RowProblem(f"sheet {sheet.title!r} has more than {most} {what}", number)
+                raise DatasetError(str(path), [problem])
+        rows.append((number, row[:width]))
     return rows
 
 

@@ -15,7 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-_LARGEST = 2**31  # bytes that a compressed variable may hold
+_LARGEST = 2**26  # bytes that the compressed variables of a small file may hold
+_SQUEEZED = 20  # times smaller than its content a large file may be
 _DEEPEST = 20  # arrays in arrays
 _INTEGERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 12: "i8", 13: "u8", 16: "u1", 17: "u2"}
 _KINDS = {**_INTEGERS, 7: "f4", 9: "f8"}
@@ -50,10 +51,13 @@ def variables(data: bytes) -> Iterator[tuple[str, Value]]:
         raise CorruptFileError("its head is not that of a MATLAB file")
     reader = _Reader(memoryview(data), "<" if data[126:128] == b"IM" else ">")
     reader.at = 128
+    left = max(_LARGEST, _SQUEEZED * len(data))
     while reader.at < len(data):
         kind, content = reader.element(padded=True)
         if kind == _COMPRESSED:
-            kind, content = _Reader(_unpacked(content), reader.order).element()
+            unpacked = _unpacked(content, left)
+            left -= len(unpacked)
+            kind, content = _Reader(unpacked, reader.order).element()
         if kind != _MATRIX:
             raise CorruptFileError(f"an element of kind {kind} stands where a variable should")
         name, value = _array(content, reader.order, 0)
@@ -115,14 +119,14 @@ def _named(name: str) -> str:
     return name
 
 
-def _unpacked(content: memoryview) -> memoryview:
+def _unpacked(content: memoryview, most: int) -> memoryview:
     machine = zlib.decompressobj()
     try:
-        data = machine.decompress(content, _LARGEST)
+        data = machine.decompress(content, most + 1)
     except zlib.error as error:
         raise CorruptFileError(f"a compressed variable is damaged ({error})") from None
-    if not machine.eof:
-        raise CorruptFileError("a compressed variable is cut off, or larger than 2 GiB")
+    if not machine.eof or len(data) > most:
+        raise CorruptFileError("a compressed variable is cut off, or far larger than the file")
     return memoryview(data)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mckibben.dataset.columns import find_columns
 from mckibben.dataset.schema import VACUUM, WORDS, unquote
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
-from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError
+from mckibben.errors import DatasetError, McKibbenWarning, Problem, UnitError, printable
 from mckibben.units import factor, quantity
 
 OnCorrupt = Literal["raise", "report"]
@@ -105,15 +105,15 @@ class ColumnConverter:
             unit = f"{left_out} of {rows} rows hold no number: more than half cannot be left out"
             self.problems.append(Problem(unit))
         if self.problems or (self.corrupt and on_corrupt == "raise"):
-            found = sorted(self.problems + self.corrupt, key=self._place)
+            found = self._sorted(self.problems + self.corrupt)
             raise DatasetError(str(path), found)
         for text in self.suspect:
             warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=4)
-        attrs = {"ignored_columns": ", ".join(self.ignored)} if self.ignored else {}
+        attrs = {"ignored_columns": printable(", ".join(self.ignored))} if self.ignored else {}
         if "repairs" in self.sheet.comments:  # of the file from which this one was made
             attrs["repairs"] = unquote(self.sheet.comments["repairs"][1])
         if self.corrupt:
-            found = sorted(self.corrupt, key=self._place)
+            found = self._sorted(self.corrupt)
             attrs["repairs"] = "\n".join([*filter(None, [attrs.get("repairs")]), *map(str, found)])
             first = "; ".join(map(str, found[:_WARNED]))
             more = f" ... and {len(found) - _WARNED} more, all in the attribute repairs" if len(found) > _WARNED else ""
@@ -122,9 +122,10 @@ class ColumnConverter:
             data = {name: values[kept] for name, values in data.items()}
         return data, attrs
 
-    def _place(self, problem: Problem) -> tuple[int, int]:
-        names = self.sheet.names
-        return problem.line or 0, names.index(problem.field) if problem.field in names else len(names)
+    def _sorted(self, problems: list[Problem]) -> list[Problem]:
+        """Problems in the order of lines and columns."""
+        places = {name: place for place, name in enumerate(self.sheet.names)}
+        return sorted(problems, key=lambda problem: (problem.line or 0, places.get(problem.field, len(places))))
 
     def _problem(self, message: str, line: int | None, name: str, remedy: str = "") -> None:
         """Add a problem of a quantity's column or of an attribute."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import warnings
 from collections.abc import Mapping
@@ -26,6 +27,7 @@ def read_sheet(path: Path, mapping: Mapping[str, str]) -> RawTable:
     """Columns of a text, .xlsx, .mat, .tdms, .lvm or HDF5 file; `mapping` assigns quantities to its headers."""
     data = read_bytes(path)
 
+    @functools.cache
     def known(header: str, unit: str) -> bool:
         return header in mapping or parse_header(header, unit) is not None
 

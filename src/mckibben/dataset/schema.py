@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import mmap
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from mckibben.dataset.matlab import global_heaps_are_valid
+from mckibben.dataset.hdf5_check import check_hdf5
 from mckibben.dataset.sheet import unreadable
 from mckibben.errors import DatasetError, FileError, Problem
 from mckibben.storage.files import atomic_write, check_seal, sealed
@@ -229,11 +228,7 @@ def load_netcdf(path: Path) -> xr.Dataset:
     """Read a NetCDF file; raises a `DatasetError` if it is missing or damaged."""
     try:
         check_seal(path)
-        with path.open("rb") as file:  # so that what the system objects to is told from what is wrong with the content
-            if file.seek(0, 2) > 0:
-                with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-                    if not global_heaps_are_valid(content):
-                        raise ValueError("a heap of strings is corrupt")
+        check_hdf5(path, "NetCDF", netcdf=True)
         return xr.load_dataset(path, engine="h5netcdf", decode_times=False).drop_encoding()
     except FileError as error:
         raise DatasetError(str(path), error.problems) from None

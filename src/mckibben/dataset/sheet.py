@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import DatasetError, Problem
+from mckibben.units import NUMBER
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,6 @@ def as_column(cells: Sequence[object]) -> list[str] | NDArray[np.float64]:
     return ["" if cell is None else str(cell) for cell in cells]
 
 
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:([.,'’\s])[0-9]{3})(?:\1[0-9]{3})*(?:[.,][0-9]*)?")
 _DIGITS = frozenset("0123456789+-eE \n")
 _NAMES = {".": "point", ",": "comma"}
@@ -154,9 +154,9 @@ def _wrong(text: str, decimal: DecimalSign, place: str) -> tuple[str, str]:
     other = "," if decimal.sign == "." else "."
     if not text:
         return "the cell is empty", ""
-    if _NUMBER.fullmatch(text.replace(decimal.sign, ".")) and other not in text:
+    if NUMBER.fullmatch(text.replace(decimal.sign, ".")) and other not in text:
         return ("", "") if np.isfinite(float(text.replace(",", "."))) else (f"{shown} is not a finite number", "")
-    if text.count(other) == 1 and decimal.sign not in text and _NUMBER.fullmatch(text.replace(other, ".")):
+    if text.count(other) == 1 and decimal.sign not in text and NUMBER.fullmatch(text.replace(other, ".")):
         if decimal.line is None:
             return f"{shown} has a decimal {_NAMES[other]}", f"use a decimal {_NAMES[decimal.sign]}"
         has = f"{shown} has a decimal {_NAMES[other]}, but {place} {decimal.line} a decimal {_NAMES[decimal.sign]}"

@@ -7,7 +7,7 @@ import io
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +19,9 @@ from mckibben.errors import DatasetError, Problem
 
 _DELIMITERS = (",", ";", "\t")
 _PREAMBLE = 60  # lines in which a header is looked for
+_MOST_COLUMNS = 4096
+_LONGEST_HEADER = 2**18  # characters of a line in which a header is looked for
+_JOINED = 20  # lines that a cell between quotation marks may have
 _NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
 _SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]*[\])])?|\S+")
 
@@ -41,9 +44,13 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTa
     else:
         raise DatasetError(source, [Problem("is empty" if not number else "has no header and no rows")])
 
+    if len(line) > _LONGEST_HEADER:
+        raise DatasetError(source, [_too_wide(f"{len(line)} characters", number)])
     lines, number = _header(line, stream, number, known)
     lines += islice(stream, max(0, 2 - len(lines)))
     delimiter = _delimiter(lines[0], known)
+    if (count := len(_split(lines[0], delimiter))) > _MOST_COLUMNS:
+        raise DatasetError(source, [_too_wide(f"{count} columns", number)])
     sheet = RawTable(header_line=number, comments=comments, delimiter=delimiter)
     if (numbers := _numbers(lines, stream, number, sheet)) is None:
         _cells(lines, stream, number, sheet)
@@ -55,12 +62,19 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTa
     return sheet
 
 
+def _too_wide(size: str, line: int) -> Problem:
+    remedy = f"give a file of at most {_MOST_COLUMNS} columns, with a header of at most {_LONGEST_HEADER} characters"
+    return Problem(f"the header has {size}", line=line, remedy=remedy)
+
+
 def _header(line: str, stream: io.StringIO, number: int, known: _Known) -> tuple[list[str], int]:
     """Lines read from the stream, from the header on, and the line number of the header."""
     if _score(line, _delimiter(line, known), known)[0]:
         return [line], number
     lines = [line, *islice(stream, _PREAMBLE)]
     for index, candidate in enumerate(lines):
+        if len(candidate) > _LONGEST_HEADER:
+            break
         delimiter = _delimiter(candidate, known)
         cells = _split(candidate, delimiter)
         if index and _score(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
@@ -92,16 +106,19 @@ def _score(header: str, delimiter: str, known: _Known) -> tuple[int, int]:
 def _split(line: str, delimiter: str) -> list[str]:
     """Cells of a line, stripped; none where it cannot be parsed."""
     try:
-        cells = next(_reader([line], delimiter), [])
+        return [cell.strip() for cell in _parsed([line], delimiter)[0]]
     except csv.Error:
         return []
-    return [cell.strip() for cell in cells]
 
 
-def _reader(lines: Iterator[str] | Sequence[str], delimiter: str) -> Iterator[list[str]]:
+def _parsed(lines: Sequence[str], delimiter: str) -> tuple[list[str], int]:
+    """Cells of the row that begins with the first line, and the number of its lines."""
     if delimiter == " ":
-        return ([word.strip('"') for word in _SPACED.findall(line)] for line in lines)
-    return csv.reader(lines, delimiter=delimiter)
+        return [word.strip('"') for word in _SPACED.findall(lines[0])], 1
+    if '"' not in lines[0]:
+        return lines[0].rstrip("\r\n").split(delimiter), 1
+    reader = csv.reader(lines, delimiter=delimiter)
+    return next(reader, []), reader.line_num
 
 
 def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -> list[RawColumn] | None:
@@ -135,22 +152,15 @@ def _numbers(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable)
 
 
 class _Row(NamedTuple):
-    """Row with its first and last line."""
+    """Row with its first line."""
 
     cells: list[str]
     line: int
-    last: int
 
 
 def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -> None:
     """Columns of any other file, and its corrupt rows."""
-    rows: list[_Row] = []
-    reader = _reader(chain(lines, stream), sheet.delimiter)
-    try:
-        rows.extend(_numbered(reader, first))
-    except csv.Error as error:
-        at = getattr(reader, "line_num", 0)
-        sheet.problems.append(Problem(f"cannot be read further: {error}", line=first + at - 1))
+    rows = list(_rows([*lines, *stream], first, sheet))
     if not rows:
         return
     header = [cell.strip() for cell in rows[0].cells]
@@ -164,16 +174,17 @@ def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -
             header = ["", *header]  # the numbers of the rows, which some programs write without a name
     good: list[_Row] = []
     for row in rows:
-        if len(row.cells) == len(header) and row.line == row.last:
-            good.append(row)
-            continue
         while len(row.cells) > len(header) and not row.cells[-1].strip():
             row.cells.pop()
-        wrong = _wrong(row, header, sheet.delimiter)
-        if wrong is None:
+        found, expected = len(row.cells), len(header)
+        if found == expected:
             good.append(row)
-        else:
-            sheet.corrupt.append(wrong)
+            continue
+        decimals = found > expected and sheet.delimiter == ","
+        remedy = "decimal commas need semicolons between the columns" if decimals else ""
+        message = f"has {found} cell{'s' if found != 1 else ''}, the header {expected}"
+        sheet.corrupt.append(Problem(message, line=row.line, remedy=remedy))
+    sheet.corrupt.sort(key=lambda problem: problem.line or 0)
     columns = list(zip(*(row.cells for row in good), strict=True)) or [()] * len(header)
     numbers = [row.line for row in good]
     units += [""] * (len(header) - len(units))
@@ -182,28 +193,23 @@ def _cells(lines: list[str], stream: io.StringIO, first: int, sheet: RawTable) -
     ]
 
 
-def _numbered(reader: Iterator[list[str]], first: int) -> Iterator[_Row]:
-    """Rows that are not blank."""
-    last = first - 1
-    for count, cells in enumerate(reader, 1):
-        line, last = last + 1, first - 1 + getattr(reader, "line_num", count)
-        if cells and ((cells[0] and not cells[0].isspace()) or "".join(cells).strip()):
-            yield _Row(cells, line, last)
-
-
-def _wrong(row: _Row, header: list[str], delimiter: str) -> Problem | None:
-    """Problem of a row: another number of cells than the header, or a quotation mark that joins rows."""
-    found, expected = len(row.cells), len(header)
-    if found != expected:
-        decimals = found > expected and delimiter == ","
-        remedy = "decimal commas need semicolons between the columns" if decimals else ""
-        through = f", and goes on to line {row.last}" if row.last > row.line else ""
-        message = f"has {found} cell{'s' if found != 1 else ''}, the header {expected}{through}"
-        return Problem(message, line=row.line, remedy=remedy)
-    inside = [line for cell in row.cells for line in cell.splitlines()[1:]] if row.last > row.line else []
-    if any(line.count(delimiter) >= expected - 1 > 0 for line in inside):
-        return Problem(f"a quotation mark makes one row of lines {row.line} to {row.last}", line=row.line)
-    return None
+def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
+    """Rows that are not blank; lines with a quotation mark that is not closed are corrupt, those after them not."""
+    at = width = 0
+    while at < len(lines):
+        try:
+            cells, count = _parsed(lines[at : at + _JOINED] if '"' in lines[at] else [lines[at]], sheet.delimiter)
+            inner = max((line.count(sheet.delimiter) for line in lines[at + 1 : at + count]), default=0)
+            if count > 1 and (inner >= width - 1 or len(cells) != width) and width:
+                raise csv.Error("a quotation mark is not closed")
+        except csv.Error as error:
+            count = 1
+            sheet.corrupt.append(Problem(f"cannot be read: {error}", line=first + at))
+        else:
+            if cells and ((cells[0] and not cells[0].isspace()) or "".join(cells).strip()):
+                width = width or len(cells)
+                yield _Row(cells, first + at)
+        at += count
 
 
 def _is_units(row: Sequence[str]) -> bool:
@@ -283,7 +289,9 @@ def decode(data: bytes, source: str) -> tuple[str, int]:
         )
     try:
         return whole.decode("utf-8"), len(data) - len(whole)
-    except UnicodeDecodeError:
+    except UnicodeDecodeError as error:
+        if error.end == len(whole) and error.reason == "unexpected end of data":  # cut off in a character
+            return whole.decode("utf-8", "replace"), len(data) - len(whole)
         return _decoded(whole, "cp1252", source), len(data) - len(whole)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import html_table, text_table
-from mckibben.errors import IdentificationError
+from mckibben.errors import IdentificationError, printable
 from mckibben.identification.intervals import (
     ForceIntervals,
     Interval,
@@ -52,7 +52,7 @@ class DatasetSummary:
     def of(cls, points: IsobaricDataset) -> DatasetSummary:
         """Summary of the points used."""
         attrs = points.table.attrs
-        return cls(str(attrs["specimen"]), str(attrs["source"]), tuple(points.pressures.tolist()))
+        return cls(printable(str(attrs["specimen"])), printable(str(attrs["source"])), tuple(points.pressures.tolist()))
 
 
 def domain_of(points: IsobaricDataset) -> Domain:

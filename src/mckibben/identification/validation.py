@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import html_table, text_table
-from mckibben.errors import IdentificationError, RangeError
+from mckibben.errors import IdentificationError, RangeError, printable
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
 from mckibben.identification.uncertainty import Bools
@@ -174,7 +174,7 @@ def validate(
                     outside=int(outside[mask].sum()),
                 )
             )
-    return Validation(tuple(errors), len(means) - len(points), str(means.table.attrs["specimen"]))
+    return Validation(tuple(errors), len(means) - len(points), printable(str(means.table.attrs["specimen"])))
 
 
 def hold_out(

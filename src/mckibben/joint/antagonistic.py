@@ -91,28 +91,13 @@ class AntagonisticJoint(eqx.Module):
     In all methods `pressures` is a pair of gauge pressures [Pa], (p1, p2), `angle` is in rad, and scalars and arrays
     broadcast; anything but a pair raises `RangeError`. Torque and stiffness are those of the muscles' laws; gravity
     belongs to the `Load`. Outside a muscle's domain `torque`, `stiffness`, `torque_and_stiffness`, `tensions` and
-    `forces` issue a `DomainWarning`, except inside `jax.jit`.
+    `forces` issue a `DomainWarning`, except inside `jax.jit`. Friction and creep act through internal states of the
+    muscles: `init_state`, `state_rate`, `update_state`, and `forces`, which contains them.
 
-    Friction and creep act through internal states of the muscles: `init_state`, `state_rate`, `update_state`, and
-    `forces`, which contains them.
+    Muscle 1, the antagonist, lengthens as the angle increases, muscle 2 shortens; the tendons are rigid by default.
 
-    Parameters
-    ----------
-    geometry
-        Path lengths of the muscles.
-    muscle1
-        Antagonist: lengthens as the angle increases.
-    muscle2
-        Agonist: shortens as the angle increases.
-    tendon
-        Connection of each muscle to its path; rigid by default.
-
-    Examples
-    --------
     >>> from mckibben import catalog
-    >>> from mckibben.units import bar
-    >>> knee = catalog.joint("knee-table-2")
-    >>> round(float(knee.stiffness(0.0, (3 * bar, 3 * bar))), 2)
+    >>> round(float(catalog.joint("knee-table-2").stiffness(0.0, (3e5, 3e5))), 2)
     71.93
     """
 
@@ -271,10 +256,7 @@ class AntagonisticJoint(eqx.Module):
     def closed_valve_stiffness(
         self, angle: ArrayLike, pressures: Pressures, *, polytropic_index: float = 1.0, atmosphere: float = 101325.0
     ) -> Float[Array, "..."]:
-        """Return the stiffness [N*m/rad] with valves closed at a state: p V^n is constant, V from the braid.
-
-        The polytropic index n is 1 for slow (isothermal), 1.4 for fast motion (adiabatic); `atmosphere` in Pa.
-        """
+        """Return the stiffness [N*m/rad] of closed valves: p V^n is constant, n 1 for slow, 1.4 for fast motion."""
         pressure1, pressure2 = pressure_pair(pressures)
         path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
         path1, path2 = self.geometry.path_lengths(angle)

@@ -8,7 +8,7 @@ pressure the stiffness is affine along that segment, so its extremes are at the 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, NoReturn, Protocol
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import jax
 import jax.numpy as jnp
@@ -17,32 +17,20 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 
 from mckibben.errors import RangeError, UnreachableError
-from mckibben.joint.geometry import Geometry, Pair, Pressures
-from mckibben.joint.tendon import RigidTendon, Tendon
+from mckibben.joint.geometry import Pair
+from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.units import deg
 
+if TYPE_CHECKING:
+    from mckibben.joint.antagonistic import AntagonisticJoint as Joint
+
 _SCANNED = 401
 _TOLERANCE = 1e-6  # relative, of a stiffness that was found
 _INSIDE = 1e-9  # distance from the ends of a segment, as a fraction: at the very end a muscle is slack
-
-
-class Joint(Protocol):
-    """Attributes of an `AntagonisticJoint` that its attainable set depends on."""
-
-    @property
-    def geometry(self) -> Geometry: ...
-    @property
-    def muscle1(self) -> Muscle: ...
-    @property
-    def muscle2(self) -> Muscle: ...
-    @property
-    def tendon(self) -> Tendon: ...
-    def contractions(self, angle: ArrayLike, pressures: Pressures) -> Pair: ...
-    def evaluate(self, angle: ArrayLike, pressures: Pressures) -> Pair: ...
 
 
 def torque_range(

@@ -51,12 +51,9 @@ class KneeGeometry(Geometry):
 
     Parameters
     ----------
-    joint_length
-        H [m], from the upper anchors of the muscles to the axis of the joint.
-    joint_radius
-        r [m], of the lower anchors of the muscles.
-    connector_length
-        L_u + L_d [m], between muscle and anchors.
+    joint_length, joint_radius, connector_length
+        H, from the upper anchors of the muscles to the axis; r, of the lower anchors; L_u + L_d, of the connectors;
+        [m].
 
     References
     ----------
@@ -65,10 +62,8 @@ class KneeGeometry(Geometry):
     Examples
     --------
     >>> knee = KneeGeometry(joint_length=0.37, joint_radius=0.03, connector_length=0.19)
-    >>> [round(float(length), 6) for length in knee.path_lengths(0.0)]
-    [0.18, 0.18]
-    >>> [round(float(arm), 6) for arm in knee.moment_arms(0.0)]
-    [0.03, 0.03]
+    >>> [round(float(length), 6) for length in (*knee.path_lengths(0.0), *knee.moment_arms(0.0))]
+    [0.18, 0.18, 0.03, 0.03]
     """
 
     joint_length: Length

@@ -24,12 +24,7 @@ class ChouLaw(PressureAffineLaw):
         F = p \frac{\pi d_0^2}{4} \left(\beta_1 (1-\varepsilon)^2 - \beta_2\right), \quad
         \beta_1 = \frac{3}{\tan^2\alpha_0}, \quad \beta_2 = \frac{1}{\sin^2\alpha_0}
 
-    Parameters
-    ----------
-    braid_angle, initial_diameter
-        Angle alpha0 [rad] between thread and axis, and diameter d0 [m], of the deflated muscle.
-    domain
-        Domain of the data behind it.
+    with the angle alpha0 [rad] between thread and axis, and the diameter d0 [m], of the deflated muscle.
 
     References
     ----------

@@ -71,10 +71,7 @@ class ExponentialLaw(PressureAffineLaw):
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         eps = jnp.asarray(contraction)
         decayed = exp(-self.decay * eps)
-        return (
-            self.a1 + self.b1 * eps + self.c1 * decayed,
-            self.a2 + self.b2 * eps + self.c2 * decayed,
-        )
+        return (self.a1 + self.b1 * eps + self.c1 * decayed, self.a2 + self.b2 * eps + self.c2 * decayed)
 
 
 class SarosiLaw(PressureAffineLaw):

@@ -31,8 +31,8 @@ _KNOT = 0.7  # knot spacing that minimises the largest distance between polygon 
 class Friction(eqx.Module):
     """Friction force [N] added to a muscle's law, positive while the muscle is stretched.
 
-    The state is explicit. Over a short move it is constant and the force is a function of the length alone; `project`
-    then updates it. No sign of a velocity appears, so nothing chatters and a muscle at rest sticks.
+    The state is explicit. Over a short move the force is a function of the length alone; `project` then updates it. No
+    sign of a velocity appears, so nothing chatters and a muscle at rest sticks.
     """
 
     @abc.abstractmethod

@@ -29,20 +29,11 @@ class ReppergerLaw(PressureAffineLaw):
         Stiffness [N] of the deflated muscle and its increase with pressure [N/Pa], per unit of contraction.
     rest
         Contraction eps0 [-] without force.
-    domain
-        Domain of the data behind it.
 
     References
     ----------
     D. Repperger, K. Johnson and C. Phillips, "A VSC position tracking system involving a large scale pneumatic muscle
     actuator", IEEE Conf. Decision and Control (1998) 4302-4307.
-
-    Examples
-    --------
-    >>> from mckibben.units import bar
-    >>> law = ReppergerLaw(k0=200.0, k1=300.0 / bar, rest=25 * percent)
-    >>> round(float(law.force(5 * percent, 6 * bar)), 1)
-    400.0
     """
 
     k0: float
@@ -77,8 +68,6 @@ class ReynoldsLaw(PressureAffineLaw):
         Contractile force [N] and its increase with pressure [N/Pa].
     k0, k1
         Stiffness [N] and its increase with pressure [N/Pa], per unit of contraction.
-    domain
-        Domain of the data behind it.
 
     References
     ----------
@@ -90,7 +79,6 @@ class ReynoldsLaw(PressureAffineLaw):
     The published muscle, made of a bicycle tube (179.2 + 1.39 P, 5.71 + 0.0307 P; N, mm, kPa); its length of 250 mm is
     our assumption:
 
-    >>> from mckibben.units import kPa, percent
     >>> law = ReynoldsLaw(f0=179.2, f1=1.39 / kPa, k0=5.71 * 250, k1=0.0307 * 250 / kPa)
     >>> round(float(law.force(10 * percent, 400 * kPa)), 1)
     285.4
@@ -135,8 +123,6 @@ class HuntLaw(ForceLaw):
         Pressure per force [Pa/N].
     largest
         eps_max [-], largest contraction, at 620 kPa.
-    domain
-        Domain of the data behind it.
 
     References
     ----------
@@ -146,10 +132,8 @@ class HuntLaw(ForceLaw):
     Examples
     --------
     >>> law = HuntLaw(p0=254.3 * kPa, c1=1.23 * kPa, c2=192 * kPa, largest=16 * percent)
-    >>> round(float(law.pressure_for(300.0, 0.0)) / kPa, 1)
-    363.6
-    >>> round(float(law.force(8 * percent, 600 * kPa)), 1)
-    168.9
+    >>> round(float(law.pressure_for(300.0, 0.0)) / kPa, 1), round(float(law.force(8 * percent, 600 * kPa)), 1)
+    (363.6, 168.9)
     """
 
     p0: float

@@ -30,7 +30,7 @@ class Domain(eqx.Module):
             ("contraction", self.contraction_min, self.contraction_max),
             ("pressure", self.pressure_min, self.pressure_max),
         ):
-            if isinstance(low, Real) and isinstance(high, Real) and low > high:
+            if isinstance(low, Real) and isinstance(high, Real) and not low <= high:
                 lower, upper = float(low), float(high)
                 raise RangeError(
                     f"Domain: {what} from {low:g} to {high:g}", lower=lower, upper=upper, remedy="swap them"

@@ -24,14 +24,10 @@ class TonduLopezLaw(PressureAffineLaw):
 
     Parameters
     ----------
-    braid_angle
-        Angle alpha0 [rad] between thread and axis of the deflated muscle.
-    initial_diameter
-        Diameter 2 r0 [m] of the deflated muscle.
+    braid_angle, initial_diameter
+        Angle alpha0 [rad] between thread and axis, and diameter 2 r0 [m], of the deflated muscle.
     end_factor
         k [-], 1 or more.
-    domain
-        Domain of the data behind it.
 
     References
     ----------
@@ -71,17 +67,8 @@ class TonduLopezVariableLaw(ForceLaw):
     .. math:: F = \pi r_0^2 \, p \left(a (1 - k(p)\,\varepsilon)^2 - b\right), \quad k(p) = a_k e^{-p/p_1} + b_k,
         \quad p_1 = 1\,\mathrm{bar}
 
-    Parameters
-    ----------
-    braid_angle, initial_diameter, domain
-        As for `TonduLopezLaw`.
-    end_rise, end_factor
-        a_k and b_k [-].
-
-    References
-    ----------
-    B. Tondu and P. Lopez, "Modeling and control of McKibben artificial muscle robot actuators", IEEE Control Systems
-    Magazine 20 (2000) 15-38; the pressure in bar in the exponent.
+    Parameters as for `TonduLopezLaw`, with a_k and b_k [-] as `end_rise` and `end_factor`; the source has the pressure
+    in bar in the exponent.
 
     Examples
     --------

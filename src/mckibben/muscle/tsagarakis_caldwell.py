@@ -19,13 +19,13 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
         F = (p - p_t) \left[\frac{\pi d_0^2}{4}\left(a x^2 - b\right)
             + \pi d_n t \left(2\sin\alpha - \frac{1}{\sin\alpha}\right) - \pi t^2\right]
 
-    with :math:`a = 3/\tan^2\alpha_0`, :math:`b = 1/\sin^2\alpha_0`, the cylinder's length over its initial one
-    :math:`x = 1 - \varepsilon/(1 - s)`, the braid angle :math:`\cos\alpha = x \cos\alpha_0` and the braid's diameter at
-    90 degrees :math:`d_n = d_0/\sin\alpha_0`. The ends are a fraction s of the muscle's length. Below the threshold
-    pressure p_t, due to rubber and static friction, there is no force.
+    with :math:`a = 3/\tan^2\alpha_0`, :math:`b = 1/\sin^2\alpha_0`, the cylinder's length over its initial one :math:`x
+    = 1 - \varepsilon/(1 - s)`, the braid angle :math:`\cos\alpha = x \cos\alpha_0` and the braid's diameter at 90
+    degrees :math:`d_n = d_0/\sin\alpha_0`. Below the threshold pressure p_t, due to rubber and static friction, there
+    is no force. NaN beyond the stretch at which the threads are straight. Without corrections it is Chou's law.
 
     The source gives its corrections as a procedure. This form, with one parameter for each, is ours; the term of the
-    wall is that of Chou and Hannaford. For hysteresis see `mckibben.muscle.MaxwellSlip`.
+    wall is that of Chou and Hannaford.
 
     Parameters
     ----------
@@ -37,8 +37,6 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
         t [m] of bladder and braid.
     end_share
         s [-], length of both ends over that of the muscle.
-    domain
-        Domain of the data behind it. NaN beyond the stretch at which the threads are straight.
 
     References
     ----------
@@ -48,12 +46,7 @@ class TsagarakisCaldwellLaw(PressureAffineLaw):
 
     Examples
     --------
-    Without corrections it is Chou's law:
-
     >>> from mckibben.units import bar, deg, mm
-    >>> law = TsagarakisCaldwellLaw(0.0, 25 * deg, 10 * mm, wall_thickness=0.0, end_share=0.0)
-    >>> round(float(law.force(0.0, 6 * bar)), 1)
-    386.3
     >>> law = TsagarakisCaldwellLaw(0.2 * bar, 25 * deg, 10 * mm, wall_thickness=1 * mm, end_share=0.1)
     >>> round(float(law.force(0.0, 6 * bar)), 1)
     306.0

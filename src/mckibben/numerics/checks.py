@@ -20,6 +20,7 @@ def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: 
             wrong = float(numbers[~right][0])
             raise RangeError(
                 f"{owner}: {name} is {wrong:g} {unit}".rstrip(),
+                field=name,
                 value=wrong,
                 lower=0.0,
                 unit=unit,
@@ -42,6 +43,7 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", **value
             wrong = float(numbers[~right][0])
             raise RangeError(
                 f"{owner}: {name} is {wrong:g}, outside {lower:g}..{upper:g} {unit}".rstrip(),
+                field=name,
                 value=wrong,
                 lower=lower,
                 upper=upper,
@@ -59,7 +61,8 @@ def check_kind(owner: str, **fields: tuple[object, type]) -> None:
         else:
             continue  # a placeholder of a transformation
         if not isinstance(value, kind):
-            raise RangeError(f"{owner}: {name} is {given}", remedy=f"give a {kind.__name__}; are arguments swapped?")
+            remedy = f"give a {kind.__name__}; are arguments swapped?"
+            raise RangeError(f"{owner}: {name} is {given}", field=name, value=value, remedy=remedy)
 
 
 def _known(value: object) -> NDArray[np.float64]:

@@ -174,10 +174,7 @@ def _sincos_polynomial(x: Array) -> tuple[Array, Array]:
     cosine = 1 - (z / 2 - z * z * _polynomial(z, k.cos))
     swap = (quadrant & 1) != 0
     sine, cosine = jnp.where(swap, cosine, sine), jnp.where(swap, sine, cosine)
-    return (
-        jnp.where((quadrant & 2) != 0, -sine, sine),
-        jnp.where(((quadrant + 1) & 2) != 0, -cosine, cosine),
-    )
+    return (jnp.where((quadrant & 2) != 0, -sine, sine), jnp.where(((quadrant + 1) & 2) != 0, -cosine, cosine))
 
 
 def _low_bits(n: Array, k: _Constants) -> Array:

@@ -41,16 +41,9 @@ class PerfectSensors(Sensors):
 class SampledSensors(Sensors):
     """Quantised encoder, white pressure noise and a delay.
 
-    Parameters
-    ----------
-    encoder
-        Resolution of the encoder [rad]; the angle is rounded to the nearest step. 0 for none.
-    pressure_noise
-        Standard deviation [Pa] of the normal, independent noise of each pressure.
-    delay
-        Delay in control periods, 0 to 1; in between, samples are interpolated.
-    seed
-        Seed of the noise.
+    The angle is rounded to the nearest step of the encoder [rad], 0 for none; the noise of each pressure is normal,
+    with a standard deviation [Pa] and a seed; the delay is 0 to 1 control periods, in between which samples are
+    interpolated.
     """
 
     encoder: AngleStep = 0.0

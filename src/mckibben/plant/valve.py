@@ -50,10 +50,7 @@ _SLOWEST = 10.0  # s: a slower valve is one in milliseconds
 class FirstOrderValve(Valve):
     """First-order lag, p(t) = u + (p(0) - u) exp(-t / T) under a constant command u.
 
-    Parameters
-    ----------
-    time_constant
-        T [s], at which 63 % of a step are done; 20 to 100 ms for fast proportional valves on a small muscle.
+    T [s] is 20 to 100 ms for fast proportional valves on a small muscle.
     """
 
     time_constant: PositiveTime

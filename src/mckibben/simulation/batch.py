@@ -31,6 +31,7 @@ from mckibben.simulation.problem import (
     sampling_times,
     split_problem,
 )
+from mckibben.simulation.resolution import check_frequencies
 from mckibben.simulation.result import OUTCOMES, Outcome, attributes, html_table, outcomes
 
 if TYPE_CHECKING:
@@ -48,11 +49,8 @@ VECTOR = 16
 class Batch:
     """Results of many runs, in their order; ``batch["angle_rmse"]`` is a column as an array.
 
-    Attributes
-    ----------
-    table
-        Along ``run``: the metrics (SI), ``outcome`` (a code; its attribute ``flag_meanings`` lists the names) and the
-        values of `over`. Along ``run`` and ``time`` the kept parts of the trajectories.
+    `table` has along ``run`` the metrics (SI), ``outcome`` (a code; its attribute ``flag_meanings`` lists the names)
+    and the values of `over`; along ``run`` and ``time`` the kept parts of the trajectories.
     """
 
     table: xr.Dataset
@@ -125,21 +123,15 @@ def simulate_many(
 
     Parameters
     ----------
-    plant, controller, reference, duration, control_period, substeps
+    plant, controller, reference, duration, control_period, substeps, initial, precision
         As for `simulate`. The feasibility of each reference is not checked; see `check_reference`.
     over
         Arrays by the dotted name of a leaf, such as ``{"plant.load.mass2": [0.4, 0.5]}``; the names begin with
         ``plant``, ``controller`` or ``reference``.
-    initial
-        The initial state, or `AtRest`; at rest at the first desired angle unless given.
     metrics
-        Which to compute. ``coupling`` costs a second run from the step of the stiffness on.
-    keep
-        Names of `Trajectory` to keep over time.
-    every
-        Time between two kept values [s]; the control period unless given.
-    precision
-        Bits of the floats: 64, or 32 for half the time and some 6 digits.
+        Metrics to compute. ``coupling`` costs a second run from the step of the stiffness on.
+    keep, every
+        Names of `Trajectory` to keep over time, and the time between two values [s], by default the control period.
     chunk
         Runs computed together: 256 unless given, fewer where that would leave cores idle. Answers of different chunk
         sizes agree to 1e-12; they do not depend on the number of runs or workers.
@@ -162,10 +154,9 @@ def simulate_many(
     >>> knee = catalog.joint("knee-table-2")
     >>> plant = JointPlant(knee, catalog.load("knee-table-2"), FirstOrderValve(0.02))
     >>> control = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=knee)
-    >>> batch = simulate_many(plant, control, Reference(angle=Sine(0.03, 1.0), stiffness=72.5), duration=0.5,
-    ...                       over={"plant.load.mass2": np.linspace(0.3, 0.7, 3)}, metrics=["angle_rmse"])
-    >>> [outcome.name for outcome in batch.outcomes]
-    ['COMPLETED', 'COMPLETED', 'COMPLETED']
+    >>> simulate_many(plant, control, Reference(angle=Sine(0.03, 1.0), stiffness=72.5), duration=0.5,
+    ...               over={"plant.load.mass2": np.linspace(0.3, 0.7, 3)}, metrics=["angle_rmse"])
+    <Batch: 3 runs (3 completed), metrics angle_rmse>
     """
     times = sampling_times(duration, control_period, substeps)
     stride = _stride(every, control_period, times.size)
@@ -174,11 +165,14 @@ def simulate_many(
     asked = _Asked(substeps, tuple(metrics), tuple(keep), stride, float_type(precision).name)
 
     lanes, shared, count = split_problem(plant, controller, reference, initial, over or {})
+    for part in (lanes, shared):
+        if part is not None:
+            check_frequencies(part.reference, control_period)
     if lanes is None or count is None:
         raise ParameterError(
             "all runs are the same", remedy="give an array in place of a number, or use `simulate` for one run"
         )
-    size = _chunk_size(chunk, count, _workers(workers))
+    size = _chunk_size(chunk, count, cores() if workers is None else _check_count("workers", workers))
     period = jnp.asarray(control_period, float)
 
     def compute(piece: slice) -> dict[str, NDArray]:
@@ -292,19 +286,16 @@ def _stride(every: float | None, control_period: float, periods: int) -> int:
     return stride
 
 
-def _workers(workers: int | None) -> int:
-    if workers is None:
-        return cores()
-    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-        raise SimulationError(f"{workers} workers", value=workers, remedy="give an integer from 1 up")
-    return workers
+def _check_count(what: str, count: int) -> int:
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        raise SimulationError(f"{count} {what}", value=count, remedy="give an integer from 1 up")
+    return count
 
 
 def _chunk_size(chunk: int | None, count: int, workers: int) -> int:
     """Runs per chunk: a few hundred, fewer where that leaves cores idle."""
     if chunk is None:
         chunk = CHUNK if jax.default_backend() == "cpu" else ON_ACCELERATOR
-    if isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1:
-        raise SimulationError(f"{chunk} runs per chunk", value=chunk, remedy="give an integer from 1 up")
+    _check_count("runs per chunk", chunk)
     even = -(-count // workers)
     return min(chunk, max(VECTOR, -(-even // VECTOR) * VECTOR))

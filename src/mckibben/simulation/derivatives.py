@@ -37,6 +37,7 @@ from mckibben.simulation.problem import (
     sampling_times,
     split_problem,
 )
+from mckibben.simulation.resolution import check_frequencies
 
 _FEW = 10  # up to so many parameters forward differentiation is faster
 _LANES = 8  # runs computed together: one vector of 64-bit numbers
@@ -51,14 +52,9 @@ class Mode(enum.Enum):
 
 @dataclass(frozen=True, repr=False)
 class Derivatives:
-    """Metrics and their derivatives.
+    """Metrics by name, SI, and by metric and parameter their derivatives, in the shape of the parameter.
 
-    Attributes
-    ----------
-    values
-        The metrics by name, SI; shape (runs,) where runs differ.
-    gradients
-        By metric, then by parameter: the derivative in SI, in the shape of the parameter, after that of the runs.
+    Where runs differ, shape (runs,) comes first.
     """
 
     values: dict[str, NDArray[np.float64]]
@@ -90,7 +86,7 @@ def differentiate(
 
     Parameters
     ----------
-    plant, controller, reference, duration, control_period, substeps, initial
+    plant, controller, reference, over, duration, control_period, substeps, initial
         As for `simulate_many`; arrays in place of numbers, or `over`, give derivatives at many points at once.
     parameters
         Dotted names of floats such as "plant.load.mass2", "controller.position.kp", "reference.angle.amplitude".
@@ -105,24 +101,15 @@ def differentiate(
         If there is no such number, or it is an integer.
     SimulationError
         If an argument is of the wrong type, the times do not fit together, or a metric is not known.
-
-    Examples
-    --------
-    >>> from mckibben import catalog, PID, FirstOrderValve, JointPlant, PositionStiffnessControl, Reference, Sine
-    >>> knee = catalog.joint("knee-table-2")
-    >>> plant = JointPlant(knee, catalog.load("knee-table-2"), FirstOrderValve(0.02))
-    >>> control = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=knee)
-    >>> reference = Reference(angle=Sine(0.03, 1.0), stiffness=72.5)
-    >>> some = ["controller.position.ki", "plant.load.mass2", "plant.joint.muscle1.law.c1"]
-    >>> found = differentiate(plant, control, reference, some, duration=0.5)
-    >>> bool(found.gradients["angle_rmse"]["controller.position.ki"] < 0)  # more integral action, less error
-    True
     """
     check_names("metric", metrics, Metrics._fields)
     if isinstance(parameters, str):
         raise ParameterError(f"{parameters!r} is a text, not a list", value=parameters, remedy="give a list of names")
     times = sampling_times(duration, control_period, substeps)
     lanes, shared, count = split_problem(plant, controller, reference, initial, over or {})
+    for part in (lanes, shared):
+        if part is not None:
+            check_frequencies(part.reference, control_period)
     numbers = select_leaves(_whole(lanes, shared)._asdict(), parameters)
     for name, leaf in numbers.items():
         if not eqx.is_inexact_array(leaf):

@@ -15,14 +15,7 @@ from jaxtyping import Array, ArrayLike
 from mckibben.control.base import Controller, Setpoint
 from mckibben.numerics.compiled import compiled_as_given
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.metrics import (
-    SETTLING_PART,
-    Change,
-    MetricAccumulator,
-    Metrics,
-    last_change,
-    trajectory,
-)
+from mckibben.simulation.metrics import SETTLING_PART, Change, MetricAccumulator, Metrics, last_change, trajectory
 
 
 class Record(NamedTuple):
@@ -45,12 +38,7 @@ def initial_loop(plant: JointPlant, controller: Controller, initial: PlantState)
 
 
 def control_period(
-    plant: JointPlant,
-    controller: Controller,
-    state: LoopState,
-    setpoint: Setpoint,
-    period: ArrayLike,
-    substeps: int,
+    plant: JointPlant, controller: Controller, state: LoopState, setpoint: Setpoint, period: ArrayLike, substeps: int
 ) -> tuple[LoopState, Record]:
     """One control period: the controller's step, then the plant under the constant commands."""
     plant_state, controller_state = state

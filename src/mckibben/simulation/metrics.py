@@ -117,13 +117,11 @@ class Metrics(NamedTuple):
 
     Attributes
     ----------
-    angle_rmse, angle_max
-        Root mean square and largest absolute error of the angle [rad].
-    stiffness_rmse, stiffness_max
-        The same of the stiffness [N*m/rad].
+    angle_rmse, angle_max, stiffness_rmse, stiffness_max
+        Root mean square and largest absolute error of angle [rad] and stiffness [N*m/rad].
     stiffness_ripple
-        Root mean square of the stiffness error about its mean over the run [N*m/rad]: without the constant error of a
-        wrong force law; at a constant setpoint, the effect of motion on the stiffness.
+        Root mean square of the stiffness error about its mean over the run [N*m/rad]: at a constant setpoint, the
+        effect of motion on the stiffness, without the constant error of a wrong force law.
     stiffness_settling
         Time from the last change of the desired stiffness (or from the start, if it never changes) until the stiffness
         enters the settling band for good [s]. NaN if it is not inside for at least the last tenth of the time since the
@@ -135,10 +133,8 @@ class Metrics(NamedTuple):
         Root mean square error of the controller's stiffness estimate [N*m/rad]; NaN if it has none.
     time_saturated, time_slack, time_outside_domain, time_overloaded
         Time with a command at a pressure limit, a muscle slack, outside its domain, above its rated force [s].
-    excursion_max
-        Largest distance of a contraction from its domain [-].
-    force_max
-        The largest tension [N].
+    excursion_max, force_max
+        Largest distance of a contraction from its domain [-], and largest tension [N].
     air
         Air taken in by the muscles, as a volume at atmospheric pressure [m^3]; air let out is lost.
     """

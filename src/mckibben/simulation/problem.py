@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import SimulationError
-from mckibben.numerics.batching import lanes_of, recheck, with_leaves
+from mckibben.numerics.batching import lanes_of, named_leaves, recheck, with_leaves
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
@@ -62,6 +64,7 @@ def split_problem(
     if over:  # else each object has checked its values when it was made
         problem = SimulationProblem(**with_leaves(problem._asdict(), over))
         recheck(problem)
+    _check_numbers(problem)
     count, varying = lanes_of(problem)
     return (None, numeric(problem), None) if count is None else (*eqx.partition(numeric(problem), varying), count)
 
@@ -83,7 +86,24 @@ def _check_types(problem: SimulationProblem) -> None:
             wanted = " or ".join(kind.__name__ for kind in types)
             swapped = [other for other, kinds in _TYPES.items() if isinstance(value, kinds)]
             hint = f"; it looks like the {swapped[0]}: are arguments swapped?" if swapped else ""
-            raise SimulationError(f"{name} is {given}", value=value, remedy=f"give a {wanted}{hint}")
+            raise SimulationError(f"{name} is {given}", field=name, value=value, remedy=f"give a {wanted}{hint}")
+
+
+def _check_numbers(problem: SimulationProblem) -> None:
+    """Raise if a number is NaN, other than in a start at rest, where it stands for the default."""
+    trees = problem._asdict()
+    if isinstance(problem.initial, AtRest):
+        del trees["initial"]
+    if any(_has_nan(leaf) for leaf in jax.tree.leaves(trees)):
+        name, leaf = next((name, leaf) for name, leaf in named_leaves(trees).items() if _has_nan(leaf))
+        raise SimulationError(f"{name} is not a number", field=name, value=leaf, remedy="give a finite number")
+
+
+def _has_nan(leaf: Any) -> bool:
+    if isinstance(leaf, float):
+        return math.isnan(leaf)
+    known = isinstance(leaf, np.ndarray | jax.Array) and not isinstance(leaf, jax.core.Tracer)
+    return known and bool(np.isnan(np.asarray(leaf, float)).any())
 
 
 def check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:
@@ -133,9 +153,11 @@ def sampling_times(duration: float, period: float, substeps: int = 1) -> NDArray
     """Start times [s] of the control periods in a duration; raises as `sampled` does, and for wrong `substeps`."""
     if isinstance(substeps, bool) or not isinstance(substeps, int) or substeps < 1:
         raise SimulationError(f"substeps is {substeps!r}", value=substeps, remedy="give an integer from 1 up")
-    for name, value in (("duration", duration), ("control period", period)):
-        if not (math.isfinite(value) and value > 0):
-            raise SimulationError(f"the {name} is {value:g} s", value=value, unit="s", remedy="give a positive time")
+    for name, value in (("duration", duration), ("control_period", period)):
+        if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
+            given = f"{value:g} s" if isinstance(value, Real) else repr(value)
+            text = f"the {name.replace('_', ' ')} is {given}"
+            raise SimulationError(text, field=name, value=value, lower=0.0, unit="s", remedy="give a positive time")
     periods = whole_periods(duration, period)
     if periods is None:
         raise SimulationError(

@@ -236,13 +236,17 @@ class Result:
         """The outcome as a sentence, with the time saturated, slack or outside the domain."""
         columns, sentence, times = self.columns, self.outcome.value, self.times
         if self.outcome is Outcome.DIVERGED:
-            finite = np.flatnonzero(np.isfinite(columns["angle"]))
-            return f"{sentence} after {times[finite[-1]] if finite.size else 0.0:.4g} s"
+            # Pressures within limits cannot drive the true motion to infinity.
+            last = max(np.flatnonzero(np.isfinite(columns["angle"])), default=0)
+            commanded = np.isfinite(columns["command1"][last]) and np.isfinite(columns["command2"][last])
+            cause = "too few substeps for this plant" if commanded else "commands of the controller that are not finite"
+            return f"{sentence} after {times[last]:.4g} s; likely cause: {cause}"
+        peak = max(columns["force1"].max(), columns["force2"].max())
         spans = [
             f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"
             for what, mask in (
                 (_outside(columns), columns["outside_domain"]),
-                (f"above the rated force (up to {_peak(columns):.4g} N)", columns["overloaded"]),
+                (f"above the rated force (up to {peak:.4g} N)", columns["overloaded"]),
                 ("saturated", columns["saturated"]),
                 ("slack", columns["slack"]),
             )
@@ -257,11 +261,7 @@ class Result:
         return xr.Dataset(
             {name: ("time", value, attributes(name)) for name, value in self.columns.items()},
             coords={"time": ("time", self.times, {"units": "s", "long_name": "time"})},
-            attrs={
-                "control_period": self.control_period,
-                "scenario": self.scenario,
-                "outcome": self.outcome.name,
-            },
+            attrs={"control_period": self.control_period, "scenario": self.scenario, "outcome": self.outcome.name},
         )
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
@@ -321,10 +321,6 @@ def _outside(columns: Mapping[str, np.ndarray]) -> str:
         else f"pressure {pressures.min():.3g}..{pressures.max():.3g} bar"
     )
     return f"outside the domain ({how_far})"
-
-
-def _peak(columns: Mapping[str, np.ndarray]) -> float:
-    return float(max(columns["force1"].max(), columns["force2"].max()))
 
 
 def attributes(name: str) -> dict[str, str]:

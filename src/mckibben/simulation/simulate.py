@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, ReachabilityWarning, SimulationError
+from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import solve_static_and_range
 from mckibben.numerics.batching import cast, named_leaves
 from mckibben.numerics.compiled import compiled, compiled_batch, numeric
@@ -31,6 +32,7 @@ from mckibben.simulation.problem import (
     split_problem,
     without_last_change,
 )
+from mckibben.simulation.resolution import check_frequencies, check_substeps
 from mckibben.simulation.result import BAND, Columns, Result
 from mckibben.units import deg
 
@@ -39,15 +41,10 @@ _ROUNDING = 1e-6  # N*m/rad
 
 @dataclass(frozen=True, repr=False)
 class Feasibility:
-    """A reference compared with the attainable stiffness at each control period.
+    """A reference compared with the attainable stiffness at each control period: [s], [rad], [N*m/rad].
 
-    Attributes
-    ----------
-    times, desired_angle, desired_stiffness
-        Shape (periods,): [s], [rad], [N*m/rad].
-    lowest, highest
-        The attainable stiffness at the desired angle while the muscles balance gravity [N*m/rad]; NaN where no
-        pressures within limits hold the angle.
+    The attainable stiffness is that at the desired angle while the muscles balance gravity; NaN where no pressures
+    within limits hold the angle.
     """
 
     times: NDArray[np.float64]
@@ -147,16 +144,14 @@ def simulate(
     ----------
     plant, controller, reference
         The joint with its load and valves, its controller, and the desired angle and stiffness.
-    duration
-        Of the run [s]; a multiple of the control period.
-    control_period
-        The time between two steps of the controller [s].
+    duration, control_period
+        Time of the run, a multiple of that between two steps of the controller [s].
     substeps
         Integration steps per control period.
     initial
         The initial state, or `AtRest`; at rest at the first desired angle, at mid co-contraction, unless given.
     precision
-        Bits of the floats in the run: 64, or 32 for some 6 digits.
+        Bits of the floats in the run: 64, or 32 for half the time and some 6 digits.
     scenario
         Text to store with the result.
 
@@ -168,7 +163,8 @@ def simulate(
     Raises
     ------
     SimulationError
-        If an argument is of the wrong type, or the times do not fit together.
+        If an argument is of the wrong type, a number is NaN, the times do not fit together, a frequency of the
+        reference is at or above half the control rate, or the plant needs more substeps.
     UnreachableError, RangeError
         If no pressures hold the joint at the start, or a muscle would leave its domain there.
     """
@@ -204,6 +200,7 @@ def checked_run(
     times = sampling_times(duration, control_period, substeps)
     kind = float_type(precision)
     lanes, problem, _ = split_problem(plant, controller, reference, initial, {})
+    check_frequencies(reference, control_period)
     if lanes is not None:
         varying = ", ".join(named_leaves(lanes._asdict()))
         raise ParameterError(f"{varying}: an array in place of a number", remedy="use `simulate_many` for many runs")
@@ -215,6 +212,7 @@ def checked_run(
     result = _episode_result(*parts, control_period, substeps, known=band, scenario=scenario)  # computes meanwhile
     if not checked.exists:
         _raise_why(plant, initial, float(checked.setpoints.angle[0]))
+    check_substeps(plant, checked.setpoints.angle, checked.setpoints.stiffness, control_period, substeps)
     return CheckedRun(result, Feasibility(times, *(np.asarray(x) for x in (*checked.setpoints, *checked.band))))
 
 
@@ -276,8 +274,11 @@ def _episode_result(
     computed: list[tuple[tuple[str, ...], Callable[[], dict[str, Any]]]] = [
         (Trajectory._fields, derived),
         (("angle_without_step",), without_step),
-        (("friction_torque",), lambda: {"friction_torque": _friction_torque(plant, state)}),
-        (("creep_torque",), lambda: {"creep_torque": _creep_torque(plant, state)}),
+        (("friction_torque",), lambda: {"friction_torque": _friction_torque(plant.joint, *state[:4])}),
+        (
+            ("creep_torque",),
+            lambda: {"creep_torque": _creep_torque(plant.joint, state.angle, state.pressures, state.muscles)},
+        ),
     ]
     names = (*Trajectory._fields, *known, *telemetry)
     return Result(Columns(names, immediate, computed), control_period, scenario=scenario)
@@ -307,14 +308,8 @@ def _check_start(problem: SimulationProblem, times: ArrayLike) -> _Checked:
     return _Checked(setpoints, start, found.exists, (lowest[1:], highest[1:]))
 
 
-@compiled
-def _friction_torque(plant: JointPlant, state: PlantState) -> Array:
-    return plant.joint.friction_torque(state.angle, state.velocity, state.pressures, state.muscles)
-
-
-@compiled
-def _creep_torque(plant: JointPlant, state: PlantState) -> Array:
-    return plant.joint.creep_torque(state.angle, state.pressures, state.muscles)
+_friction_torque = compiled(AntagonisticJoint.friction_torque)
+_creep_torque = compiled(AntagonisticJoint.creep_torque)
 
 
 def _raise_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:

@@ -1,0 +1,72 @@
+"""Files that claim much, and rows that a mark in one of them must not take away."""
+
+import io
+import time
+
+import openpyxl
+import pytest
+
+from mckibben.dataset import read_dataset
+from mckibben.errors import DatasetError, McKibbenWarning
+from mckibben.study.scenario.reference import read_samples
+
+HEADER = "pressure_bar,contraction_percent,force_N"
+ROWS = [f"{1 + i % 5},{i / 10:g},{i}.5" for i in range(40)]
+SECONDS = 5.0
+
+
+def refused(path, **more):
+    start = time.process_time()
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path, **more)
+    assert time.process_time() - start < SECONDS
+    return caught.value.problems[0]
+
+
+@pytest.mark.parametrize("line", [0, 2, 38])
+@pytest.mark.parametrize("place", ["start", "end"])
+def test_a_stray_quotation_mark_takes_its_own_row_alone(put, line, place):
+    rows = ROWS.copy()
+    rows[line] = f'"{rows[line]}' if place == "start" else rows[line].replace(",", ',"', 2).replace(',"', ",", 1)
+    path = put("\n".join([HEADER, *rows]) + "\n")
+    with pytest.warns(McKibbenWarning, match="1 of 40 rows"):
+        data = read_dataset(path, on_corrupt="report")
+    assert data.force.tolist() == [i + 0.5 for i in range(40) if i != line]
+
+
+def test_a_text_between_quotation_marks_may_have_two_lines(put):
+    text = "\n".join([f"{HEADER},note", '1,0,80,"two\nlines"', "2,0,90,one", "3,0,95,x"])
+    assert read_dataset(put(text)).force.tolist() == [80, 90, 95]
+
+
+def test_a_header_of_thousands_of_columns_is_refused_at_once(put):
+    many = ",".join(f"c{i}" for i in range(80_000))
+    assert refused(put(f"{HEADER},{many}\n{'1,' * 80_002}1\n")).line == 1
+    assert refused(put(f"{HEADER},{','.join('abcd' * 1200)}\n1,2,3\n")).line == 1
+    assert refused(put(f"{HEADER},{'x' * 5_000_000}\n1,2,3,4\n")).line == 1
+    assert refused(put(f"{'x in ' * 30_000}\n1\n")).message
+
+
+def test_a_cell_in_the_last_column_of_a_sheet_is_refused(put):
+    book, stream = openpyxl.Workbook(), io.BytesIO()
+    book.active.append(HEADER.split(","))
+    book.active.append([1, 2, 3])
+    book.active["XFD3"] = 1
+    book.save(stream)
+    problem = refused(put(stream.getvalue(), "rig.xlsx"))
+    assert problem.line == 3
+    assert "columns" in problem.message
+
+
+def test_a_file_cut_off_in_a_character_is_utf_8_up_to_there(put):
+    content = "\n".join([f"{HEADER},note", *(f"{row},ü" for row in ROWS)]).encode()[:-1]
+    assert len(read_dataset(put(content))) == 40
+
+
+@pytest.mark.parametrize("text", ["1_0", "１", "0x1", "infinity"])
+def test_numbers_are_those_that_people_write(put, text):
+    problem = refused(put(f"{HEADER}\n{text},0,80\n2,0,90\n"))
+    assert (problem.line, problem.field) == (2, "pressure_bar")
+    table = put(f"time_s,angle_deg\n0,1\n1,{text}\n", "samples.csv")
+    with pytest.raises(ValueError, match="line 3"):
+        read_samples(table, "angle", "deg")

@@ -1,0 +1,134 @@
+"""What a run cannot resolve is refused before it: fast references, stiff plants, numbers that are none."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mckibben import (
+    PID,
+    Domain,
+    FirstOrderValve,
+    JointPlant,
+    Multisine,
+    PositionStiffnessControl,
+    Reference,
+    Result,
+    Sine,
+    catalog,
+    differentiate,
+    simulate,
+    simulate_many,
+)
+from mckibben.errors import RangeError, SimulationError
+from mckibben.simulation import Outcome
+from mckibben.simulation.resolution import STABILITY_LIMIT, check_substeps, fastest_mode
+
+KNEE, LOAD = catalog.joint("knee-table-2"), catalog.load("knee-table-2")
+PLANT = JointPlant(KNEE, LOAD, FirstOrderValve(0.02))
+CONTROL = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=KNEE)
+REFERENCE = Reference(angle=0.0, stiffness=72.5)
+
+
+@pytest.mark.parametrize("frequency", [500.0, 1000.0])
+def test_a_sine_at_or_above_half_the_control_rate_is_refused(frequency):
+    reference = Reference(angle=Sine(0.03, frequency), stiffness=72.5)
+    with pytest.raises(SimulationError) as caught:
+        simulate(PLANT, CONTROL, reference, duration=0.1)
+    assert (caught.value.field, caught.value.value, caught.value.upper) == (
+        "reference.angle.frequency",
+        frequency,
+        500.0,
+    )
+
+
+@pytest.mark.parametrize(
+    "run",
+    [
+        lambda reference: simulate_many(PLANT, CONTROL, reference, over={"plant.load.mass2": [0.4, 0.5]}, duration=0.1),
+        lambda reference: differentiate(PLANT, CONTROL, reference, ["plant.load.mass2"], duration=0.1),
+    ],
+)
+def test_so_is_one_of_a_multisine_in_many_runs_and_in_derivatives(run):
+    with pytest.raises(SimulationError) as caught:
+        run(Reference(angle=0.0, stiffness=Multisine((1.0, 1.0), (2.0, 700.0), offset=72.5)))
+    assert caught.value.field == "reference.stiffness.frequencies.1"
+
+
+def test_a_frequency_that_varies_over_runs_is_checked_in_each():
+    with pytest.raises(SimulationError) as caught:
+        simulate_many(PLANT, CONTROL, Reference(angle=Sine(0.03, np.array([1.0, 600.0])), stiffness=72.5), duration=0.1)
+    assert caught.value.value == 600.0
+
+
+def heavily_damped(damping):
+    return dataclasses.replace(PLANT, load=dataclasses.replace(LOAD, damping=damping))
+
+
+def test_a_plant_too_stiff_for_its_substeps_is_refused_with_the_number_that_would_do():
+    with pytest.raises(SimulationError) as caught:
+        simulate(heavily_damped(1000.0), CONTROL, REFERENCE, duration=0.05)
+    assert (caught.value.field, caught.value.value) == ("substeps", 4)
+    result = simulate(heavily_damped(1000.0), CONTROL, REFERENCE, duration=0.05, substeps=int(caught.value.lower))
+    assert result.outcome is not Outcome.DIVERGED
+
+
+def test_the_mode_is_that_of_damping_over_inertia_or_of_the_spring():
+    inertia = float(LOAD.total_inertia)
+    assert fastest_mode(heavily_damped(1000.0), [0.0], [72.5]) == pytest.approx(1000.0 / inertia, rel=1e-3)
+    undamped = fastest_mode(heavily_damped(0.0), [0.0], [72.5])
+    assert undamped == pytest.approx(np.sqrt((72.5 + float(LOAD.gravity_moment)) / inertia))
+
+
+def test_the_limit_is_that_of_the_runge_kutta_method():
+    damping = STABILITY_LIMIT / 0.25e-3 * float(LOAD.total_inertia)
+    check_substeps(heavily_damped(0.99 * damping), [0.0], [72.5], 1e-3, 4)
+    with pytest.raises(SimulationError) as caught:
+        check_substeps(heavily_damped(1.01 * damping), [0.0], [72.5], 1e-3, 4)
+    assert caught.value.lower == 5
+
+
+@pytest.mark.parametrize(
+    ("field", "plant", "control", "reference"),
+    [
+        ("plant.load.gravity", dataclasses.replace(PLANT, load=dataclasses.replace(LOAD, gravity=np.nan)), None, None),
+        ("controller.position.kp", None, dataclasses.replace(CONTROL, position=PID(np.nan, 1.0, 1.0)), None),
+        ("reference.stiffness.value", None, None, Reference(angle=0.0, stiffness=np.nan)),
+        ("reference.angle.amplitude", None, None, Reference(angle=Sine(np.nan, 1.0), stiffness=72.5)),
+    ],
+)
+def test_a_number_that_is_none_is_named(field, plant, control, reference):
+    with pytest.raises(SimulationError) as caught:
+        simulate(plant or PLANT, control or CONTROL, reference or REFERENCE, duration=0.1)
+    assert caught.value.field == field
+
+
+@pytest.mark.parametrize("duration", ["1 s", None, np.nan, -1.0])
+def test_a_duration_that_is_no_time_is_named(duration):
+    with pytest.raises(SimulationError) as caught:
+        simulate(PLANT, CONTROL, REFERENCE, duration=duration)
+    assert caught.value.field == "duration"
+
+
+def test_parts_of_the_two_loops_are_told_apart():
+    for field, parts in {
+        "model": {"position": PID(1.0, 1.0, 1.0), "model": LOAD},
+        "position": {"position": 1.0, "model": KNEE},
+    }.items():
+        with pytest.raises(RangeError) as caught:
+            PositionStiffnessControl(stiffness=PID(1.0, 1.0, 1.0), **parts)
+        assert caught.value.field == field
+
+
+def test_a_domain_has_numbers():
+    with pytest.raises(RangeError):
+        Domain(contraction_min=np.nan)
+
+
+@pytest.mark.parametrize(("command", "cause"), [(3e5, "substeps"), (np.nan, "controller")])
+def test_a_diverged_run_names_the_likely_cause(command, cause):
+    columns = {"angle": np.array([0.0, 0.1, np.nan]), "command1": np.array([3e5, command, np.nan])}
+    columns["command2"] = columns["command1"]
+    text = Result(columns, 1e-3, outcome=Outcome.DIVERGED).describe()
+    assert cause in text
+    assert "0.001 s" in text
