@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mckibben.simulation.metrics import METRICS
-from mckibben.storage.journal import JournalReader
+from mckibben.storage.journal import HEADER, JournalReader
 from mckibben.study.parameters import list_parameters
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep import SweepResult
@@ -194,7 +194,7 @@ def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, scen
         process.send_signal(sent)
         _, said = process.communicate(timeout=100)
         (tmp_path / "holding").unlink()
-        return process.returncode, said, len(list(JournalReader(path))) - 1
+        return process.returncode, said, sum(record.kind != HEADER for record in JournalReader(path))
 
     code, said, first = stopped(signal.SIGINT, *asked)
     assert code == 130, said

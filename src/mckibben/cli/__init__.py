@@ -264,7 +264,7 @@ def _failed(text: str, code: int) -> int:
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """Record each Ctrl-C, which raises `KeyboardInterrupt`; one that is ignored stays so.
+    """Record each Ctrl-C, which raises `KeyboardInterrupt`; where it is ignored or handled already, it stays so.
 
     During an import it ends the process, as a kill would: compiled modules crash when their import is broken off.
     """
@@ -279,7 +279,8 @@ def _interrupts() -> Iterator[list[int]]:
         raise KeyboardInterrupt
 
     before = signal.getsignal(signal.SIGINT)
-    if before == signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+    ours = before in (signal.SIG_DFL, signal.default_int_handler)
+    if not ours or threading.current_thread() is not threading.main_thread():
         yield found
         return
     signal.signal(signal.SIGINT, record)
