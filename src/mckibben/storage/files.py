@@ -1,4 +1,4 @@
-"""Signal handling during a long job."""
+"""Files that survive interruptions: atomic writes, checksums, locks and JSON; signals of long jobs."""
 
 from __future__ import annotations
 
