@@ -96,7 +96,10 @@ class Feasibility:
 def check_reference(
     plant: JointPlant, reference: Reference, *, duration: float = 10.0, control_period: float = 1e-3
 ) -> Feasibility:
-    """Compare a reference with the attainable stiffness of a plant's joint, statically, at every control period [s]."""
+    """Compare a reference with the attainable stiffness of a plant's joint, statically, at every control period [s].
+
+    Raises `SimulationError` if duration [s] and control period do not fit together.
+    """
     times, setpoints = sampled(reference, duration, control_period)
     lowest, highest = _band(plant, setpoints.angle)
     return Feasibility(*(np.asarray(x, float) for x in (times, setpoints.angle, setpoints.stiffness, lowest, highest)))
