@@ -13,13 +13,15 @@ from timing import Bench
 ROOT = Path(__file__).parents[1]
 SCENARIO = "examples/pre-contracted-step-pid.yaml"
 EMPTY = "python -c pass"
+UNSET = ("JAX_PLATFORMS", "PYTHONDONTWRITEBYTECODE")
 
 
 def cold(folder: Path, *, quick: bool) -> Table:
     """The table of commands."""
     bench = Bench(rounds=2 if quick else 5, budget=60.0)
     command = Path(sys.executable).parent / "mckibben"
-    environment = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
+    environment = {name: value for name, value in os.environ.items() if name not in UNSET}
+    environment["PYTHONPYCACHEPREFIX"] = str(folder / "bytecode")  # as it is kept for users, in a folder we may write
 
     def candidate(name: str, arguments: list[str], *, cache: str = "cache", note: str = "", most: int = 5) -> Candidate:
         def run() -> None:
