@@ -70,7 +70,7 @@ CASES = {
     "compare": Case(("compare", "suite.yaml"), "tuning/*.journal", ("results.json", "runs.nc", "suite.yaml")),
     "simulate": Case(("simulate", "scenario.yaml"), "", ("results.json", "result.nc", "scenario.yaml")),
     "identify": Case(("identify", "festo-tool-10mm"), "", ("results.json", "fit.yaml", "data.nc")),
-    "rig": Case(("rig", "run", "protocol.yaml"), "record-*.chunks", ()),
+    "rig": Case(("rig", "run", "protocol.yaml"), "protocol.yaml", ()),
 }
 
 

@@ -217,7 +217,7 @@ def run_test(
         if segments(folder):
             remedy = "resume it (--resume), or choose another folder"
             raise FileError(str(folder), [Problem("holds a record already", remedy=remedy)])
-        check_free(folder, [PROTOCOL, data_name(checked.test)])
+        check_free(folder, [PROTOCOL, data_name(checked.test)], "resume the test (--resume), or choose another folder")
     make_folder(folder)
     with file_lock(folder / "lock", "running a test here"):
         if resume:
