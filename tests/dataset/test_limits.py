@@ -34,6 +34,12 @@ def test_a_stray_quotation_mark_takes_its_own_row_alone(put, line, place):
     assert data.force.tolist() == [i + 0.5 for i in range(40) if i != line]
 
 
+def test_a_last_line_of_a_lone_quotation_mark_is_listed(put):
+    path = put("\n".join([HEADER, *ROWS, '"']))
+    with pytest.warns(McKibbenWarning, match="1 of 41 rows"):
+        assert len(read_dataset(path, on_corrupt="report")) == 40
+
+
 def test_a_text_between_quotation_marks_may_have_two_lines(put):
     text = "\n".join([f"{HEADER},note", '1,0,80,"two\nlines"', "2,0,90,one", "3,0,95,x"])
     assert read_dataset(put(text)).force.tolist() == [80, 90, 95]

@@ -200,13 +200,15 @@ def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
         try:
             cells, count = _parsed(lines[at : at + _JOINED] if '"' in lines[at] else [lines[at]], sheet.delimiter)
             inner = max((line.count(sheet.delimiter) for line in lines[at + 1 : at + count]), default=0)
-            if count > 1 and (inner >= width - 1 or len(cells) != width) and width:
+            blank = not (cells and ((cells[0] and not cells[0].isspace()) or "".join(cells).strip()))
+            swallows = count > 1 and width and (inner >= width - 1 or len(cells) != width)
+            if swallows or (blank and lines[at].count('"') % 2):
                 raise csv.Error("a quotation mark is not closed")
         except csv.Error as error:
             count = 1
             sheet.corrupt.append(Problem(f"cannot be read: {error}", line=first + at))
         else:
-            if cells and ((cells[0] and not cells[0].isspace()) or "".join(cells).strip()):
+            if not blank:
                 width = width or len(cells)
                 yield _Row(cells, first + at)
         at += count
