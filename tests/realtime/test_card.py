@@ -1,8 +1,6 @@
 """The joint on a card: the real `nidaqmx`, which talks to a card in this process with a simulated joint behind it."""
 
-import importlib.util
-import sys
-from pathlib import Path
+import importlib
 
 import numpy as np
 import pytest
@@ -16,11 +14,7 @@ from .conftest import PERIOD
 pytest.importorskip("nidaqmx", reason="needs the extra daq")
 pytest.importorskip("grpc", reason="needs the extra daq")
 
-_SERVER = Path(__file__).parents[1] / "rig" / "ni" / "device_server.py"
-_spec = importlib.util.spec_from_file_location("device_server", _SERVER)
-device = importlib.util.module_from_spec(_spec)
-sys.modules["device_server"] = device
-_spec.loader.exec_module(device)
+device = importlib.import_module("device_server")
 
 SENSORS = {"Dev1/ai0": 0, "Dev1/ai1": 1, "Dev1/ai2": 2}
 VALVES = ["Dev1/ao0", "Dev1/ao1"]

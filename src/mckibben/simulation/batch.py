@@ -31,7 +31,6 @@ from mckibben.simulation.problem import (
     sampling_times,
     split_problem,
 )
-from mckibben.simulation.resolution import check_frequencies
 from mckibben.simulation.result import OUTCOMES, Outcome, attributes, html_table, outcomes
 
 if TYPE_CHECKING:
@@ -164,10 +163,7 @@ def simulate_many(
     check_names("column of a trajectory", keep, Trajectory._fields)
     asked = _Asked(substeps, tuple(metrics), tuple(keep), stride, float_type(precision).name)
 
-    lanes, shared, count = split_problem(plant, controller, reference, initial, over or {})
-    for part in (lanes, shared):
-        if part is not None:
-            check_frequencies(part.reference, control_period)
+    lanes, shared, count = split_problem(plant, controller, reference, initial, over or {}, control_period)
     if lanes is None or count is None:
         raise ParameterError(
             "all runs are the same", remedy="give an array in place of a number, or use `simulate` for one run"

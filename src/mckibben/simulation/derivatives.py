@@ -37,7 +37,6 @@ from mckibben.simulation.problem import (
     sampling_times,
     split_problem,
 )
-from mckibben.simulation.resolution import check_frequencies
 
 _FEW = 10  # up to so many parameters forward differentiation is faster
 _LANES = 8  # runs computed together: one vector of 64-bit numbers
@@ -106,10 +105,7 @@ def differentiate(
     if isinstance(parameters, str):
         raise ParameterError(f"{parameters!r} is a text, not a list", value=parameters, remedy="give a list of names")
     times = sampling_times(duration, control_period, substeps)
-    lanes, shared, count = split_problem(plant, controller, reference, initial, over or {})
-    for part in (lanes, shared):
-        if part is not None:
-            check_frequencies(part.reference, control_period)
+    lanes, shared, count = split_problem(plant, controller, reference, initial, over or {}, control_period)
     numbers = select_leaves(_whole(lanes, shared)._asdict(), parameters)
     for name, leaf in numbers.items():
         if not eqx.is_inexact_array(leaf):

@@ -22,6 +22,7 @@ from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation.resolution import check_frequencies
 
 
 class AtRest(NamedTuple):
@@ -57,6 +58,7 @@ def split_problem(
     reference: Reference,
     initial: PlantState | AtRest | None,
     over: Mapping[str, ArrayLike],
+    control_period: float,
 ) -> tuple[SimulationProblem | None, SimulationProblem, int | None]:
     """Problem with other values at named leaves, as its leaves that vary over runs, all others, and the run count."""
     problem = SimulationProblem(plant, controller, reference, AtRest(math.nan) if initial is None else initial)
@@ -65,6 +67,7 @@ def split_problem(
         problem = SimulationProblem(**with_leaves(problem._asdict(), over))
         recheck(problem)
     _check_numbers(problem)
+    check_frequencies(problem.reference, control_period)
     count, varying = lanes_of(problem)
     return (None, numeric(problem), None) if count is None else (*eqx.partition(numeric(problem), varying), count)
 

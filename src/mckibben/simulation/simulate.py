@@ -32,7 +32,7 @@ from mckibben.simulation.problem import (
     split_problem,
     without_last_change,
 )
-from mckibben.simulation.resolution import check_frequencies, check_substeps
+from mckibben.simulation.resolution import check_substeps
 from mckibben.simulation.result import BAND, Columns, Result
 from mckibben.units import deg
 
@@ -202,8 +202,7 @@ def checked_run(
     """`simulate`, with the feasibility of the reference returned instead of warned of."""
     times = sampling_times(duration, control_period, substeps)
     kind = float_type(precision)
-    lanes, problem, _ = split_problem(plant, controller, reference, initial, {})
-    check_frequencies(reference, control_period)
+    lanes, problem, _ = split_problem(plant, controller, reference, initial, {}, control_period)
     if lanes is not None:
         varying = ", ".join(named_leaves(lanes._asdict()))
         raise ParameterError(f"{varying}: an array in place of a number", remedy="use `simulate_many` for many runs")

@@ -1,6 +1,7 @@
 """The backend on `nidaqmx`, the real package, that talks to a card in this process; see `device_server`."""
 
 import ast
+import importlib
 import importlib.util
 import sys
 from pathlib import Path
@@ -19,11 +20,7 @@ from mckibben.units import bar, mm
 pytest.importorskip("nidaqmx", reason="needs the extra daq")
 pytest.importorskip("grpc", reason="needs the extra daq")
 
-# By its path: as a package this folder would be called `ni`, as one of the package's own is.
-_spec = importlib.util.spec_from_file_location("device_server", Path(__file__).with_name("device_server.py"))
-device = importlib.util.module_from_spec(_spec)
-sys.modules["device_server"] = device
-_spec.loader.exec_module(device)
+device = importlib.import_module("device_server")
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
 SAFE = 0.2 * bar

@@ -3,11 +3,10 @@
 More ways, and whole tests: `python benchmarks/crash.py`.
 """
 
-import importlib.util
+import importlib
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -22,10 +21,7 @@ from mckibben.units import bar
 pytest.importorskip("nidaqmx", reason="needs the extra daq")
 pytest.importorskip("grpc", reason="needs the extra daq")
 
-_spec = importlib.util.spec_from_file_location("device_server", Path(__file__).with_name("device_server.py"))
-device = importlib.util.module_from_spec(_spec)
-sys.modules["device_server"] = device
-_spec.loader.exec_module(device)
+device = importlib.import_module("device_server")
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
 HOST = """

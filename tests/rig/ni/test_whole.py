@@ -1,11 +1,9 @@
 """A protocol file on a card, from the check to the dataset: stopped, and gone on with from where the motor stood."""
 
 import contextlib
-import importlib.util
+import importlib
 import json
 import signal
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,10 +21,7 @@ from mckibben.units import bar
 pytest.importorskip("nidaqmx", reason="needs the extra daq")
 pytest.importorskip("grpc", reason="needs the extra daq")
 
-_spec = importlib.util.spec_from_file_location("device_server", Path(__file__).with_name("device_server.py"))
-device = importlib.util.module_from_spec(_spec)
-sys.modules["device_server"] = device
-_spec.loader.exec_module(device)
+device = importlib.import_module("device_server")
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
 TEXT = """name: a short test on a card

@@ -324,7 +324,8 @@ class TuningProblem:
             if valid_rows(scenario, {each.name: pair}).all():
                 break
         many = batched(scenario, {each.name: pair}, known=self.known)
-        varying, _, _ = split_problem(many.plant(), many.control(), many.reference(), initial_state(many), {})
+        parts = many.plant(), many.control(), many.reference(), initial_state(many)
+        varying, _, _ = split_problem(*parts, {}, scenario.control_period)
         leaves = named_leaves(varying._asdict()) if varying else {}
         if not leaves or not all(np.array_equal(leaf, pair) for leaf in leaves.values()):
             raise ParameterError(f"{each.name} has no gradient", remedy="use cma or evolution for it")
