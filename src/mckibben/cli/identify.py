@@ -12,6 +12,7 @@ from mckibben.cli.options import (
     Column,
     Data,
     Force,
+    ForceSign,
     InitialLength,
     Json,
     Out,
@@ -206,6 +207,7 @@ def identify(
     hysteresis: Annotated[bool, Option("--hysteresis", help="Identify friction and drift with the law.")] = False,
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
+    force_sign: ForceSign = 1,
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
     json: Json = False,
@@ -223,7 +225,7 @@ def identify(
     from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law) if law != _ALL else None
-    points = read_data(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
+    points = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt)
     if law_type is None:
         if profile or bootstrap or hysteresis or level != _LEVEL:
             raise ParameterError(
@@ -240,7 +242,8 @@ def identify(
     static = friction.corrected(points) if friction else points
     fit = run(law_type, static)
     uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
-    numbers = {**fit_numbers(fit), "uncertainty": uncertainty.records()}
+    notes = points.table.attrs.get("preprocessing", "").splitlines()
+    numbers = {**fit_numbers(fit), "preprocessing": notes, "uncertainty": uncertainty.records()}
     if friction:
         numbers["hysteresis"] = hysteresis_numbers(friction)
     texts = [friction.report() + "\n\nForce law of the points corrected for friction and drift:\n" if friction else ""]
@@ -269,6 +272,7 @@ def validate(
     specimen: Annotated[str, Option(help="Specimen whose braid angle and diameter 'chou' uses.")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
+    force_sign: ForceSign = 1,
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
     json: Json = False,
@@ -280,7 +284,7 @@ def validate(
     from mckibben.study.inputs import law_named
 
     known = law_named(law, specimen=specimen)
-    points = read_data(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
+    points = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt)
     from mckibben.identification import validate as run
 
     validation = run({Path(law).name if Path(law).is_absolute() else law: known}, points)

@@ -29,6 +29,7 @@ InitialLength = Annotated[
 SlackForce = Annotated[
     str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
 ]
+ForceSign = Annotated[int, Option(min=-1, max=1, help="-1 for a load cell that shows a pull as negative.")]
 Column = Annotated[
     list[str] | None, Option(metavar="'HEADER=NAME'", help="Read the column HEADER as the quantity NAME; repeatable.")
 ]
@@ -46,9 +47,15 @@ SkipCorrupt = Annotated[bool, Option("--skip-corrupt", help="Skip rows that cont
 
 
 def read_data(
-    data: str, columns: list[str] | None, initial_length: str, slack_force: str, *, skip_corrupt: bool = False
+    data: str,
+    columns: list[str] | None,
+    initial_length: str,
+    slack_force: str,
+    force_sign: int = 1,
+    *,
+    skip_corrupt: bool = False,
 ) -> IsobaricDataset:
-    """Read a data file or a dataset of the catalog; ignored columns are reported on standard error."""
+    """Read a data file or a dataset of the catalog; ignored columns and preprocessing go to standard error."""
     from mckibben.study.inputs import data_named
 
     found = data_named(
@@ -56,9 +63,12 @@ def read_data(
         columns=parse_columns(columns),
         initial_length=parse_optional_quantity("--initial-length", initial_length, "m"),
         slack_force=parse_optional_quantity("--slack-force", slack_force, "N"),
+        force_sign=-1 if force_sign < 0 else 1,
         skip_corrupt=skip_corrupt,
     )
     report_ignored_columns(found.table.attrs)
+    for note in found.table.attrs.get("preprocessing", "").splitlines():
+        echo(f"found in the data: {note}", err=True)
     return found
 
 

@@ -6,7 +6,7 @@ import difflib
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from mckibben import catalog
 from mckibben.errors import NotInCatalogError
@@ -24,10 +24,11 @@ def data_named(
     initial_length: float | None = None,
     specimen: str = "",
     slack_force: float | None = None,
+    force_sign: Literal[1, -1] = 1,
     skip_corrupt: bool = False,
 ) -> IsobaricDataset:
     """A dataset of the catalog, or a file of measurements, to which all options apply."""
-    from mckibben.dataset import read_dataset
+    from mckibben.dataset.reading import check_dataset, read_dataset
 
     known = catalog.names("datasets")
     if name in known and not Path(name).is_file():
@@ -46,14 +47,17 @@ def data_named(
                 value=name,
                 remedy=f"did you mean {' or '.join(map(repr, close))}?" if close else f"datasets: {', '.join(known)}",
             )
-    return read_dataset(
+    found = read_dataset(
         name,
         columns=columns,
         initial_length=initial_length,
         specimen=specimen,
         slack_force=slack_force,
+        force_sign=force_sign,
         on_corrupt="report" if skip_corrupt else "raise",
     )
+    kind = found.table.attrs["specimen"]
+    return check_dataset(found, name, catalog.specimen(kind)) if kind in catalog.names("specimens") else found
 
 
 def law_named(name: str, *, specimen: str = "") -> ForceLaw:
