@@ -29,7 +29,7 @@ InitialLength = Annotated[
 SlackForce = Annotated[
     str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
 ]
-ForceSign = Annotated[int, Option(min=-1, max=1, help="-1 for a load cell that shows a pull as negative.")]
+ForceSign = Annotated[int, Option(metavar="1|-1", help="-1 for a load cell that shows a pull as negative.")]
 Column = Annotated[
     list[str] | None, Option(metavar="'HEADER=NAME'", help="Read the column HEADER as the quantity NAME; repeatable.")
 ]
@@ -58,12 +58,14 @@ def read_data(
     """Read a data file or a dataset of the catalog; ignored columns and preprocessing go to standard error."""
     from mckibben.study.inputs import data_named
 
+    if force_sign not in (1, -1):
+        raise ParameterError(f"--force-sign {force_sign} is no sign", value=force_sign, remedy="take 1 or -1")
     found = data_named(
         data,
         columns=parse_columns(columns),
         initial_length=parse_optional_quantity("--initial-length", initial_length, "m"),
         slack_force=parse_optional_quantity("--slack-force", slack_force, "N"),
-        force_sign=-1 if force_sign < 0 else 1,
+        force_sign=force_sign,
         skip_corrupt=skip_corrupt,
     )
     report_ignored_columns(found.table.attrs)

@@ -48,9 +48,12 @@ def check_points(
 ) -> Findings:
     """Check points of a muscle, with those of its specimen where it is known."""
     problems, warnings = [], []
-    if len(force):
+    found = list(_sign(force)) if len(force) else []
+    if found and found[0][1]:
+        problems.append(found[0][0])  # the other numbers mean nothing
+    elif len(force):
         for problem, impossible in (
-            *_sign(force),
+            *found,
             *_contractions(contraction, force > slack_force, initial_length),
             *_pressures(float(pressure.max())),
             *_forces(pressure, force, specimen),

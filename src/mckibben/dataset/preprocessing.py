@@ -28,9 +28,7 @@ _REVERSAL = 0.1  # of the range of contractions: a smaller change of direction i
 _LOWEST_FORCES = 0.15  # of the range of forces, in which the slack muscle is searched
 _FEWEST_SLACK = 5
 _OUTSIDE = 4.0  # standard deviations of the noise
-_TAIL = (
-    0.8  # of the slack points have no taut point at a larger contraction and no larger pressure: the rest is friction
-)
+_TAIL = 0.8  # of the slack points have no taut point at a larger contraction; the rest may be friction
 _DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
 _MANY = 20  # points for quadratic terms
 _NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
@@ -63,8 +61,8 @@ def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
         table = table.assign(force=table["force"] - slack.offset)
         table.attrs["slack_force"] = _OUTSIDE * slack.noise
         notes.append(
-            f"slack muscle: {slack.count} points with a force of {slack.offset:.3g} +- {slack.noise:.2g} N; the offset "
-            f"is subtracted, and forces up to {_OUTSIDE * slack.noise:.3g} N count as slack"
+            f"slack muscle: {slack.points} points with a force of {slack.offset:.3g} +- {slack.noise:.2g} N; this "
+            f"offset is subtracted, and forces up to {_OUTSIDE * slack.noise:.3g} N count as slack"
         )
     if notes:
         table.attrs["preprocessing"] = "\n".join([*table.attrs.get("preprocessing", "").splitlines(), *notes])
@@ -147,7 +145,7 @@ class Slack(NamedTuple):
 
     offset: float
     noise: float
-    count: int
+    points: int
 
 
 def slack_force(force: Floats, contraction: Floats, pressure: Floats) -> Slack | None:

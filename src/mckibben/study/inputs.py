@@ -32,7 +32,7 @@ def data_named(
 
     known = catalog.names("datasets")
     if name in known and not Path(name).is_file():
-        if columns or initial_length is not None or specimen or slack_force is not None:
+        if columns or initial_length is not None or specimen or slack_force is not None or force_sign < 0:
             raise NotInCatalogError(
                 f"{name} is a dataset of the catalog",
                 value=name,
