@@ -30,6 +30,7 @@ from mckibben.cli.options import (
     format_metrics,
     keeping,
     notify,
+    on_command_line,
     progress,
     results_folder,
     table,
@@ -239,7 +240,7 @@ def _run(interrupts: list[int]) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except McKibbenError as error:
-        return _failed(f"error: {error}", 2)
+        return _failed(f"error: {on_command_line(str(error))}", 2)
     except OSError as error:
         if error.filename is None and error.errno in (errno.EPIPE, errno.ENOSPC, errno.EIO):
             sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 (what is left is not tried again)
@@ -300,4 +301,4 @@ def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
     if issubclass(category, McKibbenWarning):
-        echo(f"warning: {message}", err=True)
+        echo(f"warning: {on_command_line(str(message))}", err=True)

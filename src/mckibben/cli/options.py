@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -79,6 +80,14 @@ def report_ignored_columns(attributes: Mapping[str, Any]) -> None:
     ignored = attributes.get("ignored_columns")
     if ignored:
         echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
+
+
+_BOTH_REMEDIES = re.compile(r"(?:columns=\{[^}]*\}|\S+) \(command line: ([^)]*)\)")
+
+
+def on_command_line(text: str) -> str:
+    """A message with remedies in terms of the command line in place of Python's."""
+    return _BOTH_REMEDIES.sub(r"\1", text)
 
 
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:

@@ -24,7 +24,7 @@ _BLOCKED_FORCE = 8.2
 C.-P. Chou and B. Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90-102.
 """
 _LIKE_SPECIMEN = (0.4, 2.0, 3.0)  # implied over given diameter: usual from, usual to, impossible above
-_STRETCHED, _OVERSTRETCHED, _SHORT, _SHORTEST = -0.05, -0.15, 0.38, 0.5  # contractions of a taut muscle
+_STRETCHED, _OVERSTRETCHED, _SHORT, _SHORTEST = -0.05, -0.15, 0.4, 0.5  # contractions of a taut muscle
 _FIRST = 0.1  # least contraction of a test that begins near the initial length
 _SMALL_FORCE = 0.05  # of the largest one
 _LENGTH = "check initial_length (command line: --initial-length)"
@@ -97,7 +97,7 @@ def _contractions(
 
 def _pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
     lowest, least, most, limit = _PRESSURES
-    if not least <= highest <= most:
+    if highest > 0 and not least <= highest <= most:
         text = f"the highest pressure is {highest / bar:.3g} bar, and pneumatic muscles are tested at 1 to 8 bar"
         yield Problem(text, field="pressure", remedy=_UNIT), not lowest <= highest <= limit
 

@@ -70,26 +70,23 @@ def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
 
 
 def group_pressures(pressure: Floats) -> Ints | None:
-    """Level of each measured pressure, ascending from 0; None where pressures repeat exactly, or are not grouped."""
-    count = len(pressure)
-    if count < 2 * _FEWEST or 2 * len(np.unique(pressure)) <= count:
-        return None
+    """Level of each measured pressure, ascending from 0; None where pressures repeat exactly, or are not grouped.
+
+    The finest grouping is taken in which gaps between levels are larger than levels are wide, and than gaps in them.
+    """
     order = np.argsort(pressure)
     gaps = np.diff(pressure[order])
     ranked = np.sort(gaps)[::-1]
-    resolution = ranked[ranked > 0].min()
-    most = count // _FEWEST  # levels
-    ratios = ranked[: most - 1] / np.maximum(ranked[1:most], resolution)
-    levels = int(np.argmax(ratios)) + 2
-    if ratios[levels - 2] < _SEPARATION:
-        return None
-    cuts = np.flatnonzero(gaps >= ranked[levels - 2]) + 1
-    parts = np.split(pressure[order], cuts)
-    if min(map(len, parts)) < _FEWEST or ranked[levels - 2] < max(map(np.ptp, parts)):
-        return None
-    labels = np.empty(count, int)
-    labels[order] = np.repeat(np.arange(len(parts)), list(map(len, parts)))
-    return labels
+    most = len(pressure) // _FEWEST  # levels
+    wider = np.flatnonzero(ranked[: most - 1] > _SEPARATION * ranked[1:most]) if most > 1 else []
+    for last in wider[::-1]:
+        parts = np.split(pressure[order], np.flatnonzero(gaps >= ranked[last]) + 1)
+        if min(map(len, parts)) < _FEWEST or ranked[last] < (width := max(map(np.ptp, parts))):
+            continue
+        labels = np.empty(len(pressure), int)
+        labels[order] = np.repeat(np.arange(len(parts)), list(map(len, parts)))
+        return labels if width else None
+    return None
 
 
 def nominal_pressures(pressure: Floats, labels: Ints) -> tuple[Floats, float]:

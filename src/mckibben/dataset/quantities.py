@@ -111,8 +111,8 @@ class ColumnConverter:
             warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=4)
         attrs = {"ignored_columns": printable(", ".join(self.ignored))} if self.ignored else {}
         for name in ("preprocessing", "repairs"):  # of the file from which this one was made
-            if name in self.sheet.comments:
-                attrs[name] = unquote(self.sheet.comments[name][1])
+            if (text := self.sheet.comments.get(name, (0, "none"))[1]) != "none":
+                attrs[name] = unquote(text)
         if self.corrupt:
             found = self._sorted(self.corrupt)
             attrs["repairs"] = "\n".join([*filter(None, [attrs.get("repairs")]), *map(str, found)])

@@ -128,8 +128,11 @@ def read_dataset(
     slack_known = slack_force is not None or "slack_force" in file.sheet.comments
     data, found = file.settle(path, file.columns(), on_corrupt)
     dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
-    table = dataset.table.assign(force=force_sign * dataset.table["force"])
-    return check_dataset(IsobaricDataset(preprocess(table, slack_known=slack_known)), str(path))
+    if force_sign < 0:
+        dataset = IsobaricDataset(dataset.table.assign(force=-dataset.table["force"]))
+    if "preprocessing" in file.sheet.comments:  # written by `IsobaricDataset.to_csv`
+        return dataset
+    return check_dataset(IsobaricDataset(preprocess(dataset.table, slack_known=slack_known)), str(path))
 
 
 def check_dataset(dataset: IsobaricDataset, source: str, specimen: Specimen | None = None) -> IsobaricDataset:

@@ -270,7 +270,9 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
     comments.append(f"# slack_force: {attrs['slack_force']!r} N")
     present = [name for name in CSV_COLUMNS if name in table]
     rows = zip(*(_cells(table[name].to_numpy()) for name in present), strict=True)
-    comments += [f"# {name}: {quote(attrs[name])}" for name in ("preprocessing", "repairs") if name in attrs]
+    comments.append(f"# preprocessing: {quote(attrs.get('preprocessing', 'none'))}")  # it is not to be done again
+    if "repairs" in attrs:
+        comments.append(f"# repairs: {quote(attrs['repairs'])}")
     header = ",".join(CSV_COLUMNS[name] for name in present)
     text = "\n".join([*comments, header, *map(",".join, rows)])
     with atomic_write(path, overwrite=True) as sibling:

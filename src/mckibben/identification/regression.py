@@ -28,6 +28,8 @@ from mckibben.identification.uncertainty import (
 )
 
 MOST_BLOCKS = 200
+_QUANTILES = 8  # blocks of points whose pressures are all different
+_IN_QUANTILE = 5  # points at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,17 +59,19 @@ class NotIdentifiableError(Exception):
 
 
 def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
-    """Pressure level [Pa] of each point, or None and the reason why pressures are no blocks."""
+    """Pressure level [Pa] of each point, or the median of its quantile; None and the reason where there are none."""
     levels = points.levels
     count = len(np.unique(levels))
     if count < 2:
         return None, "there is one pressure only"
-    if count > MOST_BLOCKS or 2 * count > len(points):
-        return None, (
-            f"the {len(points)} points have {count} different pressures, hardly two the same; record the set pressure "
-            "of each point"
-        )
-    return levels, ""
+    if 2 * count <= len(points) and count <= MOST_BLOCKS:
+        return levels, ""
+    blocks = min(len(points) // _IN_QUANTILE, _QUANTILES)
+    if blocks < 2:
+        return None, f"the {len(points)} points have {count} different pressures; record the set pressure of each point"
+    edges = np.quantile(levels, np.linspace(0, 1, blocks + 1)[1:-1])
+    part = np.searchsorted(edges, levels, side="right")
+    return np.array([np.median(levels[part == each]) for each in range(blocks)])[part], ""
 
 
 def cross_validate(problem: FitProblem, full: Solution, blocks: ArrayLike) -> CrossValidation:
