@@ -40,10 +40,15 @@ from .identification import (
 )
 from .joint import (
     AntagonisticJoint as AntagonisticJoint,
+    Cam as Cam,
     KneeGeometry as KneeGeometry,
     Load as Load,
+    PairedPaths as PairedPaths,
+    Pulley as Pulley,
     RigidTendon as RigidTendon,
     SeriesSpring as SeriesSpring,
+    TabulatedPath as TabulatedPath,
+    TwoBonePath as TwoBonePath,
 )
 from .muscle import (
     ChouLaw as ChouLaw,

@@ -107,6 +107,8 @@ def _annotation(hint: Any, signal: Any) -> Any:
     if get_origin(hint) is Annotated:
         mark = next((one for one in get_args(hint) if isinstance(one, Quantity | BoundedInt)), None)
         return signal if isinstance(mark, Quantity) and mark.unit == SIGNAL_UNIT else mark and hint
+    if inspect.isabstract(hint):  # a part of any class
+        return Annotated[ComponentModel, PartOf(f"{hint.__module__}:{hint.__name__}", class_required=True)]
     if isinstance(hint, type) and issubclass(hint, enum.Enum):
         return Annotated[str, OneOf(tuple(member.name.lower() for member in hint))]
     return Flag if hint is bool else None
@@ -119,6 +121,7 @@ class PartOf:
     base: str
     model: type[ComponentModel] = ComponentModel
     signal: Any = None
+    class_required: bool = False
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         def validate(value: Any, inner: Any, info: Any) -> Any:
@@ -139,11 +142,13 @@ class PartOf:
 
     def model_for(self, value: Any) -> type[ConfigModel] | None:
         """The model of a section with the key ``class``; None without."""
-        if not isinstance(value, dict) or "class" not in value:
-            return None
         module, _, name = self.base.partition(":")
+        if not isinstance(value, dict) or not ("class" in value or self.class_required):
+            return None
         base = getattr(importlib.import_module(module), name)
         known = {one.__name__: one for one in concrete_subclasses(base)}
+        if "class" not in value:
+            fail_validation("lacks the key `class`", f"give one of {', '.join(sorted(known))}")
         chosen = value["class"]
         if not isinstance(chosen, str) or chosen not in known:
             remedy = suggest(str(chosen), sorted(known)) if known else "there is none yet"

@@ -3,17 +3,24 @@
 from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, Measurement, TorqueStiffnessMap
 from mckibben.joint.geometry import Geometry, KneeGeometry
 from mckibben.joint.load import Load
+from mckibben.joint.paths import Cam, MusclePath, PairedPaths, Pulley, TabulatedPath, TwoBonePath
 from mckibben.joint.tendon import RigidTendon, SeriesSpring, Tendon
 
 __all__ = [
     "AffineMap",
     "AntagonisticJoint",
+    "Cam",
     "Geometry",
     "KneeGeometry",
     "Load",
     "Measurement",
+    "MusclePath",
+    "PairedPaths",
+    "Pulley",
     "RigidTendon",
     "SeriesSpring",
+    "TabulatedPath",
     "Tendon",
     "TorqueStiffnessMap",
+    "TwoBonePath",
 ]

@@ -29,6 +29,11 @@ _LONGEST = 10.0  # m: a longer joint is taken for one in millimetres
 class Geometry(eqx.Module, Displayed):
     """Path lengths of both muscles over the joint angle; moment arms follow by differentiation."""
 
+    @property
+    def angle_range(self) -> tuple[float, float]:
+        """Angles [rad] for which the geometry is known."""
+        return -math.inf, math.inf
+
     @abc.abstractmethod
     def path_lengths(self, angle: ArrayLike) -> Pair:
         """Return the length [m] of each muscle with its series spring at an angle [rad]."""
