@@ -150,6 +150,9 @@ def with_lengths(plant: JointPlant, lengths: Mapping[str, ArrayLike]) -> JointPl
 
 def _leaves(plant: JointPlant, name: str) -> list[object]:
     if name in _GEOMETRY:
+        if not hasattr(plant.joint.geometry, name):
+            kind = type(plant.joint.geometry).__name__
+            raise ParameterError(f"a {kind} has no {name}", value=name, remedy="choose muscle_length")
         return [getattr(plant.joint.geometry, name)]
     lengths: list[object] = [m.specimen.initial_length for m in (plant.joint.muscle1, plant.joint.muscle2)]
     return [lengths[_MUSCLES.index(name)]] if name in _MUSCLES else lengths

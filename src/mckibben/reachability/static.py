@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -198,6 +199,9 @@ def _static_states(plant: JointPlant, angle: ArrayLike, points: ArrayLike) -> tu
     pressures, stiffness = segment.at(points[:, None])
     _, arms = plant.joint.geometry.paths_and_arms(angle)
     able = (arms[0] > 0) & (arms[1] > 0)
+    first, last = plant.joint.geometry.angle_range
+    if math.isfinite(last - first):  # a measured table
+        able &= (angle >= first) & (angle <= last)
     stiffness = jnp.where(able & segment.feasible, stiffness, jnp.nan)
     return torque, *(jnp.where(able, limit, jnp.nan) for limit in limits), stiffness, *pressures
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import ParameterError, ReachabilityWarning, SimulationError
+from mckibben.errors import DomainWarning, ParameterError, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import solve_static_and_range
 from mckibben.numerics.batching import cast, named_leaves
@@ -215,6 +216,10 @@ def checked_run(
     if not checked.exists:
         _raise_why(plant, initial, float(checked.setpoints.angle[0]))
     check_substeps(plant, checked.setpoints.angle, checked.setpoints.stiffness, control_period, substeps)
+    low, high = plant.joint.geometry.angle_range
+    if math.isfinite(high - low) and (np.any(result["angle"] < low) or np.any(result["angle"] > high)):
+        text = f"the angle leaves the table of the geometry, {low / deg:.4g}..{high / deg:.4g} deg"
+        warnings.warn(f"{text}, outside of which the moment arm is taken for constant", DomainWarning, stacklevel=3)
     return CheckedRun(result, Feasibility(times, *(np.asarray(x) for x in (*checked.setpoints, *checked.band))))
 
 
