@@ -123,7 +123,7 @@ def design_region(
     if specimen is None and attrs["specimen"] in catalog.names("specimens"):
         specimen = catalog.specimen(attrs["specimen"])
     if specimen is not None:
-        domain, highest = specimen.domain, (1 - _FORCE_RESERVE) * float(specimen.rated_force)
+        domain, highest = specimen.domain, (1 - _FORCE_RESERVE) * float(specimen.force_limit)
     else:
         if len(data) == 0:
             raise RangeError("neither data nor a specimen give the range of states", remedy="name the specimen")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import warnings
 from typing import NamedTuple
@@ -38,13 +39,19 @@ class Muscle(eqx.Module):
 
     Unlike the law, a muscle cannot push: where the law is negative the muscle is slack and its force is zero. Friction
     and creep act only through an internal state (`MuscleState`); without one, `force` and all quantities of a joint are
-    those of the law. Raises `RangeError` if the domains of specimen and law do not overlap.
+    those of the law. Infinite bounds of the specimen's domain are those of the law's. Raises `RangeError` if the domains
+    of specimen and law do not overlap.
     """
 
     specimen: Specimen
     law: ForceLaw
     friction: Friction = NoFriction()
     creep: Creep = NoCreep()
+
+    def __post_init__(self) -> None:
+        if isinstance(self.specimen, Specimen) and isinstance(self.law, ForceLaw):
+            domain = self.specimen.domain.filled(self.law.domain)
+            self.specimen = dataclasses.replace(self.specimen, domain=domain)
 
     def __check_init__(self) -> None:
         check_kind(
