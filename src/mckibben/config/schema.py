@@ -67,7 +67,7 @@ def model_of(
     without: Container[str] = (),
     optional: bool = False,
     signal: Any = None,
-    name: str = "",
+    model_name: str = "",
     **fields: Any,
 ) -> Any:
     """The model of a runtime class, from unit and range of its fields; those with a default may be left out."""
@@ -83,7 +83,7 @@ def model_of(
             made[key] = annotation | None, None
         else:
             made[key] = annotation, ...
-    model: Any = named_model(name or f"{runtime.__name__}Spec", base, made)
+    model: Any = named_model(model_name or f"{runtime.__name__}Spec", base, made)
     model.runtime = runtime
     return model
 

@@ -39,8 +39,8 @@ class Muscle(eqx.Module):
 
     Unlike the law, a muscle cannot push: where the law is negative the muscle is slack and its force is zero. Friction
     and creep act only through an internal state (`MuscleState`); without one, `force` and all quantities of a joint are
-    those of the law. Infinite bounds of the specimen's domain are those of the law's. Raises `RangeError` if the domains
-    of specimen and law do not overlap.
+    those of the law. Infinite bounds of the specimen's domain are replaced by the law's. Raises `RangeError` if the
+    domains of specimen and law do not overlap.
     """
 
     specimen: Specimen

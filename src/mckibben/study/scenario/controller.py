@@ -98,12 +98,12 @@ class LoopSpec(ConfigModel):
 def _loop(quantity: str, kp: Any, ki: Any, kd: Any, scale: Any) -> Any:
     """The model of a loop with these units."""
     gains = {"kp": kp, "ki": ki, "kd": kd}
-    pid = model_of(PID, base=PIDSpec, name=f"{quantity}PIDSpec", **gains)
+    pid = model_of(PID, base=PIDSpec, model_name=f"{quantity}PIDSpec", **gains)
     jacobian: Any = Annotated[str, OneOf(tuple(one.name.lower() for one in Jacobian))]
     backprop = model_of(
         BackpropPID,
         base=named_model(f"{quantity}GainsSpec", (BackpropSpec, pid), {}),
-        name=f"{quantity}BackpropSpec",
+        model_name=f"{quantity}BackpropSpec",
         signal_scale=scale,
         error_scale=scale,
         jacobian=(jacobian | None, Field(None, validate_default=True)),

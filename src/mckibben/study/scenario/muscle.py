@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from pydantic import (
     BeforeValidator,
+    ConfigDict,
     Field,
     GetCoreSchemaHandler,
     PlainSerializer,
@@ -20,6 +21,7 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
+from mckibben.config.document import read_document
 from mckibben.config.fields import Title, read_path, write_path
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text
 from mckibben.config.schema import ComponentModel, model_of
@@ -145,11 +147,13 @@ def _expanded(kind: type[ConfigModel], value: Any, info: ValidationInfo) -> Any:
         fail_validation(f"{named} refers to itself", f"give the numbers in {named}")
     try:
         text = read_text(path, "a muscle", "docs/files.md")
-        content = parse_model(kind, text, source=named, folder=path.parent, files=files)[0]
+        whole = kind is not SpecimenSpec or "specimen" not in (read_document(text).data or ())
+        content: Any = parse_model(kind if whole else _Muscle, text, source=named, folder=path.parent, files=files)[0]
     except FileError as error:
         fail_validation(f"{named}: {'; '.join(map(str, error.problems))}", f"correct {named}")
-    content = getattr(content, "specimen", content) if kind is _SpecimenFile else content
-    written = content.model_dump(mode="json", by_alias=True, context={"folder": outer.get("folder", Path())})
+    written = (content if whole else content.specimen).model_dump(
+        mode="json", by_alias=True, context={"folder": outer.get("folder", Path())}
+    )
     return _merged(written, {key: one for key, one in section.items() if key != "from"})
 
 
@@ -185,7 +189,7 @@ class SpecimenSpec(
     @model_validator(mode="before")
     @classmethod
     def _from_file(cls, value: Any, info: ValidationInfo) -> Any:
-        return _expanded(_SpecimenFile, value, info)
+        return _expanded(SpecimenSpec, value, info)
 
     @model_validator(mode="after")
     def _complete(self) -> SpecimenSpec:
@@ -195,6 +199,14 @@ class SpecimenSpec(
             fail_validation(f"lacks {' and '.join(missing)}", remedy)
         self.build()  # raises for a reversed domain
         return self
+
+
+class _Muscle(ConfigModel):
+    """The file of a muscle, of which only the specimen is read."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    specimen: SpecimenSpec
 
 
 class FrictionSpec(model_of(MaxwellSlip)):
@@ -232,7 +244,3 @@ class MuscleSpec(ConfigModel):
             NoFriction() if self.friction is None else self.friction.build(),
             NoCreep() if self.creep is None else self.creep.build(),
         )
-
-
-class _SpecimenFile(ConfigModel):
-    """The file of a specimen, or that of a muscle, of which only the specimen is read."""
