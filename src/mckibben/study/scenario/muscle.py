@@ -21,7 +21,7 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from mckibben.config.document import read_document
+from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import Title, read_path, write_path
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text
 from mckibben.config.schema import ComponentModel, model_of
@@ -244,3 +244,29 @@ class MuscleSpec(ConfigModel):
             NoFriction() if self.friction is None else self.friction.build(),
             NoCreep() if self.creep is None else self.creep.build(),
         )
+
+
+_HEAD = """\
+# A muscle identified by mckibben. Scenarios and protocols take the file: `muscle: muscle.yaml`, with changes
+# `muscle: {from: muscle.yaml, strength: 0.9}`. The specimen may also have initial_diameter and braid_angle (for the use
+# of air and for Chou's law), rated_force (no limit without it), and domain: {contraction_max: 25 %, pressure_max: 8 bar};
+# without one, contraction and pressure are limited to the range of the points of the law.
+"""
+
+
+def muscle_text(law: str, *, specimen: str, initial_length: float | None, friction: MaxwellSlip | None = None) -> str:
+    """Text of a muscle's file; empty if neither the catalog nor the data give the initial length [m]."""
+    from mckibben import catalog
+
+    name = specimen or "my muscle"
+    numbers: dict[str, Any] = {"name": name, "initial_length": initial_length}
+    if name in catalog.names("specimens"):
+        same = initial_length in (None, float(catalog.specimen(name).initial_length))
+        numbers = {"from": name} if same else {"from": name, "initial_length": initial_length}
+    elif initial_length is None:
+        return ""
+    data = {"specimen": SpecimenSpec.model_validate(numbers).model_dump(mode="json", by_alias=True), "law": law}
+    if friction is not None:
+        rows = {key: getattr(friction, key) for key in FrictionSpec.model_fields}
+        data["friction"] = FrictionSpec.model_validate(rows).model_dump(mode="json", by_alias=True)
+    return _HEAD + to_text(data)
