@@ -40,8 +40,11 @@ from .identification import (
 )
 from .joint import (
     AntagonisticJoint as AntagonisticJoint,
+    GeneralLoad as GeneralLoad,
     KneeGeometry as KneeGeometry,
+    KneeLoad as KneeLoad,
     Load as Load,
+    PendulumLoad as PendulumLoad,
     RigidTendon as RigidTendon,
     SeriesSpring as SeriesSpring,
 )

@@ -175,7 +175,7 @@ def specimens(json: Json = False) -> None:
         numbers = {
             name: {
                 "initial_length_mm": s.initial_length / mm,
-                "initial_diameter_mm": s.initial_diameter / mm,
+                "initial_diameter_mm": s.braid("the list")[0] / mm,
                 "rated_force_N": s.rated_force,
                 "domain": str(s.domain),
                 "source": catalog.cite(name),
@@ -185,7 +185,7 @@ def specimens(json: Json = False) -> None:
         echo(to_json({"specimens": numbers, "datasets": data}))
         return
     rows = [
-        (name, f"{s.initial_length / mm:g} x {s.initial_diameter / mm:g} mm", f"{s.rated_force:g} N", str(s.domain))
+        (name, f"{s.initial_length / mm:g} x {s.braid("the list")[0] / mm:g} mm", f"{s.rated_force:g} N", str(s.domain))
         for name, s in known.items()
     ]
     table("Specimens", ("name", "length x diameter", "rated", "domain"), rows)

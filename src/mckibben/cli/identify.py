@@ -246,7 +246,7 @@ def identify(
         numbers["hysteresis"] = hysteresis_numbers(friction)
     texts = [friction.report() + "\n\nForce law of the points corrected for friction and drift:\n" if friction else ""]
     texts += [fit.report(level), uncertainty.describe()]
-    drawn = {}
+    drawn, kept = {}, ""
     if out:
         from mckibben import report
 
@@ -323,6 +323,7 @@ def _rank(data: str, points: IsobaricDataset, json: bool, out: Path | None) -> N
         "not_left_out": ranking.missing,
         "laws": ranking.records(),
     }
+    kept = ""
     if out:
         from mckibben import report
 

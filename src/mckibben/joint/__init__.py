@@ -2,16 +2,19 @@
 
 from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, Measurement, TorqueStiffnessMap
 from mckibben.joint.geometry import Geometry, KneeGeometry
-from mckibben.joint.load import Load
+from mckibben.joint.load import GeneralLoad, KneeLoad, Load, PendulumLoad
 from mckibben.joint.tendon import RigidTendon, SeriesSpring, Tendon
 
 __all__ = [
     "AffineMap",
     "AntagonisticJoint",
+    "GeneralLoad",
     "Geometry",
     "KneeGeometry",
+    "KneeLoad",
     "Load",
     "Measurement",
+    "PendulumLoad",
     "RigidTendon",
     "SeriesSpring",
     "Tendon",

@@ -20,7 +20,7 @@ from mckibben.control import (
     PredictiveControl,
     SlidingMode,
 )
-from mckibben.study.scenario.plant import JointSpec, LoadSpec, ValveSpec
+from mckibben.study.scenario.plant import AnyLoad, JointSpec, LoadSpec, ValveSpec
 from mckibben.units import (
     AngleDerivativeGain,
     AngleGain,
@@ -153,7 +153,7 @@ class ModelBasedSpec(ComponentModel):
     pressure_observer: ObserverSpec | None = None
     valve_time_constant: ShortTime | None = None
     minimum_tension: Force | None = None
-    load: LoadSpec | None = None
+    load: AnyLoad | None = None
     adaptation: AdaptationSpec | None = None
 
     @field_validator("disturbance_observer", mode="after")
@@ -191,7 +191,7 @@ class InverseModelSpec(model_of(InverseModelControl)):
     """Parameters of `InverseModelControl`, and its model of the load, the plant's unless given; `alone` has none."""
 
     alone: Flag | None = None
-    load: LoadSpec | None = None
+    load: AnyLoad | None = None
 
     @field_validator("load", mode="after")
     @classmethod
@@ -265,7 +265,7 @@ class OwnControllerSpec(ComponentModel):
     """A controller class of one's own; its `model` and `load` are the plant's unless given."""
 
     model: JointSpec | None = None
-    load: LoadSpec | None = None
+    load: AnyLoad | None = None
     friction_compensation: ClassVar[None] = None
 
     def with_model(self, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> OwnControllerSpec:

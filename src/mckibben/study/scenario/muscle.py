@@ -247,10 +247,10 @@ class MuscleSpec(ConfigModel):
 
 
 _HEAD = """\
-# A muscle identified by mckibben. Scenarios and protocols take the file: `muscle: muscle.yaml`, with changes
+# A muscle identified by mckibben, for scenarios and protocols: `muscle: muscle.yaml`, or with changes
 # `muscle: {from: muscle.yaml, strength: 0.9}`. The specimen may also have initial_diameter and braid_angle (for the use
-# of air and for Chou's law), rated_force (no limit without it), and domain: {contraction_max: 25 %, pressure_max: 8 bar};
-# without one, contraction and pressure are limited to the range of the points of the law.
+# of air, a simulated rig and Chou's law), rated_force (no limit without it), and a domain, such as
+# `domain: {contraction_max: 25 %, pressure_max: 8 bar}`; without one, 0 bar and the range of the law's points limit it.
 """
 
 

@@ -9,10 +9,10 @@ from pydantic import Field, ValidationInfo, field_validator
 from mckibben.config.fields import Flag
 from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.config.schema import PartOf, model_of
-from mckibben.joint import KneeGeometry, Load, SeriesSpring
+from mckibben.joint import GeneralLoad, KneeGeometry, KneeLoad, PendulumLoad, SeriesSpring
 from mckibben.plant import FirstOrderValve, SampledSensors, TorquePulses
 from mckibben.study.scenario.muscle import CatalogPart, MuscleSpec, entry_of
-from mckibben.units import Angle, Distance, Stiffness
+from mckibben.units import Angle, Distance, Stiffness, Torque
 
 
 class GeometrySpec(model_of(KneeGeometry, optional=True, base=CatalogPart, entry=entry_of("geometries"))):
@@ -119,8 +119,8 @@ class JointSpec(ConfigModel):
 _NEEDED = ("mass1", "mass2", "distance1", "distance2", "inertia", "damping")
 
 
-class LoadSpec(model_of(Load, optional=True, base=CatalogPart, entry=entry_of("loads"))):
-    """An entry of the catalog by name, with changes, or the parameters of `Load`.
+class LoadSpec(model_of(KneeLoad, optional=True, base=CatalogPart, entry=entry_of("loads"))):
+    """An entry of the catalog by name, with changes, or the parameters of `KneeLoad`.
 
     In text the name alone will do: ``load: knee-table-2``.
     """
@@ -136,7 +136,10 @@ class LoadSpec(model_of(Load, optional=True, base=CatalogPart, entry=entry_of("l
         missing = [key for key in _NEEDED if given.get(key, 0.0) is None]
         if given.get("entry", "") is None and missing:
             fail_validation(
-                f"lacks {', '.join(missing)}", "give all of it, or begin with `from: knee-table-2`", parent=True
+                f"lacks {', '.join(missing)}",
+                "give all of it, or begin with `from: knee-table-2`; or give a pendulum by `mass` and `length`, or any "
+                "load by `inertia` and `gravity_torque`",
+                parent=True,
             )
         parts = [given.get(key, 1.0) for key in ("inertia", "mass1", "distance1", "mass2", "distance2")]
         if all(part is not None for part in parts):
@@ -146,6 +149,20 @@ class LoadSpec(model_of(Load, optional=True, base=CatalogPart, entry=entry_of("l
                     "has no inertia: the joint could not move", "give `inertia`, or masses at a distance", parent=True
                 )
         return value
+
+
+class PendulumLoadSpec(model_of(PendulumLoad)):
+    """A pendulum: ``load: {mass: 0.3 kg, length: 250 mm}``."""
+
+    own_keys = frozenset({"mass", "length"})
+
+
+class GeneralLoadSpec(
+    model_of(GeneralLoad, greatest_gravity_torque=(Torque, Field(alias="gravity_torque", examples=["0 N*m"])))
+):
+    """A load by its numbers: ``load: {inertia: 0.02 kg*m^2, gravity_torque: 0.7 N*m}``."""
+
+    own_keys = frozenset({"gravity_torque"})
 
 
 class ValveSpec(model_of(FirstOrderValve)):
@@ -173,7 +190,7 @@ class DisturbanceSpec(ConfigModel):
 AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:Valve")]
 AnySensors = Annotated[SensorsSpec, PartOf("mckibben.plant:Sensors")]
 AnyDisturbance = Annotated[DisturbanceSpec, PartOf("mckibben.plant:Disturbance")]
-AnyLoad = Annotated[LoadSpec, PartOf("mckibben.joint:Load")]
+AnyLoad = Annotated[LoadSpec, PartOf("mckibben.joint:Load", others=(PendulumLoadSpec, GeneralLoadSpec))]
 
 
 class StartSpec(ConfigModel):
