@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import math
 import os
 import signal
 import sys
@@ -42,6 +43,7 @@ from mckibben.storage.files import make_folder, to_json, write_json
 from mckibben.units import mm
 
 if TYPE_CHECKING:
+    from mckibben.muscle import Specimen
     from mckibben.simulation import Result
     from mckibben.study.scenario import Scenario
 
@@ -169,13 +171,16 @@ def specimens(json: Json = False) -> None:
     """List the specimens and measured datasets of the catalog."""
     from mckibben import catalog
 
+    def diameter(specimen: Specimen) -> float:
+        return (specimen.initial_diameter or math.nan) / mm
+
     known = {name: catalog.specimen(name) for name in catalog.names("specimens")}
     data = {name: catalog.cite(name).splitlines()[0] for name in catalog.names("datasets")}
     if json:
         numbers = {
             name: {
                 "initial_length_mm": s.initial_length / mm,
-                "initial_diameter_mm": s.braid("the list")[0] / mm,
+                "initial_diameter_mm": diameter(s),
                 "rated_force_N": s.rated_force,
                 "domain": str(s.domain),
                 "source": catalog.cite(name),
@@ -185,7 +190,7 @@ def specimens(json: Json = False) -> None:
         echo(to_json({"specimens": numbers, "datasets": data}))
         return
     rows = [
-        (name, f"{s.initial_length / mm:g} x {s.braid("the list")[0] / mm:g} mm", f"{s.rated_force:g} N", str(s.domain))
+        (name, f"{s.initial_length / mm:g} x {diameter(s):g} mm", f"{s.rated_force:g} N", str(s.domain))
         for name, s in known.items()
     ]
     table("Specimens", ("name", "length x diameter", "rated", "domain"), rows)
