@@ -134,6 +134,8 @@ def simulate(
             echo(f"warning: {infeasible}", err=True)
         table(read.name, ("metric", "value", "unit"), format_metrics(numbers["metrics"]))
         echo(result.describe())
+        if math.isnan(result.metrics["air"]) and not result.outcome.failed:
+            echo("air is unknown: a specimen has no initial_diameter or braid_angle")
     if out:
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
     if result.outcome.failed:

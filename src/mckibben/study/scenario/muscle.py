@@ -147,10 +147,13 @@ def _expanded(kind: type[ConfigModel], value: Any, info: ValidationInfo) -> Any:
         fail_validation(f"{named} refers to itself", f"give the numbers in {named}")
     try:
         text = read_text(path, "a muscle", "docs/files.md")
-        whole = kind is not SpecimenSpec or "specimen" not in (read_document(text).data or ())
+        keys = read_document(text).data or ()
+        whole = kind is not SpecimenSpec or "specimen" not in keys
+        if kind is not SpecimenSpec and "parameters" in keys:
+            fail_validation(f"{named} is a fit, the law of a muscle", f"write {{specimen: ..., law: {named}}}")
         content: Any = parse_model(kind if whole else _Muscle, text, source=named, folder=path.parent, files=files)[0]
     except FileError as error:
-        fail_validation(f"{named}: {'; '.join(map(str, error.problems))}", f"correct {named}")
+        fail_validation(f"{named}: {'; '.join(map(str, error.problems[:5]))}", f"correct {named}")
     written = (content if whole else content.specimen).model_dump(
         mode="json", by_alias=True, context={"folder": outer.get("folder", Path())}
     )
@@ -232,6 +235,9 @@ class MuscleSpec(ConfigModel):
     @model_validator(mode="before")
     @classmethod
     def _from_file(cls, value: Any, info: ValidationInfo) -> Any:
+        if isinstance(value, str) and value and not value.endswith(_ENDINGS):
+            remedy = "name a file such as the muscle.yaml of `mckibben identify --out`, or give specimen and law"
+            fail_validation(f"{quoted(value)} is no muscle's file", remedy)
         return _expanded(cls, value, info)
 
     def build(self) -> Muscle:
