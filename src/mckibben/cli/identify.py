@@ -282,7 +282,7 @@ def _keep_muscle(out: Path, data: str, points: IsobaricDataset, friction: Maxwel
 def validate(
     law: Annotated[str, Argument(metavar="LAW", help="A fit file, a law of the catalog, or 'chou'.")],
     data: Data,
-    specimen: Annotated[str, Option(help="Specimen whose braid angle and diameter 'chou' uses.")] = "",
+    specimen: Annotated[str, Option(help="Specimen, or its file, whose braid angle and diameter 'chou' uses.")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     column: Column = None,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -146,7 +147,7 @@ def _expanded(kind: type[ConfigModel], value: Any, info: ValidationInfo) -> Any:
     if path in files[:-1]:
         fail_validation(f"{named} refers to itself", f"give the numbers in {named}")
     try:
-        text = read_text(path, "a muscle", "docs/files.md")
+        text = read_text(path, "a muscle", "docs/scenarios.md")
         keys = read_document(text).data or ()
         whole = kind is not SpecimenSpec or "specimen" not in keys
         if kind is not SpecimenSpec and "parameters" in keys:
@@ -250,6 +251,15 @@ class MuscleSpec(ConfigModel):
             NoFriction() if self.friction is None else self.friction.build(),
             NoCreep() if self.creep is None else self.creep.build(),
         )
+
+
+def read_specimen(path: str | os.PathLike[str]) -> Specimen:
+    """The specimen of a file, of its own or that of a muscle; `ScenarioError` with all problems."""
+    text = read_text(path, "a specimen", "docs/scenarios.md")
+    source, folder = os.fspath(path), Path(path).parent
+    if "specimen" in (read_document(text).data or ()):
+        return parse_model(_Muscle, text, source=source, folder=folder)[0].specimen.build()
+    return parse_model(SpecimenSpec, text, source=source, folder=folder)[0].build()
 
 
 _HEAD = """\
