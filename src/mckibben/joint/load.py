@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import sincos
 from mckibben.units import (
@@ -25,7 +26,7 @@ from mckibben.units import (
 )
 
 
-class Load(eqx.Module):
+class Load(eqx.Module, Displayed):
     r"""A load with inertia, viscous damping and the gravity of a pendulum (Eq. 6).
 
     .. math:: I\ddot\theta + c\dot\theta = \tau + G \sin(\theta_h - \theta)

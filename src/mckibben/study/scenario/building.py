@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -24,6 +24,7 @@ from mckibben.control import (
 )
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon
+from mckibben.notebook import Progress, silent
 from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
 from mckibben.study.parameters import Known, Table, batched
@@ -186,7 +187,7 @@ def run_many(
     precision: int = 64,
     chunk: int | None = None,
     workers: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Batch:
     """Simulate a scenario once for each row of a table of values; raises ParameterError for an invalid row."""
     many = batched(scenario, table, known=known)
@@ -202,5 +203,5 @@ def run_many(
         precision=precision,
         chunk=chunk,
         workers=workers,
-        progress=progress,
+        progress=progress or silent,
     )
