@@ -41,10 +41,13 @@ from .identification import (
 from .joint import (
     AntagonisticJoint as AntagonisticJoint,
     Cam as Cam,
+    GeneralLoad as GeneralLoad,
     KneeGeometry as KneeGeometry,
+    KneeLoad as KneeLoad,
     Load as Load,
     PairedPaths as PairedPaths,
     Pulley as Pulley,
+    PendulumLoad as PendulumLoad,
     RigidTendon as RigidTendon,
     SeriesSpring as SeriesSpring,
     TabulatedPath as TabulatedPath,

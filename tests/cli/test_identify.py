@@ -156,7 +156,7 @@ def test_validate_a_fit_that_was_kept(cli, tmp_path):
 def test_validate_chou_with_and_without_a_specimen(cli):
     without = cli("validate", "chou", FESTO)
     assert (without.code, without.out) == (2, "")
-    assert "add --specimen, one of MAS-10-180N-AA-MC-O, DMSP-10-250" in without.err
+    assert "add --specimen, a file or one of MAS-10-180N-AA-MC-O, DMSP-10-250" in without.err
     found = json.loads(cli("validate", "chou", FESTO, "--specimen", "MAS-10-180N-AA-MC-O", "--json").out)
     data = catalog.dataset("festo-tool-10mm").taut
     alpha, eps = np.radians(25), data.contraction

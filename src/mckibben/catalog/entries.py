@@ -6,7 +6,7 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from mckibben.catalog import FOLDER, find
-from mckibben.joint import AntagonisticJoint, KneeGeometry, Load
+from mckibben.joint import AntagonisticJoint, KneeGeometry, KneeLoad
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.units import quantity
 
@@ -51,9 +51,9 @@ def geometry(name: str) -> KneeGeometry:
     return KneeGeometry(**_quantities(KneeGeometry, find("geometries", name)[0]))
 
 
-def load(name: str) -> Load:
+def load(name: str) -> KneeLoad:
     """Return the load of a published joint, such as "knee-table-2"."""
-    return Load(**_quantities(Load, find("loads", name)[0]))
+    return KneeLoad(**_quantities(KneeLoad, find("loads", name)[0]))
 
 
 def joint(name: str) -> AntagonisticJoint:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import math
 import os
 import signal
 import sys
@@ -43,6 +44,7 @@ from mckibben.storage.files import make_folder, to_json, write_json
 from mckibben.units import mm
 
 if TYPE_CHECKING:
+    from mckibben.muscle import Specimen
     from mckibben.simulation import Result
     from mckibben.study.scenario import Scenario
 
@@ -133,6 +135,8 @@ def simulate(
             echo(f"warning: {infeasible}", err=True)
         table(read.name, ("metric", "value", "unit"), format_metrics(numbers["metrics"]))
         echo(result.describe())
+        if math.isnan(result.metrics["air"]) and not result.outcome.failed:
+            echo("air is unknown: a specimen has no initial_diameter or braid_angle")
     if out:
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
     if result.outcome.failed:
@@ -170,13 +174,16 @@ def specimens(json: Json = False) -> None:
     """List the specimens and measured datasets of the catalog."""
     from mckibben import catalog
 
+    def diameter(specimen: Specimen) -> float:
+        return (specimen.initial_diameter or math.nan) / mm
+
     known = {name: catalog.specimen(name) for name in catalog.names("specimens")}
     data = {name: catalog.cite(name).splitlines()[0] for name in catalog.names("datasets")}
     if json:
         numbers = {
             name: {
                 "initial_length_mm": s.initial_length / mm,
-                "initial_diameter_mm": s.initial_diameter / mm,
+                "initial_diameter_mm": diameter(s),
                 "rated_force_N": s.rated_force,
                 "domain": str(s.domain),
                 "source": catalog.cite(name),
@@ -186,7 +193,7 @@ def specimens(json: Json = False) -> None:
         echo(to_json({"specimens": numbers, "datasets": data}))
         return
     rows = [
-        (name, f"{s.initial_length / mm:g} x {s.initial_diameter / mm:g} mm", f"{s.rated_force:g} N", str(s.domain))
+        (name, f"{s.initial_length / mm:g} x {diameter(s):g} mm", f"{s.rated_force:g} N", str(s.domain))
         for name, s in known.items()
     ]
     table("Specimens", ("name", "length x diameter", "rated", "domain"), rows)

@@ -31,12 +31,13 @@ from mckibben.cli.options import (
     table,
 )
 from mckibben.errors import DatasetError, ParameterError, Problem, UnitError
-from mckibben.storage.files import make_subfolder, to_json, write_json
+from mckibben.storage.files import atomic_write, make_subfolder, to_json, write_json
 from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recording
     from mckibben.identification import RankedLaw, Ranking
+    from mckibben.muscle import MaxwellSlip
 
 
 _SHOWN = 40  # rows of the table
@@ -221,7 +222,7 @@ def identify(
     """
     figures = ("fit", "bands", "loops", "ranking")
     names = [f"{name}{end}" for name in figures for end in (".png", ".svg")]
-    results_folder(out, ("fit.yaml", "data.nc", "results.json", "fits", *names), force)
+    results_folder(out, ("fit.yaml", "muscle.yaml", "data.nc", "results.json", "fits", *names), force)
     from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law) if law != _ALL else None
@@ -232,7 +233,7 @@ def identify(
                 "--level, --profile, --bootstrap and --hysteresis apply to a single law",
                 remedy="choose one, such as --law exponential",
             )
-        _rank(points, json, out)
+        _rank(data, points, json, out)
         return
     from mckibben.identification import identify as run
     from mckibben.identification import identify_hysteresis
@@ -248,12 +249,13 @@ def identify(
         numbers["hysteresis"] = hysteresis_numbers(friction)
     texts = [friction.report() + "\n\nForce law of the points corrected for friction and drift:\n" if friction else ""]
     texts += [fit.report(level), uncertainty.describe()]
-    drawn = {}
+    drawn, kept = {}, ""
     if out:
         from mckibben import report
 
         with keeping(out):
             fit.to_yaml(out / "fit.yaml")
+            kept = _keep_muscle(out, data, points, friction.friction if friction else None)
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
             drawn = {"fit": report.isobaric(static, fit), "bands": report.force_bands(static, fit, level=level)}
@@ -263,13 +265,27 @@ def identify(
                 report.save(figure, out, name)
     echo(to_json(numbers) if json else "\n".join(filter(None, texts)))
     if out:
-        notify(f"wrote fit.yaml, data.nc, results.json and {', '.join(drawn)} as .png and .svg to {out}", json)
+        notify(f"wrote fit.yaml, data.nc, results.json and {', '.join(drawn)} as .png and .svg to {out}; {kept}", json)
+
+
+def _keep_muscle(out: Path, data: str, points: IsobaricDataset, friction: MaxwellSlip | None = None) -> str:
+    """Write the muscle's file beside its fit; text on what was written, or why not."""
+    from mckibben.study.scenario.muscle import muscle_text
+
+    attrs = points.table.attrs
+    name, length = attrs["specimen"] or Path(data).stem, attrs.get("initial_length")
+    text = muscle_text("fit.yaml", specimen=name, initial_length=length, friction=friction)
+    if not text:
+        return "no muscle.yaml, since the initial length is unknown (give --initial-length)"
+    with atomic_write(out / "muscle.yaml", overwrite=True) as part:
+        part.write_text(text, encoding="utf-8")
+    return "muscle.yaml for scenarios and protocols"
 
 
 def validate(
     law: Annotated[str, Argument(metavar="LAW", help="A fit file, a law of the catalog, or 'chou'.")],
     data: Data,
-    specimen: Annotated[str, Option(help="Specimen whose braid angle and diameter 'chou' uses.")] = "",
+    specimen: Annotated[str, Option(help="Specimen, or its file, whose braid angle and diameter 'chou' uses.")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     force_sign: ForceSign = 1,
@@ -297,7 +313,7 @@ def validate(
         notify(f"wrote results.json to {out}", json)
 
 
-def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
+def _rank(data: str, points: IsobaricDataset, json: bool, out: Path | None) -> None:
     from mckibben.identification import rank
 
     with progress() as report_progress:
@@ -311,6 +327,7 @@ def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
         "not_left_out": ranking.missing,
         "laws": ranking.records(),
     }
+    kept = ""
     if out:
         from mckibben import report
 
@@ -320,6 +337,7 @@ def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
                 if entry.fit:
                     entry.fit.to_yaml(make_subfolder(out, "fits") / f"{entry.law}.yaml")
             best.fit.to_yaml(out / "fit.yaml")
+            kept = _keep_muscle(out, data, points)
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
             report.save(report.ranking(ranking), out, "ranking")
@@ -329,7 +347,9 @@ def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
     else:
         _show(ranking)
     if out:
-        notify(f"wrote fit.yaml ({best.law}), fits/, data.nc, results.json, ranking.png and fit.png to {out}", json)
+        notify(
+            f"wrote fit.yaml ({best.law}), fits/, data.nc, results.json, ranking.png and fit.png to {out}; {kept}", json
+        )
 
 
 def _show(ranking: Ranking) -> None:

@@ -110,9 +110,8 @@ def _forces(pressure: Floats, force: Floats, specimen: Specimen | None) -> Itera
     text = f"{force[at]:.4g} N at {pressure[at] / bar:.3g} bar is the force of a muscle of about {diameter / mm:.2g} mm"
     if not _DIAMETERS[0] <= diameter <= _DIAMETERS[1]:
         yield Problem(text, field="force", remedy=_UNIT), True
-    elif specimen is not None:
+    elif specimen is not None and (given := specimen.initial_diameter):
         low, high, limit = _LIKE_SPECIMEN
-        given = specimen.initial_diameter
         if not low <= diameter / given <= high:
             text = f"{text}, and {specimen.name} has {given / mm:.3g} mm"
             yield Problem(text, field="force", remedy=f"{_UNIT}, that of pressures too"), diameter / given > limit

@@ -115,6 +115,8 @@ class AntagonisticJoint(eqx.Module, Displayed):
             muscle2=(self.muscle2, Muscle),
             tendon=(self.tendon, Tendon),
         )
+        for muscle in (self.muscle1, self.muscle2):
+            muscle.check_pressure_limit()
         if not isinstance(self.tendon, RigidTendon):  # the rate of the length is no function of the state
             owner = f"muscle in series with a {type(self.tendon).__name__}"
             for muscle in (self.muscle1, self.muscle2):

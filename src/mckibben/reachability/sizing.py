@@ -175,7 +175,7 @@ def constraint_margins(
     contractions = [muscle.specimen.contraction_at(path) for muscle, path in zip(muscles, paths, strict=True)]
     low = [jnp.maximum(m.tension(e, p), minimum_tension) for m, e, p in zip(muscles, contractions, lowest, strict=True)]
     high = [
-        jnp.minimum(m.tension(e, p), m.specimen.rated_force)
+        jnp.minimum(m.tension(e, p), m.specimen.force_limit)
         for m, e, p in zip(muscles, contractions, highest, strict=True)
     ]
     torque = jnp.stack([-torque_reserve, torque_reserve])[:, None] - plant.load.gravity_torque(angle)

@@ -14,7 +14,7 @@ from mckibben.errors import NotInCatalogError
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
     from mckibben.joint import AntagonisticJoint
-    from mckibben.muscle import ForceLaw
+    from mckibben.muscle import ForceLaw, Specimen
 
 
 def data_named(
@@ -71,12 +71,21 @@ def law_named(name: str, *, specimen: str = "") -> ForceLaw:
         if not specimen:
             raise NotInCatalogError(
                 "the law 'chou' needs a specimen, whose braid angle and diameter it takes",
-                remedy=f"add --specimen, one of {', '.join(catalog.names('specimens'))}",
+                remedy=f"add --specimen, a file or one of {', '.join(catalog.names('specimens'))}",
             )
-        return ChouLaw.of(catalog.specimen(specimen))
+        return ChouLaw.of(specimen_named(specimen))
     if name in catalog.names("laws"):
         return catalog.law(name)
     raise _unknown("law", name, f"give a fit file (.yaml), 'chou', or one of {', '.join(catalog.names('laws'))}")
+
+
+def specimen_named(name: str) -> Specimen:
+    """A specimen of the catalog, or that of the file of a specimen or muscle."""
+    if Path(name).suffix not in (".yaml", ".yml"):
+        return catalog.specimen(name)
+    from mckibben.study.scenario.muscle import read_specimen
+
+    return read_specimen(name)
 
 
 def law_type_named(name: str) -> type[ForceLaw]:

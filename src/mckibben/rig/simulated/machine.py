@@ -126,7 +126,7 @@ class Grip:
         self.start = contraction
         self.length = float(specimen.initial_length)
         self._shortest = float(specimen.domain.contraction_max)
-        diameter, angle = float(specimen.initial_diameter), float(specimen.braid_angle)
+        diameter, angle = map(float, specimen.braid("the simulated air volume"))
         self._cylinder = math.pi * diameter**2 / 4 * self.length / math.sin(angle) ** 2
         self._cos2 = math.cos(angle) ** 2
         self._slipping = isinstance(friction, MaxwellSlip)

@@ -15,7 +15,7 @@ from mckibben.config.model import ConfigModel, model_in
 from mckibben.config.schema import ComponentModel
 from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
 from mckibben.study.scenario import GeometrySpec, JointSpec, LoopSpec, Scenario, SignalSpec
-from mckibben.study.scenario.plant import CatalogName
+from mckibben.study.scenario.muscle import CatalogName
 from mckibben.units import BoundedInt, Quantity, show
 
 

@@ -6,10 +6,8 @@ import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
-from mckibben import catalog
 from mckibben.config.model import explicit_fields
 from mckibben.control import (
     Controller,
@@ -26,7 +24,6 @@ from mckibben.control import (
 )
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon
-from mckibben.muscle import ChouLaw, Muscle, NoCreep, NoFriction, scaled_law
 from mckibben.notebook import Progress, silent
 from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
@@ -37,7 +34,6 @@ from mckibben.study.scenario.plant import (
     DisturbanceSpec,
     JointSpec,
     LoadSpec,
-    MuscleSpec,
     SensorsSpec,
     ValveSpec,
 )
@@ -67,7 +63,7 @@ def build_joint(spec: JointSpec) -> AntagonisticJoint:
     muscle1, muscle2 = spec.muscle1 or spec.muscle, spec.muscle2 or spec.muscle
     tendon = RigidTendon() if spec.spring is None else spec.spring.build()
     assert muscle1 is not None and muscle2 is not None  # the model of the joint sees to it
-    return AntagonisticJoint(build_geometry(spec), _muscle(muscle1), _muscle(muscle2), tendon)
+    return AntagonisticJoint(build_geometry(spec), muscle1.build(), muscle2.build(), tendon)
 
 
 def build_geometry(spec: JointSpec) -> KneeGeometry:
@@ -127,19 +123,6 @@ def observers(spec: ModelBasedSpec) -> tuple[Observer, PressureObserver]:
         VelocityObserver(velocity.bandwidth) if velocity else ExtendedStateObserver(**explicit_fields(disturbance))
     )
     return observer, PressureObserver(**explicit_fields(pressure))
-
-
-def _muscle(spec: MuscleSpec) -> Muscle:
-    specimen = catalog.specimen(spec.specimen)
-    friction = NoFriction() if spec.friction is None else spec.friction.build()
-    creep = NoCreep() if spec.creep is None else spec.creep.build()
-    if isinstance(spec.law, Path):
-        from mckibben.identification import Fit
-
-        law = Fit.from_yaml(spec.law).law
-    else:
-        law = ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law)
-    return Muscle(specimen, law if spec.strength is None else scaled_law(law, spec.strength), friction, creep)
 
 
 def initial_state(scenario: Scenario) -> AtRest:
