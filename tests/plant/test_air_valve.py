@@ -81,9 +81,7 @@ def independent(paper, valve, commands, start, time):
             opening = math.copysign(max(abs(state) - zone, 0.0) / (1 - zone), state) if is_flow else wanted
             moved.append((wanted - state) / 0.002 if is_flow else (command - state) / 0.02)
             source = (C * opening, inlet) if opening > 0 else ((valve.exhaust_conductance or C) * -opening, 101325)
-            mass = (
-                flow(C * opening, inlet, pressure + 101325) if opening > 0 else flow(exhaust, 101325, pressure + 101325)
-            )
+            mass = flow(*source, pressure + 101325)
             drawn += max(mass, 0.0)
             volume = braid_volume(contractions[i]) + dead
             slope = (braid_volume(contractions[i] + 1e-5) - braid_volume(contractions[i] - 1e-5)) / 2e-5
