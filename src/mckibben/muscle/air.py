@@ -37,7 +37,7 @@ FLOATS = SimpleNamespace(maximum=max, minimum=min, sqrt=math.sqrt)
 
 def flow_share(critical: Any, ratio: Any, xp: Any = jnp) -> Any:
     """Return the flow as a share of the choked one at a ratio of absolute pressures up to `LAMINAR`."""
-    beyond = xp.maximum((xp.minimum(ratio, LAMINAR) - critical) / (1 - critical), 0.0)
+    beyond = xp.maximum((xp.minimum(ratio, LAMINAR) - critical) * (1 / (1 - critical)), 0.0)
     return xp.sqrt(1 - beyond**2)
 
 
@@ -57,9 +57,9 @@ def mass_flow(conductance: Any, critical: Any, inlet: Any, outlet: Any, xp: Any 
     420
     """
     upstream, downstream = xp.maximum(inlet, outlet), xp.minimum(inlet, outlet)
-    upstream = xp.maximum(upstream, 1e-9)  # a vacuum has no ratio
-    direction = xp.minimum(xp.maximum((inlet - outlet) / (upstream * (1 - LAMINAR)), -1.0), 1.0)
-    return conductance * DENSITY * upstream * flow_share(critical, downstream / upstream, xp) * direction
+    inverse = 1 / xp.maximum(upstream, 1e-9)  # one quotient, as they take the time; a vacuum has no ratio
+    direction = xp.minimum(xp.maximum((inlet - outlet) * inverse * (1 / (1 - LAMINAR)), -1.0), 1.0)
+    return conductance * DENSITY * upstream * flow_share(critical, downstream * inverse, xp) * direction
 
 
 def nominal_conductance(flow: float, critical: float = 0.3) -> float:

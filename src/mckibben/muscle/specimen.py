@@ -165,5 +165,5 @@ class Specimen(eqx.Module):
         """
         ratio = 1 - jnp.asarray(contraction)
         cylinder = jnp.pi * self.initial_diameter**2 * self.initial_length / 4
-        widening = (1 - jnp.cos(self.braid_angle) ** 2 * ratio**2) / jnp.sin(self.braid_angle) ** 2
-        return cylinder * ratio * widening
+        scale = cylinder / jnp.sin(self.braid_angle) ** 2  # no quotient of the argument: quicker in loops
+        return scale * ratio * (1 - jnp.cos(self.braid_angle) ** 2 * ratio**2)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError
@@ -176,15 +177,16 @@ class AirValve(ValveModel):
     def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
         """Return the command [Pa] at which a pressure [Pa] changes at a rate [Pa/s], with a full supply.
 
-        Infinite where the open valve is too small. The lag of a spool is left out.
+        Infinite where the open valve or the supply is too small. The lag of a spool is left out.
         """
         absolute = jnp.asarray(pressure) + ATMOSPHERE
         room = volume.volume + self.polytropic_index * absolute * volume.by_pressure
         needed = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY
         full = jnp.where(needed > 0, 1.0, -1.0)
-        opening = needed / self.flow(full, self.supply + ATMOSPHERE, pressure) * full
-        command = pressure + self.band * opening + self.lag * rate
-        return jnp.where(jnp.abs(opening) <= 1, command, full * jnp.inf)
+        share = needed / self.flow(full, self.supply + ATMOSPHERE, pressure)
+        command = pressure + self.band * full * share + self.lag * rate
+        possible = (share >= 0) & (share <= 1) & (jnp.asarray(pressure) <= self.supply)
+        return jnp.where(possible, command, full * jnp.inf)
 
     def time_constant_at(self, pressure: Any, volume: Any) -> Any:
         """Return the first-order time constant [s] of a small change of the command at a pressure and volume.
@@ -192,10 +194,12 @@ class AirValve(ValveModel):
         It is the area between a step of the command and the response of the pressure in a fixed volume [m^3] around a
         gauge pressure [Pa], over the step; the mean of filling and venting. For the valve model of a controller.
         """
-        fill = self.flow(1.0, self.supply + ATMOSPHERE, pressure)
-        vent = -self.flow(-1.0, ATMOSPHERE, pressure)
-        stroke = [self.polytropic_index * ENERGY * flow / (volume + self.dead_volume) for flow in (fill, vent)]
-        return self.lag + self.band * (1 / stroke[0] + 1 / stroke[1]) / 2
+        exhaust = self.conductance if self.exhaust_conductance is None else self.exhaust_conductance
+        inside = pressure + ATMOSPHERE
+        fill = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inside, np)
+        vent = mass_flow(exhaust, self.critical_ratio, inside, ATMOSPHERE, np)
+        mass = self.band * (volume + self.dead_volume) / (self.polytropic_index * ENERGY)  # of a band
+        return self.lag + mass * (1 / fill + 1 / vent) / 2
 
     def fastest_rate_in(self, volume: float) -> float:
         """Return a bound on the rates [1/s] of the air in a volume [m^3], of valve, loop and reservoir."""
@@ -213,7 +217,7 @@ class AirValve(ValveModel):
 
     def _loop(self, command: ArrayLike, pressure: ArrayLike) -> Array:
         """Opening that the proportional loop asks for."""
-        return jnp.clip((jnp.asarray(command) - pressure) / self.band, -1.0, 1.0)
+        return jnp.clip((jnp.asarray(command) - pressure) * (1 / self.band), -1.0, 1.0)
 
 
 class FlowValve(AirValve):
@@ -253,11 +257,11 @@ class FlowValve(AirValve):
         return jnp.zeros_like(floating(pressure))
 
     def opening(self, state: Scalar, command: ArrayLike, pressure: ArrayLike) -> Array:
-        return (state - jnp.clip(state, -self.dead_zone, self.dead_zone)) / (1 - self.dead_zone)
+        return (state - jnp.clip(state, -self.dead_zone, self.dead_zone)) * (1 / (1 - self.dead_zone))
 
     def rate(self, state: Scalar, command: ArrayLike, pressure: ArrayLike) -> Array:
         wanted = jnp.asarray(command) if self.direct else self._loop(command, pressure)
-        return (wanted - state) / self.spool_lag
+        return (wanted - state) * (1 / self.spool_lag)
 
     def clip_command(self, command: ArrayLike, rated: Domain) -> Array:
         return jnp.clip(jnp.asarray(command), -1.0, 1.0) if self.direct else super().clip_command(command, rated)
@@ -292,7 +296,7 @@ class PressureRegulator(AirValve):
         return self._loop(state, pressure)
 
     def rate(self, state: Scalar, command: ArrayLike, pressure: ArrayLike) -> Array:
-        return (jnp.asarray(command) - state) / self.time_constant
+        return (jnp.asarray(command) - state) * (1 / self.time_constant)
 
 
 class Switching(NamedTuple):

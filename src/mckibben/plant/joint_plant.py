@@ -18,7 +18,7 @@ from mckibben.joint.geometry import Pressures
 from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import MuscleState
 from mckibben.muscle.creep import CreepState
-from mckibben.numerics.calculus import rk4
+from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
@@ -195,12 +195,24 @@ class JointPlant(eqx.Module):
             specimen1, specimen2 = self.joint.muscle1.specimen, self.joint.muscle2.specimen
             return specimen1.volume(contraction1) + dead, specimen2.volume(contraction2) + dead
 
-        at, rates = jax.jvp(lambda angle: volumes(angle, state.pressures), (state.angle,), (state.velocity,))
+        at, slopes = value_and_derivative(lambda angle: volumes(angle, state.pressures), state.angle)
         by_pressure: Any = (0.0, 0.0)
         if not isinstance(self.joint.tendon, RigidTendon):
             ones = jax.tree.map(jnp.ones_like, state.pressures)
             by_pressure = jax.jvp(lambda held: volumes(state.angle, held), (state.pressures,), (ones,))[1]
-        return AirVolume(at[0], rates[0], by_pressure[0]), AirVolume(at[1], rates[1], by_pressure[1])
+        volume1, volume2 = map(AirVolume, at, (slope * state.velocity for slope in slopes), by_pressure)
+        return volume1, volume2
+
+    def commands_for(self, state: PlantState, rates: Pressures) -> tuple[Array, Array]:
+        """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite where none does."""
+        given = zip(state.pressures, rates, strict=True)
+        if isinstance(self.valve, AirValve):
+            each = zip(given, self.air_volumes(state), strict=True)
+            command1, command2 = (self.valve.command_for(*pair, volume) for pair, volume in each)
+        else:
+            assert isinstance(self.valve, Valve)
+            command1, command2 = (self.valve.command_for(*pair) for pair in given)
+        return command1, command2
 
     def rate(self, state: PlantState) -> Motion:
         """Return the time derivative of the motion (Eq. 6) at the pressures of a state."""

@@ -278,7 +278,7 @@ class DisturbanceSpec(ConfigModel):
         return self.pulses.build()
 
 
-AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:Valve")]
+AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:ValveModel")]
 AnySensors = Annotated[SensorsSpec, PartOf("mckibben.plant:Sensors")]
 AnyDisturbance = Annotated[DisturbanceSpec, PartOf("mckibben.plant:Disturbance")]
 AnyLoad = Annotated[LoadSpec, PartOf("mckibben.joint:Load")]
