@@ -18,6 +18,7 @@ from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
 from mckibben.plant.valve import ValveModel
 from mckibben.units import (
+    Compensation,
     Conductance,
     CriticalRatio,
     DeadVolume,
@@ -54,8 +55,7 @@ class AirValve(ValveModel):
 
     An opening u in -1..1 has the conductance u C from the supply, or where it is negative, -u C from the muscle to the
     exhaust; see `mckibben.muscle.air` for mass flow and pressure. Commands are pressures: a proportional loop opens the
-    valve fully at an error of one `band`. Its error at rest is below that part of the band at which the valve is
-    still shut.
+    valve fully at an error of one `band`.
 
     Parameters
     ----------
@@ -220,6 +220,12 @@ class AirValve(ValveModel):
         return jnp.clip((jnp.asarray(command) - pressure) * (1 / self.band), -1.0, 1.0)
 
 
+def _compensated(opening: Array, shut: ArrayLike, compensation: ArrayLike) -> Array:
+    """Command that opens a valve which is shut up to a part of its range; within the rest of it the steps are small."""
+    jump, rest = compensation * shut, jnp.maximum((1 - compensation) * shut, 1e-9)
+    return (1 - jump) * opening + jump * jnp.clip(opening * (1 / rest), -1.0, 1.0)
+
+
 class FlowValve(AirValve):
     """Proportional directional valve, 3/3 or 5/3: a spool with a lag and a dead zone.
 
@@ -229,6 +235,8 @@ class FlowValve(AirValve):
         Time constant [s] of the spool.
     dead_zone
         Part of the stroke, to either side of the middle, at which the valve is shut.
+    compensation
+        Part of the dead zone that the loop skips. The rest, times `band`, is the error of the pressure at rest.
     direct
         Whether commands are openings -1..1 in place of pressures, for a controller with its own loop of the pressure.
 
@@ -237,12 +245,14 @@ class FlowValve(AirValve):
 
     spool_lag: PositiveTime = eqx.field(kw_only=True, default=2 * ms)
     dead_zone: DeadZone = eqx.field(kw_only=True, default=0.0)
+    compensation: Compensation = eqx.field(kw_only=True, default=0.9)
     direct: bool = eqx.field(kw_only=True, default=False)
 
     def __check_init__(self) -> None:
         super().__check_init__()
         check_positive("FlowValve", "s", spool_lag=self.spool_lag)
         check_within("FlowValve", 0.0, 0.9, dead_zone=self.dead_zone)
+        check_within("FlowValve", 0.0, 0.99, compensation=self.compensation)
 
     @property
     def lag(self) -> ArrayLike:
@@ -260,7 +270,9 @@ class FlowValve(AirValve):
         return (state - jnp.clip(state, -self.dead_zone, self.dead_zone)) * (1 / (1 - self.dead_zone))
 
     def rate(self, state: Scalar, command: ArrayLike, pressure: ArrayLike) -> Array:
-        wanted = jnp.asarray(command) if self.direct else self._loop(command, pressure)
+        wanted = jnp.asarray(command)
+        if not self.direct:
+            wanted = _compensated(self._loop(command, pressure), self.dead_zone, self.compensation)
         return (wanted - state) * (1 / self.spool_lag)
 
     def clip_command(self, command: ArrayLike, rated: Domain) -> Array:
@@ -320,15 +332,19 @@ class SwitchingValves(AirValve):
         Period of the modulation [s], rounded to whole integration steps.
     opening_delay
         Time [s] by which a valve opens late; shorter pulses do not open it.
+    compensation
+        Part of the delay by which pulses are longer. The rest over the period, times `band`, is the error at rest.
     """
 
     period: PositiveTime = eqx.field(kw_only=True)
     opening_delay: ShortTime = eqx.field(kw_only=True, default=0.0)
+    compensation: Compensation = eqx.field(kw_only=True, default=0.9)
 
     def __check_init__(self) -> None:
         super().__check_init__()
         check_positive("SwitchingValves", "s", period=self.period)
         check_positive("SwitchingValves", "s", zero=True, opening_delay=self.opening_delay)
+        check_within("SwitchingValves", 0.0, 0.99, compensation=self.compensation)
 
     @property
     def lag(self) -> ArrayLike:
@@ -342,7 +358,8 @@ class SwitchingValves(AirValve):
         period = jnp.maximum(jnp.round(self.period / step), 1.0) * step
         begins = state.phase >= period - 0.5 * step
         phase = jnp.where(begins, 0.0, state.phase)
-        duty = jnp.where(begins, self._loop(command, pressure), state.duty)
+        wanted = _compensated(self._loop(command, pressure), self.opening_delay / period, self.compensation)
+        duty = jnp.where(begins, wanted, state.duty)
         width = jnp.abs(duty) * period
         open_for = jnp.clip(phase + step, self.opening_delay, width) - jnp.clip(phase, self.opening_delay, width)
         share = jnp.where(jnp.abs(duty) < 1, open_for / step, 1.0)
