@@ -18,6 +18,7 @@ from mckibben.joint.geometry import Pressures
 from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import MuscleState
 from mckibben.muscle.creep import CreepState
+from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
@@ -77,7 +78,7 @@ class Motion(NamedTuple):
         return PlantState(self.angle, self.velocity, self.pressures or pressures, muscles, state.io, self.air)
 
 
-class JointPlant(eqx.Module):
+class JointPlant(eqx.Module, Displayed):
     """The simulated system, of joint, load, valves, sensors and disturbance; controllers have no access to it."""
 
     joint: AntagonisticJoint

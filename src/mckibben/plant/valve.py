@@ -8,11 +8,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.units import PositiveTime
 
 
-class ValveModel(eqx.Module):
+class ValveModel(eqx.Module, Displayed):
     """Base of `Valve`, whose pressures are known in closed form, and `AirValve`, whose pressures are integrated."""
 
 
