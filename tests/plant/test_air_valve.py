@@ -78,6 +78,8 @@ def independent(paper, valve, commands, start, time):
             error = (command if is_flow else state) - pressure
             wanted = min(max(error / 1e5, -1.0), 1.0)
             zone = valve.dead_zone if is_flow else 0.0
+            if is_flow:  # nine tenths of the dead zone are skipped
+                wanted = (1 - 0.9 * zone) * wanted + 0.9 * zone * min(max(wanted / (0.1 * zone), -1.0), 1.0)
             opening = math.copysign(max(abs(state) - zone, 0.0) / (1 - zone), state) if is_flow else wanted
             moved.append((wanted - state) / 0.002 if is_flow else (command - state) / 0.02)
             source = (C * opening, inlet) if opening > 0 else ((valve.exhaust_conductance or C) * -opening, 101325)
@@ -109,7 +111,7 @@ def test_joint_and_air_move_as_an_independent_solver_says(plants, paper_precontr
     assert float(got.angle) == pytest.approx(angle, abs=2e-5)
     assert float(got.velocity) == pytest.approx(velocity, abs=2e-3)
     assert [float(p) for p in got.pressures] == pytest.approx([pressure1, pressure2], abs=20.0)
-    if name == "reservoir":
+    if name == "flow":
         assert float(got.air.reservoir) == pytest.approx(reservoir, abs=1.0) and reservoir < 6.99e5
 
 
