@@ -15,7 +15,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from mckibben.errors import RangeError
 from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive, check_within
-from mckibben.units import bar, percent
+from mckibben.numerics.elementary import polynomial
+from mckibben.units import VolumeTerm, bar, percent
 
 
 class Domain(eqx.Module, Displayed):
@@ -130,6 +131,9 @@ class Specimen(eqx.Module, Displayed):
         Highest permissible force [N].
     domain
         Permissible contraction [-] and gauge pressure [Pa].
+    volume_terms
+        Coefficients c0, c1, ... [m^3] of a measured volume c0 + c1 e + c2 e^2 + ... over the contraction e; without
+        them the volume is that of the braid.
     """
 
     name: str = eqx.field(static=True)
@@ -138,6 +142,7 @@ class Specimen(eqx.Module, Displayed):
     braid_angle: float
     rated_force: float
     domain: Domain
+    volume_terms: tuple[VolumeTerm, ...] | None = None
 
     def __check_init__(self) -> None:
         check_positive(self.name, "m", initial_length=self.initial_length, initial_diameter=self.initial_diameter)
@@ -156,15 +161,17 @@ class Specimen(eqx.Module, Displayed):
         return self.initial_length * (1 - jnp.asarray(contraction))
 
     def volume(self, contraction: ArrayLike) -> Float[Array, "..."]:
-        r"""Return the volume [m^3] inside the braid, a cylinder of inextensible thread.
+        r"""Return the volume [m^3], measured (`volume_terms`) or inside the braid, a cylinder of inextensible thread.
 
         .. math::
 
             V = \frac{\pi d_0^2 l_0}{4} (1-\varepsilon) \frac{1 - \cos^2\alpha_0 (1-\varepsilon)^2}{\sin^2\alpha_0}
 
-        The virtual work of this volume, F = -p dV/dl, is Chou's law (Eq. 1).
+        The virtual work of the braid's volume, F = -p dV/dl, is Chou's law (Eq. 1).
         """
+        if self.volume_terms is not None:
+            return polynomial(jnp.asarray(contraction), self.volume_terms)
         ratio = 1 - jnp.asarray(contraction)
         cylinder = jnp.pi * self.initial_diameter**2 * self.initial_length / 4
-        scale = cylinder / jnp.sin(self.braid_angle) ** 2  # no quotient of the argument: quicker in loops
-        return scale * ratio * (1 - jnp.cos(self.braid_angle) ** 2 * ratio**2)
+        widening = (1 - jnp.cos(self.braid_angle) ** 2 * ratio**2) / jnp.sin(self.braid_angle) ** 2
+        return cylinder * ratio * widening

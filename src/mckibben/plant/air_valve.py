@@ -39,7 +39,7 @@ class AirState(NamedTuple):
     """State of the valves of both muscles, and the gauge pressure [Pa] of the reservoir where there is one."""
 
     valves: tuple[Any, Any]
-    reservoir: Scalar | tuple[()] = ()
+    reservoir: Any = ()
 
 
 class AirVolume(NamedTuple):
@@ -143,6 +143,14 @@ class AirValve(ValveModel):
         filled = () if self.reservoir_volume is None else jnp.full_like(floating(pressure1), self.supply)
         return AirState((self.init(pressure1), self.init(pressure2)), filled)
 
+    def telemetry(
+        self, air: AirState, commands: tuple[ArrayLike, ArrayLike], pressures: tuple[ArrayLike, ArrayLike]
+    ) -> dict[str, Array]:
+        """Return columns of a result: openings, and the pressure [Pa] of the reservoir where there is one."""
+        opening1, opening2 = map(self.opening, air.valves, commands, pressures)
+        reservoir = {} if self.reservoir_volume is None else {"reservoir": air.reservoir}
+        return {"opening1": opening1, "opening2": opening2, **reservoir}
+
     def air_rate(
         self,
         pressures: tuple[Scalar, Scalar],
@@ -168,8 +176,7 @@ class AirValve(ValveModel):
     def flow(self, opening: ArrayLike, inlet: ArrayLike, pressure: ArrayLike) -> Array:
         """Return the mass flow [kg/s] into a muscle at a gauge pressure [Pa], from an absolute pressure [Pa]."""
         opening = jnp.asarray(opening)
-        exhaust = self.conductance if self.exhaust_conductance is None else self.exhaust_conductance
-        conductance = jnp.where(opening > 0, self.conductance * opening, -exhaust * opening)
+        conductance = jnp.where(opening > 0, self.conductance * opening, -self._exhaust * opening)
         return mass_flow(
             conductance, self.critical_ratio, jnp.where(opening > 0, inlet, ATMOSPHERE), pressure + ATMOSPHERE
         )
@@ -194,33 +201,35 @@ class AirValve(ValveModel):
         It is the area between a step of the command and the response of the pressure in a fixed volume [m^3] around a
         gauge pressure [Pa], over the step; the mean of filling and venting. For the valve model of a controller.
         """
-        exhaust = self.conductance if self.exhaust_conductance is None else self.exhaust_conductance
         inside = pressure + ATMOSPHERE
         fill = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inside, np)
-        vent = mass_flow(exhaust, self.critical_ratio, inside, ATMOSPHERE, np)
+        vent = mass_flow(self._exhaust, self.critical_ratio, inside, ATMOSPHERE, np)
         mass = self.band * (volume + self.dead_volume) / (self.polytropic_index * ENERGY)  # of a band
         return self.lag + mass * (1 / fill + 1 / vent) / 2
 
     def fastest_rate_in(self, volume: float) -> float:
         """Return a bound on the rates [1/s] of the air in a volume [m^3], of valve, loop and reservoir."""
         index, critical = float(self.polytropic_index), float(self.critical_ratio)
-        conductances = [self.conductance, self.exhaust_conductance or 0.0]
-        widest = max(float(one) for one in conductances)
+        widest = max(float(self.conductance), float(self._exhaust))
         slope = flow_share(critical, LAMINAR, FLOATS) / (1 - LAMINAR)  # of the flow over the pressure, both relative
         per_volume = index * ENERGY * DENSITY * slope
         room = volume + float(self.dead_volume)
         stroke = index * ENERGY * DENSITY * widest * (float(self.supply) + ATMOSPHERE) / room
         rates = [per_volume * widest / room + self.fastest_rate(stroke)]
-        if self.reservoir_volume is not None:
+        if self.reservoir_volume is not None and self.line_conductance is not None:
             rates.append(per_volume * (float(self.line_conductance) + 2 * widest) / float(self.reservoir_volume))
         return max(rates)
 
+    @property
+    def _exhaust(self) -> Conductance:
+        return self.conductance if self.exhaust_conductance is None else self.exhaust_conductance
+
     def _loop(self, command: ArrayLike, pressure: ArrayLike) -> Array:
         """Opening that the proportional loop asks for."""
-        return jnp.clip((jnp.asarray(command) - pressure) * (1 / self.band), -1.0, 1.0)
+        return jnp.clip((jnp.asarray(command) - jnp.asarray(pressure)) * (1 / self.band), -1.0, 1.0)
 
 
-def _compensated(opening: Array, shut: ArrayLike, compensation: ArrayLike) -> Array:
+def _compensated(opening: Array, shut: Any, compensation: Any) -> Array:
     """Command that opens a valve which is shut up to a part of its range; within the rest of it the steps are small."""
     jump, rest = compensation * shut, jnp.maximum((1 - compensation) * shut, 1e-9)
     return (1 - jump) * opening + jump * jnp.clip(opening * (1 / rest), -1.0, 1.0)
@@ -277,6 +286,10 @@ class FlowValve(AirValve):
 
     def clip_command(self, command: ArrayLike, rated: Domain) -> Array:
         return jnp.clip(jnp.asarray(command), -1.0, 1.0) if self.direct else super().clip_command(command, rated)
+
+    def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
+        command = super().command_for(pressure, rate, volume)
+        return jnp.where(jnp.isfinite(command), pressure, command) if self.direct else command  # no loop to lead
 
 
 class PressureRegulator(AirValve):
@@ -344,6 +357,8 @@ class SwitchingValves(AirValve):
         super().__check_init__()
         check_positive("SwitchingValves", "s", period=self.period)
         check_positive("SwitchingValves", "s", zero=True, opening_delay=self.opening_delay)
+        if isinstance(self.period, float):  # else it is traced
+            check_within("SwitchingValves", 0.0, self.period, "s", opening_delay=self.opening_delay)
         check_within("SwitchingValves", 0.0, 0.99, compensation=self.compensation)
 
     @property
@@ -362,7 +377,7 @@ class SwitchingValves(AirValve):
         duty = jnp.where(begins, wanted, state.duty)
         width = jnp.abs(duty) * period
         open_for = jnp.clip(phase + step, self.opening_delay, width) - jnp.clip(phase, self.opening_delay, width)
-        share = jnp.where(jnp.abs(duty) < 1, open_for / step, 1.0)
+        share = jnp.where(jnp.abs(duty) < 1, jnp.minimum(open_for / step, 1.0), 1.0)
         return Switching(phase + step, duty, jnp.sign(duty) * share)
 
     def opening(self, state: Switching, command: ArrayLike, pressure: ArrayLike) -> Array:

@@ -179,6 +179,7 @@ class JointPlant(eqx.Module, Displayed):
 
             def rate(motion: Motion) -> Motion:
                 at = motion.applied_to(state, state.pressures)
+                assert isinstance(at.air, AirState)
                 pressures, air = valve.air_rate(at.pressures, at.air, commands, self.air_volumes(at))
                 return self.rate(at)._replace(pressures=pressures, air=air)
 

@@ -12,7 +12,7 @@ from mckibben.control.base import Setpoint
 from mckibben.joint.antagonistic import NO_STATES
 from mckibben.numerics.batching import compute_once
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import JointPlant
+from mckibben.plant import AirValve, JointPlant
 from mckibben.units import atm, deg, litre, percent
 
 if TYPE_CHECKING:
@@ -68,7 +68,8 @@ def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, angle_wit
         force1 = joint.muscle1.tension(contraction1, pressure1)
         force2 = joint.muscle2.tension(contraction2, pressure2)
     muscles = ((joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2))
-    air1, air2 = (m.specimen.volume(contraction) * (pressure + atm) / atm for m, contraction, pressure in muscles)
+    dead = plant.valve.dead_volume if isinstance(plant.valve, AirValve) else 0.0
+    air1, air2 = ((m.specimen.volume(at) + dead) * (pressure + atm) / atm for m, at, pressure in muscles)
     inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in muscles]
     beyond = [
         jnp.maximum(muscle.domain.contraction_min - contraction, contraction - muscle.domain.contraction_max)

@@ -89,11 +89,11 @@ def valve_time_constant(valve: ValveSpec | None, joint: JointSpec) -> Any:
         return 0.0
     if not issubclass(valve.runtime, AirValve):
         return getattr(valve, "time_constant", None)  # a class of one's own may have none
-    muscle = joint.muscle1 or joint.muscle
-    assert muscle is not None
-    specimen = catalog.specimen(muscle.specimen)
-    domain = specimen.domain
-    volume = specimen.volume((domain.contraction_min + domain.contraction_max) / 2)
+    spec = joint.muscle1 or joint.muscle
+    assert spec is not None
+    muscle = _muscle(spec)
+    domain = muscle.domain
+    volume = muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2)
     try:
         found = valve.build().time_constant_at((domain.pressure_min + domain.pressure_max) / 2, float(volume))
     except RangeError:  # of a value that is only tried

@@ -278,7 +278,17 @@ class DisturbanceSpec(ConfigModel):
         return self.pulses.build()
 
 
-AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:ValveModel")]
+def _valve_of_catalog(value: Any) -> Any:
+    """A section of a valve with the numbers of the catalog's entry that its key ``from`` names."""
+    if not isinstance(value, dict) or "from" not in value:
+        return value
+    from mckibben import catalog
+
+    changes = {key: one for key, one in value.items() if key != "from"}
+    return {**catalog.valve_section(CatalogName("valves").read(value["from"])), **changes}
+
+
+AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:ValveModel"), BeforeValidator(_valve_of_catalog)]
 AnySensors = Annotated[SensorsSpec, PartOf("mckibben.plant:Sensors")]
 AnyDisturbance = Annotated[DisturbanceSpec, PartOf("mckibben.plant:Disturbance")]
 AnyLoad = Annotated[LoadSpec, PartOf("mckibben.joint:Load")]
