@@ -140,8 +140,8 @@ def _add_valves(bench: Bench, problem: Problem) -> None:
         part = replace(problem, plant=replace(problem.plant, valve=valve))
         engine = f"ours, {name}, f64, 1 core"
         run = ours.batch(part, masses, np.float64)
-        note = "0.4 dm^3/(s*bar), 7 bar"
-        bench.add(engine, lambda run=run, engine=engine: Candidate(engine, run, work, note=note, base=OURS))
+        made = Candidate(engine, run, work, note="0.4 dm^3/(s*bar), 7 bar", base=OURS)
+        bench.add(engine, lambda made=made: made)
 
 
 def threaded(engine: PlainC, problem: Problem, masses: NDArray[np.float64], cores: int) -> Callable[[], NDArray[Any]]:

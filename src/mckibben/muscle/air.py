@@ -74,9 +74,7 @@ def nominal_conductance(flow: float, critical: float = 0.3) -> float:
     return flow / (7 * bar * flow_share(critical, 6 / 7, FLOATS))
 
 
-def pressure_rate(
-    index: Any, pressure: Any, flow: Any, volume: Any, volume_rate: Any, volume_by_pressure: Any = 0.0
-) -> Any:
+def pressure_rate(index: Any, pressure: Any, flow: Any, volume: Any, volume_rate: Any) -> Any:
     r"""Return the rate [Pa/s] of the absolute pressure [Pa] in a volume [m^3] at a mass flow into it [kg/s].
 
     .. math:: \dot p = \frac{n}{V} \left(R T \dot m - p \dot V\right)
@@ -84,7 +82,7 @@ def pressure_rate(
     E. Richer and Y. Hurmuzlu, "A High Performance Pneumatic Force Actuator System: Part I", ASME Journal of Dynamic
     Systems, Measurement, and Control 122 (2000), with one polytropic index n for filling, venting and compression, and
     air of room temperature. Without flow p V^n is constant; at n = 1 the mass p V / (R T) is conserved. Where the
-    volume depends on the pressure itself (`volume_by_pressure` [m^3/Pa], a muscle in series with a spring),
-    `volume_rate` [m^3/s] is that at constant pressure.
+    volume depends on the pressure itself (a muscle in series with a spring), give V + n p dV/dp as the volume, and its
+    rate [m^3/s] at constant pressure.
     """
-    return index * (ENERGY * flow - pressure * volume_rate) / (volume + index * pressure * volume_by_pressure)
+    return index * (ENERGY * flow - pressure * volume_rate) * (1 / volume)

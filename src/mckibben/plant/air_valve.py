@@ -47,7 +47,11 @@ class AirVolume(NamedTuple):
 
     volume: Array
     rate: Array
-    by_pressure: ArrayLike = 0.0
+    by_pressure: Array | None = None
+
+    def effective(self, index: ArrayLike, pressure: ArrayLike) -> Array:
+        """Return the volume [m^3] for `pressure_rate` at an absolute pressure [Pa]."""
+        return self.volume if self.by_pressure is None else self.volume + index * pressure * self.by_pressure
 
 
 class AirValve(ValveModel):
@@ -164,7 +168,8 @@ class AirValve(ValveModel):
         for pressure, state, command, volume in zip(pressures, air.valves, commands, volumes, strict=True):
             opening = self.opening(state, command, pressure)
             flow = self.flow(opening, inlet, pressure)
-            rates.append(pressure_rate(self.polytropic_index, pressure + ATMOSPHERE, flow, *volume))
+            index, absolute = self.polytropic_index, pressure + ATMOSPHERE
+            rates.append(pressure_rate(index, absolute, flow, volume.effective(index, absolute), volume.rate))
             valve_rates.append(self.rate(state, command, pressure))
             drawn = drawn + jnp.where(opening > 0, flow, 0.0)
         reservoir: Any = ()
@@ -187,7 +192,7 @@ class AirValve(ValveModel):
         Infinite where the open valve or the supply is too small. The lag of a spool is left out.
         """
         absolute = jnp.asarray(pressure) + ATMOSPHERE
-        room = volume.volume + self.polytropic_index * absolute * volume.by_pressure
+        room = volume.effective(self.polytropic_index, absolute)
         needed = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY
         full = jnp.where(needed > 0, 1.0, -1.0)
         share = needed / self.flow(full, self.supply + ATMOSPHERE, pressure)

@@ -198,7 +198,7 @@ class JointPlant(eqx.Module, Displayed):
             return specimen1.volume(contraction1) + dead, specimen2.volume(contraction2) + dead
 
         at, slopes = value_and_derivative(lambda angle: volumes(angle, state.pressures), state.angle)
-        by_pressure: Any = (0.0, 0.0)
+        by_pressure: Any = (None, None)
         if not isinstance(self.joint.tendon, RigidTendon):
             ones = jax.tree.map(jnp.ones_like, state.pressures)
             by_pressure = jax.jvp(lambda held: volumes(state.angle, held), (state.pressures,), (ones,))[1]
