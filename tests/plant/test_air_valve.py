@@ -2,15 +2,17 @@
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import pytest
 from scipy.integrate import solve_ivp
 
+from mckibben.errors import RangeError
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, LAMINAR, mass_flow, pressure_rate
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.compiled import compiled, numeric
-from mckibben.plant import FlowValve, JointPlant, PressureRegulator
+from mckibben.plant import FlowValve, JointPlant, PressureRegulator, SwitchingValves
 
 C = 0.4e-8  # m^3/(s*Pa): 0.4 dm^3/(s*bar)
 RESERVOIR = {"reservoir_volume": 1e-3, "line_conductance": 0.2e-8}
@@ -136,3 +138,61 @@ def test_with_shut_valves_the_air_is_compressed_as_p_v_to_the_n_and_is_as_stiff_
     closed = compiled(lambda joint, p: joint.closed_valve_stiffness(0.1, p, polytropic_index=1.2, dead_volume=3e-6))
     stiffness = (torques[0] - torques[1]) / float(moved.angle - start.angle)
     assert stiffness == pytest.approx(float(closed(knee, (3e5, 4e5))), rel=5e-3)
+
+
+@pytest.mark.parametrize("steps", [4, 30])
+@pytest.mark.parametrize("error", [0.3e5, -0.05e5, 2e5, -3e5])
+def test_a_pulse_is_open_for_its_width_less_the_delay_in_steps_of_any_length(error, steps):
+    """The delay is a tenth of the period, of which nine tenths are compensated."""
+    valve = SwitchingValves(C, 7e5, period=0.01, opening_delay=0.001, compensation=0.9)
+    state, step, share = valve.init(jnp.asarray(3e5)), 0.01 / steps, 0.0
+    for k in range(2 * steps):
+        command = 3e5 + error if k % steps == 0 else 0.0  # it is looked at when a period begins
+        state = valve.before_step(state, command, 3e5, step)
+        share += float(valve.opening(state, command, 3e5)) / (2 * steps)
+    part = 0.91 * abs(error) / 1e5 + 0.09 - 0.1
+    expected = math.copysign(1.0 if abs(error) > 1e5 else part, error)
+    assert share == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_no_valve_can_be_is_refused():
+    for wrong, field in (
+        ({"conductance": 0.0}, "conductance"),
+        ({"polytropic_index": 0.9}, "polytropic_index"),
+        ({"dead_volume": -1e-6}, "dead_volume"),
+        ({"dead_zone": 0.95}, "dead_zone"),
+        ({"reservoir_volume": 1e-3}, ""),
+    ):
+        with pytest.raises(RangeError) as caught:
+            FlowValve(**({"conductance": C, "supply": 7e5} | wrong))
+        assert (caught.value.field or "") == field
+    with pytest.raises(RangeError):
+        SwitchingValves(C, 7e5, period=0.01, opening_delay=0.02)
+
+
+def test_commands_lead_the_pressure_by_what_the_loop_needs_and_none_does_beyond_the_open_valve(plants):
+    plant = plants["regulator"]
+    state = plant.init_state(0.1, (3e5, 4e5))
+    rates = (20e5, -10e5)
+    commands = plant.commands_for(state, rates)
+    lagging = state._replace(
+        air=state.air._replace(valves=tuple(c - 0.02 * r for c, r in zip(commands, rates, strict=True)))
+    )
+    found, _ = plant.valve.air_rate(state.pressures, lagging.air, commands, plant.air_volumes(state))
+    assert [float(rate) for rate in found] == pytest.approx(rates, rel=1e-9)
+    assert [float(c) for c in plant.commands_for(state, (1e9, -1e9))] == [math.inf, -math.inf]
+    beyond = plant.init_state(0.1, (7.5e5, 4e5))  # above the supply
+    assert not math.isfinite(plant.commands_for(beyond, (0.0, 0.0))[0])
+    assert float(plant.clip_commands((7.5e5, 0.0))[0]) == 7e5
+
+
+def test_direct_commands_are_openings():
+    valve = FlowValve(C, 7e5, spool_lag=0.002, direct=True)
+    assert float(valve.clip_command(3.0, None)) == 1.0
+    assert float(valve.rate(jnp.asarray(0.0), 0.5, 3e5)) == pytest.approx(250.0)
+
+
+def test_a_measured_volume_takes_the_place_of_the_braid(knee, specimen):
+    measured = eqx.tree_at(lambda one: one.volume_terms, specimen, (2e-5, 1e-4, -2e-4), is_leaf=lambda one: one is None)
+    assert float(measured.volume(0.1)) == pytest.approx(2.8e-5, rel=1e-12)
+    assert float(specimen.volume(0.1)) == pytest.approx(braid_volume(0.1), rel=1e-12)
