@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,17 @@ from reference import Problem, numbers, with_mass
 from rows import Candidate, Row, Table
 from timing import Bench, inverted
 
+from mckibben import FlowValve, PressureRegulator, SwitchingValves
+from mckibben.muscle.air import L_PER_S_BAR
+from mckibben.units import bar, ms
+
 DTYPES = {"f64": np.float64, "f32": np.float32}
 TOLERANCE = {"f64": 1e-9, "f32": 1e-4}
 CHECKED = 32  # lanes
 LANES_OF_C, LANES_OF_NUMPY, PERIODS_OF_NUMPY = 32, 4096, 50
 MILLION = 1e6
 BASE = "plain C, f64, 1 core"
+OURS = "ours, simulate_many, f64, 1 core"
 CHUNKS_OF_OURS = 4  # a core
 
 
@@ -34,6 +40,7 @@ def batch(problem: Problem, folder: Path, *, quick: bool) -> Table:
     for precision in DTYPES:
         for count in counts:
             _add_engines(bench, problem, folder, precision, count)
+    _add_valves(bench, problem)
     rows = inverted(bench.timed())
     starved = any(row.cores is not None and row.cores < 0.8 * _cores_of(row) for row in rows)
     busy = "Some rows got fewer cores than they asked for: others were using the machine, their ratios mislead."
@@ -46,6 +53,8 @@ def batch(problem: Problem, folder: Path, *, quick: bool) -> Table:
         (
             f"Lanes are the PID episode above{', its first 2 s,' if quick else ''} with external loads of 0.3 to 0.7 "
             "kg; each gives the RMS errors of angle and stiffness and keeps nothing else. All cores: a thread each.",
+            "Valves with air (the last rows) have two pressures, and state of the valves, to integrate; their ratio is "
+            "against the first-order valve of the same batch.",
             f"Deviation: the largest of both RMS errors (rad, N*m/rad) from plain C in f64 over {CHECKED} of the "
             f"lanes; beyond {TOLERANCE['f64']:.0e} in f64 or {TOLERANCE['f32']:.0e} in f32 nothing is timed.",
             *([busy] if starved else []),
@@ -112,6 +121,27 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
     bench.add(f"ours, simulate_many, {where}", our_own)
     if cores == 1:
         bench.add(f"NumPy, {where}", numpy)
+
+
+def _add_valves(bench: Bench, problem: Problem) -> None:
+    """Our own batch with valves with air, against that with the lag."""
+    masses = loads(CHUNKS_OF_OURS * ours.CHUNK)
+    work = len(masses) * problem.periods / MILLION
+    conductance, supply = 0.4 * L_PER_S_BAR, 7 * bar
+    valves = {
+        "FlowValve": FlowValve(conductance, supply),
+        "PressureRegulator": PressureRegulator(conductance, supply, time_constant=20 * ms),
+        "SwitchingValves": SwitchingValves(conductance, supply, period=10 * ms),
+        "FlowValve with a reservoir": FlowValve(
+            conductance, supply, reservoir_volume=1e-3, line_conductance=conductance
+        ),
+    }
+    for name, valve in valves.items():
+        part = replace(problem, plant=replace(problem.plant, valve=valve))
+        engine = f"ours, {name}, f64, 1 core"
+        run = ours.batch(part, masses, np.float64)
+        made = Candidate(engine, run, work, note="0.4 dm^3/(s*bar), 7 bar", base=OURS)
+        bench.add(engine, lambda made=made: made)
 
 
 def threaded(engine: PlainC, problem: Problem, masses: NDArray[np.float64], cores: int) -> Callable[[], NDArray[Any]]:

@@ -68,8 +68,11 @@ from .paper import (
 )
 from .plant import (
     FirstOrderValve as FirstOrderValve,
+    FlowValve as FlowValve,
     IdealValve as IdealValve,
     JointPlant as JointPlant,
+    PressureRegulator as PressureRegulator,
+    SwitchingValves as SwitchingValves,
 )
 from .rig import (
     IsobaricProtocol as IsobaricProtocol,

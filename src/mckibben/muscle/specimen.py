@@ -16,7 +16,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from mckibben.errors import RangeError
 from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive, check_within
-from mckibben.units import BraidAngle, Contraction, Length, Pressure, Tension, bar, percent
+from mckibben.numerics.elementary import polynomial
+from mckibben.units import BraidAngle, Contraction, Length, Pressure, Tension, VolumeTerm, bar, percent
 
 
 class Domain(eqx.Module, Displayed):
@@ -138,6 +139,9 @@ class Specimen(eqx.Module, Displayed):
         Highest permissible force [N]. Default: none.
     domain
         Permissible contraction [-] and gauge pressure [Pa]. A `Muscle` takes infinite bounds from the law's domain.
+    volume_terms
+        Coefficients c0, c1, ... [m^3] of a measured volume c0 + c1 e + c2 e^2 + ... over the contraction e; without
+        them the volume is that of the braid.
 
     Examples
     --------
@@ -157,6 +161,7 @@ class Specimen(eqx.Module, Displayed):
     braid_angle: BraidAngle | None = None
     rated_force: Tension | None = None
     domain: Domain = Domain()
+    volume_terms: tuple[VolumeTerm, ...] | None = None
 
     def __check_init__(self) -> None:
         check_positive(self.name, "m", initial_length=self.initial_length)
@@ -177,7 +182,9 @@ class Specimen(eqx.Module, Displayed):
 
     @property
     def has_volume(self) -> bool:
-        """Whether diameter and braid angle, and so the volume, are known."""
+        """Whether the volume is known: as a polynomial, or from diameter and angle of the braid."""
+        if self.volume_terms is not None:
+            return True
         return self.initial_diameter is not None and self.braid_angle is not None
 
     def braid(self, what: str) -> tuple[float, float]:
@@ -199,15 +206,17 @@ class Specimen(eqx.Module, Displayed):
         return self.initial_length * (1 - jnp.asarray(contraction))
 
     def volume(self, contraction: ArrayLike) -> Float[Array, "..."]:
-        r"""Return the volume [m^3] inside the braid, a cylinder of inextensible thread.
+        r"""Return the volume [m^3], measured (`volume_terms`) or inside the braid, a cylinder of inextensible thread.
 
         .. math::
 
             V = \frac{\pi d_0^2 l_0}{4} (1-\varepsilon) \frac{1 - \cos^2\alpha_0 (1-\varepsilon)^2}{\sin^2\alpha_0}
 
-        The virtual work of this volume, F = -p dV/dl, is Chou's law (Eq. 1). Raises `RangeError` if the diameter or
-        the braid angle is unknown.
+        The virtual work of the braid's volume, F = -p dV/dl, is Chou's law (Eq. 1). Raises `RangeError` if the volume
+        is not known.
         """
+        if self.volume_terms is not None:
+            return polynomial(jnp.asarray(contraction), self.volume_terms)
         initial_diameter, braid_angle = self.braid("the volume")
         ratio = 1 - jnp.asarray(contraction)
         cylinder = jnp.pi * initial_diameter**2 * self.initial_length / 4

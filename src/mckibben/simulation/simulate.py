@@ -20,7 +20,8 @@ from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import solve_static_and_range
 from mckibben.numerics.batching import cast, named_leaves
 from mckibben.numerics.compiled import compiled, compiled_batch, numeric
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import AirValve, JointPlant, PlantState
+from mckibben.plant.air_valve import AirState
 from mckibben.simulation.loop import Record, compiled_episode
 from mckibben.simulation.metrics import Trajectory, compiled_trajectory
 from mckibben.simulation.problem import (
@@ -255,6 +256,8 @@ def _episode_result(
 
     record = run(setpoints)
     state, telemetry = record.state, dict(record.telemetry)
+    if isinstance(plant.valve, AirValve) and isinstance(state.air, AirState):
+        telemetry |= plant.valve.telemetry(state.air, (record.command1, record.command2), state.pressures)
     telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
     telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
     immediate = {
@@ -266,7 +269,7 @@ def _episode_result(
         "desired_stiffness": setpoints.stiffness,
         "command1": record.command1,
         "command2": record.command2,
-        **{name: value for name, value in record.telemetry.items() if name != "saturated"},
+        **{name: value for name, value in telemetry.items() if name != "saturated" and value is not None},
         **known,
     }
 

@@ -28,7 +28,9 @@ def effective_value(scenario: Scenario, part: ConfigModel, place: tuple[str, ...
     if key == "strength":  # of a muscle's law
         return 1.0
     if key == "valve_time_constant":  # of the controller's model
-        return 0.0 if scenario.valve is None else getattr(scenario.valve, key.removeprefix("valve_"), None)
+        from mckibben.study.scenario.building import valve_time_constant
+
+        return valve_time_constant(scenario.valve, scenario.joint)
     if isinstance(part, JointSpec):
         return part.geometry.effective(key) if key in type(part.geometry).model_fields else None
     return part.effective(key) if isinstance(part, ComponentModel) else None

@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+
 from mckibben.config.model import explicit_fields
 from mckibben.control import (
     Controller,
@@ -22,10 +24,10 @@ from mckibben.control import (
     PressureObserver,
     VelocityObserver,
 )
-from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
+from mckibben.errors import FileError, McKibbenError, Problem, RangeError, ScenarioError
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon
 from mckibben.notebook import Progress, silent
-from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors
+from mckibben.plant import AirValve, IdealValve, JointPlant, NoDisturbance, PerfectSensors
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
 from mckibben.study.parameters import Known, Table, batched
 from mckibben.study.scenario import Scenario
@@ -72,6 +74,27 @@ def build_geometry(spec: JointSpec) -> KneeGeometry:
     if spec.connector_length is None:
         return geometry
     return dataclasses.replace(geometry, connector_length=spec.connector_length)
+
+
+def valve_time_constant(valve: ValveSpec | None, joint: JointSpec) -> Any:
+    """First-order time constant [s] of the valves in a controller's model, where it is not given; None if unknown.
+
+    For valves with air it is that of small changes in the middle of the first muscle's pressures and contractions.
+    """
+    if valve is None:
+        return 0.0
+    if not issubclass(valve.runtime, AirValve):
+        return getattr(valve, "time_constant", None)  # a class of one's own may have none
+    spec = joint.muscle1 or joint.muscle
+    assert spec is not None
+    muscle = spec.build()
+    domain = muscle.domain
+    volume = muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2)
+    try:
+        found = valve.build().time_constant_at((domain.pressure_min + domain.pressure_max) / 2, float(volume))
+    except RangeError:  # of a value that is only tried
+        return math.nan
+    return np.asarray(found, float) if np.ndim(found) else float(found)
 
 
 def build_control(spec: ControllerSpec, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> Controller:

@@ -248,7 +248,9 @@ class ControllerSpec(ConfigModel):
     def with_model(self, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> ControllerSpec:
         """The controller with its model of joint, load and valves written out, taken from a plant where not given."""
         update: dict[str, Any] = {} if self.model is not None else {"model": joint}
-        lag = 0.0 if valve is None else getattr(valve, "time_constant", None)  # a class of one's own may have none
+        from mckibben.study.scenario.building import valve_time_constant
+
+        lag = valve_time_constant(valve, joint)
         for name in ("decoupling", "predictive", "inverse_model"):
             part = getattr(self, name)
             if part is None:

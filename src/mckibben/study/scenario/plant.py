@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from mckibben.config.fields import Flag
 from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.config.schema import PartOf, model_of
 from mckibben.joint import GeneralLoad, KneeGeometry, KneeLoad, PendulumLoad, SeriesSpring
 from mckibben.plant import FirstOrderValve, SampledSensors, TorquePulses
-from mckibben.study.scenario.muscle import CatalogPart, MuscleSpec, entry_of
+from mckibben.study.scenario.muscle import CatalogName, CatalogPart, MuscleSpec, entry_of
 from mckibben.units import Angle, Distance, Stiffness, Torque
 
 
@@ -187,7 +187,17 @@ class DisturbanceSpec(ConfigModel):
         return self.pulses.build()
 
 
-AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:Valve")]
+def _valve_of_catalog(value: Any) -> Any:
+    """A section of a valve with the numbers of the catalog's entry that its key ``from`` names."""
+    if not isinstance(value, dict) or "from" not in value:
+        return value
+    from mckibben import catalog
+
+    changes = {key: one for key, one in value.items() if key != "from"}
+    return {**catalog.valve_section(CatalogName("valves").read(value["from"])), **changes}
+
+
+AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:ValveModel"), BeforeValidator(_valve_of_catalog)]
 AnySensors = Annotated[SensorsSpec, PartOf("mckibben.plant:Sensors")]
 AnyDisturbance = Annotated[DisturbanceSpec, PartOf("mckibben.plant:Disturbance")]
 AnyLoad = Annotated[LoadSpec, PartOf("mckibben.joint:Load", others=(PendulumLoadSpec, GeneralLoadSpec))]

@@ -120,6 +120,16 @@ class Scenario(RunSpec):
             )
         return value
 
+    @field_validator("controller", mode="after")
+    @classmethod
+    def _commands_fit(cls, value: Any, info: ValidationInfo) -> Any:
+        if isinstance(value, ControllerSpec) and getattr(info.data.get("valve"), "direct", None):
+            fail_validation(
+                "commands pressures, but the valve has `direct` commands, which are openings",
+                "leave `direct` out, or name a controller class of your own",
+            )
+        return value
+
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Scenario:
         """Read a scenario file; raises ScenarioError with every problem: line, field, value, range and remedy."""
