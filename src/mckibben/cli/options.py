@@ -143,12 +143,13 @@ def table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> 
 def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
     """Progress bar of `width` columns on standard error."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (
         BarColumn(bar_width=width),
         TextColumn("{task.percentage:3.0f} %"),
         TimeElapsedColumn(),
+        TimeRemainingColumn(),
         TextColumn("{task.description}"),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:

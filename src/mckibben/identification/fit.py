@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import html_table, text_table
+from mckibben.dataset.schema import text_table
 from mckibben.errors import IdentificationError, printable
 from mckibben.identification.intervals import (
     ForceIntervals,
@@ -25,6 +25,7 @@ from mckibben.identification.intervals import (
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import Floats, Grouping, correlated_pairs
 from mckibben.muscle import Domain, ForceLaw, forces
+from mckibben.notebook import html_table
 from mckibben.units import bar, factor, percent
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import html_table
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import Fit, unphysical
 from mckibben.identification.fitting import (
@@ -27,6 +26,7 @@ from mckibben.identification.regression import (
     pressure_blocks,
 )
 from mckibben.muscle import LAWS, ForceLaw
+from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.units import show
 
 _RECORDED = ("direction", "phase", "repeat")
@@ -190,12 +190,12 @@ def rank(
     dataset: IsobaricDataset,
     laws: Iterable[type[ForceLaw]] = tuple(LAWS.values()),
     *,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Ranking:
     """Fit laws to a dataset and rank them by their cross-validation errors.
 
     A law that the points do not determine is listed with the reason; `progress` is called with the current law and the
-    fraction done, 0 to 1.
+    fraction done, 0 to 1; in notebooks there is a progress bar.
 
     Raises
     ------
@@ -217,8 +217,7 @@ def rank(
     if not len(points):
         raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")
     blocks, missing = _blocks(points)
-    kinds = list(laws)
-    entries = []
+    progress, kinds, entries = progress or notebook_progress(), list(laws), []
     for i, kind in enumerate(kinds):
         if progress:
             progress(kind.__name__, i / len(kinds))

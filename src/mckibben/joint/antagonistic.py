@@ -15,6 +15,7 @@ from mckibben.joint.geometry import Geometry, Pair, Pressures
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw
 from mckibben.muscle.muscle import warn_outside
+from mckibben.notebook import Displayed
 from mckibben.numerics.batching import computed_once
 from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.checks import check_kind, check_within
@@ -85,7 +86,7 @@ class MuscleForces(NamedTuple):
     contractions: Pair
 
 
-class AntagonisticJoint(eqx.Module):
+class AntagonisticJoint(eqx.Module, Displayed):
     """A joint actuated by two antagonistic muscles.
 
     In all methods `pressures` is a pair of gauge pressures [Pa], (p1, p2), `angle` is in rad, and scalars and arrays

@@ -6,12 +6,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import sincos
 from mckibben.units import Angle, Damping, Distance, Gravity, Inertia, Mass
 
 
-class Load(eqx.Module):
+class Load(eqx.Module, Displayed):
     r"""A shank with two point masses: a pendulum driven by the muscles' torque (Eq. 6).
 
     .. math:: I\ddot\theta + c\dot\theta = \tau + G \sin(\theta_h - \theta),

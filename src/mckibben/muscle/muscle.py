@@ -18,6 +18,7 @@ from mckibben.muscle.base import ForceLaw
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
 from mckibben.muscle.specimen import Domain, Specimen
+from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
@@ -33,7 +34,7 @@ class MuscleState(NamedTuple):
 NO_STATE = MuscleState()
 
 
-class Muscle(eqx.Module):
+class Muscle(eqx.Module, Displayed):
     """A specimen with its force law, friction and creep.
 
     Unlike the law, a muscle cannot push: where the law is negative the muscle is slack and its force is zero. Friction

@@ -13,11 +13,12 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from mckibben.errors import RangeError
+from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.units import bar, percent
 
 
-class Domain(eqx.Module):
+class Domain(eqx.Module, Displayed):
     """A box of contraction [-] and gauge pressure [Pa]."""
 
     contraction_min: float | Array = -jnp.inf
@@ -116,7 +117,7 @@ def _tightest(pick: Callable[..., Any], one: float | Array, other: float | Array
     return (jnp.maximum if pick is max else jnp.minimum)(one, other)
 
 
-class Specimen(eqx.Module):
+class Specimen(eqx.Module, Displayed):
     """Dimensions and ratings of a muscle.
 
     Parameters

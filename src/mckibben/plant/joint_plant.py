@@ -16,6 +16,7 @@ from mckibben.joint.attainable import StaticSolution, check_finite, raise_unatta
 from mckibben.joint.geometry import Pressures
 from mckibben.muscle import MuscleState
 from mckibben.muscle.creep import CreepState
+from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
@@ -64,7 +65,7 @@ class Motion(NamedTuple):
         return PlantState(self.angle, self.velocity, pressures, muscles, state.io)
 
 
-class JointPlant(eqx.Module):
+class JointPlant(eqx.Module, Displayed):
     """The simulated system, of joint, load, valves, sensors and disturbance; controllers have no access to it."""
 
     joint: AntagonisticJoint

@@ -17,6 +17,7 @@ from mckibben.errors import ParameterError, UnitError
 from mckibben.joint import Geometry, RigidTendon
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.muscle import Muscle, PressureAffineLaw
+from mckibben.notebook import html_table
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
@@ -265,6 +266,12 @@ class Design:
     angles: Values
     stiffness: AttainableRange
     envelope: StaticEnvelope
+
+    def __repr__(self) -> str:
+        return f"<Design: {self.describe()}>"
+
+    def _repr_html_(self) -> str:
+        return html_table(self.describe(), ("angle", "stiffness"), self.rows())
 
     @property
     def attained(self) -> bool:

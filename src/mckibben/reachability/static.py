@@ -85,6 +85,13 @@ class StaticEnvelope:
     map_torques: Values
     map_stiffness: AttainableRange
 
+    def __repr__(self) -> str:
+        if not self.exists:
+            return "<StaticEnvelope: the load cannot be held at any angle>"
+        low, high = np.nanmin(self.stiffness.lowest), np.nanmax(self.stiffness.highest)
+        angles = f"{self.angle_min / deg:.4g}..{self.angle_max / deg:.4g} deg"
+        return f"<StaticEnvelope: {angles}, stiffness {low:.4g}..{high:.4g} N*m/rad>"
+
     @property
     def exists(self) -> bool:
         """Whether the load can be held at any angle."""

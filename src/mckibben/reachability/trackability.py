@@ -149,6 +149,9 @@ class Trackability:
     smoothing_sufficient: bool
     deviation: float
 
+    def __repr__(self) -> str:
+        return f"<Trackability: {self.describe()}>"
+
     @property
     def violated(self) -> NDArray[np.bool_]:
         """Mask of the samples that are not trackable, shape (samples,)."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import enum
 import functools
-import html
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.errors import FileError, Problem, SimulationError
+from mckibben.notebook import html_table
 from mckibben.simulation.metrics import METRICS, Trajectory, compiled_measure
 from mckibben.units import bar, deg, percent
 
@@ -298,18 +298,6 @@ class Result:
             raise FileError(source, problems)
         values = {str(name): variable.to_numpy() for name, variable in table.data_vars.items()}
         return cls(values, float(period), Outcome[outcome], str(table.attrs.get("scenario", "")))
-
-
-def html_table(title: str, head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A small HTML table for notebooks."""
-
-    def row(cells: Iterable[str], tag: str) -> str:
-        return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
-
-    body = "".join(row(cells, "td") for cells in rows)
-    return (
-        f"<table><caption>{html.escape(title)}</caption><thead>{row(head, 'th')}</thead><tbody>{body}</tbody></table>"
-    )
 
 
 def _outside(columns: Mapping[str, np.ndarray]) -> str:

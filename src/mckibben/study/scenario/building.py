@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from mckibben.control import (
 from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon
 from mckibben.muscle import ChouLaw, Muscle, NoCreep, NoFriction, scaled_law
+from mckibben.notebook import Progress, silent
 from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
 from mckibben.study.parameters import Known, Table, batched
@@ -203,7 +204,7 @@ def run_many(
     precision: int = 64,
     chunk: int | None = None,
     workers: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Batch:
     """Simulate a scenario once for each row of a table of values; raises ParameterError for an invalid row."""
     many = batched(scenario, table, known=known)
@@ -219,5 +220,5 @@ def run_many(
         precision=precision,
         chunk=chunk,
         workers=workers,
-        progress=progress,
+        progress=progress or silent,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -128,6 +129,9 @@ class Scenario(RunSpec):
     def parse(cls, text: str, *, source: str = "scenario", folder: str | os.PathLike[str] = ".") -> Scenario:
         """Read a scenario from YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
         return parse_model(cls, text, source=source, folder=folder)[0]
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(self.dumps())}</pre>"
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write the scenario to a file that `read` reads back to the last bit."""
