@@ -127,7 +127,7 @@ def _scales(fixed: Floats, deviations: NDArray[Any], residuals: Floats, orders: 
 
 def _objection(found: Solution, base: Solution, used: IsobaricDataset) -> str:
     """Reason to prefer Eq. 2; empty if there is none."""
-    if not found.converged or found.at_bound.any():
+    if not found.converged:
         return "the fit with deviations did not converge"
     blocks = {"pressure": pressure_blocks(used)[0], "contraction": contraction_blocks(used)}
     for kind, labels in blocks.items():
