@@ -239,6 +239,19 @@ class Solution:
         return len(self.values) - float(np.sum(q[np.count_nonzero(self.problem.kept) :] ** 2))
 
     @property
+    def aicc(self) -> float:
+        """Corrected Akaike information criterion for normal errors of unknown variance; NaN with too few points.
+
+        C. Hurvich and C.-L. Tsai, Biometrika 76 (1989) 297-307.
+        """
+        count, total = len(self.residuals), self.effective_parameters + 1  # and the residual variance
+        freedom = count - total - 1
+        if freedom <= 0:
+            return math.nan
+        squares = float(self.residuals @ self.residuals)
+        return count * math.log(max(squares, 1e-300) / count) + 2 * total + 2 * total * (total + 1) / freedom
+
+    @property
     def at_bound(self) -> Bools:
         """Parameters at a bound of their range, shape (parameters,)."""
         return self.problem.at_bound(self.position)

@@ -207,7 +207,7 @@ def rank(
     >>> from mckibben import catalog
     >>> from mckibben.muscle import ExponentialLaw, ReynoldsLaw
     >>> ranking = rank(catalog.dataset("dmsp-10-250-martens2017"), [ReynoldsLaw, ExponentialLaw])
-    >>> [(entry.law, round(entry.error, 2)) for entry in ranking.entries]
+    >>> [(e.law, round(e.cross_validation["pressure"].rmse, 2)) for e in ranking.entries]
     [('ExponentialLaw', 1.34), ('ReynoldsLaw', 32.37)]
     >>> ranking
     <Ranking of 2 laws (0 refused) by cross-validation RMSE, best ExponentialLaw>
@@ -281,7 +281,8 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
             residuals = without_direction_means(found.residuals, regression.points)
             cross_validation[name] = CrossValidation(residuals, found.by_block)
     bounds = [name for name, out in zip(fit.estimates, regression.at_bound, strict=True) if out]
-    flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if bounds else []
+    misspecified = bounds and regression.problem.prior is None  # with deviations a bound is none of the law's form
+    flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if misspecified else []
     if reason := unphysical(fit.law):
         flags.append(reason)
     residuals, effective = regression.solution.residuals, regression.solution.effective_parameters
@@ -291,7 +292,7 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
         kind.__name__,
         fit,
         cross_validation=cross_validation,
-        aicc=_aicc(residuals, effective),
+        aicc=regression.solution.aicc,
         residual_correlation=residual_correlation(regression.points, residuals),
         flags=tuple(flags),
         remarks=tuple(remarks),
@@ -302,13 +303,3 @@ def _nearly_as_good(entry: RankedLaw, first: RankedLaw) -> bool:
     if first.interpolation:
         return entry.error <= _AS_GOOD * first.error
     return entry.aicc <= first.aicc + _SUPPORTED
-
-
-def _aicc(residuals: np.ndarray, parameters: float) -> float:
-    """Corrected Akaike information criterion for normal errors of unknown variance (Hurvich and Tsai 1989)."""
-    count, total = len(residuals), parameters + 1  # and the residual variance
-    freedom = count - total - 1
-    if freedom <= 0:
-        return math.nan
-    squares = float(residuals @ residuals)
-    return count * math.log(max(squares, 1e-300) / count) + 2 * total + 2 * total * (total + 1) / freedom

@@ -6,8 +6,9 @@ the scales :math:`\gamma_j`, with :math:`\sigma` profiled and the parameters of 
 out, follows from one QR factorisation. A scale is kept if it raises the logarithm of the likelihood by 1 or more
 (Akaike). With the scales the prior is a set of rows of the least-squares problem, in which the decay is refined.
 
-The law is Eq. 2 itself unless its deviations lower the errors at pressures left out and do not raise those at
-contractions left out, both with the scales and the decay held, and are physical where Eq. 2 is.
+The law is Eq. 2 itself unless its deviations lower the corrected Akaike criterion (with their effective parameters:
+few points support few) and the errors at pressures left out, do not raise those at inner contractions left out by more
+than a twentieth, both with the scales held, and are physical where Eq. 2 is.
 
 References
 ----------
@@ -129,6 +130,8 @@ def _objection(found: Solution, base: Solution, used: IsobaricDataset) -> str:
     """Reason to prefer Eq. 2; empty if there is none."""
     if not found.converged:
         return "the fit with deviations did not converge"
+    if not found.aicc < base.aicc:
+        return "Akaike's criterion is lower without deviations"
     blocks = {"pressure": pressure_blocks(used)[0], "contraction": contraction_blocks(used)}
     for kind, labels in blocks.items():
         if labels is None:
