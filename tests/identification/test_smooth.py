@@ -56,12 +56,14 @@ def test_outside_of_its_window_it_is_eq_2_and_inside_a_muscle():
     np.testing.assert_allclose(back, PRESSURE, rtol=1e-9)
 
 
-def test_confidence_bands_hold_the_truth():
-    truth, inside = forces(EQ_2, CONTRACTION, PRESSURE) + AFFINE, []
-    for seed in range(20):
-        band = identify(SmoothAffineLaw, measured(AFFINE, 0.5, seed)).force_interval(CONTRACTION, PRESSURE)
-        inside.append(np.mean((band.lower <= truth) & (truth <= band.upper)))
-    assert 0.88 < np.mean(inside) <= 1.0
+def test_intervals_hold_the_truth_and_new_points():
+    truth, held = forces(EQ_2, CONTRACTION, PRESSURE) + AFFINE, []
+    fresh = truth + 0.5 * np.random.default_rng(99).standard_normal((8, len(truth)))
+    for seed, new in enumerate(fresh):
+        found = identify(SmoothAffineLaw, measured(AFFINE, 0.5, seed)).force_intervals(CONTRACTION, PRESSURE)
+        pairs = ((found.confidence, truth), (found.prediction, new))
+        held.append([np.mean((one.lower <= value) & (value <= one.upper)) for one, value in pairs])
+    assert np.all(np.mean(held, axis=0) > 0.88)
 
 
 def test_a_fit_file_gives_the_same_law_and_a_muscle_uses_it(tmp_path):
@@ -69,6 +71,5 @@ def test_a_fit_file_gives_the_same_law_and_a_muscle_uses_it(tmp_path):
     fit.to_yaml(tmp_path / "fit.yaml")
     law = Fit.from_yaml(tmp_path / "fit.yaml").law
     assert law == dataclasses.replace(fit.law)
-    joint = catalog.joint("knee-table-2")
-    muscle = Muscle(law, joint.muscle1.specimen)
+    muscle = Muscle(catalog.joint("knee-table-2").muscle1.specimen, law)
     assert float(muscle.law.force(0.05, 4 * bar)) == float(fit.law.force(0.05, 4 * bar))
