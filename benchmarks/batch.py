@@ -14,7 +14,7 @@ from engines.plain_c import PlainC
 from engines.simd_lanes import SimdLanes
 from machine import cores as all_cores
 from numpy.typing import NDArray
-from reference import Problem, numbers, with_mass
+from reference import Problem, numbers, with_mass, with_smooth_law
 from rows import Candidate, Row, Table
 from timing import Bench, inverted
 
@@ -87,11 +87,16 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
     dtype, where = DTYPES[precision], f"{precision}, {cores} core{'s' if cores > 1 else ''}"
 
     def candidate(
-        name: str, run: Callable[[], NDArray[Any]], masses: NDArray[np.float64], part: Problem = problem, note: str = ""
+        name: str,
+        run: Callable[[], NDArray[Any]],
+        masses: NDArray[np.float64],
+        part: Problem = problem,
+        note: str = "",
+        base: str = BASE,
     ) -> Candidate:
         off = deviation(part, folder, masses, run())
         work = len(masses) * part.periods / MILLION
-        return Candidate(f"{name}, {where}", run, work, off, TOLERANCE[precision], note, BASE)
+        return Candidate(f"{name}, {where}", run, work, off, TOLERANCE[precision], note, base)
 
     def plain_c() -> Candidate:
         masses = loads(LANES_OF_C * cores)
@@ -108,6 +113,12 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
         run = ours.batch(problem, masses, dtype, cores=cores)
         return candidate("ours, simulate_many", run, masses, note=f"{len(masses)} lanes")
 
+    def smooth_law() -> Candidate:
+        masses = loads(CHUNKS_OF_OURS * ours.CHUNK * cores)
+        run = ours.batch(with_smooth_law(problem), masses, dtype, cores=cores)
+        note = f"{len(masses)} lanes; the same muscle as `SmoothLaw` with negligible deviations"
+        return candidate("ours, SmoothLaw", run, masses, note=note, base=f"ours, simulate_many, {where}")
+
     def numpy() -> Candidate:
         from engines import plain_python
 
@@ -120,6 +131,7 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
     bench.add(f"SIMD by hand, {where}", simd)
     bench.add(f"ours, simulate_many, {where}", our_own)
     if cores == 1:
+        bench.add(f"ours, SmoothLaw, {where}", smooth_law)
         bench.add(f"NumPy, {where}", numpy)
 
 

@@ -60,8 +60,8 @@ from .muscle import (
     MaxwellCreep as MaxwellCreep,
     MaxwellSlip as MaxwellSlip,
     Muscle as Muscle,
+    SmoothLaw as SmoothLaw,
     Specimen as Specimen,
-    TripleExponentialLaw as TripleExponentialLaw,
 )
 from .paper import (
     reproduce as reproduce,

@@ -217,7 +217,8 @@ def identify(
 ) -> None:
     """Fit a force law to measured points: estimates with standard errors, and cross-validation errors.
 
-    With --law all every law is fitted, and they are ranked by cross-validation over pressures, directions and repeats.
+    With --law all every law is fitted, and they are ranked by cross-validation over pressures, inner contractions,
+    directions and repeats; the error at the highest pressure, predicted from all lower ones, is shown.
     With --hysteresis the friction between loading and unloading is identified with the law.
     """
     figures = ("fit", "bands", "loops", "ranking")
@@ -353,6 +354,8 @@ def _rank(data: str, points: IsobaricDataset, json: bool, out: Path | None) -> N
 
 
 def _show(ranking: Ranking) -> None:
+    from mckibben.identification.ranking import EXTRAPOLATION
+
     specimen = ranking.points.table.attrs["specimen"] or "unnamed specimen"
     fitted = [entry for entry in ranking.entries if entry.fit]
     least = min((entry.aicc for entry in fitted if entry.aicc == entry.aicc), default=0.0)
@@ -367,7 +370,7 @@ def _show(ranking: Ranking) -> None:
             (entry.residual_correlation.pattern if entry.residual_correlation else "") or "-",
         )
 
-    blocks = (f"held-out {name}s N" for name in ranking.blocks)
+    blocks = (f"{name} N" if name == EXTRAPOLATION else f"held-out {name}s N" for name in ranking.blocks)
     headers = ("law", "parameters", "RMSE N", *blocks, "AICc", "residual pattern over")
     rows = [row(entry) for entry in fitted]
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)

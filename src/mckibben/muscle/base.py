@@ -19,7 +19,10 @@ from mckibben.units import atm, bar, deg, mm
 
 @dataclass(frozen=True)
 class Parameter:
-    """Parameter of a law that can be identified: field, SI unit, unit in reports, meaning, and bounds in SI."""
+    """Parameter of a law that can be identified: field, SI unit, unit in reports, meaning, and bounds in SI.
+
+    A penalised one has a Gaussian prior about zero; its law comes with a method of identification of its own.
+    """
 
     name: str
     unit: str
@@ -27,6 +30,7 @@ class Parameter:
     meaning: str
     lower: float = -jnp.inf
     upper: float = jnp.inf
+    penalised: bool = False
 
 
 class ForceLaw(eqx.Module, Displayed):
@@ -46,6 +50,8 @@ class ForceLaw(eqx.Module, Displayed):
     """Parameters in which the force is affine, given the shape parameters."""
     shape_parameters: ClassVar[tuple[Parameter, ...]] = ()
     """All others, each with finite bounds."""
+    constants: ClassVar[tuple[Parameter, ...]] = ()
+    """Fields that an identification sets and does not estimate."""
     formula_domain: ClassVar[Domain] = Domain()
     """Domain of the formula for any parameters; `domain` is that of the data behind a law."""
 
