@@ -16,7 +16,7 @@ from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.muscle import muscle_text
 from mckibben.units import bar, deg, mm
 
-FOLDER = Path(__file__).parents[2] / "examples" / "own-muscle"
+FOLDER = Path(__file__).parent / "own_muscle"
 TEXT = (FOLDER / "pendulum.yaml").read_text()
 MUSCLE, LOAD = "muscle: fit/muscle.yaml", "load: {mass: 2 kg, length: 250 mm, damping: 0.1 N*m*s/rad}"
 
