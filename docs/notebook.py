@@ -2,7 +2,8 @@
 
     python docs/notebook.py docs/your-muscle.md examples/your-muscle/your-muscle.ipynb
 
-It needs the extra `docs`. The notebook runs in its own folder. Its figures are written to docs/images, named after the page.
+It needs the extra `docs`. The notebook runs in its own folder. Its figures are written to docs/images, named after the
+page.
 """
 
 from __future__ import annotations
