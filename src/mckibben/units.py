@@ -360,6 +360,8 @@ class BoundedInt:
 
 
 SIGNAL_UNIT = "signal"
+COMPONENT = "component"
+"""Metadata of a field whose value is a component of any class; files name the class."""
 """Stands for the unit of the quantity that a signal is of."""
 
 

@@ -185,17 +185,16 @@ def test_every_law_is_ranked_unless_said():
     assert rank.__defaults__[0] == tuple(LAWS.values())
 
 
-def test_scattered_pressures_without_nominal_ones_are_no_blocks():
+def test_scattered_pressures_are_held_out_by_level():
     """Each point alone would be predicted by its neighbours on its own curve."""
     made = made_by(catalog.law("sarosi-dmsp-10"), noise=1.0)
     measured = made.pressure + 500 * np.random.default_rng(1).standard_normal(len(made))
     columns = {"pressure": measured, "contraction": made.contraction, "force": made.force}
     scattered = rank(IsobaricDataset.of(**columns), [SarosiLaw])
-    assert scattered.blocks == ("contraction",)
-    assert "record the set pressure of each point" in scattered.missing["pressure"]
-    assert scattered.entries[0].fit.leave_one_pressure_out is None
     nominal = rank(IsobaricDataset.of(**columns, set_pressure=made.pressure), [SarosiLaw])
-    assert nominal.blocks == ("pressure", "contraction", "highest pressure")
+    assert scattered.blocks == nominal.blocks == ("pressure", "contraction", "highest pressure")
+    errors = (found.entries[0].fit.leave_one_pressure_out.rmse for found in (scattered, nominal))
+    assert next(errors) == pytest.approx(next(errors), rel=0.05)
 
 
 def test_points_of_no_known_direction_are_never_left_out():
@@ -241,12 +240,12 @@ def test_without_held_out_blocks_a_flagged_law_yields_only_to_one_of_nearly_its_
     assert best(entry("A", 10.0, "at a bound"), entry("B", np.nan)) == "A"
 
 
-def test_data_without_levels_are_ranked_by_contractions_and_keep_a_flagged_law_that_fits_far_better():
+def test_data_without_set_pressures_are_ranked_and_keep_a_flagged_law_that_fits_far_better():
     made = made_by(catalog.law("sarosi-dmsp-10"), noise=0.5)
     measured = made.pressure + 500 * np.random.default_rng(1).standard_normal(len(made))
     scattered = IsobaricDataset.of(pressure=measured, contraction=made.contraction, force=made.force)
     found = rank(scattered, [ReynoldsLaw, SarosiLaw, ChouLaw])
-    assert (found.blocks, found.criterion) == (("contraction",), "cross-validation RMSE")
+    assert found.criterion == "cross-validation RMSE"
     assert [entry.law for entry in found.entries] == ["SarosiLaw", "ReynoldsLaw", "ChouLaw"]
     flagged = dataclasses.replace(found.entries[0], flags=("at a bound",))
     assert dataclasses.replace(found, entries=(flagged, *found.entries[1:])).best is flagged

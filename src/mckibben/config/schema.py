@@ -29,7 +29,7 @@ from pydantic_core import core_schema
 from mckibben.config.fields import Flag, OneOf
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
 from mckibben.errors import Problem, ScenarioError, quoted, suggest
-from mckibben.units import SIGNAL_UNIT, BoundedInt, Quantity
+from mckibben.units import COMPONENT, SIGNAL_UNIT, BoundedInt, Quantity
 
 
 class ComponentModel(ConfigModel):
@@ -107,10 +107,11 @@ def _annotation(hint: Any, signal: Any) -> Any:
         inner = _annotation(get_args(hint)[0], signal)
         return inner and tuple[inner, ...]
     if get_origin(hint) is Annotated:
+        base, *marks = get_args(hint)
+        if COMPONENT in marks:
+            return Annotated[ComponentModel, PartOf(f"{base.__module__}:{base.__name__}", class_required=True)]
         mark = next((one for one in get_args(hint) if isinstance(one, Quantity | BoundedInt)), None)
         return signal if isinstance(mark, Quantity) and mark.unit == SIGNAL_UNIT else mark and hint
-    if inspect.isabstract(hint):  # a part of any class
-        return Annotated[ComponentModel, PartOf(f"{hint.__module__}:{hint.__name__}", class_required=True)]
     if isinstance(hint, type) and issubclass(hint, enum.Enum):
         return Annotated[str, OneOf(tuple(member.name.lower() for member in hint))]
     return Flag if hint is bool else None

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.preprocessing import group_pressures, nominal_pressures
 from mckibben.errors import IdentificationError
 from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.least_squares import FitProblem, Solution, solve
@@ -67,6 +68,8 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
         return None, "there is one pressure only"
     if 2 * count <= len(points) and count <= MOST_BLOCKS:
         return levels, ""
+    if (groups := group_pressures(levels)) is not None:
+        return nominal_pressures(levels, groups)[0][groups], ""
     blocks = min(len(points) // _IN_QUANTILE, _QUANTILES)
     if blocks < 2:
         return None, f"the {len(points)} points have {count} different pressures; record the set pressure of each point"

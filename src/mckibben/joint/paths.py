@@ -6,7 +6,7 @@ import abc
 import math
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any
+from typing import Annotated, Any
 
 import equinox as eqx
 import jax
@@ -22,7 +22,7 @@ from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import floating, sincos
-from mckibben.units import Angle, ArmCurvature, ArmSlope, Coordinate, Distance, Length, deg, mm
+from mckibben.units import COMPONENT, Angle, ArmCurvature, ArmSlope, Coordinate, Distance, Length, deg, mm
 
 _Side = int
 """1 for muscle 1, which lengthens as the angle increases, -1 for muscle 2."""
@@ -226,8 +226,8 @@ class PairedPaths(Geometry):
     [0.3002, 0.3, 0.03, 0.025]
     """
 
-    path1: MusclePath
-    path2: MusclePath
+    path1: Annotated[MusclePath, COMPONENT]
+    path2: Annotated[MusclePath, COMPONENT]
 
     def __check_init__(self) -> None:
         low, high = self.angle_range
