@@ -35,7 +35,7 @@ from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recording
-    from mckibben.identification import RankedLaw, Ranking
+    from mckibben.identification import FrictionForm, RankedLaw, Ranking
 
 
 _SHOWN = 40  # rows of the table
@@ -204,6 +204,11 @@ def identify(
     profile: Annotated[bool, Option("--profile", help="Profile likelihood of the shape parameters.")] = False,
     bootstrap: Annotated[int, Option(metavar="N", help="Block bootstrap with N resamples.")] = 0,
     hysteresis: Annotated[bool, Option("--hysteresis", help="Identify friction and drift with the law.")] = False,
+    friction_form: Annotated[
+        str,
+        Option("--friction", metavar="FORM", help="Form of friction of --hysteresis (default: by held-out loops)."),
+    ] = "",
+    no_drift: Annotated[bool, Option("--no-drift", help="Estimate no drift with --hysteresis.")] = False,
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     column: Column = None,
@@ -223,6 +228,8 @@ def identify(
     from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law) if law != _ALL else None
+    if (friction_form or no_drift) and not hysteresis:
+        raise ParameterError("--friction and --no-drift apply to --hysteresis", remedy="add --hysteresis")
     points = read_data(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
     if law_type is None:
         if profile or bootstrap or hysteresis or level != _LEVEL:
@@ -236,7 +243,8 @@ def identify(
     from mckibben.identification import identify_hysteresis
     from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
 
-    friction = identify_hysteresis(law_type, points) if hysteresis else None
+    form = _friction_form(friction_form) if friction_form else None
+    friction = identify_hysteresis(law_type, points, drift=not no_drift, form=form) if hysteresis else None
     static = friction.corrected(points) if friction else points
     fit = run(law_type, static)
     uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
@@ -261,6 +269,18 @@ def identify(
     echo(to_json(numbers) if json else "\n".join(filter(None, texts)))
     if out:
         notify(f"wrote fit.yaml, data.nc, results.json and {', '.join(drawn)} as .png and .svg to {out}", json)
+
+
+def _friction_form(text: str) -> FrictionForm:
+    from mckibben.identification import FrictionForm
+
+    try:
+        return FrictionForm(text)
+    except ValueError:
+        forms = ", ".join(form.value for form in FrictionForm)
+        raise ParameterError(
+            f"--friction {text!r} is no form of friction", value=text, remedy=f"take {forms}"
+        ) from None
 
 
 def validate(
