@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,13 @@ from engines.plain_c import PlainC
 from engines.simd_lanes import SimdLanes
 from machine import cores as all_cores
 from numpy.typing import NDArray
-from reference import Problem, numbers, with_mass
+from reference import Problem, numbers, with_mass, with_smooth_law
 from rows import Candidate, Row, Table
 from timing import Bench, inverted
+
+from mckibben import FlowValve, PressureRegulator, SwitchingValves
+from mckibben.muscle.air import L_PER_S_BAR
+from mckibben.units import bar, ms
 
 DTYPES = {"f64": np.float64, "f32": np.float32}
 TOLERANCE = {"f64": 1e-9, "f32": 1e-4}
@@ -23,6 +28,7 @@ CHECKED = 32  # lanes
 LANES_OF_C, LANES_OF_NUMPY, PERIODS_OF_NUMPY = 32, 4096, 50
 MILLION = 1e6
 BASE = "plain C, f64, 1 core"
+OURS = "ours, simulate_many, f64, 1 core"
 CHUNKS_OF_OURS = 4  # a core
 
 
@@ -34,6 +40,7 @@ def batch(problem: Problem, folder: Path, *, quick: bool) -> Table:
     for precision in DTYPES:
         for count in counts:
             _add_engines(bench, problem, folder, precision, count)
+    _add_valves(bench, problem)
     rows = inverted(bench.timed())
     starved = any(row.cores is not None and row.cores < 0.8 * _cores_of(row) for row in rows)
     busy = "Some rows got fewer cores than they asked for: others were using the machine, their ratios mislead."
@@ -46,6 +53,8 @@ def batch(problem: Problem, folder: Path, *, quick: bool) -> Table:
         (
             f"Lanes are the PID episode above{', its first 2 s,' if quick else ''} with external loads of 0.3 to 0.7 "
             "kg; each gives the RMS errors of angle and stiffness and keeps nothing else. All cores: a thread each.",
+            "Valves with air (the last rows) have two pressures, and state of the valves, to integrate; their ratio is "
+            "against the first-order valve of the same batch.",
             f"Deviation: the largest of both RMS errors (rad, N*m/rad) from plain C in f64 over {CHECKED} of the "
             f"lanes; beyond {TOLERANCE['f64']:.0e} in f64 or {TOLERANCE['f32']:.0e} in f32 nothing is timed.",
             *([busy] if starved else []),
@@ -78,11 +87,16 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
     dtype, where = DTYPES[precision], f"{precision}, {cores} core{'s' if cores > 1 else ''}"
 
     def candidate(
-        name: str, run: Callable[[], NDArray[Any]], masses: NDArray[np.float64], part: Problem = problem, note: str = ""
+        name: str,
+        run: Callable[[], NDArray[Any]],
+        masses: NDArray[np.float64],
+        part: Problem = problem,
+        note: str = "",
+        base: str = BASE,
     ) -> Candidate:
         off = deviation(part, folder, masses, run())
         work = len(masses) * part.periods / MILLION
-        return Candidate(f"{name}, {where}", run, work, off, TOLERANCE[precision], note, BASE)
+        return Candidate(f"{name}, {where}", run, work, off, TOLERANCE[precision], note, base)
 
     def plain_c() -> Candidate:
         masses = loads(LANES_OF_C * cores)
@@ -99,6 +113,12 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
         run = ours.batch(problem, masses, dtype, cores=cores)
         return candidate("ours, simulate_many", run, masses, note=f"{len(masses)} lanes")
 
+    def smooth_law() -> Candidate:
+        masses = loads(CHUNKS_OF_OURS * ours.CHUNK * cores)
+        run = ours.batch(with_smooth_law(problem), masses, dtype, cores=cores)
+        note = f"{len(masses)} lanes; the same muscle as `SmoothLaw` with negligible deviations"
+        return candidate("ours, SmoothLaw", run, masses, note=note, base=f"ours, simulate_many, {where}")
+
     def numpy() -> Candidate:
         from engines import plain_python
 
@@ -111,7 +131,29 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
     bench.add(f"SIMD by hand, {where}", simd)
     bench.add(f"ours, simulate_many, {where}", our_own)
     if cores == 1:
+        bench.add(f"ours, SmoothLaw, {where}", smooth_law)
         bench.add(f"NumPy, {where}", numpy)
+
+
+def _add_valves(bench: Bench, problem: Problem) -> None:
+    """Our own batch with valves with air, against that with the lag."""
+    masses = loads(CHUNKS_OF_OURS * ours.CHUNK)
+    work = len(masses) * problem.periods / MILLION
+    conductance, supply = 0.4 * L_PER_S_BAR, 7 * bar
+    valves = {
+        "FlowValve": FlowValve(conductance, supply),
+        "PressureRegulator": PressureRegulator(conductance, supply, time_constant=20 * ms),
+        "SwitchingValves": SwitchingValves(conductance, supply, period=10 * ms),
+        "FlowValve with a reservoir": FlowValve(
+            conductance, supply, reservoir_volume=1e-3, line_conductance=conductance
+        ),
+    }
+    for name, valve in valves.items():
+        part = replace(problem, plant=replace(problem.plant, valve=valve))
+        engine = f"ours, {name}, f64, 1 core"
+        run = ours.batch(part, masses, np.float64)
+        made = Candidate(engine, run, work, note="0.4 dm^3/(s*bar), 7 bar", base=OURS)
+        bench.add(engine, lambda made=made: made)
 
 
 def threaded(engine: PlainC, problem: Problem, masses: NDArray[np.float64], cores: int) -> Callable[[], NDArray[Any]]:

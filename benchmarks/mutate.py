@@ -79,6 +79,7 @@ def formats() -> dict[str, Callable[[], Format]]:
         "hdf5": lambda: Format("rig.h5", _hdf5(matlab=False), _dataset),
         "netcdf": lambda: Format("rig.nc", _netcdf(), _dataset),
         "tdms": lambda: Format("rig.tdms", _tdms(), _dataset),
+        "lvm": lambda: Format("rig.lvm", _lvm(), _dataset),
         "scenario": lambda: Format("s.yaml", (EXAMPLES / "pre-contracted-step-pid.yaml").read_bytes(), _scenario),
         "suite": lambda: Format("comparison/s.yaml", (EXAMPLES / "comparison/knee.yaml").read_bytes(), _suite),
         "protocol": lambda: Format("s.yaml", (EXAMPLES / "rig/paper-protocol.yaml").read_bytes(), _protocol),
@@ -153,6 +154,15 @@ def _tdms() -> bytes:
     with TdmsWriter(stream) as writer:
         writer.write_segment([ChannelObject("rig", name, values) for name, values in COLUMNS.items()])
     return stream.getvalue()
+
+
+def _lvm() -> bytes:
+    head = "LabVIEW Measurement\nSeparator\tTab\nDecimal_Separator\t.\nX_Columns\tOne\n***End_of_Header***\n\n"
+    channels = f"Channels\t{len(COLUMNS)}\n***End_of_Header***\n"
+    rows = [
+        f"{i}\t" + "\t".join(f"{value:g}" for value in row) for i, row in enumerate(zip(*COLUMNS.values(), strict=True))
+    ]
+    return (head + channels + "\t".join(["X_Value", *COLUMNS]) + "\n" + "\n".join(rows) + "\n").encode()
 
 
 def _fit() -> bytes:

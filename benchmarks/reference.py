@@ -5,10 +5,11 @@ Everything is built from our own objects; `Numbers` hands the same numbers to th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from mckibben import catalog
 from mckibben.control import PID, BackpropPID, Controller, PositionStiffnessControl, Reference, Setpoint, Sine, Step
 from mckibben.joint import AntagonisticJoint, KneeGeometry
+from mckibben.muscle import ExponentialLaw, SmoothLaw
 from mckibben.plant import FirstOrderValve, JointPlant, PlantState
 from mckibben.simulation import sampled
 from mckibben.units import bar, deg, mm, ms
@@ -113,6 +115,23 @@ def reference_problem() -> Problem:
         setpoints,
         plant.equilibrium(0.0, stiffness=12.0),
     )
+
+
+def with_smooth_law(problem: Problem) -> Problem:
+    """The same problem with `SmoothLaw` of negligible deviations for Eq. 2, in the plant and in the controllers."""
+
+    def smooth(law: ExponentialLaw) -> SmoothLaw:
+        shared = {p.name: getattr(law, p.name) for p in ExponentialLaw.parameters()}
+        negligible = {p.name: 1e-12 * bar ** -int(p.name[1]) for p in SmoothLaw.linear_parameters if p.penalised}
+        return SmoothLaw(**shared, **negligible, centre=0.1, half_width=0.3, domain=law.domain)
+
+    def is_law(node: object) -> bool:
+        return isinstance(node, ExponentialLaw)
+
+    plant, pid, bp = jax.tree.map(
+        lambda node: smooth(node) if is_law(node) else node, (problem.plant, problem.pid, problem.bp), is_leaf=is_law
+    )
+    return replace(problem, plant=plant, pid=pid, bp=bp)
 
 
 def with_mass(plant: JointPlant, mass2: ArrayLike) -> JointPlant:

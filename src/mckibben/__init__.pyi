@@ -40,10 +40,18 @@ from .identification import (
 )
 from .joint import (
     AntagonisticJoint as AntagonisticJoint,
+    Cam as Cam,
+    GeneralLoad as GeneralLoad,
     KneeGeometry as KneeGeometry,
+    KneeLoad as KneeLoad,
     Load as Load,
+    PairedPaths as PairedPaths,
+    Pulley as Pulley,
+    PendulumLoad as PendulumLoad,
     RigidTendon as RigidTendon,
     SeriesSpring as SeriesSpring,
+    TabulatedPath as TabulatedPath,
+    TwoBonePath as TwoBonePath,
 )
 from .muscle import (
     ChouLaw as ChouLaw,
@@ -52,16 +60,19 @@ from .muscle import (
     MaxwellCreep as MaxwellCreep,
     MaxwellSlip as MaxwellSlip,
     Muscle as Muscle,
+    SmoothLaw as SmoothLaw,
     Specimen as Specimen,
-    TripleExponentialLaw as TripleExponentialLaw,
 )
 from .paper import (
     reproduce as reproduce,
 )
 from .plant import (
     FirstOrderValve as FirstOrderValve,
+    FlowValve as FlowValve,
     IdealValve as IdealValve,
     JointPlant as JointPlant,
+    PressureRegulator as PressureRegulator,
+    SwitchingValves as SwitchingValves,
 )
 from .rig import (
     IsobaricProtocol as IsobaricProtocol,

@@ -360,6 +360,8 @@ class BoundedInt:
 
 
 SIGNAL_UNIT = "signal"
+COMPONENT = "component"
+"""Metadata of a field whose value is a component of any class; files name the class."""
 """Stands for the unit of the quantity that a signal is of."""
 
 
@@ -397,8 +399,14 @@ PositiveTime = Annotated[float, Quantity("s", "ms", 0, 1e6, open_lower=True)]
 Frequency = Annotated[float, Quantity("1/s", "Hz", 0, 1e6)]
 Length = Annotated[float, Quantity("m", "mm", 0, 1e5, open_lower=True)]
 Distance = Annotated[float, Quantity("m", "mm", 0, 1e5)]
+Coordinate = Annotated[float, Quantity("m", "mm", -1e5, 1e5)]
+ArmSlope = Annotated[float, Quantity("m/rad", "mm/rad", -1e5, 1e5)]
+ArmCurvature = Annotated[float, Quantity("m/rad^2", "mm/rad^2", -1e5, 1e5)]
+BraidAngle = Annotated[float, Quantity("rad", "deg", 0.6, 89.3)]
 Mass = Annotated[float, Quantity("kg", "kg", 0, 1e4)]
+PositiveMass = Annotated[float, Quantity("kg", "kg", 0, 1e4, open_lower=True)]
 Inertia = Annotated[float, Quantity("kg*m^2", "kg*m^2", 0, 1e4)]
+PositiveInertia = Annotated[float, Quantity("kg*m^2", "kg*m^2", 0, 1e4, open_lower=True)]
 Damping = Annotated[float, Quantity("N*m*s/rad", "N*m*s/rad", 0, 1e6)]
 Gravity = Annotated[float, Quantity("m/s^2", "m/s^2", 0, 1e3)]
 SpringRate = Annotated[float, Quantity("N/m", "N/mm", 0, 1e6, open_lower=True)]
@@ -411,6 +419,14 @@ CreepTime = Annotated[float, Quantity("s", "s", 0.01, 1e6)]
 Viscosity = Annotated[float, Quantity("N*s/m", "N*s/m", 0, 1e6)]
 Tension = Annotated[float, Quantity("N", "N", 0, 1e6, open_lower=True)]
 Pressure = Annotated[float, Quantity("Pa", "bar", -1e3, 1e3)]
+Conductance = Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4, open_lower=True)]
+CriticalRatio = Annotated[float, Quantity("1", "1", 0, 0.99)]
+PolytropicIndex = Annotated[float, Quantity("1", "1", 1, 1.67)]
+DeadVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6)]
+Volume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e9, open_lower=True)]
+VolumeTerm = Annotated[float, Quantity("m^3", "cm^3", -1e9, 1e9)]
+DeadZone = Annotated[float, Percent("1", "%", 0, 90)]
+Compensation = Annotated[float, Percent("1", "%", 0, 99)]
 PressureNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e5)]
 AngleStep = Annotated[float, Quantity("rad", "deg", 0, 90)]
 Torque = Annotated[float, Quantity("N*m", "N*m", -1e6, 1e6)]

@@ -18,6 +18,7 @@ LOADERS = {
     "geometries": catalog.geometry,
     "loads": catalog.load,
     "joints": catalog.joint,
+    "valves": lambda name: catalog.valve(name, supply=7e5, period=0.02),
 }
 KINDS = tuple(LOADERS)
 ENTRIES = [(kind, name) for kind in KINDS for name in catalog.names(kind)]

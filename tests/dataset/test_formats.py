@@ -117,7 +117,7 @@ def test_a_row_of_units_under_the_header(delimiter, put):
 def test_lines_before_the_header_are_passed_over_but_no_row(put):
     rows = "pressure_bar;contraction_percent;force_N\n1;2;3\n2;2;x\n"
     assert said_of(put(f"Rig 3\nDate: today; noon\n\n{rows}")) == ["line 6, force_N: 'x' is not a number"]
-    assert "no column for pressure; the file has '1', '2', '3'" in said_of(put(f"1;2;3\n{rows}"))[0]
+    assert "has no header" in said_of(put(f"1;2;3\n{rows}"))[0]
 
 
 def test_columns_of_row_numbers_and_white_space(put):
@@ -136,7 +136,7 @@ def test_columns_of_row_numbers_and_white_space(put):
 def test_a_text_of_numbers_alone_reads_as_one_with_words(put):
     """It takes another way, by NumPy: the lines in its errors must be the same."""
     rng = np.random.default_rng(0)
-    rows = [f"{p:.3f};{c:.4f};{f:.2e}\n".replace(".", ",") for p, c, f in rng.uniform(0, 0.4, (50, 3))]
+    rows = [f"{p:.3f};{c:.4f};{f:.2e}\n".replace(".", ",") for p, c, f in rng.uniform(0, (6, 0.3, 300), (50, 3))]
     header = "pressure_bar;contraction_ratio;force_N"
     quote = read_dataset(put(header + "\n" + "".join(rows)))
     worded = read_dataset(put(header + ";note\n" + "".join(row[:-1] + ";a\n" for row in rows)))

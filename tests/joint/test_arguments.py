@@ -17,7 +17,7 @@ def test_swapped_arguments_are_refused():
         mk.Muscle(law, specimen)
     with pytest.raises(RangeError, match="geometry is a Muscle"):
         mk.AntagonisticJoint(muscle, knee.geometry, muscle)
-    with pytest.raises(RangeError, match="joint is a Load"):
+    with pytest.raises(RangeError, match="joint is a KneeLoad"):
         mk.JointPlant(load, knee, valve)
     with pytest.raises(RangeError, match=r"valve is 0\.02"):
         mk.JointPlant(knee, load, 0.02)
@@ -39,7 +39,7 @@ def test_numpy_scalars_are_checked_as_any_number(kind):
     with pytest.raises(RangeError, match=r"connector_length is 3, outside 0\.\.0\.34 m"):
         mk.KneeGeometry(np.float64(0.37), np.float64(0.03), kind(3))
     with pytest.raises(RangeError, match="mass1 is -3 kg"):
-        mk.Load(kind(-3), 0.0, 0.1, 0.1, 0.01, 0.1)
+        mk.KneeLoad(kind(-3), 0.0, 0.1, 0.1, 0.01, 0.1)
     with pytest.raises(RangeError, match="contraction from 2 to 1"):
         mk.Domain(kind(2), kind(1))
     with pytest.raises(RangeError, match="valve is "):

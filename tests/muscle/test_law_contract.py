@@ -25,10 +25,11 @@ EXAMPLES = {
     "HuntLaw": lambda: muscle.HuntLaw(254.3e3, 1230.0, 192e3, 0.22, Domain(0.0, 0.2, 0.0, 5e5)),
     "SarosiLaw": lambda: catalog.law("sarosi-dmsp-10"),
     "ExponentialLaw": lambda: catalog.law("lei-mas-10-180n"),
-    "TripleExponentialLaw": lambda: muscle.TripleExponentialLaw(
-        -154.4, 8.196e-4, -2.557e-3, -4.87e-11, 116.2, 38.1, 5.0, 11.63, BOX
-    ),
+    "SmoothAffineLaw": lambda: muscle.SmoothAffineLaw(*EQ_3[:6], *S0, *S1, EQ_3[6], 0.11, 0.28, BOX),
+    "SmoothLaw": lambda: muscle.SmoothLaw(*EQ_3[:6], *S0, *S1, EQ_3[6], 0.11, 0.28, *S2, BOX),
 }
+EQ_3 = [getattr(catalog.law("lei-mas-10-180n"), p.name) for p in muscle.ExponentialLaw.parameters()]
+S0, S1, S2 = np.array([[8.0, -20.0, 30.0, 10.0, -15.0, 5.0]]) * [[1.0], [0.3e-5], [0.05e-10]]
 ROWS, COLUMNS = 57, 13
 
 
@@ -119,13 +120,13 @@ def test_an_affine_law_has_an_offset_and_a_gain(name):
 def test_the_parameters_are_the_fields(law):
     fields = {f.name for f in dataclasses.fields(law)} - {"domain"}
     parameters = law.parameters()
-    assert {p.name for p in parameters} == fields
-    assert len(parameters) == len(fields)
+    assert {p.name for p in parameters + law.constants} == fields
+    assert len(parameters + law.constants) == len(fields)
     assert all(p.meaning for p in parameters)
 
 
 def test_the_units_of_the_parameters_are_si_and_of_the_kind_that_is_shown(law):
-    for parameter in law.parameters():
+    for parameter in law.parameters() + law.constants:
         assert factor(parameter.unit) == pytest.approx(1.0), parameter.name
         assert factor(parameter.shown, parameter.unit) > 0, parameter.name
 

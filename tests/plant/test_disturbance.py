@@ -7,7 +7,7 @@ import pytest
 
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError
-from mckibben.joint import Load
+from mckibben.joint import KneeLoad
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import IdealValve, JointPlant, NoDisturbance, TorquePulses
@@ -74,7 +74,7 @@ def test_pulses_that_make_no_sense_are_refused(field, value, message):
 
 def test_a_push_speeds_up_a_joint_at_rest_by_torque_over_inertia(knee, playback):
     """Slack muscles, no gravity, no damping: each step of the integration is exact."""
-    load = Load(mass1=0.5, mass2=0.5, distance1=0.1, distance2=0.2, inertia=0.02, damping=0.0, gravity=0.0)
+    load = KneeLoad(mass1=0.5, mass2=0.5, distance1=0.1, distance2=0.2, inertia=0.02, damping=0.0, gravity=0.0)
     pulses = TorquePulses(0.02, 10 * PERIOD, 40 * PERIOD, 20 * PERIOD)
     plant = JointPlant(knee, load, IdealValve(), disturbance=pulses)
     periods = 80

@@ -376,7 +376,7 @@ def test_the_order_of_the_runs_does_not_matter(parts, most):
 
 def test_progress_rises_to_one(masses):
     told = []
-    masses(40, chunk=16, workers=2, progress=told.append)
+    masses(40, chunk=16, workers=2, progress=lambda step, part: told.append(part))
     assert told == [0.4, 0.8, 1.0]
 
 

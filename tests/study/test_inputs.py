@@ -47,7 +47,7 @@ def test_a_law_by_name_of_a_specimen_and_of_a_fit_file(tmp_path):
 
 
 def test_chou_needs_a_specimen():
-    with pytest.raises(NotInCatalogError, match="--specimen, one of MAS-10-180N-AA-MC-O, DMSP-10-250"):
+    with pytest.raises(NotInCatalogError, match="--specimen, a file or one of MAS-10-180N-AA-MC-O, DMSP-10-250"):
         law_named("chou")
     with pytest.raises(NotInCatalogError, match="nobody"):
         law_named("chou", specimen="nobody")

@@ -64,8 +64,8 @@ class Stopping:
     def __init__(self, at: int) -> None:
         self.at = at
 
-    def __call__(self, done: int, runs: int) -> None:
-        if done >= self.at:
+    def __call__(self, step: str, part: float) -> None:
+        if int(step.split()[0]) >= self.at:
             raise KeyboardInterrupt
 
 
@@ -136,8 +136,9 @@ def test_an_interrupted_sweep_goes_on_to_the_same_bytes(kept, scenario, tmp_path
     assert 1 <= len(blocks_of(tmp_path)) < 5
     calls = []
     swept = sweep(scenario, out=tmp_path, resume=True, progress=lambda *call: calls.append(call))
-    assert calls[0][0] == 72 - swept.computed > 0
-    assert calls[-1] == (72, 72)
+    assert calls[0] == (f"{72 - swept.computed} of 72 runs", 1 - swept.computed / 72)
+    assert swept.computed < 72
+    assert calls[-1][1] == 1
     assert table_of(tmp_path) == table_of(kept[1])
 
 
@@ -361,7 +362,7 @@ def test_a_flipped_bit_of_the_table_is_found(kept, tmp_path):
 
 
 def test_a_vanished_folder_is_told(scenario, tmp_path):
-    def vanish(done, runs):
+    def vanish(step, done):
         if done:
             shutil.rmtree(tmp_path / "out", ignore_errors=True)
 
@@ -473,7 +474,7 @@ def test_a_file_that_is_no_sweep(tmp_path, kept):
 def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_path):
     killed = []
 
-    def kill(done: int, runs: int) -> None:
+    def kill(step: str, done: float) -> None:
         children = [] if killed or not done else psutil.Process().children(recursive=True)
         for child in children:
             if "--multiprocessing-fork" in child.cmdline() or "spawn_main" in " ".join(child.cmdline()):

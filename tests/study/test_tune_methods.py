@@ -48,9 +48,13 @@ def said():
 
 @pytest.fixture(scope="module")
 def found(method, said):
-    said[method], said[method, "least"] = [], []
-    told = {"progress": said[method].append, "least": said[method, "least"].append}
-    return tune(STILL, RANGES, COST, method=method, **told, **SMALL)
+    said[method], said[method, "steps"] = [], []
+
+    def progress(step, part):
+        said[method].append(part)
+        said[method, "steps"].append(step)
+
+    return tune(STILL, RANGES, COST, method=method, progress=progress, **SMALL)
 
 
 def test_each_method_finds_where_nothing_has_to_move(method):
@@ -72,10 +76,11 @@ def test_what_is_told_of_a_search(method, found, said):
     assert said[method][0] == 0.0
     assert said[method][-1] == 1.0
     assert said[method] == sorted(said[method])
-    least = said[method, "least"]
+    first, *others = said[method, "steps"]
+    assert first == "searching"  # there is no cost at the very beginning
+    least = [float(step.split()[-1]) for step in others]
     assert least == sorted(least, reverse=True)
-    assert len(least) == len(said[method]) - 1  # at the very beginning there is none
-    assert least[-1] == min(trial.cost for trial in found.trials)
+    assert least[-1] == float(f"{min(trial.cost for trial in found.trials):.4g}")
     for name, value in found.values.items():
         assert RANGES[name].low <= value <= RANGES[name].high
         shown = value / (deg if name == "start.angle" else 1)

@@ -18,16 +18,16 @@ from typing import TYPE_CHECKING, Any
 from mckibben.errors import NotInCatalogError
 
 if TYPE_CHECKING:
-    from mckibben.catalog.entries import dataset, geometry, joint, law, load, specimen
+    from mckibben.catalog.entries import dataset, geometry, joint, law, load, specimen, valve, valve_section
 
-__all__ = ["cite", "dataset", "geometry", "joint", "law", "load", "names", "specimen"]
+__all__ = ["cite", "dataset", "geometry", "joint", "law", "load", "names", "specimen", "valve", "valve_section"]
 
-KINDS = ("specimens", "laws", "datasets", "geometries", "loads", "joints")
+KINDS = ("specimens", "laws", "datasets", "geometries", "loads", "joints", "valves")
 FOLDER = resources.files("mckibben.catalog")
 
 
 def names(kind: str) -> list[str]:
-    """Return the names of a kind: "specimens", "laws", "datasets", "geometries", "loads" or "joints"."""
+    """Return the names of a kind: "specimens", "laws", "datasets", "geometries", "loads", "joints" or "valves"."""
     if kind not in KINDS:
         raise NotInCatalogError(f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}")
     return [name for publication in _publications() for name in publication.get(kind, {})]
@@ -56,7 +56,9 @@ def find(kind: str, name: str) -> tuple[dict[str, Any], str]:
     raise _unknown(_SINGULAR[kind], name, names(kind))
 
 
-_SINGULAR: dict[str, str] = dict(zip(KINDS, ("specimen", "law", "dataset", "geometry", "load", "joint"), strict=True))
+_SINGULAR: dict[str, str] = dict(
+    zip(KINDS, ("specimen", "law", "dataset", "geometry", "load", "joint", "valve"), strict=True)
+)
 
 
 @functools.cache

@@ -5,9 +5,13 @@ from __future__ import annotations
 from importlib import resources
 from typing import TYPE_CHECKING, Any, get_type_hints
 
+from mckibben import plant
 from mckibben.catalog import FOLDER, find
-from mckibben.joint import AntagonisticJoint, KneeGeometry, Load
+from mckibben.config.schema import model_of
+from mckibben.joint import AntagonisticJoint, KneeGeometry, KneeLoad
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
+from mckibben.muscle.air import nominal_conductance
+from mckibben.plant import AirValve
 from mckibben.units import quantity
 
 if TYPE_CHECKING:
@@ -51,9 +55,9 @@ def geometry(name: str) -> KneeGeometry:
     return KneeGeometry(**_quantities(KneeGeometry, find("geometries", name)[0]))
 
 
-def load(name: str) -> Load:
+def load(name: str) -> KneeLoad:
     """Return the load of a published joint, such as "knee-table-2"."""
-    return Load(**_quantities(Load, find("loads", name)[0]))
+    return KneeLoad(**_quantities(KneeLoad, find("loads", name)[0]))
 
 
 def joint(name: str) -> AntagonisticJoint:
@@ -61,6 +65,27 @@ def joint(name: str) -> AntagonisticJoint:
     entry, _ = find("joints", name)
     muscle = Muscle(specimen(entry["specimen"]), law(entry["law"]))
     return AntagonisticJoint(geometry(entry["geometry"]), muscle, muscle)
+
+
+def valve(name: str, **others: Any) -> AirValve:
+    """Return a valve such as "festo-mh1", with what its data sheet leaves open: supply [Pa], period [s] of switching.
+
+    >>> from mckibben.units import bar, ms
+    >>> valve("festo-mh1", supply=7 * bar, period=20 * ms)
+    SwitchingValves(...)
+    """
+    section = valve_section(name)
+    model = model_of(getattr(plant, section.pop("class")), optional=True)
+    return model.model_validate(section).build(**others)
+
+
+def valve_section(name: str) -> dict[str, Any]:
+    """Return what a scenario's section `valve` gets by `from`, with a conductance where the source has a flow."""
+    section = {key: value for key, value in find("valves", name)[0].items() if key != "where"}
+    if "nominal_flow" in section:
+        flow = quantity(section.pop("nominal_flow"), "m^3/s")
+        section["conductance"] = nominal_conductance(flow, quantity(section["critical_ratio"], "1"))
+    return section
 
 
 def _quantities(kind: type, entry: dict[str, Any]) -> dict[str, Any]:

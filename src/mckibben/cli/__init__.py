@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import math
 import os
 import signal
 import sys
@@ -30,6 +31,7 @@ from mckibben.cli.options import (
     format_metrics,
     keeping,
     notify,
+    on_command_line,
     progress,
     results_folder,
     table,
@@ -42,6 +44,7 @@ from mckibben.storage.files import make_folder, to_json, write_json
 from mckibben.units import mm
 
 if TYPE_CHECKING:
+    from mckibben.muscle import Specimen
     from mckibben.simulation import Result
     from mckibben.study.scenario import Scenario
 
@@ -132,6 +135,8 @@ def simulate(
             echo(f"warning: {infeasible}", err=True)
         table(read.name, ("metric", "value", "unit"), format_metrics(numbers["metrics"]))
         echo(result.describe())
+        if math.isnan(result.metrics["air"]) and not result.outcome.failed:
+            echo("air is unknown: a specimen has no initial_diameter or braid_angle")
     if out:
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
     if result.outcome.failed:
@@ -169,13 +174,16 @@ def specimens(json: Json = False) -> None:
     """List the specimens and measured datasets of the catalog."""
     from mckibben import catalog
 
+    def diameter(specimen: Specimen) -> float:
+        return (specimen.initial_diameter or math.nan) / mm
+
     known = {name: catalog.specimen(name) for name in catalog.names("specimens")}
     data = {name: catalog.cite(name).splitlines()[0] for name in catalog.names("datasets")}
     if json:
         numbers = {
             name: {
                 "initial_length_mm": s.initial_length / mm,
-                "initial_diameter_mm": s.initial_diameter / mm,
+                "initial_diameter_mm": diameter(s),
                 "rated_force_N": s.rated_force,
                 "domain": str(s.domain),
                 "source": catalog.cite(name),
@@ -185,7 +193,7 @@ def specimens(json: Json = False) -> None:
         echo(to_json({"specimens": numbers, "datasets": data}))
         return
     rows = [
-        (name, f"{s.initial_length / mm:g} x {s.initial_diameter / mm:g} mm", f"{s.rated_force:g} N", str(s.domain))
+        (name, f"{s.initial_length / mm:g} x {diameter(s):g} mm", f"{s.rated_force:g} N", str(s.domain))
         for name, s in known.items()
     ]
     table("Specimens", ("name", "length x diameter", "rated", "domain"), rows)
@@ -239,7 +247,7 @@ def _run(interrupts: list[int]) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except McKibbenError as error:
-        return _failed(f"error: {error}", 2)
+        return _failed(f"error: {on_command_line(str(error))}", 2)
     except OSError as error:
         if error.filename is None and error.errno in (errno.EPIPE, errno.ENOSPC, errno.EIO):
             sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 (what is left is not tried again)
@@ -300,4 +308,4 @@ def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
     if issubclass(category, McKibbenWarning):
-        echo(f"warning: {message}", err=True)
+        echo(f"warning: {on_command_line(str(message))}", err=True)

@@ -12,6 +12,7 @@ from mckibben.cli.options import (
     Column,
     Data,
     Force,
+    ForceSign,
     InitialLength,
     Json,
     Out,
@@ -30,12 +31,13 @@ from mckibben.cli.options import (
     table,
 )
 from mckibben.errors import DatasetError, ParameterError, Problem, UnitError
-from mckibben.storage.files import make_subfolder, to_json, write_json
+from mckibben.storage.files import atomic_write, make_subfolder, to_json, write_json
 from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recording
     from mckibben.identification import FrictionForm, RankedLaw, Ranking
+    from mckibben.muscle import MaxwellSlip
 
 
 _SHOWN = 40  # rows of the table
@@ -211,6 +213,7 @@ def identify(
     no_drift: Annotated[bool, Option("--no-drift", help="Estimate no drift with --hysteresis.")] = False,
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
+    force_sign: ForceSign = 1,
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
     json: Json = False,
@@ -219,25 +222,26 @@ def identify(
 ) -> None:
     """Fit a force law to measured points: estimates with standard errors, and cross-validation errors.
 
-    With --law all every law is fitted, and they are ranked by cross-validation over pressures, directions and repeats.
+    With --law all every law is fitted, and they are ranked by cross-validation over pressures, inner contractions,
+    directions and repeats; the error at the highest pressure, predicted from all lower ones, is shown.
     With --hysteresis the friction between loading and unloading is identified with the law.
     """
     figures = ("fit", "bands", "loops", "ranking")
     names = [f"{name}{end}" for name in figures for end in (".png", ".svg")]
-    results_folder(out, ("fit.yaml", "data.nc", "results.json", "fits", *names), force)
+    results_folder(out, ("fit.yaml", "muscle.yaml", "data.nc", "results.json", "fits", *names), force)
     from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law) if law != _ALL else None
     if (friction_form or no_drift) and not hysteresis:
         raise ParameterError("--friction and --no-drift apply to --hysteresis", remedy="add --hysteresis")
-    points = read_data(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
+    points = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt)
     if law_type is None:
         if profile or bootstrap or hysteresis or level != _LEVEL:
             raise ParameterError(
                 "--level, --profile, --bootstrap and --hysteresis apply to a single law",
                 remedy="choose one, such as --law exponential",
             )
-        _rank(points, json, out)
+        _rank(data, points, json, out)
         return
     from mckibben.identification import identify as run
     from mckibben.identification import identify_hysteresis
@@ -248,17 +252,19 @@ def identify(
     static = friction.corrected(points) if friction else points
     fit = run(law_type, static)
     uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
-    numbers = {**fit_numbers(fit), "uncertainty": uncertainty.records()}
+    notes = points.table.attrs.get("preprocessing", "").splitlines()
+    numbers = {**fit_numbers(fit), "preprocessing": notes, "uncertainty": uncertainty.records()}
     if friction:
         numbers["hysteresis"] = hysteresis_numbers(friction)
     texts = [friction.report() + "\n\nForce law of the points corrected for friction and drift:\n" if friction else ""]
     texts += [fit.report(level), uncertainty.describe()]
-    drawn = {}
+    drawn, kept = {}, ""
     if out:
         from mckibben import report
 
         with keeping(out):
             fit.to_yaml(out / "fit.yaml")
+            kept = _keep_muscle(out, data, points, friction.friction if friction else None)
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
             drawn = {"fit": report.isobaric(static, fit), "bands": report.force_bands(static, fit, level=level)}
@@ -268,7 +274,21 @@ def identify(
                 report.save(figure, out, name)
     echo(to_json(numbers) if json else "\n".join(filter(None, texts)))
     if out:
-        notify(f"wrote fit.yaml, data.nc, results.json and {', '.join(drawn)} as .png and .svg to {out}", json)
+        notify(f"wrote fit.yaml, data.nc, results.json and {', '.join(drawn)} as .png and .svg to {out}; {kept}", json)
+
+
+def _keep_muscle(out: Path, data: str, points: IsobaricDataset, friction: MaxwellSlip | None = None) -> str:
+    """Write the muscle's file beside its fit; text on what was written, or why not."""
+    from mckibben.study.scenario.muscle import muscle_text
+
+    attrs = points.table.attrs
+    name, length = attrs["specimen"] or Path(data).stem, attrs.get("initial_length")
+    text = muscle_text("fit.yaml", specimen=name, initial_length=length, friction=friction)
+    if not text:
+        return "no muscle.yaml, since the initial length is unknown (give --initial-length)"
+    with atomic_write(out / "muscle.yaml", overwrite=True) as part:
+        part.write_text(text, encoding="utf-8")
+    return "muscle.yaml for scenarios and protocols"
 
 
 def _friction_form(text: str) -> FrictionForm:
@@ -286,9 +306,10 @@ def _friction_form(text: str) -> FrictionForm:
 def validate(
     law: Annotated[str, Argument(metavar="LAW", help="A fit file, a law of the catalog, or 'chou'.")],
     data: Data,
-    specimen: Annotated[str, Option(help="Specimen whose braid angle and diameter 'chou' uses.")] = "",
+    specimen: Annotated[str, Option(help="Specimen, or its file, whose braid angle and diameter 'chou' uses.")] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
+    force_sign: ForceSign = 1,
     column: Column = None,
     skip_corrupt: SkipCorrupt = False,
     json: Json = False,
@@ -300,7 +321,7 @@ def validate(
     from mckibben.study.inputs import law_named
 
     known = law_named(law, specimen=specimen)
-    points = read_data(data, column, initial_length, slack_force, skip_corrupt=skip_corrupt)
+    points = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt)
     from mckibben.identification import validate as run
 
     validation = run({Path(law).name if Path(law).is_absolute() else law: known}, points)
@@ -313,7 +334,7 @@ def validate(
         notify(f"wrote results.json to {out}", json)
 
 
-def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
+def _rank(data: str, points: IsobaricDataset, json: bool, out: Path | None) -> None:
     from mckibben.identification import rank
 
     with progress() as report_progress:
@@ -327,6 +348,7 @@ def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
         "not_left_out": ranking.missing,
         "laws": ranking.records(),
     }
+    kept = ""
     if out:
         from mckibben import report
 
@@ -336,6 +358,7 @@ def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
                 if entry.fit:
                     entry.fit.to_yaml(make_subfolder(out, "fits") / f"{entry.law}.yaml")
             best.fit.to_yaml(out / "fit.yaml")
+            kept = _keep_muscle(out, data, points)
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
             report.save(report.ranking(ranking), out, "ranking")
@@ -345,10 +368,14 @@ def _rank(points: IsobaricDataset, json: bool, out: Path | None) -> None:
     else:
         _show(ranking)
     if out:
-        notify(f"wrote fit.yaml ({best.law}), fits/, data.nc, results.json, ranking.png and fit.png to {out}", json)
+        notify(
+            f"wrote fit.yaml ({best.law}), fits/, data.nc, results.json, ranking.png and fit.png to {out}; {kept}", json
+        )
 
 
 def _show(ranking: Ranking) -> None:
+    from mckibben.identification.ranking import EXTRAPOLATION
+
     specimen = ranking.points.table.attrs["specimen"] or "unnamed specimen"
     fitted = [entry for entry in ranking.entries if entry.fit]
     least = min((entry.aicc for entry in fitted if entry.aicc == entry.aicc), default=0.0)
@@ -363,7 +390,7 @@ def _show(ranking: Ranking) -> None:
             (entry.residual_correlation.pattern if entry.residual_correlation else "") or "-",
         )
 
-    blocks = (f"held-out {name}s N" for name in ranking.blocks)
+    blocks = (f"{name} N" if name == EXTRAPOLATION else f"held-out {name}s N" for name in ranking.blocks)
     headers = ("law", "parameters", "RMSE N", *blocks, "AICc", "residual pattern over")
     rows = [row(entry) for entry in fitted]
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)

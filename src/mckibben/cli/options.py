@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -29,6 +30,7 @@ InitialLength = Annotated[
 SlackForce = Annotated[
     str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
 ]
+ForceSign = Annotated[int, Option(metavar="1|-1", help="-1 for a load cell that shows a pull as negative.")]
 Column = Annotated[
     list[str] | None, Option(metavar="'HEADER=NAME'", help="Read the column HEADER as the quantity NAME; repeatable.")
 ]
@@ -46,19 +48,30 @@ SkipCorrupt = Annotated[bool, Option("--skip-corrupt", help="Skip rows that cont
 
 
 def read_data(
-    data: str, columns: list[str] | None, initial_length: str, slack_force: str, *, skip_corrupt: bool = False
+    data: str,
+    columns: list[str] | None,
+    initial_length: str,
+    slack_force: str,
+    force_sign: int = 1,
+    *,
+    skip_corrupt: bool = False,
 ) -> IsobaricDataset:
-    """Read a data file or a dataset of the catalog; ignored columns are reported on standard error."""
+    """Read a data file or a dataset of the catalog; ignored columns and preprocessing go to standard error."""
     from mckibben.study.inputs import data_named
 
+    if force_sign not in (1, -1):
+        raise ParameterError(f"--force-sign {force_sign} is no sign", value=force_sign, remedy="take 1 or -1")
     found = data_named(
         data,
         columns=parse_columns(columns),
         initial_length=parse_optional_quantity("--initial-length", initial_length, "m"),
         slack_force=parse_optional_quantity("--slack-force", slack_force, "N"),
+        force_sign=force_sign,
         skip_corrupt=skip_corrupt,
     )
     report_ignored_columns(found.table.attrs)
+    for note in found.table.attrs.get("preprocessing", "").splitlines():
+        echo(f"found in the data: {note}", err=True)
     return found
 
 
@@ -67,6 +80,14 @@ def report_ignored_columns(attributes: Mapping[str, Any]) -> None:
     ignored = attributes.get("ignored_columns")
     if ignored:
         echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)
+
+
+_BOTH_REMEDIES = re.compile(r"(?:columns=\{[^}]*\}|\S+) \(command line: ([^)]*)\)")
+
+
+def on_command_line(text: str) -> str:
+    """A message with remedies in terms of the command line in place of Python's."""
+    return _BOTH_REMEDIES.sub(r"\1", text)
 
 
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
@@ -143,12 +164,13 @@ def table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> 
 def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
     """Progress bar of `width` columns on standard error."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (
         BarColumn(bar_width=width),
         TextColumn("{task.percentage:3.0f} %"),
         TimeElapsedColumn(),
+        TimeRemainingColumn(),
         TextColumn("{task.description}"),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:

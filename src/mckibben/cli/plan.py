@@ -71,7 +71,9 @@ def plan(
         str,
         Option(metavar="LAW", help="Fit file or law of the catalog to linearise about where the data determine none."),
     ] = "",
-    specimen: Annotated[str, Option(metavar="NAME", help="Specimen (default: the one named in the data).")] = "",
+    specimen: Annotated[
+        str, Option(metavar="NAME", help="Specimen, or its file (default: the one named in the data).")
+    ] = "",
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     column: Column = None,
@@ -85,10 +87,10 @@ def plan(
     from mckibben import catalog
     from mckibben.experiment_design import parse_quantity_of_interest
     from mckibben.experiment_design import plan as run
-    from mckibben.study.inputs import joint_named, law_named, law_type_named
+    from mckibben.study.inputs import joint_named, law_named, law_type_named, specimen_named
 
     law_type = law_type_named(law)
-    known = catalog.specimen(specimen) if specimen else None
+    known = specimen_named(specimen) if specimen else None
     quantity = parse_quantity_of_interest(of, law_type, lambda: joint_named(joint))
     initial = law_named(guess, specimen=specimen) if guess else None
     read = read_data(data, column, initial_length, slack_force)

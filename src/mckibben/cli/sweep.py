@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,7 +19,6 @@ from mckibben.cli.options import (
     metric,
     required_folder,
     table,
-    time_text,
 )
 from mckibben.errors import McKibbenError, ScenarioError
 from mckibben.storage.files import atomic_write, check_free, to_json, write_json
@@ -87,7 +84,7 @@ def sweep(
             resume=resume,
             dask=dask,
             source=str(scenario),
-            progress=_progress(bar),
+            progress=bar,
         )
     _show(swept, out, json)
 
@@ -127,26 +124,6 @@ def _list(path: Path, json: bool) -> None:
         return
     rows = [(each["name"], each["nominal"] or "-", each["range"], each["unit"]) for each in numbers]
     table(read.name, ("parameter", "value", "range", "unit"), rows)
-
-
-def _progress(bar: Callable[[str, float], None] | None) -> Callable[[int, int], None] | None:
-    """Progress callback with the rate of runs and the remaining time."""
-    if bar is None:
-        return None
-    calls, began = 0, (0.0, 0)
-
-    def show(done: int, runs: int) -> None:
-        nonlocal calls, began
-        calls, now = calls + 1, time.monotonic()
-        if calls <= 2:  # the first block includes compilation
-            began = (now, done)
-        text = f"{done} of {runs} runs"
-        if done > began[1] and now > began[0] + 1:
-            rate = (done - began[1]) / (now - began[0])
-            text += f", {rate:.4g} runs/s, {time_text((runs - done) / rate)} left"
-        bar(text, done / runs)
-
-    return show
 
 
 _METHODS = ("gradient", "evolution", "cma")
@@ -195,7 +172,6 @@ def tune(
     if not resume and not history.exists():  # an existing search is reported by `run`
         check_free(out, ("results.json", "tuning.png", "tuning.svg", *_tuned_names(scenarios)))
     with long_job(quiet=json, kept=f"the evaluated points are in {history}; continue with --resume") as bar:
-        status = None if bar is None else _Status(bar)
         tuned = run(
             read,
             ranges,
@@ -208,8 +184,7 @@ def tune(
             history=history,
             resume=resume,
             known="all" if known == ["all"] else known or (),
-            progress=status and status.part,
-            least=status and status.least,
+            progress=bar,
         )
     _show_tuned(tuned, read, scenarios, ranges, out, json)
 
@@ -288,16 +263,3 @@ def _tuned_names(paths: list[Path]) -> list[str]:
         name = f"{path.stem}-tuned.yaml"
         names.append(name if name not in names else f"{path.stem}-tuned-{i}.yaml")
     return names
-
-
-class _Status:
-    """Progress of a search with the lowest cost so far."""
-
-    def __init__(self, bar: Callable[[str, float], None]) -> None:
-        self._bar, self._least = bar, ""
-
-    def part(self, part: float) -> None:
-        self._bar(f"searching{self._least}", part)
-
-    def least(self, cost: float) -> None:
-        self._least = f", lowest cost {cost:.4g}"

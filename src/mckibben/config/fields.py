@@ -83,10 +83,12 @@ def read_path(value: Any, info: ValidationInfo, ending: str) -> Path:
 
 
 def write_path(path: Path, info: SerializationInfo) -> str:
-    """A path relative to the folder of the configuration file where it lies below it, else absolute."""
+    """A path relative to the folder of the configuration file; absolute only on another drive."""
     folder = (info.context or {}).get("folder") or Path()
-    folder = Path(os.path.abspath(folder))  # noqa: PTH100
-    return (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:
+        return path.as_posix()
 
 
 def read_table(value: Any, info: ValidationInfo) -> Path:

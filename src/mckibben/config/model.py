@@ -71,13 +71,18 @@ def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: s
 P = TypeVar("P", bound=ConfigModel)
 
 
-def parse_model(kind: type[P], text: str, *, source: str, folder: str | os.PathLike[str] = ".") -> tuple[P, Document]:
-    """A model from YAML text, and the document with its lines; ScenarioError with every problem of the text."""
+def parse_model(
+    kind: type[P], text: str, *, source: str, folder: str | os.PathLike[str] = ".", files: tuple[Path, ...] = ()
+) -> tuple[P, Document]:
+    """A model from YAML text, and the document with its lines; ScenarioError with every problem of the text.
+
+    `files` are those by which the text was found, each named in the one before.
+    """
     document = read_document(text)
     if not document.readable:
         raise ScenarioError(source, document.problems)
     try:
-        part = kind.model_validate(document.data, context={"folder": Path(folder)})
+        part = kind.model_validate(document.data, context={"folder": Path(folder), "files": files})
     except ValidationError as error:
         raise ScenarioError(source, problems_of(error, document, kind)) from None
     if document.problems:

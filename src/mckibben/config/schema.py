@@ -29,13 +29,15 @@ from pydantic_core import core_schema
 from mckibben.config.fields import Flag, OneOf
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
 from mckibben.errors import Problem, ScenarioError, quoted, suggest
-from mckibben.units import SIGNAL_UNIT, BoundedInt, Quantity
+from mckibben.units import COMPONENT, SIGNAL_UNIT, BoundedInt, Quantity
 
 
 class ComponentModel(ConfigModel):
     """The section of a component, made by `model_of`."""
 
     runtime: ClassVar[type]
+    own_keys: ClassVar[frozenset[str]] = frozenset()
+    """Keys that tell it from the models of other classes, see `PartOf`."""
 
     def build(self, *args: Any, **others: Any) -> Any:
         """The component; what is not given keeps the default of its class."""
@@ -67,7 +69,7 @@ def model_of(
     without: Container[str] = (),
     optional: bool = False,
     signal: Any = None,
-    name: str = "",
+    model_name: str = "",
     **fields: Any,
 ) -> Any:
     """The model of a runtime class, from unit and range of its fields; those with a default may be left out."""
@@ -83,7 +85,7 @@ def model_of(
             made[key] = annotation | None, None
         else:
             made[key] = annotation, ...
-    model: Any = named_model(name or f"{runtime.__name__}Spec", base, made)
+    model: Any = named_model(model_name or f"{runtime.__name__}Spec", base, made)
     model.runtime = runtime
     return model
 
@@ -105,6 +107,9 @@ def _annotation(hint: Any, signal: Any) -> Any:
         inner = _annotation(get_args(hint)[0], signal)
         return inner and tuple[inner, ...]
     if get_origin(hint) is Annotated:
+        base, *marks = get_args(hint)
+        if COMPONENT in marks:
+            return Annotated[ComponentModel, PartOf(f"{base.__module__}:{base.__name__}", class_required=True)]
         mark = next((one for one in get_args(hint) if isinstance(one, Quantity | BoundedInt)), None)
         return signal if isinstance(mark, Quantity) and mark.unit == SIGNAL_UNIT else mark and hint
     if isinstance(hint, type) and issubclass(hint, enum.Enum):
@@ -114,15 +119,20 @@ def _annotation(hint: Any, signal: Any) -> Any:
 
 @dataclass(frozen=True)
 class PartOf:
-    """Marks a section that is that of its model, or with the key ``class`` that of any subclass of `base`."""
+    """Marks a section that is that of its model, or with the key ``class`` that of any subclass of `base`.
+
+    `others` are models beside it, each taken where one of its `own_keys` is given.
+    """
 
     base: str
     model: type[ComponentModel] = ComponentModel
     signal: Any = None
+    class_required: bool = False
+    others: tuple[type[ComponentModel], ...] = ()
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         def validate(value: Any, inner: Any, info: Any) -> Any:
-            if isinstance(value, self.model) and hasattr(value, "class_name"):
+            if isinstance(value, self.others) or (isinstance(value, self.model) and hasattr(value, "class_name")):
                 return value
             model = self.model_for(value)
             return inner(value) if model is None else model.model_validate(value, context=info.context)
@@ -139,11 +149,15 @@ class PartOf:
 
     def model_for(self, value: Any) -> type[ConfigModel] | None:
         """The model of a section with the key ``class``; None without."""
-        if not isinstance(value, dict) or "class" not in value:
+        if not isinstance(value, dict):
             return None
+        if "class" not in value and not self.class_required:
+            return next((one for one in self.others if not one.own_keys.isdisjoint(value)), None)
         module, _, name = self.base.partition(":")
         base = getattr(importlib.import_module(module), name)
         known = {one.__name__: one for one in concrete_subclasses(base)}
+        if "class" not in value:
+            fail_validation("lacks the key `class`", f"give one of {', '.join(sorted(known))}")
         chosen = value["class"]
         if not isinstance(chosen, str) or chosen not in known:
             remedy = suggest(str(chosen), sorted(known)) if known else "there is none yet"
@@ -152,12 +166,19 @@ class PartOf:
                 f"import its module first (`mckibben --extension FILE.py ...`); {remedy}",
                 value=chosen,
             )
-        return _model_of_subclass(known[chosen], self.model, self.signal)
+        runtime = known[chosen]
+        own = next((one for one in self.others if one.runtime is runtime), None)
+        return _model_of_subclass(runtime, self.model, self.signal) if own is None else _with_class(own)
 
 
 @functools.cache
 def _model_of_subclass(runtime: type, base: type[ComponentModel], signal: Any) -> Any:
     return model_of(runtime, base=base, signal=signal, class_name=(str, Field(alias="class")))
+
+
+@functools.cache
+def _with_class(model: type[ComponentModel]) -> Any:
+    return named_model(f"{model.__name__}WithClass", model, {"class_name": (str, Field(alias="class"))})
 
 
 def concrete_subclasses(base: type) -> Iterator[type]:

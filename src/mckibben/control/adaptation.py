@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from numbers import Real
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.antagonistic import MuscleStates
 from mckibben.joint.geometry import Pair
@@ -31,7 +34,7 @@ class AdaptationState(NamedTuple):
     """Estimated parameters, their covariance and the states of the filters."""
 
     strengths: Pair  # of the muscles, relative to the model's law [-]
-    mass: Scalar  # second mass of the load less that of the model [kg]
+    mass: Scalar  # mass of the load (`Load.adapted_mass`) less that of the model [kg]
     friction: Scalar  # relative to the model's [-]
     deviations: tuple[Scalar, ...]  # parameters less their prior mean, in prior standard deviations
     covariance: tuple[tuple[Scalar, ...], ...]  # of the deviations, by rows
@@ -59,8 +62,8 @@ class LawAdaptation(eqx.Module):
     Parameters
     ----------
     strength_spread, mass_spread, friction_spread
-        Prior standard deviations: of a muscle's strength [-], at most 0.3; of the load's second mass [kg]; of the
-        friction relative to the model's [-]. 0 for a known mass or friction.
+        Prior standard deviations: of a muscle's strength [-], at most 0.3; of the load's mass [kg] (the second of
+        `KneeLoad`); of the friction relative to the model's [-]. 0 for a known mass or friction.
     torque_error
         Standard deviation of the equation's error [N*m].
     bandwidth
@@ -85,6 +88,17 @@ class LawAdaptation(eqx.Module):
         check_positive("LawAdaptation", zero=True, friction_spread=self.friction_spread)
         check_positive("LawAdaptation", "N*m", torque_error=self.torque_error)
         check_positive("LawAdaptation", "rad/s", bandwidth=self.bandwidth)
+
+    def check_load(self, load: Load) -> None:
+        """Raise `RangeError` if the mass is to be estimated of a load that has none among its parameters."""
+        if not load.adapted_mass and isinstance(self.mass_spread, Real | np.ndarray) and np.any(self.mass_spread):
+            raise RangeError(
+                f"LawAdaptation: {type(load).__name__} has no mass to estimate",
+                field="mass_spread",
+                value=self.mass_spread,
+                unit="kg",
+                remedy="leave mass_spread out, or give a load with its mass and length",
+            )
 
     def init(self, model: AntagonisticJoint, load: Load, angle: ArrayLike, pressures: Pair) -> AdaptationState:
         """Prior, at rest at a measured angle [rad] and pressures [Pa]."""
@@ -172,8 +186,12 @@ class LawAdaptation(eqx.Module):
 
 
 def _with_mass_derivative(load: Load, torque: Callable[[Load], Scalar]) -> tuple[Scalar, Scalar]:
-    """Torque of a load [N*m], and its derivative with respect to the second mass [N*m/kg]."""
-    return value_and_derivative(lambda mass: torque(dataclasses.replace(load, mass2=mass)), load.mass2)
+    """Torque of a load [N*m], and its derivative with respect to the mass that is estimated [N*m/kg]."""
+    name = load.adapted_mass
+    if not name:
+        known = torque(load)
+        return known, jnp.zeros_like(known)
+    return value_and_derivative(lambda mass: torque(dataclasses.replace(load, **{name: mass})), getattr(load, name))
 
 
 def with_strengths(model: AntagonisticJoint, strengths: Pair) -> AntagonisticJoint:

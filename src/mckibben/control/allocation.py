@@ -108,7 +108,7 @@ def pressure_range(joint: AntagonisticJoint, angle: ArrayLike, minimum_tension: 
         muscle, tendon, path = (joint.muscle1, joint.muscle2)[i], joint.tendon, paths[i]
         rated = muscle.specimen.rated_force
         least, greatest = tendon.tension(muscle, jnp.stack([path, path]), jnp.stack([low, high]))
-        highest = jnp.where(greatest > rated, tendon.pressure_for(muscle, path, rated), high)
+        highest = high if rated is None else jnp.where(greatest > rated, tendon.pressure_for(muscle, path, rated), high)
         lowest = jnp.where(least < minimum_tension, tendon.pressure_for(muscle, path, minimum_tension), low)
         highest = jnp.clip(highest, low, high)
         return jnp.clip(lowest, low, highest), highest

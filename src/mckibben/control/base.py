@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.reference import Signal, as_signal
 from mckibben.joint import Measurement
+from mckibben.notebook import Displayed
 
 Scalar = Float[Array, ""]
 
@@ -21,7 +22,7 @@ class Setpoint(NamedTuple):
     stiffness: Scalar
 
 
-class Reference(eqx.Module):
+class Reference(eqx.Module, Displayed):
     """Reference of the joint's angle [rad] and stiffness [N*m/rad] over time; a plain number is a constant."""
 
     angle: Signal = eqx.field(converter=as_signal)
@@ -32,7 +33,7 @@ class Reference(eqx.Module):
         return Setpoint(self.angle(time), self.stiffness(time))
 
 
-class Controller(eqx.Module):
+class Controller(eqx.Module, Displayed):
     """Interface from measurements to pressure commands.
 
     A controller may hold a model of the joint, never the plant. The simulation owns time: it calls `init` once and
@@ -57,7 +58,7 @@ class Controller(eqx.Module):
         """
 
 
-class Loop(eqx.Module):
+class Loop(eqx.Module, Displayed):
     """Scalar feedback loop, a part of a controller."""
 
     @abc.abstractmethod

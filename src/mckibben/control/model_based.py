@@ -61,6 +61,7 @@ class ModelBasedControl(Controller):
         )
         if self.adaptation is not None:
             check_kind(name, adaptation=(self.adaptation, LawAdaptation))
+            self.adaptation.check_load(self.load)
         check_positive(name, "s", zero=True, valve_time_constant=self.valve_time_constant)
         check_positive(name, "N", zero=True, minimum_tension=self.minimum_tension)
         if self.friction_compensation and not self.model.has_friction:

@@ -148,6 +148,7 @@ def _same_unit(spelled: str, known: str, quantity: str) -> bool:
     return text == known or (text.lower() == known.lower() and known[0] not in "mM")
 
 
+_BY_NAME = "columns={...} (command line: --column 'HEADER=NAME')"
 _LONGEST = 200  # characters of a name; the patterns take quadratic time
 _SHOWN = 40  # names of the file's columns in a message
 
@@ -170,6 +171,10 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
     def problem(message: str, field: str = "", remedy: str = "") -> None:
         layout.problems.append(sheet.kind(message, line=sheet.header_line, field=field, remedy=remedy))
 
+    if not (sheet.has_header or mapping):
+        by_position = "columns={'1': 'pressure_bar', ...} (command line: --column 1=pressure_bar)"
+        problem("the file has no header", remedy=f"name the columns by position: {by_position}")
+        return layout
     asked: set[str] = set()
     seen: set[str] = set()
     for given, name in mapping.items():
@@ -193,14 +198,14 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
             layout.ignored += [text] if text else []
         elif column.quantity in layout.places:
             first = header[layout.places[column.quantity][0]]
-            remedy = "keep one of them, or assign it by columns={...}"
+            remedy = f"keep one of them, or assign it by {_BY_NAME}"
             problem(f"gives {column.quantity} again, after {first!r}", text, remedy)
         else:
             layout.places[column.quantity] = index, column
     for name in needed:
         if name not in layout.places and not (name == "contraction" and "length" in layout.places):
             wanted = names(name) + (f" (or {names('length')})" if name == "contraction" else "")
-            remedy = f"name it {wanted}, or assign it by columns={{...}}"
+            remedy = f"name it {wanted}, or assign it by {_BY_NAME}"
             problem(f"no column for {name}; the file has {shown}", remedy=remedy)
     _same_length(sheet, layout)
     return layout

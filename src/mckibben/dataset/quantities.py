@@ -110,8 +110,9 @@ class ColumnConverter:
         for text in self.suspect:
             warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=4)
         attrs = {"ignored_columns": printable(", ".join(self.ignored))} if self.ignored else {}
-        if "repairs" in self.sheet.comments:  # of the file from which this one was made
-            attrs["repairs"] = unquote(self.sheet.comments["repairs"][1])
+        for name in ("preprocessing", "repairs"):  # of the file from which this one was made
+            if (text := self.sheet.comments.get(name, (0, "none"))[1]) != "none":
+                attrs[name] = unquote(text)
         if self.corrupt:
             found = self._sorted(self.corrupt)
             attrs["repairs"] = "\n".join([*filter(None, [attrs.get("repairs")]), *map(str, found)])

@@ -7,17 +7,20 @@ import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from mckibben.dataset.columns import parse_header
 from mckibben.dataset.isobaric import IsobaricDataset
+from mckibben.dataset.plausibility import check_points
+from mckibben.dataset.preprocessing import preprocess
 from mckibben.dataset.quantities import ColumnConverter, OnCorrupt
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.sheet import RawTable
 from mckibben.dataset.text import SIGNATURE, decode, read_bytes, read_lvm, read_text
 from mckibben.errors import DatasetError, McKibbenWarning, Problem
+from mckibben.muscle import Specimen
 
 _OLD_WORKBOOK = b"\xd0\xcf\x11\xe0"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -56,7 +59,6 @@ def read_sheet(path: Path, mapping: Mapping[str, str]) -> RawTable:
 
 
 _NEEDED = ("pressure", "contraction", "force")
-_PLAUSIBLE = -0.1, 0.5  # contractions of any muscle
 
 
 def read_dataset(
@@ -66,6 +68,7 @@ def read_dataset(
     initial_length: float | None = None,
     specimen: str = "",
     slack_force: float | None = None,
+    force_sign: Literal[1, -1] = 1,
     on_corrupt: OnCorrupt = "raise",
 ) -> IsobaricDataset:
     """Read the points of isobaric tests from a file.
@@ -82,6 +85,10 @@ def read_dataset(
     equivalent, as are units in a row under the header or in the properties of a channel. Other columns are listed in
     the attribute ``ignored_columns``.
 
+    Where the file does not tell, pressure levels are found from the gaps between the pressures, directions and repeats
+    from reversals of the contraction in the order of the rows, and the force of the slack muscle from its noise; the
+    attribute ``preprocessing`` lists what was found.
+
     Parameters
     ----------
     columns
@@ -91,7 +98,10 @@ def read_dataset(
         Length of the deflated muscle [m]: required where the file has lengths and no contractions, inferred where it
         has both.
     specimen, slack_force
-        Name of the muscle's type, and force [N] up to which it counts as slack; unless given, from the file.
+        Name of the muscle's type, and force [N] up to which it counts as slack; unless given, from the file, or from
+        the noise of the slack muscle, whose mean force is subtracted.
+    force_sign
+        -1 for a load cell that shows a pull as negative.
     on_corrupt
         "raise": a truncated row, or a cell without a number, is an error. "report": such rows are left out with a
         warning, and the attribute ``repairs`` lists them.
@@ -99,13 +109,13 @@ def read_dataset(
     Raises
     ------
     DatasetError
-        With every problem of the file, its line and column; also if more than half of the rows are corrupt.
+        With every problem of the file, its line and column; also if more than half of the rows are corrupt, or the
+        points are of no muscle: negative forces, or a wrong unit or initial length.
 
     Warns
     -----
     McKibbenWarning
-        If the unit of pressure or contraction is implausible, contractions are beyond those of any muscle, or rows are
-        left out.
+        If forces, pressures or contractions are unusual for a muscle, or rows are left out.
     """
     path = Path(path)
     if path.suffix.lower() == ".nc":
@@ -115,18 +125,31 @@ def read_dataset(
     mapping = {str(header).strip(): str(name) for header, name in (columns or {}).items()}
     file = ColumnConverter(read_sheet(path, mapping), mapping, initial_length, _NEEDED)
     attrs = file.attributes(path, specimen, slack_force)
+    slack_known = slack_force is not None or "slack_force" in file.sheet.comments
     data, found = file.settle(path, file.columns(), on_corrupt)
-    contraction = data["contraction"]
-    low, high = contraction.min(initial=0.0), contraction.max(initial=0.0)
     dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
-    if low < _PLAUSIBLE[0] or high > _PLAUSIBLE[1]:
-        warnings.warn(
-            f"{path}: contractions reach from {low * 100:.3g} to {high * 100:.3g} %, and a muscle stretches by a few "
-            "percent and shortens by 25 to 35; check the initial length, the unit of the lengths, and the sign "
-            "(positive = shorter)",
-            McKibbenWarning,
-            stacklevel=2,
-        )
+    if force_sign < 0:
+        dataset = IsobaricDataset(dataset.table.assign(force=-dataset.table["force"]))
+    if "preprocessing" in file.sheet.comments:  # written by `IsobaricDataset.to_csv`
+        return dataset
+    return check_dataset(IsobaricDataset(preprocess(dataset.table, slack_known=slack_known)), str(path))
+
+
+def check_dataset(dataset: IsobaricDataset, source: str, specimen: Specimen | None = None) -> IsobaricDataset:
+    """The dataset; raises a `DatasetError` for points of no muscle, and warns of unusual ones."""
+    attrs = dataset.table.attrs
+    found = check_points(
+        dataset.pressure,
+        dataset.contraction,
+        dataset.force,
+        attrs["slack_force"],
+        attrs.get("initial_length"),
+        specimen,
+    )
+    if found.problems:
+        raise DatasetError(source, found.problems)
+    for text in found.warnings:
+        warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=3)
     return dataset
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -271,6 +270,7 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
     comments.append(f"# slack_force: {attrs['slack_force']!r} N")
     present = [name for name in CSV_COLUMNS if name in table]
     rows = zip(*(_cells(table[name].to_numpy()) for name in present), strict=True)
+    comments.append(f"# preprocessing: {quote(attrs.get('preprocessing', 'none'))}")  # it is not to be done again
     if "repairs" in attrs:
         comments.append(f"# repairs: {quote(attrs['repairs'])}")
     header = ",".join(CSV_COLUMNS[name] for name in present)
@@ -304,13 +304,3 @@ def text_table(rows: Sequence[Sequence[str]], left: Iterable[int]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     aligned = ["<" if i in left else ">" for i in range(len(widths))]
     return ["  ".join(f"{c:{a}{w}}" for c, a, w in zip(row, aligned, widths, strict=True)).rstrip() for row in rows]
-
-
-def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()) -> str:
-    """Table for a notebook: a title, a header, rows, and notes below."""
-
-    def row(cells: Sequence[object], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"
-
-    table = row(header, "th") + "".join(row(cells, "td") for cells in rows)
-    return f"<p>{escape(title)}</p><table>{table}</table>" + "".join(f"<p>{escape(note)}</p>" for note in notes)

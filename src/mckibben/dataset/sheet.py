@@ -47,6 +47,7 @@ class RawTable:
     header_line: int | None = None
     comments: dict[str, tuple[int, str]] = field(default_factory=dict)
     delimiter: str = ";"
+    has_header: bool = True
     corrupt: list[Problem] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
     suspect: list[str] = field(default_factory=list)
@@ -103,7 +104,8 @@ def decimal_sign(
         return DecimalSign(".")
     for line, row in zip(lines, zip(*columns, strict=True), strict=False):
         for cell in row:
-            if (last := max(cell.rfind("."), cell.rfind(","))) >= 0 and set(cell) <= _DIGITS | {".", ","}:
+            last = max(cell.rfind("."), cell.rfind(","))
+            if last >= 0 and cell.count(cell[last]) == 1 and set(cell) <= _DIGITS | {".", ","}:
                 return DecimalSign(cell[last], line)
     return DecimalSign(".")
 
@@ -137,7 +139,7 @@ def read_numbers(
     values = np.full(len(cells), np.nan)
     problems: list[Problem] = []
     for index, (cell, line) in enumerate(zip(cells, lines, strict=True)):
-        text = cell.strip()
+        text = _without_thousands(cell.strip(), decimal.sign)
         if not text and may_be_empty:
             continue
         message, remedy = _wrong(text, decimal, "line" if kind is Problem else "row")
@@ -146,6 +148,14 @@ def read_numbers(
         else:
             values[index] = float(text.replace(",", "."))
     return values, problems
+
+
+def _without_thousands(text: str, decimal: str) -> str:
+    """The number without thousands separators, where these cannot be taken for a decimal sign."""
+    match = _THOUSANDS.fullmatch(text)
+    if match is None or match[1] == decimal or (match[1] in ".," and text.count(match[1]) == 1 and decimal not in text):
+        return text
+    return text.replace(match[1], "")
 
 
 def _wrong(text: str, decimal: DecimalSign, place: str) -> tuple[str, str]:
@@ -162,7 +172,7 @@ def _wrong(text: str, decimal: DecimalSign, place: str) -> tuple[str, str]:
         has = f"{shown} has a decimal {_NAMES[other]}, but {place} {decimal.line} a decimal {_NAMES[decimal.sign]}"
         return has, "use one of them in the whole file"
     if _THOUSANDS.fullmatch(text):
-        return f"{shown} has a thousands separator", "write the number without it"
+        return f"{shown} may have a thousands separator", "write the number without it"
     if text.lower().lstrip("+-") in ("nan", "inf", "infinity"):
         return f"{shown} is not a finite number", ""
     return f"{shown} is not a number", ""

@@ -48,10 +48,12 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTa
         raise DatasetError(source, [_too_wide(f"{len(line)} characters", number)])
     lines, number = _header(line, stream, number, known)
     lines += islice(stream, max(0, 2 - len(lines)))
+    if positions := _positions(lines[0]):
+        lines, number = [positions, *lines], number - 1
     delimiter = _delimiter(lines[0], known)
     if (count := len(_split(lines[0], delimiter))) > _MOST_COLUMNS:
         raise DatasetError(source, [_too_wide(f"{count} columns", number)])
-    sheet = RawTable(header_line=number, comments=comments, delimiter=delimiter)
+    sheet = RawTable(header_line=number or None, comments=comments, delimiter=delimiter, has_header=not positions)
     if (numbers := _numbers(lines, stream, number, sheet)) is None:
         _cells(lines, stream, number, sheet)
     else:
@@ -60,6 +62,15 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0) -> RawTa
     if not any(len(channel.cells) for channel in sheet.channels) and not sheet.problems and not sheet.corrupt:
         raise DatasetError(source, [Problem("has a header and no rows", line=sheet.header_line)])
     return sheet
+
+
+def _positions(line: str) -> str:
+    """Header of the positions of the columns, from 1, for a line of numbers; else empty."""
+    for delimiter in (";", "\t", ",", " "):
+        cells = _split(line, delimiter)
+        if len(cells) > 1 and all(map(_NUMBER.fullmatch, cells)):
+            return f"{delimiter.join(map(str, range(1, len(cells) + 1)))}\n"
+    return ""
 
 
 def _too_wide(size: str, line: int) -> Problem:

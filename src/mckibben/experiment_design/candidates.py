@@ -122,12 +122,21 @@ def design_region(
     notes: list[str] = []
     if specimen is None and attrs["specimen"] in catalog.names("specimens"):
         specimen = catalog.specimen(attrs["specimen"])
+    measured = (data.contraction, data.levels)
+    box = Domain(*(end(values) for values in measured for end in (np.min, np.max))) if len(data) else Domain()
     if specimen is not None:
-        domain, highest = specimen.domain, (1 - _FORCE_RESERVE) * float(specimen.rated_force)
+        domain, highest = specimen.domain.filled(box), (1 - _FORCE_RESERVE) * float(specimen.force_limit)
+        if specimen.rated_force is None:
+            if len(data) == 0:
+                raise RangeError(
+                    "the rated force of the specimen is unknown", remedy="give the specimen its rated_force"
+                )
+            highest = float(data.force.max())
+            notes.append("the specimen has no rated force: the plan stays within the forces of the data")
     else:
         if len(data) == 0:
             raise RangeError("neither data nor a specimen give the range of states", remedy="name the specimen")
-        domain = Domain(data.contraction.min(), data.contraction.max(), data.levels.min(), data.levels.max())
+        domain = box
         highest = float(data.force.max())
         if highest <= attrs["slack_force"]:
             raise RangeError(
@@ -139,7 +148,7 @@ def design_region(
             + (" where the limits do not set others" if limits else "")
         )
     if limits is not None:
-        domain = limits if specimen is None else _intersection(limits, specimen)
+        domain = limits if specimen is None else _intersection(limits, specimen).filled(box)
     length = attrs.get("initial_length") or (float(specimen.initial_length) if specimen else None)
     default = 1 * mm / length if length else 0.5 * percent
     lowest = float(attrs["slack_force"]) + _SLACK_MARGIN * prior.noise.point

@@ -100,6 +100,11 @@ class PriorData:
             notes.append(f"no fit ({reason}): the plan is linearised about a guess, {origin}")
         else:
             law, residuals = fit.law, fit.require_regression().solution.residuals
+        if any(p.penalised for p in type(law).parameters()):
+            raise ParameterError(
+                f"{type(law).__name__} has deviations that a prior determines beside the points: they have no design",
+                remedy="plan for ExponentialLaw, which it extends",
+            )
         modelled = bool(len(points.directions)) if friction is None else friction
         signs = np.zeros(len(points))
         if "direction" in points.table:

@@ -100,8 +100,8 @@ class Bootstrap:
     def force_interval(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> IntervalEstimate:
         """Percentile interval of the law's force [N] at contractions [-] and pressures [Pa]."""
         estimates = [float(getattr(self.law, name)) for name in self._names]
-        value = law_forces(type(self.law), [estimates], contraction, pressure)[0]
-        forces = law_forces(type(self.law), self.draws, contraction, pressure)
+        value = law_forces(self.law, [estimates], contraction, pressure)[0]
+        forces = law_forces(self.law, self.draws, contraction, pressure)
         lower, upper = self._percentiles(forces, level)
         freedom = np.full_like(value, self.blocks - 1.0)
         return IntervalEstimate(level, value, self._deviation(forces), freedom, lower, upper)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import html_table, text_table
+from mckibben.dataset.schema import text_table
 from mckibben.errors import IdentificationError, printable
 from mckibben.identification.intervals import (
     ForceIntervals,
@@ -25,7 +25,8 @@ from mckibben.identification.intervals import (
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import Floats, Grouping, correlated_pairs
 from mckibben.muscle import Domain, ForceLaw, forces
-from mckibben.units import bar, factor
+from mckibben.notebook import html_table
+from mckibben.units import bar, factor, percent
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,28 @@ def domain_of(points: IsobaricDataset) -> Domain:
     """Range of contractions and pressure levels of some points."""
     contraction, levels = points.contraction, points.levels
     return Domain(float(contraction.min()), float(contraction.max()), float(levels.min()), float(levels.max()))
+
+
+_CONTRACTIONS, _PRESSURES = 57, 33
+_ROUNDING = 1e-9  # of the largest force
+
+
+def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
+    """First violation, on a grid, of a defined force that falls with contraction and rises with pressure."""
+    box = law.domain if domain is None else domain
+    contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
+    pressure = np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
+    force = forces(law, contraction[:, None], pressure)
+    rounding = _ROUNDING * float(np.nanmax(np.abs(force), initial=0.0))
+    for violation, wrong in (
+        ("it has no force", ~np.isfinite(force)),
+        ("its force rises with contraction", (force[:-1] > 0) & (np.diff(force, axis=0) > rounding)),
+        ("its force falls with pressure", (force[:, :-1] > 0) & (-np.diff(force, axis=1) > rounding)),
+    ):
+        if wrong.any():
+            i, j = np.unravel_index(np.argmax(wrong), wrong.shape)
+            return f"{violation} at {contraction[i] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
+    return ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -180,8 +203,10 @@ class Fit:
         return found.standard_errors, found.degrees_of_freedom
 
     def strongest_correlations(self, count: int = 3) -> list[tuple[str, str, float]]:
-        """Pairs of parameters with the largest absolute correlation, largest first."""
-        return correlated_pairs(list(self.estimates), self.correlations)[:count]
+        """Pairs of parameters with the largest absolute correlation, largest first; without penalised ones."""
+        free = [not p.penalised for p in type(self.law).parameters()]
+        names = [name for name, one in zip(self.estimates, free, strict=True) if one]
+        return correlated_pairs(names, self.correlations[np.ix_(free, free)])[:count]
 
     def report(self, level: float = 0.95) -> str:
         """Fit as text: parameters in published units, errors, intervals, correlations, warnings."""

@@ -12,6 +12,7 @@ from mckibben.errors import IdentificationError
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, domain_of
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
+from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth
 from mckibben.identification.uncertainty import (
     CONDITION_LIMIT,
     Bools,
@@ -24,8 +25,8 @@ from mckibben.identification.uncertainty import (
     uncertainty,
     unidentifiable,
 )
-from mckibben.muscle import Domain, ForceLaw, forces
-from mckibben.units import bar, percent, show
+from mckibben.muscle import Domain, ExponentialLaw, ForceLaw
+from mckibben.units import percent, show
 
 _STRONG_CORRELATION = 0.999
 _FRICTION = 1.0  # of the RMSE: a larger difference between the directions dominates the residuals
@@ -65,12 +66,18 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
         )
     means = dataset.plateau_means()
     taut = means.taut
-    parameters = law_type.parameters()
-    _check_count(law_type, taut, slack=len(means) - len(taut))
+    smooth = law_type in SMOOTH_LAWS
+    _check_count(ExponentialLaw if smooth else law_type, taut, slack=len(means) - len(taut))
     points = _within_validity(law_type, taut)
-    problem = FitProblem.of(law_type, points)
-
-    solution = solve(problem, grid_search(problem))
+    refit, simpler = None, ""
+    if smooth:
+        asked, refit = law_type, lambda kept: fit_smooth(asked, points, kept)[0]
+        solution, simpler = fit_smooth(law_type, points, np.ones(len(points), bool))
+        law_type = solution.problem.law_type
+    else:
+        problem = FitProblem.of(law_type, points)
+        solution = solve(problem, grid_search(problem))
+    problem, parameters = solution.problem, law_type.parameters()
     at_bound = solution.at_bound
     _check_determined(problem, solution, at_bound, points)
     if at_bound.all():
@@ -79,15 +86,16 @@ def identify(law_type: type[ForceLaw], dataset: IsobaricDataset, *, domain: Doma
             remedy="look for wrong units in the data",
         )
     residuals = solution.residuals
-    found = uncertainty(solution.jacobian, residuals, at_bound)
-    regression = Regression(points, problem, solution, at_bound)
+    found = uncertainty(solution.augmented[1], solution.augmented[0], at_bound)
+    regression = Regression(points, problem, solution, at_bound, refit)
     grouping, ungrouped = regression.default_grouping
 
-    warnings = _bound_warnings(law_type, solution, at_bound)
+    warnings = [f"the law is Eq. 2 alone: {simpler}"] if simpler else []
+    warnings += _bound_warnings(law_type, solution, at_bound)
     warnings += [
         f"{a} and {b} are correlated by {correlation:+.5f}: the data determine a combination of them, each alone badly"
         for a, b, correlation in correlated_pairs(problem.names, found.correlations)
-        if abs(correlation) > _STRONG_CORRELATION
+        if abs(correlation) > _STRONG_CORRELATION and problem.prior is None
     ]
     warnings += _friction_warnings(points, residuals, grouping)
     warnings += regression.warnings
@@ -142,7 +150,7 @@ def _within_validity(law_type: type[ForceLaw], points: IsobaricDataset) -> Isoba
 
 
 def _check_determined(problem: FitProblem, solution: Solution, at_bound: Bools, points: IsobaricDataset) -> None:
-    free = solution.jacobian[:, ~at_bound]
+    free = solution.augmented[1][:, ~at_bound]
     names = [name for name, out in zip(problem.names, at_bound, strict=True) if not out]
     number = condition_number(free)
     if at_bound.any() and number < CONDITION_LIMIT:
@@ -174,10 +182,8 @@ def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: Bool
     for p, value, bound in zip(law_type.parameters(), solution.values, at_bound, strict=True):
         low, high = show(p.lower, p.shown), show(p.upper, p.shown)
         if bound:
-            warnings.append(
-                f"{p.name} is at the bound of its range {low} .. {high}: it has no standard error, and the law is "
-                "probably misspecified"
-            )
+            cause = "" if solution.problem.prior is not None else ", and the law is probably misspecified"
+            warnings.append(f"{p.name} is at the bound of its range {low} .. {high}: it has no standard error{cause}")
         elif not p.lower <= value <= p.upper:
             warnings.append(f"{p.name} = {show(value, p.shown)} is outside its range {low} .. {high}")
     return warnings
@@ -221,28 +227,6 @@ def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut
         return None, f"without the points at {show(float(error.block), 'bar')} {error.reason}: {_NO_CROSS_VALIDATION}"
     by_pressure = {float(level): error for level, error in found.by_block.items()}
     return LeaveOnePressureOut(found.rmse, found.max_error, by_pressure), ""
-
-
-_CONTRACTIONS, _PRESSURES = 57, 33
-_ROUNDING = 1e-9  # of the largest force
-
-
-def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
-    """First violation, on a grid, of a defined force that falls with contraction and rises with pressure."""
-    box = law.domain if domain is None else domain
-    contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
-    pressure = np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
-    force = forces(law, contraction[:, None], pressure)
-    rounding = _ROUNDING * float(np.nanmax(np.abs(force), initial=0.0))
-    for violation, wrong in (
-        ("it has no force", ~np.isfinite(force)),
-        ("its force rises with contraction", (force[:-1] > 0) & (np.diff(force, axis=0) > rounding)),
-        ("its force falls with pressure", (force[:, :-1] > 0) & (-np.diff(force, axis=1) > rounding)),
-    ):
-        if wrong.any():
-            i, j = np.unravel_index(np.argmax(wrong), wrong.shape)
-            return f"{violation} at {contraction[i] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
-    return ""
 
 
 _FEWEST_PAIRS = 10

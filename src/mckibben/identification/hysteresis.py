@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import html_table
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import DatasetSummary, Fit, domain_of
 from mckibben.identification.fitting import identify
@@ -36,6 +35,7 @@ from mckibben.identification.loading_path import (
 )
 from mckibben.identification.uncertainty import Bools, Floats
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
+from mckibben.notebook import html_table
 from mckibben.units import bar, mm, show
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -111,17 +111,17 @@ def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, 
     return design_matrix(law, free, *padded)[:count]
 
 
-def law_forces(law_type: type[ForceLaw], draws: ArrayLike, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
-    """Force [N] of each of many laws, shape (draws, ...), from parameters in SI, shape (draws, parameters)."""
+def law_forces(law: ForceLaw, draws: ArrayLike, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
+    """Force [N] of a law with other parameters in SI, shape (draws, parameters): shape (draws, ...)."""
     contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
-    return np.asarray(_forces(law_type, np.asarray(draws, np.float64), contraction, pressure))
+    return np.asarray(_forces(law, np.asarray(draws, np.float64), contraction, pressure))
 
 
-@partial(jax.jit, static_argnames="law_type")
-def _forces(law_type: type[ForceLaw], draws: Array, contraction: Array, pressure: Array) -> Array:
-    names = [p.name for p in law_type.parameters()]
+@jax.jit
+def _forces(law: ForceLaw, draws: Array, contraction: Array, pressure: Array) -> Array:
+    names = [p.name for p in law.parameters()]
 
     def force(values: Array) -> Array:
-        return law_type(**dict(zip(names, values, strict=True))).force(contraction, pressure)
+        return dataclasses.replace(law, **dict(zip(names, values, strict=True))).force(contraction, pressure)
 
     return jax.vmap(force)(draws)

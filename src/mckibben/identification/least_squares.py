@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -70,10 +70,13 @@ def _columns_and_residuals(
     pressure: ArrayLike,
     force: ArrayLike,
     weights: ArrayLike,
+    constants: Mapping[str, Any],
 ) -> Array:
     """Weighted columns of the design matrix, then weighted residuals [N]: shape (parameters + 1, n)."""
     names = tuple(p.name for p in law_type.parameters())
-    modelled, columns = _force_and_columns(lambda given: law_type(**given), names, values, contraction, pressure)
+    modelled, columns = _force_and_columns(
+        lambda given: law_type(**given, **constants), names, values, contraction, pressure
+    )
     return jnp.concatenate([columns, (jnp.asarray(force) - modelled)[None]]) * jnp.asarray(weights)
 
 
@@ -126,7 +129,11 @@ class UnitCube:
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """Weighted least-squares problem of a law; subsets (`kept`) of one dataset share compiled code."""
+    """Weighted least-squares problem of a law; subsets (`kept`) of one dataset share compiled code.
+
+    A `prior` of shape (rows, parameters) adds the residuals ``-prior @ values`` [N], each as uncertain as that of a
+    point: a Gaussian prior about zero. `constants` are fields of the law that are not estimated.
+    """
 
     law_type: type[ForceLaw]
     contraction: Floats = field(repr=False)
@@ -134,6 +141,8 @@ class FitProblem:
     force: Floats = field(repr=False)
     kept: Bools = field(repr=False)
     weights: Floats | None = field(default=None, repr=False)
+    constants: Mapping[str, Any] = field(default_factory=dict)
+    prior: Floats | None = field(default=None, repr=False)
 
     @classmethod
     def of(cls, law_type: type[ForceLaw], points: IsobaricDataset) -> FitProblem:
@@ -171,16 +180,22 @@ class FitProblem:
 
     def law(self, values: Floats) -> ForceLaw:
         """Law with the given parameters [SI], shape (parameters,)."""
-        return self.law_type(**dict(zip(self.names, values.tolist(), strict=True)))
+        return self.law_type(**dict(zip(self.names, values.tolist(), strict=True)), **self.constants)
 
     def columns_and_residuals(self, values: Floats) -> Floats:
         """Weighted design matrix, transposed, above the weighted residuals [N]: shape (parameters + 1, n)."""
         points = self.contraction, self.pressure, self.force, self._factors
-        return np.asarray(_columns_and_residuals(self.law_type, values, *points))
+        return np.asarray(_columns_and_residuals(self.law_type, values, *points, self.constants))
+
+    def with_prior(self, rows: Floats, values: Floats) -> Floats:
+        """Columns and residuals, shape (parameters + 1, n), followed by those of the prior."""
+        if self.prior is None:
+            return rows
+        return np.concatenate([rows, np.vstack([self.prior.T, -self.prior @ values])], axis=1)
 
     def response(self, values: Floats) -> tuple[Floats, Floats]:
-        """Weighted residuals [N], shape (kept,), and Jacobian of the force, shape (kept, parameters)."""
-        rows = self.columns_and_residuals(values)[:, self.kept]
+        """Weighted residuals [N], shape (kept + prior,), and Jacobian of the force, (kept + prior, parameters)."""
+        rows = self.with_prior(self.columns_and_residuals(values)[:, self.kept], values)
         return rows[-1], rows[:-1].T
 
     def at_bound(self, position: Floats) -> Bools:
@@ -208,12 +223,33 @@ class Solution:
     @property
     def residuals(self) -> Floats:
         """Measured minus fitted force [N], shape (kept,)."""
-        return self._response[0]
+        return self.augmented[0][: np.count_nonzero(self.problem.kept)]
 
     @property
     def jacobian(self) -> Floats:
         """Derivative of the force with respect to all parameters, shape (kept, parameters)."""
-        return self._response[1]
+        return self.augmented[1][: np.count_nonzero(self.problem.kept)]
+
+    @property
+    def effective_parameters(self) -> float:
+        """Trace of the derivative of the fitted by the measured forces; the number of parameters without a prior."""
+        if self.problem.prior is None:
+            return float(len(self.values))
+        q = np.linalg.qr(self.augmented[1])[0]
+        return len(self.values) - float(np.sum(q[np.count_nonzero(self.problem.kept) :] ** 2))
+
+    @property
+    def aicc(self) -> float:
+        """Corrected Akaike information criterion for normal errors of unknown variance; NaN with too few points.
+
+        C. Hurvich and C.-L. Tsai, Biometrika 76 (1989) 297-307.
+        """
+        count, total = len(self.residuals), self.effective_parameters + 1  # and the residual variance
+        freedom = count - total - 1
+        if freedom <= 0:
+            return math.nan
+        squares = float(self.residuals @ self.residuals)
+        return count * math.log(max(squares, 1e-300) / count) + 2 * total + 2 * total * (total + 1) / freedom
 
     @property
     def at_bound(self) -> Bools:
@@ -221,7 +257,8 @@ class Solution:
         return self.problem.at_bound(self.position)
 
     @cached_property
-    def _response(self) -> tuple[Floats, Floats]:
+    def augmented(self) -> tuple[Floats, Floats]:
+        """Residuals and Jacobian, with the rows of the prior."""
         return self.problem.response(self.values)
 
 
@@ -252,7 +289,7 @@ def project(problem: FitProblem, position: Floats, guess: Floats | None = None) 
     """Linear parameters at a position of the shape; the projected Jacobian is that at their `guess`."""
     linear, shape = problem.linear, len(position)
     values = np.concatenate([np.zeros(linear) if guess is None else guess, problem.cube.values(position)])
-    rows = problem.columns_and_residuals(values)
+    rows = problem.with_prior(problem.columns_and_residuals(values), values)
     if not np.isfinite(rows).all():
         zeros = np.zeros((linear + shape, linear + shape))
         return Projection(position, values, np.inf, zeros, np.zeros(shape), np.zeros((linear, shape)))
@@ -388,6 +425,8 @@ def _trust_region(problem: FitProblem, start: Floats, fixed: int | None) -> Solu
     )
     position = at(found.x)
     faces = at(np.where(found.x < _FACE, 0.0, np.where(found.x > 1 - _FACE, 1.0, found.x)))
-    inside, on_face = project(problem, position), project(problem, faces)
+    inside, on_face = (
+        project(problem, end, project(problem, end).values[: problem.linear]) for end in (position, faces)
+    )
     best = on_face if on_face.cost * (1 - 1e-9) <= inside.cost else inside
     return Solution(problem, best.values, best.position, best.cost, best.triangle, found.status > 0)

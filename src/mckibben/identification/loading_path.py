@@ -224,8 +224,8 @@ class PathDependentModel:
 
     @property
     def law_names(self) -> tuple[str, ...]:
-        """Parameters of the law, linear ones first."""
-        return tuple(p.name for p in type(self.template).parameters())
+        """Parameters of the law, linear ones first; penalised ones are held at the fit of the law alone."""
+        return tuple(p.name for p in type(self.template).parameters() if not p.penalised)
 
     def law(self, values: Mapping[str, float]) -> ForceLaw:
         """Law with those of its parameters that are among the values."""

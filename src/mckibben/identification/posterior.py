@@ -4,9 +4,10 @@ r"""Bayesian posterior of a law's parameters, sampled by NUTS.
 
 The errors :math:`e_i` are Gaussian with standard deviation :math:`\sigma`, or Student t with unknown degrees of
 freedom, which is robust to outliers; the random effects :math:`u_g` of groups of points are optional. Priors: flat for
-linear parameters, uniform in the unit cube (logarithmic where a range is positive) for the shape, 1/sigma for sigma,
-half-normal of twice the residual standard deviation for tau, Gamma(2, 0.1) for the degrees of freedom. With Gaussian
-errors and a law linear in its parameters the posterior is the classical t distribution.
+linear parameters, that of the fit for the deviations of `SmoothLaw`, uniform in the unit cube (logarithmic where a
+range is positive) for the shape, 1/sigma for sigma, half-normal of twice the residual standard deviation for tau,
+Gamma(2, 0.1) for the degrees of freedom. With Gaussian errors and a law linear in its parameters the posterior is the
+classical t distribution.
 
 It needs the package numpyro: ``pip install 'mckibben[bayes]'``.
 
@@ -84,7 +85,7 @@ class Posterior:
 
     def force_interval(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> IntervalEstimate:
         """Posterior mean and credible interval of the law's force [N] at contractions [-] and pressures [Pa]."""
-        forces = law_forces(type(self.law), self.draws, contraction, pressure)
+        forces = law_forces(self.law, self.draws, contraction, pressure)
         lower, upper = np.quantile(forces, _tails(level), axis=0)
         value, error = forces.mean(axis=0), np.std(forces, axis=0, ddof=1)
         return IntervalEstimate(level, value, error, np.full_like(value, np.inf), lower, upper)
@@ -201,8 +202,8 @@ def _data(regression: Regression, by: Grouping | None) -> dict[str, Any]:
     """Arguments of the model; its coordinates are whitened at the fit: centre + whitening @ white."""
     problem, solution, points = regression.problem, regression.solution, regression.points
     rates = np.concatenate([np.ones(problem.linear), problem.cube.rates(solution.position)])
-    jacobian = solution.jacobian * rates
-    deviation = float(np.sqrt(solution.residuals @ solution.residuals / (len(points) - len(rates))))
+    residuals, jacobian = solution.augmented[0], solution.augmented[1] * rates
+    deviation = float(np.sqrt(residuals @ residuals / (len(residuals) - len(rates))))
     lengths = np.linalg.norm(jacobian, axis=0)
     triangle = np.linalg.qr(jacobian / lengths, mode="r")
     whitening = deviation * np.linalg.inv(triangle) / lengths[:, None]
@@ -216,6 +217,8 @@ def _data(regression: Regression, by: Grouping | None) -> dict[str, Any]:
         "counts": np.bincount(labels).astype(float),
         "centre": np.concatenate([solution.values[: problem.linear], solution.position]),
         "whitening": whitening,
+        "constants": problem.constants,
+        "prior": np.empty((0, len(rates))) if problem.prior is None else problem.prior,
         "deviation": deviation,
     }
 
@@ -261,7 +264,9 @@ def _log_likelihood(law_type: type[ForceLaw], noise: Noise) -> Callable[..., Any
         outside = jnp.where(jnp.all((position >= 0) & (position <= 1)), 0.0, -jnp.inf)
         values = [*coordinates[:linear], *cube.values(jnp.clip(position, 0.0, 1.0))]
         sigma = jnp.exp(log_sigma)
-        law = law_type(**dict(zip(names, values, strict=True)))
+        law = law_type(**dict(zip(names, values, strict=True)), **data["constants"])
+        prior = data["prior"] @ jnp.stack(values) / (data["deviation"] * sigma)
+        outside = outside - 0.5 * jnp.sum(prior**2) - len(prior) * log_sigma
         residuals = (data["force"] - law.force(data["contraction"], data["pressure"])) / data["deviation"]
         if noise is Noise.STUDENT:
             residuals = residuals - tau * jnp.asarray(common)[data["labels"]]

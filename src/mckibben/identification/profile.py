@@ -133,7 +133,8 @@ class _Curve:
         self.problem, self.solution, self.index = regression.problem, regression.solution, index
         self.parameter = self.problem.law_type.shape_parameters[index]
         self.start = float(self.solution.position[index])
-        self.least = float(self.solution.residuals @ self.solution.residuals)
+        residuals, jacobian = self.solution.augmented
+        self.least = float(residuals @ residuals)
         self.by = regression.default_grouping[0] if by is None else by
         self.reasons: list[str] = []
         self._solutions: dict[float, Solution] = {self.start: self.solution}
@@ -144,10 +145,10 @@ class _Curve:
         others = regression.at_bound & (np.arange(len(regression.at_bound)) != column)
         regression = dataclasses.replace(regression, at_bound=others)
         gradient = (np.flatnonzero(~regression.at_bound) == column).astype(float)[None]
-        points, count = len(self.solution.residuals), np.count_nonzero(~regression.at_bound)
+        points, count = len(residuals), np.count_nonzero(~regression.at_bound)
         self.variance = self.least / (points - count)
         self.error, self.freedom, self.ratio = np.nan, float(points - count), 1.0
-        if condition_number(self.solution.jacobian[:, ~regression.at_bound]) < CONDITION_LIMIT:
+        if condition_number(jacobian[:, ~regression.at_bound]) < CONDITION_LIMIT:
             variance, freedom = regression.error_model(self.by).variance(gradient)
             classical, _ = regression.error_model(Grouping.POINT).variance(gradient)
             self.error, self.freedom = float(np.sqrt(variance[0])), float(freedom[0])

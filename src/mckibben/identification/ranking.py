@@ -3,28 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import html_table
 from mckibben.errors import IdentificationError
-from mckibben.identification.fit import Fit
+from mckibben.identification.fit import Fit, unphysical
 from mckibben.identification.fitting import (
     ResidualCorrelation,
     identify,
     residual_correlation,
-    unphysical,
     without_direction_means,
 )
-from mckibben.identification.regression import MOST_BLOCKS, CrossValidation, NotIdentifiableError, pressure_blocks
+from mckibben.identification.regression import (
+    MOST_BLOCKS,
+    CrossValidation,
+    NotIdentifiableError,
+    contraction_blocks,
+    pressure_blocks,
+)
 from mckibben.muscle import LAWS, ForceLaw
+from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.units import show
 
-BLOCKS = ("pressure", "direction", "phase", "repeat")
+_RECORDED = ("direction", "phase", "repeat")
+EXTRAPOLATION = "highest pressure"
+"""Kind of block that is shown and does not count for the order."""
+BLOCKS = ("pressure", "contraction", *_RECORDED, EXTRAPOLATION)
 """Kinds of cross-validation blocks."""
 
 _STRONG = 0.999  # correlation of two parameters
@@ -41,8 +49,8 @@ class RankedLaw:
     fit, refused
         Fit to all taut points; None where it was refused, for that reason.
     cross_validation
-        Errors by kind of block, "pressure", "direction", "phase" and "repeat", as far as recorded; without the mean
-        difference between the directions, which is friction.
+        Errors by kind of block as far as recorded: "pressure", "contraction" (inner blocks only), "direction", "phase",
+        "repeat", and "highest pressure"; without the mean difference between the directions, which is friction.
     aicc
         Corrected Akaike information criterion; NaN with too few points.
     flags
@@ -62,13 +70,19 @@ class RankedLaw:
 
     @property
     def error(self) -> float:
-        """Largest cross-validation RMSE over the kinds of blocks [N]; infinite without any."""
-        return max((found.rmse for found in self.cross_validation.values()), default=math.inf)
+        """Geometric mean of the cross-validation RMSE of `interpolation` [N]; infinite without any."""
+        errors = [found.rmse for found in self.interpolation.values()]
+        return math.prod(errors) ** (1 / len(errors)) if errors else math.inf
+
+    @property
+    def interpolation(self) -> dict[str, CrossValidation]:
+        """Cross-validation errors that count for the order: all but those at the highest pressure."""
+        return {name: found for name, found in self.cross_validation.items() if name != EXTRAPOLATION}
 
     @property
     def parameters(self) -> int:
         """Number of parameters."""
-        return len(LAWS[self.law].parameters()) if self.law in LAWS else len(self.fit.estimates) if self.fit else 0
+        return len(self.fit.estimates if self.fit else LAWS[self.law].parameters() if self.law in LAWS else ())
 
     def record(self) -> dict[str, Any]:
         """Results for JSON; forces in N."""
@@ -79,7 +93,7 @@ class RankedLaw:
             "refused": self.refused or None,
             "rmse_N": fit.rmse if fit else None,
             "max_N": fit.max_error if fit else None,
-            **{f"unseen_{name}_rmse_N": found.rmse for name, found in self.cross_validation.items()},
+            **{f"unseen_{name.replace(' ', '_')}_rmse_N": found.rmse for name, found in self.cross_validation.items()},
             "aicc": self.aicc,
             "residual_correlation_along_contraction": correlation.along_contraction if correlation else None,
             "residual_correlation_along_pressure": correlation.along_pressure if correlation else None,
@@ -92,6 +106,9 @@ class RankedLaw:
 class Ranking:
     """Laws by cross-validation error, the best first and the refused last.
 
+    The order is that of the geometric mean of the RMSE at blocks of pressure, of contraction, and of direction, phase
+    and repeat where they are recorded: each kind counts the same. The error at the highest pressure, predicted from all
+    others, is shown and does not count.
     A law that is not determined without some block comes after those that are; without any blocks AICc decides.
 
     Attributes
@@ -173,12 +190,12 @@ def rank(
     dataset: IsobaricDataset,
     laws: Iterable[type[ForceLaw]] = tuple(LAWS.values()),
     *,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Ranking:
     """Fit laws to a dataset and rank them by their cross-validation errors.
 
     A law that the points do not determine is listed with the reason; `progress` is called with the current law and the
-    fraction done, 0 to 1.
+    fraction done, 0 to 1; in notebooks there is a progress bar.
 
     Raises
     ------
@@ -190,7 +207,7 @@ def rank(
     >>> from mckibben import catalog
     >>> from mckibben.muscle import ExponentialLaw, ReynoldsLaw
     >>> ranking = rank(catalog.dataset("dmsp-10-250-martens2017"), [ReynoldsLaw, ExponentialLaw])
-    >>> [(entry.law, round(entry.error, 2)) for entry in ranking.entries]
+    >>> [(e.law, round(e.cross_validation["pressure"].rmse, 2)) for e in ranking.entries]
     [('ExponentialLaw', 1.34), ('ReynoldsLaw', 32.37)]
     >>> ranking
     <Ranking of 2 laws (0 refused) by cross-validation RMSE, best ExponentialLaw>
@@ -200,8 +217,7 @@ def rank(
     if not len(points):
         raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")
     blocks, missing = _blocks(points)
-    kinds = list(laws)
-    entries = []
+    progress, kinds, entries = progress or notebook_progress(), list(laws), []
     for i, kind in enumerate(kinds):
         if progress:
             progress(kind.__name__, i / len(kinds))
@@ -214,7 +230,7 @@ def rank(
 
 def _order(entry: RankedLaw) -> tuple[bool, int, float, float]:
     aicc = math.inf if math.isnan(entry.aicc) else entry.aicc
-    return entry.fit is None, -len(entry.cross_validation), entry.error, aicc
+    return entry.fit is None, -len(entry.interpolation), entry.error, aicc
 
 
 def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -226,7 +242,12 @@ def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, s
         missing["pressure"] = reason
     else:
         blocks["pressure"] = levels
-    for name in BLOCKS[1:]:
+        blocks[EXTRAPOLATION] = np.where(levels == levels.max(), show(float(levels.max()), "bar"), "")
+    blocks["contraction"] = contraction_blocks(points)
+    if not blocks["contraction"].any():
+        del blocks["contraction"]
+        missing["contraction"] = "there are less than three contractions"
+    for name in _RECORDED:
         labels = points.table[name].to_numpy() if name in points.table else np.empty(0, "<U1")
         count = np.count_nonzero(np.unique(labels) != "") if labels.dtype.kind == "U" else len(np.unique(labels))
         if count == 0:
@@ -260,15 +281,18 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
             residuals = without_direction_means(found.residuals, regression.points)
             cross_validation[name] = CrossValidation(residuals, found.by_block)
     bounds = [name for name, out in zip(fit.estimates, regression.at_bound, strict=True) if out]
-    flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if bounds else []
+    misspecified = bounds and regression.problem.prior is None  # with deviations a bound is none of the law's form
+    flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if misspecified else []
     if reason := unphysical(fit.law):
         flags.append(reason)
-    residuals = regression.solution.residuals
+    residuals, effective = regression.solution.residuals, regression.solution.effective_parameters
+    if effective < len(fit.estimates):
+        remarks.append(f"its prior leaves {effective:.1f} effective parameters")
     return RankedLaw(
         kind.__name__,
         fit,
         cross_validation=cross_validation,
-        aicc=_aicc(residuals, len(fit.estimates)),
+        aicc=regression.solution.aicc,
         residual_correlation=residual_correlation(regression.points, residuals),
         flags=tuple(flags),
         remarks=tuple(remarks),
@@ -276,16 +300,6 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
 
 
 def _nearly_as_good(entry: RankedLaw, first: RankedLaw) -> bool:
-    if first.cross_validation:
+    if first.interpolation:
         return entry.error <= _AS_GOOD * first.error
     return entry.aicc <= first.aicc + _SUPPORTED
-
-
-def _aicc(residuals: np.ndarray, parameters: int) -> float:
-    """Corrected Akaike information criterion for normal errors of unknown variance (Hurvich and Tsai 1989)."""
-    count, total = len(residuals), parameters + 1  # and the residual variance
-    freedom = count - total - 1
-    if freedom <= 0:
-        return math.nan
-    squares = float(residuals @ residuals)
-    return count * math.log(max(squares, 1e-300) / count) + 2 * total + 2 * total * (total + 1) / freedom

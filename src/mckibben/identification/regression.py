@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.preprocessing import group_pressures, nominal_pressures
 from mckibben.errors import IdentificationError
 from mckibben.identification.intervals import RobustErrors
 from mckibben.identification.least_squares import FitProblem, Solution, solve
@@ -26,8 +27,11 @@ from mckibben.identification.uncertainty import (
     finest_grouping,
     group_labels,
 )
+from mckibben.units import percent
 
 MOST_BLOCKS = 200
+_QUANTILES = 8  # blocks of points whose pressures are all different
+_IN_QUANTILE = 5  # points at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,34 +61,67 @@ class NotIdentifiableError(Exception):
 
 
 def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
-    """Pressure level [Pa] of each point, or None and the reason why pressures are no blocks."""
+    """Pressure level [Pa] of each point, or the median of its quantile; None and the reason where there are none."""
     levels = points.levels
     count = len(np.unique(levels))
     if count < 2:
         return None, "there is one pressure only"
-    if count > MOST_BLOCKS or 2 * count > len(points):
-        return None, (
-            f"the {len(points)} points have {count} different pressures, hardly two the same; record the set pressure "
-            "of each point"
-        )
-    return levels, ""
+    if 2 * count <= len(points) and count <= MOST_BLOCKS:
+        return levels, ""
+    if (groups := group_pressures(levels)) is not None:
+        return nominal_pressures(levels, groups)[0][groups], ""
+    blocks = min(len(points) // _IN_QUANTILE, _QUANTILES)
+    if blocks < 2:
+        return None, f"the {len(points)} points have {count} different pressures; record the set pressure of each point"
+    edges = np.quantile(levels, np.linspace(0, 1, blocks + 1)[1:-1])
+    part = np.searchsorted(edges, levels, side="right")
+    return np.array([np.median(levels[part == each]) for each in range(blocks)])[part], ""
 
 
-def cross_validate(problem: FitProblem, full: Solution, blocks: ArrayLike) -> CrossValidation:
+_CONTRACTION_BLOCKS = 8
+_RESOLUTION = 1e-3  # nearer contractions are one
+
+
+def contraction_blocks(points: IsobaricDataset) -> NDArray[np.str_]:
+    """Label of the block of contractions of each point; "" in the outermost blocks, which would be extrapolated.
+
+    A block is one contraction, or some neighbours where there are more than eight.
+    """
+    rounded = np.round(points.contraction / _RESOLUTION).astype(int)
+    values, number, counts = np.unique(rounded, return_inverse=True, return_counts=True)
+    blocks = min(len(values), _CONTRACTION_BLOCKS)
+    if blocks < len(values):
+        number = ((np.cumsum(counts) - counts / 2) * blocks / len(points)).astype(int)[number]
+    labels = np.full(len(points), "", "<U24")
+    for block in range(1, blocks - 1):
+        own = number == block
+        if own.any():
+            low, high = rounded[own].min() * _RESOLUTION / percent, rounded[own].max() * _RESOLUTION / percent
+            labels[own] = f"{low:.1f} %" if low == high else f"{low:.1f}..{high:.1f} %"
+    return labels
+
+
+Refit = Callable[[Bools], Solution]
+"""Method of identification: solution for the points kept."""
+
+
+def cross_validate(
+    problem: FitProblem, full: Solution, blocks: ArrayLike, refit: Refit | None = None
+) -> CrossValidation:
     """Fit the law, shape included, to all blocks but one, and predict that one; for each block."""
     blocks = np.asarray(blocks)
-    everything = problem.subset(np.ones(len(blocks), bool))
     residuals = np.full(len(blocks), np.nan)
     by_block: dict[float | str, float] = {}
     for block in np.unique(blocks).tolist():
         if block == "":
             continue
         out = blocks == block
-        if np.count_nonzero(~out) <= len(problem.names):
+        if np.count_nonzero(~out) <= (len(problem.names) if refit is None else len(problem.law_type.shape_parameters)):
             raise NotIdentifiableError(block, "too few points are left to fit")
-        solution = solve(problem.subset(~out), full.position)
+        solution = solve(problem.subset(~out), full.position) if refit is None else refit(~out)
         if not (solution.converged and condition_number(solution.triangle[:, ~solution.at_bound]) < CONDITION_LIMIT):
             raise NotIdentifiableError(block, "the law is not determined")
+        everything = solution.problem.subset(np.ones(len(blocks), bool))
         residuals[out] = everything.columns_and_residuals(solution.values)[-1, : len(blocks)][out]
         if not np.isfinite(residuals[out]).all():
             raise NotIdentifiableError(block, "the law has no force there")
@@ -105,6 +142,7 @@ class Regression:
     problem: FitProblem = field(repr=False)
     solution: Solution = field(repr=False)
     at_bound: Bools = field(repr=False)
+    refit: Refit | None = field(default=None, repr=False)
 
     @property
     def free(self) -> Ints:
@@ -133,7 +171,7 @@ class Regression:
     def cross_validated(self, kind: str, blocks: ArrayLike) -> CrossValidation:
         """`cross_validate`, computed once for each kind of block, such as "pressure"."""
         if kind not in self._cross_validations:
-            self._cross_validations[kind] = cross_validate(self.problem, self.solution, blocks)
+            self._cross_validations[kind] = cross_validate(self.problem, self.solution, blocks, self.refit)
         return self._cross_validations[kind]
 
     @cached_property
@@ -190,12 +228,14 @@ class Regression:
 
     @cached_property
     def _independent(self) -> IndependentErrors:
-        return IndependentErrors.of(self.solution.jacobian[:, self.free], self.solution.residuals)
+        residuals, jacobian = self.solution.augmented
+        return IndependentErrors.of(jacobian[:, self.free], residuals)
 
     def _cluster_robust(self, by: Grouping) -> ClusterRobustErrors:
         if by not in self._models:
-            jacobian, residuals = self.solution.jacobian[:, self.free], self.solution.residuals
-            self._models[by] = ClusterRobustErrors.of(jacobian, residuals, group_labels(self.points, by))
+            residuals, jacobian = self.solution.augmented
+            labels = group_labels(self.points, by)
+            self._models[by] = ClusterRobustErrors.of(jacobian[:, self.free], residuals, labels)
         return self._models[by]
 
     @cached_property

@@ -43,6 +43,10 @@ def write_fit(fit: Fit, path: Path) -> None:
             row["degrees_of_freedom"] = float(robust.degrees_of_freedom[p.name])
         parameters[p.name] = {**row, "unit": p.unit}
         comments["parameters", p.name] = f"{show(fit.estimates[p.name], p.shown)}: {p.meaning}"
+    for p in law.constants:
+        value = float(getattr(fit.law, p.name))
+        parameters[p.name] = {"estimate": value, "unit": p.unit}
+        comments["parameters", p.name] = f"{show(value, p.shown)}: {p.meaning}, not estimated"
     data = {
         "law": law.__name__,
         "equation": law.equation,
@@ -235,7 +239,7 @@ class _FitFile(_LawFile):
 
     def fit(self) -> Fit:
         law, lopo, robust, data = self.force_law(), self.leave_one_pressure_out, self.robust, self.dataset
-        rows = dict(self.parameters)
+        rows = {p.name: getattr(self.parameters, p.name) for p in type(law).parameters()}
         unseen = errors = None
         if lopo:
             scale, unit = factor(lopo.pressure_unit), factor(lopo.unit)
@@ -293,8 +297,9 @@ def _read(path: str | os.PathLike[str], *, complete: bool) -> Any:
     model: type[ConfigModel] = base
     if law_type is not None:
         rows: dict[str, Any] = {
-            p.name: (type(row.__name__, (row,), {"expected": p.unit, "__module__": __name__}), ...)
-            for p in law_type.parameters()
+            p.name: (type(kind.__name__, (kind,), {"expected": p.unit, "__module__": __name__}), ...)
+            for parameters, kind in ((law_type.parameters(), row), (law_type.constants, _Estimate))
+            for p in parameters
         }
         parameters = create_model("Parameters", __base__=ConfigModel, **rows)
         model = create_model("FitFile", __base__=base, parameters=(parameters, Field()))

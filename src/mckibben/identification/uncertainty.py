@@ -149,7 +149,13 @@ class ClusterRobustErrors:
 
     @classmethod
     def of(cls, jacobian: Floats, residuals: Floats, labels: Ints) -> ClusterRobustErrors:
-        """Error model from a Jacobian, shape (points, parameters), residuals and group numbers, shape (points,)."""
+        """Error model from a Jacobian, shape (points, parameters), residuals and group numbers, shape (points,).
+
+        Rows beyond the points are those of a prior: each is independent of all others.
+        """
+        prior = len(jacobian) - len(labels)
+        groups = int(labels.max()) + 1
+        labels = np.append(labels, groups + np.arange(prior))
         order = np.argsort(labels, kind="stable")
         starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
         q, triangle = _tsqr(jacobian[order])
@@ -157,7 +163,7 @@ class ClusterRobustErrors:
         information = np.add.reduceat(q[:, :, None] * q[:, None, :], starts)
         part, vectors = np.linalg.eigh(information)
         part = np.clip(part, 0.0, 1.0)
-        decisive = tuple(np.flatnonzero(part.max(axis=1, initial=0.0) > 1 - _DECISIVE).tolist())
+        decisive = tuple(np.flatnonzero(part.max(axis=1, initial=0.0)[:groups] > 1 - _DECISIVE).tolist())
         stretch = 1 / np.sqrt(np.maximum(1 - part, _DECISIVE))
         projected = np.add.reduceat(q * residuals[order, None], starts)
         scores = np.einsum("gij,gj,gkj,gk->gi", vectors, stretch, vectors, projected)
@@ -182,7 +188,7 @@ class ClusterRobustErrors:
         total = np.einsum("mgi,mgj->mij", w, w)
         trace = np.sum(own - squares, axis=1)
         square_sum = np.sum((own - squares) ** 2 - squares**2, axis=1) + np.sum(total**2, axis=(1, 2))
-        with np.errstate(invalid="ignore"):  # a zero gradient has variance 0 and no degrees of freedom
+        with np.errstate(invalid="ignore", divide="ignore"):  # a zero gradient: no variance
             return variance, np.where(trace > 0, trace**2 / square_sum, np.inf)
 
 

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import html_table, text_table
+from mckibben.dataset.schema import text_table
 from mckibben.errors import IdentificationError, RangeError, printable
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
 from mckibben.identification.uncertainty import Bools
 from mckibben.muscle import ForceLaw, forces
+from mckibben.notebook import html_table
 from mckibben.units import bar
 
 

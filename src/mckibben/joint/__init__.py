@@ -2,18 +2,28 @@
 
 from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, Measurement, TorqueStiffnessMap
 from mckibben.joint.geometry import Geometry, KneeGeometry
-from mckibben.joint.load import Load
+from mckibben.joint.load import GeneralLoad, KneeLoad, Load, PendulumLoad
+from mckibben.joint.paths import Cam, MusclePath, PairedPaths, Pulley, TabulatedPath, TwoBonePath
 from mckibben.joint.tendon import RigidTendon, SeriesSpring, Tendon
 
 __all__ = [
     "AffineMap",
     "AntagonisticJoint",
+    "Cam",
+    "GeneralLoad",
     "Geometry",
     "KneeGeometry",
+    "KneeLoad",
     "Load",
     "Measurement",
+    "MusclePath",
+    "PairedPaths",
+    "PendulumLoad",
+    "Pulley",
     "RigidTendon",
     "SeriesSpring",
+    "TabulatedPath",
     "Tendon",
     "TorqueStiffnessMap",
+    "TwoBonePath",
 ]

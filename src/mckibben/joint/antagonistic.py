@@ -15,6 +15,7 @@ from mckibben.joint.geometry import Geometry, Pair, Pressures
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw
 from mckibben.muscle.muscle import warn_outside
+from mckibben.notebook import Displayed
 from mckibben.numerics.batching import computed_once
 from mckibben.numerics.calculus import derivative, value_and_derivative
 from mckibben.numerics.checks import check_kind, check_within
@@ -85,7 +86,7 @@ class MuscleForces(NamedTuple):
     contractions: Pair
 
 
-class AntagonisticJoint(eqx.Module):
+class AntagonisticJoint(eqx.Module, Displayed):
     """A joint actuated by two antagonistic muscles.
 
     In all methods `pressures` is a pair of gauge pressures [Pa], (p1, p2), `angle` is in rad, and scalars and arrays
@@ -114,6 +115,8 @@ class AntagonisticJoint(eqx.Module):
             muscle2=(self.muscle2, Muscle),
             tendon=(self.tendon, Tendon),
         )
+        for muscle in (self.muscle1, self.muscle2):
+            muscle.check_pressure_limit()
         if not isinstance(self.tendon, RigidTendon):  # the rate of the length is no function of the state
             owner = f"muscle in series with a {type(self.tendon).__name__}"
             for muscle in (self.muscle1, self.muscle2):
@@ -254,9 +257,18 @@ class AntagonisticJoint(eqx.Module):
         return self.muscle2.creep.force(states[1].creep, tension2) * arm2 - force1 * arm1
 
     def closed_valve_stiffness(
-        self, angle: ArrayLike, pressures: Pressures, *, polytropic_index: float = 1.0, atmosphere: float = 101325.0
+        self,
+        angle: ArrayLike,
+        pressures: Pressures,
+        *,
+        polytropic_index: float = 1.0,
+        atmosphere: float = 101325.0,
+        dead_volume: float = 0.0,
     ) -> Float[Array, "..."]:
-        """Return the stiffness [N*m/rad] of closed valves: p V^n is constant, n 1 for slow, 1.4 for fast motion."""
+        """Return the stiffness [N*m/rad] of closed valves: p V^n is constant, n 1 for slow, 1.4 for fast motion.
+
+        V is the muscle's volume with a dead volume [m^3], as of tube and fittings.
+        """
         pressure1, pressure2 = pressure_pair(pressures)
         path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
         path1, path2 = self.geometry.path_lengths(angle)
@@ -267,7 +279,9 @@ class AntagonisticJoint(eqx.Module):
             contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)
             by_pressure = derivative(lambda p: self.tendon.contraction(muscle, path, p), pressure)
             volume, volume_slope = value_and_derivative(muscle.specimen.volume, contraction)
-            compression = -polytropic_index * (pressure + atmosphere) * volume_slope / volume  # dp / d contraction
+            compression = (
+                -polytropic_index * (pressure + atmosphere) * volume_slope / (volume + dead_volume)
+            )  # dp / d contraction
             pressure_slope = compression * by_path / (1 - compression * by_pressure)  # dp / d path
             isobaric = derivative(lambda x: self.tendon.tension(muscle, x, pressure), path)
             by_air = derivative(lambda p: self.tendon.tension(muscle, path, p), pressure)

@@ -315,7 +315,7 @@ def _tension_ranges(
         tensions = joint.tendon.tension(muscle, path, pressures)
         slackest = jnp.maximum(tensions[0], minimum_tension)
         # A muscle that is slack at the highest pressure makes nothing feasible.
-        tightest = jnp.where(tensions[1] > 0, jnp.minimum(tensions[1], muscle.specimen.rated_force), -jnp.inf)
+        tightest = jnp.where(tensions[1] > 0, jnp.minimum(tensions[1], muscle.specimen.force_limit), -jnp.inf)
         return jnp.maximum(slackest, least), jnp.minimum(tightest, most)
 
     low1, high1 = tension_range(joint.muscle1, paths[0], lowest[0], highest[0])

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import sincos
@@ -25,8 +26,13 @@ Pressures = tuple[ArrayLike, ArrayLike]
 _LONGEST = 10.0  # m: a longer joint is taken for one in millimetres
 
 
-class Geometry(eqx.Module):
+class Geometry(eqx.Module, Displayed):
     """Path lengths of both muscles over the joint angle; moment arms follow by differentiation."""
+
+    @property
+    def angle_range(self) -> tuple[float, float]:
+        """Angles [rad] for which the geometry is known."""
+        return -math.inf, math.inf
 
     @abc.abstractmethod
     def path_lengths(self, angle: ArrayLike) -> Pair:

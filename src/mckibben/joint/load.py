@@ -2,20 +2,83 @@
 
 from __future__ import annotations
 
+import abc
+from typing import TYPE_CHECKING, Any, ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import sincos
-from mckibben.units import Angle, Damping, Distance, Gravity, Inertia, Mass
+from mckibben.units import (
+    Angle,
+    Damping,
+    Distance,
+    Gravity,
+    Inertia,
+    Length,
+    Mass,
+    PositiveInertia,
+    PositiveMass,
+    Torque,
+)
 
 
-class Load(eqx.Module):
-    r"""A shank with two point masses: a pendulum driven by the muscles' torque (Eq. 6).
+class Load(eqx.Module, Displayed):
+    r"""A load with inertia, viscous damping and the gravity of a pendulum (Eq. 6).
 
-    .. math:: I\ddot\theta + c\dot\theta = \tau + G \sin(\theta_h - \theta),
-              \quad I = J + m_1 l_1^2 + m_2 l_2^2, \quad G = (m_1 l_1 + m_2 l_2) g
+    .. math:: I\ddot\theta + c\dot\theta = \tau + G \sin(\theta_h - \theta)
+
+    with the torque tau of the muscles. A subclass gives I, G, and the fields `damping` (c [N*m*s/rad]) and
+    `hanging_angle` (theta_h [rad], the equilibrium of the unloaded joint: stable where G is positive).
+    """
+
+    adapted_mass: ClassVar[str] = ""
+    """Field with the mass [kg] that `LawAdaptation` estimates; empty for none."""
+
+    if TYPE_CHECKING:  # the fields of subclasses; declared here, they would come first among theirs
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    @property
+    @abc.abstractmethod
+    def total_inertia(self) -> Float[Array, ""]:
+        """I [kg*m^2] about the axis."""
+
+    @property
+    @abc.abstractmethod
+    def gravity_moment(self) -> Float[Array, ""]:
+        """G [N*m], the largest torque of gravity; negative for an inverted load."""
+
+    def acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Float[Array, "..."]:
+        """Angular acceleration [rad/s^2] under a torque [N*m] at an angle [rad] and a velocity [rad/s] (Eq. 6)."""
+        resisting = self.gravity_torque(angle) - self.damping * velocity
+        return (torque + resisting) * (1 / self.total_inertia)  # type: ignore
+
+    def required_torque(self, angle: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Float[Array, "..."]:
+        """Torque [N*m] for an acceleration [rad/s^2]: the inverse of `acceleration`."""
+        return self.dynamic_torque(velocity, acceleration) - self.gravity_torque(angle)
+
+    def dynamic_torque(self, velocity: ArrayLike, acceleration: ArrayLike) -> Float[Array, "..."]:
+        """Torque [N*m] of inertia and damping: `required_torque` without gravity."""
+        return self.total_inertia * acceleration + self.damping * velocity  # type: ignore
+
+    def gravity_torque(self, angle: ArrayLike) -> Float[Array, "..."]:
+        """Torque of gravity on the shank [N*m] at an angle [rad]."""
+        (sine, cosine), (hanging_sine, hanging_cosine) = sincos(angle), sincos(self.hanging_angle)
+        return self.gravity_moment * (hanging_sine * cosine - hanging_cosine * sine)
+
+    def gravity_stiffness(self, angle: ArrayLike) -> Float[Array, "..."]:
+        """Stiffness due to gravity [N*m/rad] at an angle [rad], minus the slope of `gravity_torque`."""
+        return self.gravity_moment * sincos(self.hanging_angle - jnp.asarray(angle))[1]
+
+
+class KneeLoad(Load):
+    r"""The paper's load: a shank with two point masses, a pendulum driven by the muscles' torque.
+
+    .. math:: I = J + m_1 l_1^2 + m_2 l_2^2, \quad G = (m_1 l_1 + m_2 l_2) g
 
     The paper puts the gravity term on the driving side in Eq. 6 and on the net side in Eq. 7; equated literally they
     cancel. Here it stands once, as a torque on the shank: with `hanging` true (the default) theta_h is the stable
@@ -45,6 +108,8 @@ class Load(eqx.Module):
     (0.172, 20.0)
     """
 
+    adapted_mass = "mass2"
+
     mass1: Mass
     mass2: Mass
     distance1: Distance
@@ -56,15 +121,15 @@ class Load(eqx.Module):
     hanging: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self) -> None:
-        check_positive("Load", "kg", zero=True, mass1=self.mass1, mass2=self.mass2)
-        check_positive("Load", "m", zero=True, distance1=self.distance1, distance2=self.distance2)
-        check_positive("Load", "kg*m^2", zero=True, inertia=self.inertia)
+        check_positive("KneeLoad", "kg", zero=True, mass1=self.mass1, mass2=self.mass2)
+        check_positive("KneeLoad", "m", zero=True, distance1=self.distance1, distance2=self.distance2)
+        check_positive("KneeLoad", "kg*m^2", zero=True, inertia=self.inertia)
         try:
             total = self.total_inertia
         except ValueError:  # arrays of different lengths, which are refused where runs are told apart
             return
-        check_positive("Load", "kg*m^2", total_inertia=total)
-        check_positive("Load", "N*m*s/rad", zero=True, damping=self.damping)
+        check_positive("KneeLoad", "kg*m^2", total_inertia=total)
+        check_positive("KneeLoad", "N*m*s/rad", zero=True, damping=self.damping)
 
     @property
     def total_inertia(self) -> Float[Array, ""]:
@@ -77,24 +142,90 @@ class Load(eqx.Module):
         moment = (self.mass1 * self.distance1 + self.mass2 * self.distance2) * self.gravity
         return moment if self.hanging else -moment  # type: ignore
 
-    def acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Float[Array, "..."]:
-        """Angular acceleration [rad/s^2] under a torque [N*m] at an angle [rad] and a velocity [rad/s] (Eq. 6)."""
-        resisting = self.gravity_torque(angle) - self.damping * velocity
-        return (torque + resisting) * (1 / self.total_inertia)  # type: ignore
 
-    def required_torque(self, angle: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Float[Array, "..."]:
-        """Torque [N*m] for an acceleration [rad/s^2]: the inverse of `acceleration`."""
-        return self.dynamic_torque(velocity, acceleration) - self.gravity_torque(angle)
+class PendulumLoad(Load):
+    r"""A point mass at a distance from the axis, without other inertia.
 
-    def dynamic_torque(self, velocity: ArrayLike, acceleration: ArrayLike) -> Float[Array, "..."]:
-        """Torque [N*m] of inertia and damping: `required_torque` without gravity."""
-        return self.total_inertia * acceleration + self.damping * velocity  # type: ignore
+    .. math:: I = m l^2, \quad G = m l g
 
-    def gravity_torque(self, angle: ArrayLike) -> Float[Array, "..."]:
-        """Torque of gravity on the shank [N*m] at an angle [rad]."""
-        (sine, cosine), (hanging_sine, hanging_cosine) = sincos(angle), sincos(self.hanging_angle)
-        return self.gravity_moment * (hanging_sine * cosine - hanging_cosine * sine)
+    Parameters
+    ----------
+    mass, length
+        m [kg], and l [m] of its centre from the axis.
+    damping
+        c [N*m*s/rad].
+    hanging_angle
+        Angle [rad] at which the mass hangs below the axis; pi for one that stands above it at 0.
+    gravity
+        g [m/s^2].
 
-    def gravity_stiffness(self, angle: ArrayLike) -> Float[Array, "..."]:
-        """Stiffness due to gravity [N*m/rad] at an angle [rad], minus the slope of `gravity_torque`."""
-        return self.gravity_moment * sincos(self.hanging_angle - jnp.asarray(angle))[1]
+    Examples
+    --------
+    >>> from mckibben.units import mm
+    >>> load = PendulumLoad(mass=0.3, length=250 * mm)
+    >>> round(float(load.total_inertia), 5), round(float(load.gravity_torque(jnp.pi / 2)), 4)
+    (0.01875, -0.7358)
+    """
+
+    adapted_mass = "mass"
+
+    mass: PositiveMass
+    length: Length
+    damping: Damping = 0.0
+    hanging_angle: Angle = 0.0
+    gravity: Gravity = 9.81
+
+    def __check_init__(self) -> None:
+        check_positive("PendulumLoad", "kg", mass=self.mass)
+        check_positive("PendulumLoad", "m", length=self.length)
+        check_positive("PendulumLoad", "N*m*s/rad", zero=True, damping=self.damping)
+
+    @property
+    def total_inertia(self) -> Float[Array, ""]:
+        """I [kg*m^2] about the axis."""
+        return self.mass * self.length**2  # type: ignore
+
+    @property
+    def gravity_moment(self) -> Float[Array, ""]:
+        """G [N*m], the largest torque of gravity."""
+        return self.mass * self.length * self.gravity  # type: ignore
+
+
+class GeneralLoad(Load):
+    """Any rigid load, by its inertia and its torque of gravity.
+
+    Parameters
+    ----------
+    inertia
+        I [kg*m^2] about the axis.
+    greatest_gravity_torque
+        G [N*m], the torque of gravity at a right angle from `hanging_angle`: mass times distance of the centre of mass
+        times g. 0 for a vertical axis. ``gravity_torque`` in scenario files.
+    damping, hanging_angle
+        c [N*m*s/rad], and theta_h [rad], at which the centre of mass is below the axis.
+
+    Examples
+    --------
+    >>> rod = GeneralLoad(inertia=0.3 * 0.5**2 / 3, greatest_gravity_torque=0.3 * 0.25 * 9.81)  # 0.3 kg, 0.5 m long
+    >>> round(float(rod.acceleration(jnp.pi / 2, 0.0, 0.0)), 2)  # 3 g / (2 * 0.5 m)
+    -29.43
+    """
+
+    inertia: PositiveInertia
+    greatest_gravity_torque: Torque
+    damping: Damping = 0.0
+    hanging_angle: Angle = 0.0
+
+    def __check_init__(self) -> None:
+        check_positive("GeneralLoad", "kg*m^2", inertia=self.inertia)
+        check_positive("GeneralLoad", "N*m*s/rad", zero=True, damping=self.damping)
+
+    @property
+    def total_inertia(self) -> Float[Array, ""]:
+        """I [kg*m^2] about the axis."""
+        return self.inertia  # type: ignore
+
+    @property
+    def gravity_moment(self) -> Float[Array, ""]:
+        """G [N*m], the largest torque of gravity."""
+        return self.greatest_gravity_torque  # type: ignore

@@ -3,11 +3,12 @@
 from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, scaled_law
 from mckibben.muscle.chou import ChouLaw
 from mckibben.muscle.creep import Creep, CreepState, MaxwellCreep, NoCreep
-from mckibben.muscle.exponential import ExponentialLaw, SarosiLaw, TripleExponentialLaw
+from mckibben.muscle.exponential import ExponentialLaw, SarosiLaw
 from mckibben.muscle.friction import Friction, FrictionState, MaxwellSlip, NoFriction
 from mckibben.muscle.martens_boblan import MartensBoblanLaw
 from mckibben.muscle.muscle import NO_STATE, Muscle, MuscleState, forces
 from mckibben.muscle.phenomenological import HuntLaw, ReppergerLaw, ReynoldsLaw
+from mckibben.muscle.smooth import SmoothAffineLaw, SmoothLaw
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
 from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
@@ -25,7 +26,8 @@ LAWS: dict[str, type[ForceLaw]] = {
         HuntLaw,
         SarosiLaw,
         ExponentialLaw,
-        TripleExponentialLaw,
+        SmoothAffineLaw,
+        SmoothLaw,
     )
 }
 """Force laws by name, as files and the command line give it."""
@@ -54,10 +56,11 @@ __all__ = [
     "ReppergerLaw",
     "ReynoldsLaw",
     "SarosiLaw",
+    "SmoothAffineLaw",
+    "SmoothLaw",
     "Specimen",
     "TonduLopezLaw",
     "TonduLopezVariableLaw",
-    "TripleExponentialLaw",
     "TsagarakisCaldwellLaw",
     "forces",
     "scaled_law",

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.specimen import Domain
+from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import bracketed_root, derivative
 from mckibben.numerics.checks import check_positive
 from mckibben.units import atm, bar, deg, mm
@@ -18,7 +19,10 @@ from mckibben.units import atm, bar, deg, mm
 
 @dataclass(frozen=True)
 class Parameter:
-    """Parameter of a law that can be identified: field, SI unit, unit in reports, meaning, and bounds in SI."""
+    """Parameter of a law that can be identified: field, SI unit, unit in reports, meaning, and bounds in SI.
+
+    A penalised one has a Gaussian prior about zero; its law comes with a method of identification of its own.
+    """
 
     name: str
     unit: str
@@ -26,9 +30,10 @@ class Parameter:
     meaning: str
     lower: float = -jnp.inf
     upper: float = jnp.inf
+    penalised: bool = False
 
 
-class ForceLaw(eqx.Module):
+class ForceLaw(eqx.Module, Displayed):
     """Static axial force of a muscle as a function of contraction and pressure.
 
     A law is the formula of its source and may be negative where the muscle is slack; `Muscle` clips it. Subclasses
@@ -45,6 +50,8 @@ class ForceLaw(eqx.Module):
     """Parameters in which the force is affine, given the shape parameters."""
     shape_parameters: ClassVar[tuple[Parameter, ...]] = ()
     """All others, each with finite bounds."""
+    constants: ClassVar[tuple[Parameter, ...]] = ()
+    """Fields that an identification sets and does not estimate."""
     formula_domain: ClassVar[Domain] = Domain()
     """Domain of the formula for any parameters; `domain` is that of the data behind a law."""
 

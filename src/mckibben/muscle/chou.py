@@ -53,8 +53,9 @@ class ChouLaw(PressureAffineLaw):
 
     @classmethod
     def of(cls, specimen: Specimen) -> ChouLaw:
-        """Return the law given by a specimen's geometry alone."""
-        return cls(braid_angle=specimen.braid_angle, initial_diameter=specimen.initial_diameter, domain=specimen.domain)
+        """Return the law given by a specimen's geometry alone; `RangeError` if diameter or braid angle is unknown."""
+        initial_diameter, braid_angle = specimen.braid("Chou's law (Eq. 1)")
+        return cls(braid_angle=braid_angle, initial_diameter=initial_diameter, domain=specimen.domain)
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         gain = braid_gain(self.braid_angle, self.initial_diameter, 1 - jnp.asarray(contraction))

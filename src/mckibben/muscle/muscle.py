@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import warnings
+from numbers import Real
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,11 +15,12 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
-from mckibben.errors import DomainWarning
+from mckibben.errors import DomainWarning, RangeError
 from mckibben.muscle.base import ForceLaw
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
 from mckibben.muscle.specimen import Domain, Specimen
+from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
@@ -33,18 +36,26 @@ class MuscleState(NamedTuple):
 NO_STATE = MuscleState()
 
 
-class Muscle(eqx.Module):
+class Muscle(eqx.Module, Displayed):
     """A specimen with its force law, friction and creep.
 
     Unlike the law, a muscle cannot push: where the law is negative the muscle is slack and its force is zero. Friction
     and creep act only through an internal state (`MuscleState`); without one, `force` and all quantities of a joint are
-    those of the law. Raises `RangeError` if the domains of specimen and law do not overlap.
+    those of the law. Infinite bounds of the specimen's domain are replaced by the law's, the lowest pressure by 0 where
+    the law's is higher. Raises `RangeError` if the domains of specimen and law do not overlap.
     """
 
     specimen: Specimen
     law: ForceLaw
     friction: Friction = NoFriction()
     creep: Creep = NoCreep()
+
+    def __post_init__(self) -> None:
+        if isinstance(self.specimen, Specimen) and isinstance(self.law, ForceLaw):
+            known, lowest = self.law.domain, self.law.domain.pressure_min
+            vented = min(lowest, 0.0) if isinstance(lowest, Real) and lowest > -jnp.inf else 0.0
+            domain = self.specimen.domain.filled(dataclasses.replace(known, pressure_min=vented))
+            self.specimen = dataclasses.replace(self.specimen, domain=domain)
 
     def __check_init__(self) -> None:
         check_kind(
@@ -65,6 +76,18 @@ class Muscle(eqx.Module):
     def domain(self) -> Domain:
         """Intersection of the domains of the specimen and the law."""
         return self.specimen.domain.intersection(self.law.domain).intersection(self.law.formula_domain)
+
+    def check_pressure_limit(self) -> None:
+        """Raise `RangeError` if neither the specimen nor the law limits the pressure."""
+        highest = self.domain.pressure_max if isinstance(self.specimen, Specimen) else 0.0
+        if isinstance(highest, Real) and not highest < jnp.inf:
+            raise RangeError(
+                f"the highest pressure of {self.specimen.name} is unknown",
+                field="pressure_max",
+                value=float(highest),
+                unit="Pa",
+                remedy="give the specimen a domain with its pressure_max",
+            )
 
     @property
     def has_friction(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from numbers import Real
 from typing import Any
@@ -13,17 +14,19 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from mckibben.errors import RangeError
+from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive, check_within
-from mckibben.units import bar, percent
+from mckibben.numerics.elementary import polynomial
+from mckibben.units import BraidAngle, Contraction, Length, Pressure, Tension, VolumeTerm, bar, percent
 
 
-class Domain(eqx.Module):
+class Domain(eqx.Module, Displayed):
     """A box of contraction [-] and gauge pressure [Pa]."""
 
-    contraction_min: float | Array = -jnp.inf
-    contraction_max: float | Array = jnp.inf
-    pressure_min: float | Array = -jnp.inf
-    pressure_max: float | Array = jnp.inf
+    contraction_min: Contraction | Array = -jnp.inf
+    contraction_max: Contraction | Array = jnp.inf
+    pressure_min: Pressure | Array = -jnp.inf
+    pressure_max: Pressure | Array = jnp.inf
 
     def __check_init__(self) -> None:
         for what, low, high in (
@@ -77,6 +80,12 @@ class Domain(eqx.Module):
             )
         return Domain(*bounds)
 
+    def filled(self, other: Domain) -> Domain:
+        """Return the domain with infinite bounds replaced by those of another."""
+        pairs = ((name, getattr(self, name)) for name in self.__dataclass_fields__)
+        missing = (name for name, bound in pairs if isinstance(bound, Real) and abs(bound) == float("inf"))  # type: ignore
+        return dataclasses.replace(self, **{name: getattr(other, name) for name in missing})
+
     def check_contraction(self, contraction: float, owner: str, remedy: str = "") -> None:
         """Raise `RangeError` with value, range and remedy if a contraction lies outside."""
         if not bool(self.contains_contraction(contraction)):
@@ -116,35 +125,77 @@ def _tightest(pick: Callable[..., Any], one: float | Array, other: float | Array
     return (jnp.maximum if pick is max else jnp.minimum)(one, other)
 
 
-class Specimen(eqx.Module):
-    """Dimensions and ratings of a muscle.
+class Specimen(eqx.Module, Displayed):
+    """Dimensions and ratings of a muscle; only its length is needed, unless a law or a result asks for more.
 
     Parameters
     ----------
     name
-        Manufacturer's designation.
+        Manufacturer's designation, or any other name.
     initial_length, initial_diameter, braid_angle
-        l0 and d0 [m], and alpha0 [rad] between thread and axis, of the deflated, unloaded muscle.
+        l0 and d0 [m], and alpha0 [rad] between thread and axis, of the deflated, unloaded muscle. Diameter and angle
+        are needed for Chou's law (Eq. 1) and for the volume, from which the use of air follows. Default: unknown.
     rated_force
-        Highest permissible force [N].
+        Highest permissible force [N]. Default: none.
     domain
-        Permissible contraction [-] and gauge pressure [Pa].
+        Permissible contraction [-] and gauge pressure [Pa]. A `Muscle` takes infinite bounds from the law's domain.
+    volume_terms
+        Coefficients c0, c1, ... [m^3] of a measured volume c0 + c1 e + c2 e^2 + ... over the contraction e; without
+        them the volume is that of the braid.
+
+    Examples
+    --------
+    >>> from mckibben.units import bar, mm
+    >>> own = Specimen("my muscle", 300 * mm, domain=Domain(pressure_max=6 * bar))
+    >>> round(float(own.contraction_at(270 * mm)), 3)
+    0.1
+    >>> own.volume(0.1)
+    Traceback (most recent call last):
+        ...
+    mckibben.errors.RangeError: the volume of my muscle needs its initial_diameter and braid_angle; give ...
     """
 
     name: str = eqx.field(static=True)
-    initial_length: float
-    initial_diameter: float
-    braid_angle: float
-    rated_force: float
-    domain: Domain
+    initial_length: Length
+    initial_diameter: Length | None = None
+    braid_angle: BraidAngle | None = None
+    rated_force: Tension | None = None
+    domain: Domain = Domain()
+    volume_terms: tuple[VolumeTerm, ...] | None = None
 
     def __check_init__(self) -> None:
-        check_positive(self.name, "m", initial_length=self.initial_length, initial_diameter=self.initial_diameter)
-        check_positive(self.name, "N", rated_force=self.rated_force)
-        check_within(self.name, 0.01, 1.56, "rad", braid_angle=self.braid_angle)
+        check_positive(self.name, "m", initial_length=self.initial_length)
+        if self.initial_diameter is not None:
+            check_positive(self.name, "m", initial_diameter=self.initial_diameter)
+        if self.rated_force is not None:
+            check_positive(self.name, "N", rated_force=self.rated_force)
+        if self.braid_angle is not None:
+            check_within(self.name, 0.01, 1.56, "rad", braid_angle=self.braid_angle)
 
     def __repr__(self) -> str:
         return f"Specimen({self.name})"
+
+    @property
+    def force_limit(self) -> float:
+        """Rated force [N]; infinite without one."""
+        return float("inf") if self.rated_force is None else self.rated_force
+
+    @property
+    def has_volume(self) -> bool:
+        """Whether the volume is known: as a polynomial, or from diameter and angle of the braid."""
+        if self.volume_terms is not None:
+            return True
+        return self.initial_diameter is not None and self.braid_angle is not None
+
+    def braid(self, what: str) -> tuple[float, float]:
+        """Return diameter [m] and angle [rad] of the braid; `RangeError`, with what needs them, if one is unknown."""
+        if self.initial_diameter is None or self.braid_angle is None:
+            names = [name for name in ("initial_diameter", "braid_angle") if getattr(self, name) is None]
+            missing = " and ".join(names)
+            raise RangeError(
+                f"{what} of {self.name} needs its {missing}", field=names[0], remedy=f"give the specimen its {missing}"
+            )
+        return self.initial_diameter, self.braid_angle
 
     def contraction_at(self, length: ArrayLike) -> Float[Array, "..."]:
         """Return the contraction (l0 - l)/l0 [-] at a length [m]."""
@@ -155,15 +206,19 @@ class Specimen(eqx.Module):
         return self.initial_length * (1 - jnp.asarray(contraction))
 
     def volume(self, contraction: ArrayLike) -> Float[Array, "..."]:
-        r"""Return the volume [m^3] inside the braid, a cylinder of inextensible thread.
+        r"""Return the volume [m^3], measured (`volume_terms`) or inside the braid, a cylinder of inextensible thread.
 
         .. math::
 
             V = \frac{\pi d_0^2 l_0}{4} (1-\varepsilon) \frac{1 - \cos^2\alpha_0 (1-\varepsilon)^2}{\sin^2\alpha_0}
 
-        The virtual work of this volume, F = -p dV/dl, is Chou's law (Eq. 1).
+        The virtual work of the braid's volume, F = -p dV/dl, is Chou's law (Eq. 1). Raises `RangeError` if the volume
+        is not known.
         """
+        if self.volume_terms is not None:
+            return polynomial(jnp.asarray(contraction), self.volume_terms)
+        initial_diameter, braid_angle = self.braid("the volume")
         ratio = 1 - jnp.asarray(contraction)
-        cylinder = jnp.pi * self.initial_diameter**2 * self.initial_length / 4
-        widening = (1 - jnp.cos(self.braid_angle) ** 2 * ratio**2) / jnp.sin(self.braid_angle) ** 2
+        cylinder = jnp.pi * initial_diameter**2 * self.initial_length / 4
+        widening = (1 - jnp.cos(braid_angle) ** 2 * ratio**2) / jnp.sin(braid_angle) ** 2
         return cylinder * ratio * widening

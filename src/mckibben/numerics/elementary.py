@@ -155,7 +155,7 @@ def _exp_polynomial(x: Array) -> Array:
     k = _constants(x)
     n = lax.round(x * math.log2(math.e), lax.RoundingMethod.TO_NEAREST_EVEN)
     r = (x - n * k.ln2[0]) - n * k.ln2[1]
-    value = 1 + (r + r * r * _polynomial(r, k.exp))
+    value = 1 + (r + r * r * polynomial(r, k.exp))
     # 2^n has no normal form where n = exponent_bias + 1, hence half of it, twice.
     bits = _low_bits(n, k)
     half_power = lax.bitcast_convert_type((bits + (k.exponent_bias - 1)) << k.mantissa_bits, x.dtype)
@@ -170,8 +170,8 @@ def _sincos_polynomial(x: Array) -> tuple[Array, Array]:
     quadrant = _low_bits(n, k)
     r = (x - n * k.half_pi[0]) - n * k.half_pi[1]
     z = r * r
-    sine = r + r * z * _polynomial(z, k.sin)
-    cosine = 1 - (z / 2 - z * z * _polynomial(z, k.cos))
+    sine = r + r * z * polynomial(z, k.sin)
+    cosine = 1 - (z / 2 - z * z * polynomial(z, k.cos))
     swap = (quadrant & 1) != 0
     sine, cosine = jnp.where(swap, cosine, sine), jnp.where(swap, sine, cosine)
     return (jnp.where((quadrant & 2) != 0, -sine, sine), jnp.where(((quadrant + 1) & 2) != 0, -cosine, cosine))
@@ -183,7 +183,7 @@ def _low_bits(n: Array, k: _Constants) -> Array:
     return lax.bitcast_convert_type(n + k.integer_magic, k.integer)
 
 
-def _polynomial(x: Array, coefficients: tuple[float, ...]) -> Array:
+def polynomial(x: Any, coefficients: tuple[float, ...]) -> Any:
     """Constant term first, by Estrin's scheme: short chains, so that a single simulation gains as well."""
     terms: list[Any] = list(coefficients)
     power = x

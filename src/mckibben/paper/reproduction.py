@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -13,6 +12,7 @@ from typing import Any
 
 from mckibben.identification import Validation
 from mckibben.identification.reporting import fit_numbers
+from mckibben.notebook import Progress, notebook_progress
 from mckibben.paper.claims import Claim, evaluate_claims
 from mckibben.paper.identification import Identification, JointMap, run_identification, run_joint
 from mckibben.paper.settings import SETTINGS, StiffnessReference
@@ -20,8 +20,6 @@ from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
 from mckibben.simulation.metrics import METRICS
 from mckibben.storage.files import json_ready, write_json
 from mckibben.units import bar, deg, factor
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -92,8 +90,9 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     quick
         Two repeats of the test instead of five, 5 seeds of BP instead of 20, and a shorter tuning.
     progress
-        Called with the present task and the fraction done, 0 to 1.
+        Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
     """
+    progress = progress or notebook_progress()
     start = time.perf_counter()
 
     def report(what: str, part: float) -> None:

@@ -143,7 +143,7 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
         method=Method.EVOLUTION,
         iterations=generations,
         population=population,
-        progress=progress,
+        progress=lambda _, part: progress(part),
     )
 
 

@@ -1,20 +1,26 @@
 """The plant: joint, load (Eq. 6), valves, sensors and disturbances."""
 
+from mckibben.plant.air_valve import AirValve, FlowValve, PressureRegulator, SwitchingValves
 from mckibben.plant.joint_plant import IOState, JointPlant, PlantState
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, SampledSensors, Sensors, TorquePulses
-from mckibben.plant.valve import FirstOrderValve, IdealValve, Valve
+from mckibben.plant.valve import FirstOrderValve, IdealValve, Valve, ValveModel
 
 __all__ = [
+    "AirValve",
     "Disturbance",
     "FirstOrderValve",
+    "FlowValve",
     "IOState",
     "IdealValve",
     "JointPlant",
     "NoDisturbance",
     "PerfectSensors",
     "PlantState",
+    "PressureRegulator",
     "SampledSensors",
     "Sensors",
+    "SwitchingValves",
     "TorquePulses",
     "Valve",
+    "ValveModel",
 ]

@@ -6,6 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float
@@ -14,14 +15,17 @@ from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
 from mckibben.joint.attainable import StaticSolution, check_finite, raise_unattainable, solve_static
 from mckibben.joint.geometry import Pressures
+from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import MuscleState
 from mckibben.muscle.creep import CreepState
-from mckibben.numerics.calculus import rk4
+from mckibben.notebook import Displayed
+from mckibben.numerics.calculus import rk4, value_and_derivative
 from mckibben.numerics.checks import check_kind
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
+from mckibben.plant.air_valve import AirState, AirValve, AirVolume
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors, Sensors
-from mckibben.plant.valve import Valve
+from mckibben.plant.valve import Valve, ValveModel
 
 Scalar = Float[Array, ""]
 
@@ -35,41 +39,51 @@ class IOState(NamedTuple):
 
 
 class PlantState(NamedTuple):
-    """State of a `JointPlant`; `muscles` and `io` have no leaves without friction and creep, and for ideal ones."""
+    """State of a `JointPlant`.
+
+    `muscles` has no leaves without friction and creep, `io` none for ideal sensors, `air` none but for an `AirValve`.
+    """
 
     angle: Scalar
     velocity: Scalar
     pressures: tuple[Scalar, Scalar]
     muscles: MuscleStates = NO_STATES
     io: IOState | tuple[()] = ()
+    air: AirState | tuple[()] = ()
 
 
 class Motion(NamedTuple):
-    """Integrated part of a `PlantState`: angle [rad], angular velocity [rad/s], creep of both muscles [N]."""
+    """Integrated part of a `PlantState`: angle [rad], angular velocity [rad/s], creep of both muscles [N].
+
+    With an `AirValve` pressures [Pa] and the state of the valves as well.
+    """
 
     angle: Scalar
     velocity: Scalar
     creep: tuple[CreepState, CreepState] = ((), ())
+    pressures: tuple[Scalar, Scalar] | tuple[()] = ()
+    air: AirState | tuple[()] = ()
 
     @classmethod
     def of(cls, state: PlantState) -> Motion:
         """Return the integrated part of a state."""
         muscle1, muscle2 = state.muscles
-        return cls(state.angle, state.velocity, (muscle1.creep, muscle2.creep))
+        pressures = state.pressures if isinstance(state.air, AirState) else ()
+        return cls(state.angle, state.velocity, (muscle1.creep, muscle2.creep), pressures, state.air)
 
     def applied_to(self, state: PlantState, pressures: tuple[Scalar, Scalar]) -> PlantState:
-        """Return a state with this motion and other pressures [Pa]."""
+        """Return a state with this motion, and other pressures [Pa] unless they are part of it."""
         (friction1, _), (friction2, _) = state.muscles
         muscles = MuscleState(friction1, self.creep[0]), MuscleState(friction2, self.creep[1])
-        return PlantState(self.angle, self.velocity, pressures, muscles, state.io)
+        return PlantState(self.angle, self.velocity, self.pressures or pressures, muscles, state.io, self.air)
 
 
-class JointPlant(eqx.Module):
+class JointPlant(eqx.Module, Displayed):
     """The simulated system, of joint, load, valves, sensors and disturbance; controllers have no access to it."""
 
     joint: AntagonisticJoint
     load: Load
-    valve: Valve
+    valve: ValveModel
     sensors: Sensors = PerfectSensors()
     disturbance: Disturbance = NoDisturbance()
 
@@ -78,7 +92,7 @@ class JointPlant(eqx.Module):
             "JointPlant",
             joint=(self.joint, AntagonisticJoint),
             load=(self.load, Load),
-            valve=(self.valve, Valve),
+            valve=(self.valve, ValveModel),
             sensors=(self.sensors, Sensors),
             disturbance=(self.disturbance, Disturbance),
         )
@@ -102,8 +116,13 @@ class JointPlant(eqx.Module):
         return state._replace(io=IOState(io.sample + 1, disturbance, sensors)), measured
 
     def clip_commands(self, commands: Pressures) -> tuple[Scalar, Scalar]:
-        """Return the commands [Pa] clipped to the specimens' rated pressures; a law's domain may be smaller."""
+        """Return the commands [Pa] clipped to the specimens' rated pressures; a law's domain may be smaller.
+
+        Openings of valves with `direct` commands are clipped to -1..1.
+        """
         rated1, rated2 = self.joint.muscle1.specimen.domain, self.joint.muscle2.specimen.domain
+        if isinstance(self.valve, AirValve):
+            return self.valve.clip_command(commands[0], rated1), self.valve.clip_command(commands[1], rated2)
         return (
             jnp.clip(jnp.asarray(commands[0]), rated1.pressure_min, rated1.pressure_max),
             jnp.clip(jnp.asarray(commands[1]), rated2.pressure_min, rated2.pressure_max),
@@ -115,18 +134,24 @@ class JointPlant(eqx.Module):
 
     def apply_commands(self, state: PlantState, commands: Pressures) -> PlantState:
         """Return the state right after new commands [Pa]."""
+        if not isinstance(self.valve, Valve):
+            return state
         pressure1, pressure2 = map(self.valve.after_command, state.pressures, commands)
         return state._replace(pressures=(pressure1, pressure2))
 
     def advance(self, state: PlantState, commands: Pressures, duration: ArrayLike, substeps: int) -> PlantState:
         """Return the state after a duration [s] under constant commands [Pa], by Runge-Kutta steps of equal length.
 
-        The valves give the pressures in closed form; motion and creep are integrated.
+        A `Valve` gives the pressures in closed form; motion and creep are integrated, and the air of an `AirValve`.
         """
         step = duration / substeps
+        valve = self.valve
+        if isinstance(valve, AirValve):
+            return self._advance_with_air(valve, state, commands, step, substeps)
+        assert isinstance(valve, Valve)
 
         def pressures_after(state: PlantState, elapsed: ArrayLike) -> tuple[Scalar, Scalar]:
-            after = self.valve.pressure_after
+            after = valve.pressure_after
             return after(state.pressures[0], commands[0], elapsed), after(state.pressures[1], commands[1], elapsed)
 
         def integrate(_: Array, state: PlantState) -> PlantState:
@@ -140,9 +165,60 @@ class JointPlant(eqx.Module):
 
         return lax.fori_loop(0, substeps, integrate, self.apply_commands(state, commands))
 
+    def _advance_with_air(
+        self, valve: AirValve, state: PlantState, commands: Pressures, step: ArrayLike, substeps: int
+    ) -> PlantState:
+        """Return the state after steps of a length [s] in which motion and air are integrated together."""
+
+        def integrate(_: Array, state: PlantState) -> PlantState:
+            assert isinstance(state.air, AirState)
+            valve1, valve2 = (
+                valve.before_step(*each, step) for each in zip(state.air.valves, commands, state.pressures, strict=True)
+            )
+            state = state._replace(air=state.air._replace(valves=(valve1, valve2)))
+
+            def rate(motion: Motion) -> Motion:
+                at = motion.applied_to(state, state.pressures)
+                assert isinstance(at.air, AirState)
+                pressures, air = valve.air_rate(at.pressures, at.air, commands, self.air_volumes(at))
+                return self.rate(at)._replace(pressures=pressures, air=air)
+
+            motion = rk4(rate, Motion.of(state), step)
+            return self.project(motion.applied_to(state, state.pressures))
+
+        return lax.fori_loop(0, substeps, integrate, state)
+
+    def air_volumes(self, state: PlantState) -> tuple[AirVolume, AirVolume]:
+        """Return the volumes of the air, dead volume included, at the velocity of a state."""
+        dead = self.valve.dead_volume if isinstance(self.valve, AirValve) else 0.0
+
+        def volumes(angle: ArrayLike, pressures: Pressures) -> tuple[Array, Array]:
+            contraction1, contraction2 = self.joint.contractions(angle, pressures, state.muscles)
+            specimen1, specimen2 = self.joint.muscle1.specimen, self.joint.muscle2.specimen
+            return specimen1.volume(contraction1) + dead, specimen2.volume(contraction2) + dead
+
+        at, slopes = value_and_derivative(lambda angle: volumes(angle, state.pressures), state.angle)
+        by_pressure: Any = (None, None)
+        if not isinstance(self.joint.tendon, RigidTendon):
+            ones = jax.tree.map(jnp.ones_like, state.pressures)
+            by_pressure = jax.jvp(lambda held: volumes(state.angle, held), (state.pressures,), (ones,))[1]
+        volume1, volume2 = map(AirVolume, at, (slope * state.velocity for slope in slopes), by_pressure)
+        return volume1, volume2
+
+    def commands_for(self, state: PlantState, rates: Pressures) -> tuple[Array, Array]:
+        """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite where none does."""
+        given = zip(state.pressures, rates, strict=True)
+        if isinstance(self.valve, AirValve):
+            each = zip(given, self.air_volumes(state), strict=True)
+            command1, command2 = (self.valve.command_for(*pair, volume) for pair, volume in each)
+        else:
+            assert isinstance(self.valve, Valve)
+            command1, command2 = (self.valve.command_for(*pair) for pair in given)
+        return command1, command2
+
     def rate(self, state: PlantState) -> Motion:
         """Return the time derivative of the motion (Eq. 6) at the pressures of a state."""
-        angle, velocity, pressures, muscles, io = state
+        angle, velocity, pressures, muscles, io, _ = state
         creep1, creep2 = (state.creep for state in self.joint.state_rate(muscles, angle, velocity))
         if muscles == NO_STATES:
             torque = self.joint.torque(angle, pressures)
@@ -164,13 +240,15 @@ class JointPlant(eqx.Module):
 
     def complete_state(self, state: PlantState) -> PlantState:
         """Return a state with initial values for the internal states and the io state that it leaves empty."""
-        angle, _, pressures, given, io = state
+        angle, _, pressures, given, io, air = state
         initial = self.joint.init_state(angle, pressures)
         muscle1, muscle2 = (MuscleState(*map(_given_or, *pair)) for pair in zip(given, initial, strict=True))
         if io == () and not self.has_ideal_io:
             zero = jnp.zeros_like(floating(angle))
             io = IOState(zero, zero, self.sensors.init(Measurement(angle, pressures)))
-        return state._replace(muscles=(muscle1, muscle2), io=io)
+        if air == () and isinstance(self.valve, AirValve):
+            air = self.valve.init_air((floating(pressures[0]), floating(pressures[1])))
+        return state._replace(muscles=(muscle1, muscle2), io=io, air=air)
 
     def find_equilibrium(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
         """Return the state of `equilibrium` and whether it exists, for traced numbers; NaN for no given stiffness."""

@@ -8,11 +8,16 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.units import PositiveTime
 
 
-class Valve(eqx.Module):
+class ValveModel(eqx.Module, Displayed):
+    """Base of `Valve`, whose pressures are known in closed form, and `AirValve`, whose pressures are integrated."""
+
+
+class Valve(ValveModel):
     """Response of the pressure to a command that is constant over a control period, in closed form.
 
     The plant evaluates it at the stages of its integration, so the step does not limit the time constant.

@@ -12,6 +12,7 @@ import numpy as np
 
 from mckibben.control import Constant, Multisine, Signal, Sine, Step
 from mckibben.errors import UnreachableError
+from mckibben.notebook import html_table
 from mckibben.reachability.feasible import FeasibleReference, check_margin, find_nearest
 from mckibben.reachability.sizing import Design
 from mckibben.reachability.static import StaticEnvelope, static_envelope
@@ -43,6 +44,12 @@ class Envelope:
     static: StaticEnvelope
     trackability: Trackability
     nearest: tuple[FeasibleReference, ...]
+
+    def __repr__(self) -> str:
+        return f"<Envelope of {self.scenario.name!r}: {self.verdict()}>"
+
+    def _repr_html_(self) -> str:
+        return html_table(self.scenario.name, HEADERS, self.rows(), [self.verdict()])
 
     def verdict(self) -> str:
         """Verdict on the reference, in words."""

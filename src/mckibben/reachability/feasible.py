@@ -67,6 +67,9 @@ class FeasibleReference:
     stiffness_change: float
     step_smoothing: float = 0.0
 
+    def __repr__(self) -> str:
+        return f"<FeasibleReference: {self.describe()}>"
+
     def describe(self) -> str:
         """Changes to the reference, in words."""
         trajectory = self.trackability.trajectory

@@ -17,6 +17,7 @@ from mckibben.errors import ParameterError, UnitError
 from mckibben.joint import Geometry, RigidTendon
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.muscle import Muscle, PressureAffineLaw
+from mckibben.notebook import html_table
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
@@ -149,6 +150,9 @@ def with_lengths(plant: JointPlant, lengths: Mapping[str, ArrayLike]) -> JointPl
 
 def _leaves(plant: JointPlant, name: str) -> list[object]:
     if name in _GEOMETRY:
+        if not hasattr(plant.joint.geometry, name):
+            kind = type(plant.joint.geometry).__name__
+            raise ParameterError(f"a {kind} has no {name}", value=name, remedy="choose muscle_length")
         return [getattr(plant.joint.geometry, name)]
     lengths: list[object] = [m.specimen.initial_length for m in (plant.joint.muscle1, plant.joint.muscle2)]
     return [lengths[_MUSCLES.index(name)]] if name in _MUSCLES else lengths
@@ -171,7 +175,7 @@ def constraint_margins(
     contractions = [muscle.specimen.contraction_at(path) for muscle, path in zip(muscles, paths, strict=True)]
     low = [jnp.maximum(m.tension(e, p), minimum_tension) for m, e, p in zip(muscles, contractions, lowest, strict=True)]
     high = [
-        jnp.minimum(m.tension(e, p), m.specimen.rated_force)
+        jnp.minimum(m.tension(e, p), m.specimen.force_limit)
         for m, e, p in zip(muscles, contractions, highest, strict=True)
     ]
     torque = jnp.stack([-torque_reserve, torque_reserve])[:, None] - plant.load.gravity_torque(angle)
@@ -265,6 +269,12 @@ class Design:
     angles: Values
     stiffness: AttainableRange
     envelope: StaticEnvelope
+
+    def __repr__(self) -> str:
+        return f"<Design: {self.describe()}>"
+
+    def _repr_html_(self) -> str:
+        return html_table(self.describe(), ("angle", "stiffness"), self.rows())
 
     @property
     def attained(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -84,6 +85,13 @@ class StaticEnvelope:
     map_angles: Values
     map_torques: Values
     map_stiffness: AttainableRange
+
+    def __repr__(self) -> str:
+        if not self.exists:
+            return "<StaticEnvelope: the load cannot be held at any angle>"
+        low, high = np.nanmin(self.stiffness.lowest), np.nanmax(self.stiffness.highest)
+        angles = f"{self.angle_min / deg:.4g}..{self.angle_max / deg:.4g} deg"
+        return f"<StaticEnvelope: {angles}, stiffness {low:.4g}..{high:.4g} N*m/rad>"
 
     @property
     def exists(self) -> bool:
@@ -191,6 +199,9 @@ def _static_states(plant: JointPlant, angle: ArrayLike, points: ArrayLike) -> tu
     pressures, stiffness = segment.at(points[:, None])
     _, arms = plant.joint.geometry.paths_and_arms(angle)
     able = (arms[0] > 0) & (arms[1] > 0)
+    first, last = plant.joint.geometry.angle_range
+    if math.isfinite(last - first):  # a measured table
+        able &= (angle >= first) & (angle <= last)
     stiffness = jnp.where(able & segment.feasible, stiffness, jnp.nan)
     return torque, *(jnp.where(able, limit, jnp.nan) for limit in limits), stiffness, *pressures
 

@@ -16,7 +16,7 @@ from mckibben.errors import RangeError
 from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
-from mckibben.plant import JointPlant
+from mckibben.plant import JointPlant, PlantState
 from mckibben.reachability.static import SEGMENT_MARGIN, AttainableRange, scan_points
 from mckibben.reachability.trajectory import (
     ReferenceTrajectory,
@@ -96,10 +96,11 @@ def _states(
     zero, one = jnp.zeros_like(tension), jnp.ones_like(tension)
     moving = (*jnp.broadcast_arrays(velocity, torque_rate, tension)[:2], zero)
     tangents = tuple(jnp.stack(pair) for pair in zip(moving, (zero, zero, one), strict=True))
-    values, rates = jax.vmap(lambda *tangent: jax.jvp(state, tuple(at), tangent), out_axes=(None, 0))(*tangents)
-    by_motion, by_tension = ([rate[k] for rate in rates] for k in (0, 1))
+    values, slopes = jax.vmap(lambda *tangent: jax.jvp(state, tuple(at), tangent), out_axes=(None, 0))(*tangents)
+    by_motion, by_tension = ([slope[k] for slope in slopes] for k in (0, 1))
     tension_rate = (stiffness_rate - by_motion[2]) / by_tension[2]
-    commands = (plant.valve.command_for(values[i], by_motion[i] + by_tension[i] * tension_rate) for i in range(2))
+    rates = by_motion[0] + by_tension[0] * tension_rate, by_motion[1] + by_tension[1] * tension_rate
+    commands = plant.commands_for(PlantState(angle, velocity, (values[0], values[1])), rates)
     return torque, *attainable_band(plant, angle), segment.feasible, values[2], *commands
 
 
@@ -148,6 +149,9 @@ class Trackability:
     breakpoints: Values
     smoothing_sufficient: bool
     deviation: float
+
+    def __repr__(self) -> str:
+        return f"<Trackability: {self.describe()}>"
 
     @property
     def violated(self) -> NDArray[np.bool_]:

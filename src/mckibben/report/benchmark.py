@@ -81,16 +81,18 @@ def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure
     axes = figure.subplots()
     for name, look in looks_of(result.batches).items():
         air, angle = result.metric(name, "air") * 1e3, result.metric(name, "angle_rmse") / deg
-        if not np.isfinite(angle).any():
-            continue  # all runs unstable
+        if not (np.isfinite(angle) & np.isfinite(air)).any():
+            continue  # all runs unstable, or the volume of a muscle unknown
         (x0, x, x1), (y0, y, y1) = (np.nanpercentile(each, [5, 50, 95]) for each in (air, angle))
         axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
         axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
         axes.plot(x, y, marker="o", markersize=4.5, linestyle="", color=look["color"], label=name)
-    axes.set(xscale="log", yscale="log", xlabel="air consumption [L]", ylabel="angle rmse [deg]")
-    plain_numbers(axes.xaxis)
-    plain_numbers(axes.yaxis)
-    legend_above(figure, axes, columns=4)
+    scale = "log" if axes.lines else "linear"
+    axes.set(xscale=scale, yscale=scale, xlabel="air consumption [L]", ylabel="angle rmse [deg]")
+    if axes.lines:
+        plain_numbers(axes.xaxis)
+        plain_numbers(axes.yaxis)
+        legend_above(figure, axes, columns=4)
     return figure
 
 
@@ -129,7 +131,12 @@ def _figures(result: BenchmarkResult, numbers: Mapping[str, Any]) -> list[Report
         ("references", "Errors by reference", references, benchmark_references(result, numbers)),
         ("air", "Air consumption", air, benchmark_air(result, numbers)),
     )
-    return [ReportFigure(name, "", title, caption, title, figure) for name, title, caption, figure in drawn]
+    known = any(np.isfinite(result.metric(name, "air")).any() for name in result.batches)
+    return [
+        ReportFigure(name, "", title, caption, title, figure)
+        for name, title, caption, figure in drawn
+        if name != "air" or known
+    ]
 
 
 _Column = tuple[str, str, str]

@@ -21,6 +21,7 @@ from mckibben.identification import Fit, Grouping, Profile, RankedLaw, Ranking
 from mckibben.identification.creep import CreepFit
 from mckibben.identification.hysteresis import HysteresisFit
 from mckibben.identification.loading_path import LoadingPaths
+from mckibben.identification.ranking import EXTRAPOLATION
 from mckibben.identification.relaxation import RelaxationCurves
 from mckibben.muscle import MaxwellCreep
 from mckibben.report.style import (
@@ -32,6 +33,7 @@ from mckibben.report.style import (
     GREEN,
     LOADING,
     ORANGE,
+    PURPLE,
     SINGLE,
     UNLOADING,
     VERMILLION,
@@ -50,8 +52,11 @@ _SHOWN = 6  # laws whose residuals are drawn
 _LOOKS: dict[str, dict[str, Any]] = {
     "seen": {"color": "#888888", "marker": "|", "label": "fitted points"},
     "pressure": {"color": BLUE, "marker": "o", "label": "held-out pressures"},
+    "contraction": {"color": ORANGE, "marker": "v", "label": "held-out contractions"},
     "direction": {"color": VERMILLION, "marker": "D", "label": "held-out direction"},
+    "phase": {"color": PURPLE, "marker": "P", "label": "held-out phases"},
     "repeat": {"color": GREEN, "marker": "s", "label": "held-out repeats"},
+    EXTRAPOLATION: {"color": BLACK, "marker": ">", "label": "highest pressure, from all lower"},
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import math
 import os
 import re
@@ -112,9 +113,19 @@ def _limit_texts(figure: Figure) -> None:
             text.set_text(short)
 
 
+class NotebookFigure(Figure):
+    """Figure that is shown as an image in notebooks, whether pyplot is imported or not."""
+
+    def _repr_png_(self) -> bytes:
+        image = io.BytesIO()
+        with house_style():
+            FigureCanvasAgg(self).print_png(image)
+        return image.getvalue()
+
+
 def blank(width: float, height: float) -> Figure:
     """Empty figure of a size in inches with constrained layout, not registered with pyplot."""
-    return Figure(figsize=(width, height), layout="constrained")
+    return NotebookFigure(figsize=(width, height), layout="constrained")
 
 
 def looks_of(names: Iterable[str]) -> dict[str, dict[str, Any]]:

@@ -57,7 +57,7 @@ class DryRun(StepInterpreter):
         if 2 * bench.cycle > patience:
             message = f"{bench.cycle:g} s is more than half of the {patience:g} s after which the rig vents by itself"
             self._report(message, "recording.cycle", "shorten it")
-        name, rated = bench.specimen.name, float(bench.specimen.rated_force)
+        name, rated = bench.specimen.name, float(bench.specimen.force_limit)
         if limits.force > rated:
             self._report(f"{limits.force:g} N is above the rated {rated:g} N of {name}", "limits.force", "lower it")
         highest = float(bench.of.domain.pressure_max)

@@ -68,7 +68,7 @@ def boundaries(of: Muscle | Specimen, protocol: IsobaricProtocol) -> Boundaries:
         ends = (np.full(len(pressures), end) for end in (stroke[0], stroke[-1]))
         return Boundaries(pressures, *ends)
     force = forces(of, stroke, pressures[:, None])
-    limit = float(of.specimen.rated_force) * (1 - protocol.force_reserve)
+    limit = float(of.specimen.force_limit) * (1 - protocol.force_reserve)
     first = _after_last(force > limit)
     last = np.minimum(np.maximum(_after_last(force > 0), first) + protocol.slack_steps, len(stroke)) - 1
     if len(over := pressures[first == len(stroke)]):

@@ -289,6 +289,12 @@ def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[S
         return (*steps, Vent())
     # without a law: from the shortest length until the next step would exceed the limit, and back until it is slack
     first, last = protocol.stroke(of)
+    if of.rated_force is None:
+        raise RangeError(
+            f"a test without a law goes up to the rated force of {of.name}, which is unknown",
+            field="rated_force",
+            remedy="give the specimen its rated_force, or the muscle a law",
+        )
     limit = float(of.rated_force) * (1 - protocol.force_reserve)
     found = Acquire(samples=protocol.samples, duration=protocol.acquisition, keep=False)
     for pressure in protocol.pressures:
@@ -401,7 +407,7 @@ def _within_rating(of: Muscle | Specimen, contraction: float, pressures: Sequenc
     if not isinstance(of, Muscle):
         return list(pressures)
     there = forces(of, contraction, np.array(pressures))
-    return [p for p, force in zip(pressures, there, strict=True) if force <= float(specimen_of(of).rated_force) * 0.95]
+    return [p for p, force in zip(pressures, there, strict=True) if force <= float(specimen_of(of).force_limit) * 0.95]
 
 
 def _check_lists(what: str, protocol: IsometricProtocol | IsotonicProtocol, name: str) -> None:

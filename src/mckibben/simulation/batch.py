@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, SimulationError
+from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.numerics.batching import batched_program, cast, cores, map_chunks, pad_chunk
 from mckibben.numerics.checks import whole_periods
 from mckibben.numerics.compiled import compiled_batch
@@ -31,7 +32,7 @@ from mckibben.simulation.problem import (
     sampling_times,
     split_problem,
 )
-from mckibben.simulation.result import OUTCOMES, Outcome, attributes, html_table, outcomes
+from mckibben.simulation.result import OUTCOMES, Outcome, attributes, outcomes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -112,7 +113,7 @@ def simulate_many(
     precision: Any = 64,
     chunk: int | None = None,
     workers: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Batch:
     """Run a controller on a plant many times; the numbers are those of `simulate` one by one.
 
@@ -137,7 +138,7 @@ def simulate_many(
     workers
         Threads; one per core unless given.
     progress
-        Called with the finished fraction, 0 to 1.
+        Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
 
     Raises
     ------
@@ -175,11 +176,12 @@ def simulate_many(
         answer = _chunk(pad_chunk(lanes, piece, size), shared, times, period, asked)
         return {name: np.asarray(values)[: piece.stop - piece.start] for name, values in answer.items()}
 
+    progress = progress or notebook_progress()
     parts = []
     for piece, answer in map_chunks(compute, count, size, workers):
         parts.append(answer)
         if progress:
-            progress(piece.stop / count)
+            progress(f"{piece.stop} of {count} runs", piece.stop / count)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return Batch(_table(columns, over or {}, times[::stride], asked))
 

@@ -12,7 +12,7 @@ from mckibben.control.base import Setpoint
 from mckibben.joint.antagonistic import NO_STATES
 from mckibben.numerics.batching import compute_once
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import JointPlant
+from mckibben.plant import AirValve, JointPlant
 from mckibben.units import atm, deg, litre, percent
 
 if TYPE_CHECKING:
@@ -68,13 +68,19 @@ def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, angle_wit
         force1 = joint.muscle1.tension(contraction1, pressure1)
         force2 = joint.muscle2.tension(contraction2, pressure2)
     muscles = ((joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2))
-    air1, air2 = (m.specimen.volume(contraction) * (pressure + atm) / atm for m, contraction, pressure in muscles)
+    dead = plant.valve.dead_volume if isinstance(plant.valve, AirValve) else 0.0
+    air1, air2 = (
+        (m.specimen.volume(contraction) + dead) * (pressure + atm) / atm
+        if m.specimen.has_volume
+        else jnp.full_like(stiffness, jnp.nan)
+        for m, contraction, pressure in muscles
+    )
     inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in muscles]
     beyond = [
         jnp.maximum(muscle.domain.contraction_min - contraction, contraction - muscle.domain.contraction_max)
         for muscle, contraction, _ in muscles
     ]
-    rated1, rated2 = joint.muscle1.specimen.rated_force, joint.muscle2.specimen.rated_force
+    rated1, rated2 = joint.muscle1.specimen.force_limit, joint.muscle2.specimen.force_limit
     return Trajectory(
         angle=state.angle,
         velocity=state.velocity,

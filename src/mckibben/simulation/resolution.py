@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike
+from numpy.typing import NDArray
 
 from mckibben.control.base import Reference
 from mckibben.errors import SimulationError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.numerics.batching import named_leaves
-from mckibben.plant import JointPlant
+from mckibben.plant import AirValve, JointPlant
 
 STABILITY_LIMIT = 2.785
 """Largest product of step and mode on the negative real axis at which the classical Runge-Kutta method is stable."""
@@ -44,15 +45,19 @@ def check_substeps(
 
     The plant is linearised at the first of the angles [rad], and at the lowest and highest, with a stiffness [N*m/rad].
     """
-    fastest = fastest_mode(plant, angles, stiffness)
+    motion, air = fastest_mode(plant, angles, stiffness), fastest_air(plant, angles)
+    fastest = max(motion, air)
     if math.isfinite(fastest) and fastest * control_period > STABILITY_LIMIT * substeps:
         needed = math.ceil(fastest * control_period / STABILITY_LIMIT)
+        slower = "a plant with less damping and stiffness or more inertia"
+        if air > motion:
+            slower = "a valve with less conductance, a wider band, a slower spool or regulator, or more dead volume"
         raise SimulationError(
             f"substeps is {substeps}, too few for the fastest mode of the plant, {fastest:.4g} 1/s: it would diverge",
             field="substeps",
             value=substeps,
             lower=needed,
-            remedy=f"give at least {needed} substeps, or a plant with less damping and stiffness or more inertia",
+            remedy=f"give at least {needed} substeps, or {slower}",
         )
 
 
@@ -77,10 +82,26 @@ def fastest_mode(plant: JointPlant, angles: ArrayLike, stiffness: ArrayLike) -> 
     return max(*modes, half + math.sqrt(root) if root > 0 else math.sqrt(total / inertia))
 
 
+def fastest_air(plant: JointPlant, angles: ArrayLike) -> float:
+    """Bound on the rates [1/s] of the air in both muscles with its valves; 0 without."""
+    if not isinstance(plant.valve, AirValve):
+        return 0.0
+    at, joint = _angles_checked(angles), plant.joint
+    contractions = joint.contractions(at, (joint.muscle1.domain.pressure_min, joint.muscle2.domain.pressure_min))
+    muscles = zip((joint.muscle1, joint.muscle2), contractions, strict=True)
+    smallest = min(float(np.min(np.asarray(muscle.specimen.volume(one)))) for muscle, one in muscles)
+    return plant.valve.fastest_rate_in(smallest)
+
+
+def _angles_checked(angles: ArrayLike) -> NDArray[np.float64]:
+    """First, lowest and highest angle."""
+    angles = np.asarray(angles, float)
+    return np.array([angles.flat[0], np.nanmin(angles), np.nanmax(angles)])
+
+
 def _largest_arms(plant: JointPlant, angles: ArrayLike) -> tuple[float, float]:
     """Largest moment arm [m] of each muscle at the first, lowest and highest angle."""
-    angles = np.asarray(angles, float)
-    at = np.array([angles.flat[0], np.nanmin(angles), np.nanmax(angles)])
+    at = _angles_checked(angles)
     lengths = [np.asarray(plant.joint.geometry.path_lengths(at + step)) for step in (-_ANGLE_STEP, _ANGLE_STEP)]
     arm1, arm2 = np.max(np.abs(lengths[1] - lengths[0]) / (2 * _ANGLE_STEP), axis=1)
     return float(arm1), float(arm2)

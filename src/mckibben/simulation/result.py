@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import enum
 import functools
-import html
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.errors import FileError, Problem, SimulationError
+from mckibben.notebook import html_table
 from mckibben.simulation.metrics import METRICS, Trajectory, compiled_measure
 from mckibben.units import bar, deg, percent
 
@@ -88,6 +88,9 @@ UNITS = {
     "pressure2": (_PRESSURE, "gauge pressure in muscle 2"),
     "command1": (_PRESSURE, "commanded pressure of muscle 1"),
     "command2": (_PRESSURE, "commanded pressure of muscle 2"),
+    "opening1": ("1", "opening of the valve of muscle 1, to the supply or where negative to the exhaust"),
+    "opening2": ("1", "opening of the valve of muscle 2, to the supply or where negative to the exhaust"),
+    "reservoir": (_PRESSURE, "gauge pressure at the inlets of the valves"),
     "force1": ("N", "tension of muscle 1"),
     "force2": ("N", "tension of muscle 2"),
     "contraction1": ("1", "contraction of muscle 1"),
@@ -298,18 +301,6 @@ class Result:
             raise FileError(source, problems)
         values = {str(name): variable.to_numpy() for name, variable in table.data_vars.items()}
         return cls(values, float(period), Outcome[outcome], str(table.attrs.get("scenario", "")))
-
-
-def html_table(title: str, head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A small HTML table for notebooks."""
-
-    def row(cells: Iterable[str], tag: str) -> str:
-        return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
-
-    body = "".join(row(cells, "td") for cells in rows)
-    return (
-        f"<table><caption>{html.escape(title)}</caption><thead>{row(head, 'th')}</thead><tbody>{body}</tbody></table>"
-    )
 
 
 def _outside(columns: Mapping[str, np.ndarray]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,12 +15,13 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import ParameterError, ReachabilityWarning, SimulationError
+from mckibben.errors import DomainWarning, ParameterError, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import solve_static_and_range
 from mckibben.numerics.batching import cast, named_leaves
 from mckibben.numerics.compiled import compiled, compiled_batch, numeric
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import AirValve, JointPlant, PlantState
+from mckibben.plant.air_valve import AirState
 from mckibben.simulation.loop import Record, compiled_episode
 from mckibben.simulation.metrics import Trajectory, compiled_trajectory
 from mckibben.simulation.problem import (
@@ -215,6 +217,10 @@ def checked_run(
     if not checked.exists:
         _raise_why(plant, initial, float(checked.setpoints.angle[0]))
     check_substeps(plant, checked.setpoints.angle, checked.setpoints.stiffness, control_period, substeps)
+    low, high = plant.joint.geometry.angle_range
+    if math.isfinite(high - low) and (np.any(result["angle"] < low) or np.any(result["angle"] > high)):
+        text = f"the angle leaves the table of the geometry, {low / deg:.4g}..{high / deg:.4g} deg"
+        warnings.warn(f"{text}, outside of which the moment arm is taken for constant", DomainWarning, stacklevel=3)
     return CheckedRun(result, Feasibility(times, *(np.asarray(x) for x in (*checked.setpoints, *checked.band))))
 
 
@@ -250,6 +256,8 @@ def _episode_result(
 
     record = run(setpoints)
     state, telemetry = record.state, dict(record.telemetry)
+    if isinstance(plant.valve, AirValve) and isinstance(state.air, AirState):
+        telemetry |= plant.valve.telemetry(state.air, (record.command1, record.command2), state.pressures)
     telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
     telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
     immediate = {
@@ -261,7 +269,7 @@ def _episode_result(
         "desired_stiffness": setpoints.stiffness,
         "command1": record.command1,
         "command2": record.command2,
-        **{name: value for name, value in record.telemetry.items() if name != "saturated"},
+        **{name: value for name, value in telemetry.items() if name != "saturated" and value is not None},
         **known,
     }
 

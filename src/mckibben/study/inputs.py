@@ -6,7 +6,7 @@ import difflib
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from mckibben import catalog
 from mckibben.errors import NotInCatalogError
@@ -14,7 +14,7 @@ from mckibben.errors import NotInCatalogError
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
     from mckibben.joint import AntagonisticJoint
-    from mckibben.muscle import ForceLaw
+    from mckibben.muscle import ForceLaw, Specimen
 
 
 def data_named(
@@ -24,14 +24,15 @@ def data_named(
     initial_length: float | None = None,
     specimen: str = "",
     slack_force: float | None = None,
+    force_sign: Literal[1, -1] = 1,
     skip_corrupt: bool = False,
 ) -> IsobaricDataset:
     """A dataset of the catalog, or a file of measurements, to which all options apply."""
-    from mckibben.dataset import read_dataset
+    from mckibben.dataset.reading import check_dataset, read_dataset
 
     known = catalog.names("datasets")
     if name in known and not Path(name).is_file():
-        if columns or initial_length is not None or specimen or slack_force is not None:
+        if columns or initial_length is not None or specimen or slack_force is not None or force_sign < 0:
             raise NotInCatalogError(
                 f"{name} is a dataset of the catalog",
                 value=name,
@@ -46,14 +47,17 @@ def data_named(
                 value=name,
                 remedy=f"did you mean {' or '.join(map(repr, close))}?" if close else f"datasets: {', '.join(known)}",
             )
-    return read_dataset(
+    found = read_dataset(
         name,
         columns=columns,
         initial_length=initial_length,
         specimen=specimen,
         slack_force=slack_force,
+        force_sign=force_sign,
         on_corrupt="report" if skip_corrupt else "raise",
     )
+    kind = found.table.attrs["specimen"]
+    return check_dataset(found, name, catalog.specimen(kind)) if kind in catalog.names("specimens") else found
 
 
 def law_named(name: str, *, specimen: str = "") -> ForceLaw:
@@ -67,12 +71,21 @@ def law_named(name: str, *, specimen: str = "") -> ForceLaw:
         if not specimen:
             raise NotInCatalogError(
                 "the law 'chou' needs a specimen, whose braid angle and diameter it takes",
-                remedy=f"add --specimen, one of {', '.join(catalog.names('specimens'))}",
+                remedy=f"add --specimen, a file or one of {', '.join(catalog.names('specimens'))}",
             )
-        return ChouLaw.of(catalog.specimen(specimen))
+        return ChouLaw.of(specimen_named(specimen))
     if name in catalog.names("laws"):
         return catalog.law(name)
     raise _unknown("law", name, f"give a fit file (.yaml), 'chou', or one of {', '.join(catalog.names('laws'))}")
+
+
+def specimen_named(name: str) -> Specimen:
+    """A specimen of the catalog, or that of the file of a specimen or muscle."""
+    if Path(name).suffix not in (".yaml", ".yml"):
+        return catalog.specimen(name)
+    from mckibben.study.scenario.muscle import read_specimen
+
+    return read_specimen(name)
 
 
 def law_type_named(name: str) -> type[ForceLaw]:

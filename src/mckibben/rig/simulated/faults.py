@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
+from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.numerics.checks import check_positive
-from mckibben.rig.simulated.parts import L_PER_S_BAR
 
 _MAINS = 50.0  # Hz
 

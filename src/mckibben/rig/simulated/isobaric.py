@@ -208,7 +208,7 @@ class SimulatedIsobaricTest:
         highest = tension + np.asarray(self.friction.half_width_at(tension, pressures + self.regulator_offset))
         if not isinstance(self.muscle.creep, NoCreep):
             highest = highest + self._creep(protocol, rows, tension, np.zeros(1))[:, 0]
-        at, rated = int(np.argmax(highest)), float(self.muscle.specimen.rated_force)
+        at, rated = int(np.argmax(highest)), float(self.muscle.specimen.force_limit)
         if highest[at] > rated:
             raise RangeError(
                 f"hysteresis, creep and regulator offset can take the force to {highest[at]:.0f} N at "

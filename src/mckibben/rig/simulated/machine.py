@@ -13,6 +13,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, NoCreep, NoFriction, forces
+from mckibben.numerics.elementary import polynomial
 from mckibben.rig.simulated.faults import Burst, Fault, Slipped, Stalled, SupplyLost, ValveStuck
 from mckibben.rig.simulated.parts import Carriage, Chamber, Motor, Regulator, Stretcher
 from mckibben.units import bar, ms, percent
@@ -126,9 +127,11 @@ class Grip:
         self.start = contraction
         self.length = float(specimen.initial_length)
         self._shortest = float(specimen.domain.contraction_max)
-        diameter, angle = float(specimen.initial_diameter), float(specimen.braid_angle)
-        self._cylinder = math.pi * diameter**2 / 4 * self.length / math.sin(angle) ** 2
-        self._cos2 = math.cos(angle) ** 2
+        self._volume_terms = specimen.volume_terms
+        if self._volume_terms is None:
+            diameter, angle = map(float, specimen.braid("the simulated air volume"))
+            self._cylinder = math.pi * diameter**2 / 4 * self.length / math.sin(angle) ** 2
+            self._cos2 = math.cos(angle) ** 2
         self._slipping = isinstance(friction, MaxwellSlip)
         self._stiffness: list[float] = []
         if isinstance(friction, MaxwellSlip):
@@ -155,7 +158,9 @@ class Grip:
         return self.start - stretch / self.length if self.held else self._shortest
 
     def volume(self, stretch: float) -> float:
-        """Volume of the braid [m^3]; `Specimen.volume` as a plain float."""
+        """Volume of the muscle [m^3]; `Specimen.volume` as a plain float."""
+        if self._volume_terms is not None:
+            return polynomial(self.contraction(stretch), self._volume_terms)
         ratio = 1 - self.contraction(stretch)
         return self._cylinder * ratio * (1 - self._cos2 * ratio * ratio)
 

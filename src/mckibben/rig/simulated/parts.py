@@ -10,46 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError, RigError
+from mckibben.muscle.air import ATMOSPHERE, ENERGY, FLOATS, L_PER_S_BAR, mass_flow
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.rig.bench import Drive
 from mckibben.units import N, bar, kPa, mm, ms
-
-ATMOSPHERE = 1.01325e5
-"""Atmospheric pressure [Pa, absolute]."""
-
-TEMPERATURE = 293.15
-"""Temperature of the room and the air [K]; changes are isothermal."""
-
-GAS_CONSTANT = 288.0
-"""Gas constant of air at 65 % relative humidity [J/(kg*K)], from ISO 6358."""
-
-DENSITY = 1.185
-"""Density of air in the reference state of ISO 8778 [kg/m^3]: 20 degrees C, 1 bar, 65 % relative humidity (ANR)."""
-
-ENERGY = GAS_CONSTANT * TEMPERATURE
-"""R T [J/kg]: pressure times volume per mass."""
-
-L_PER_S_BAR = 1e-3 / bar
-"""A sonic conductance of 1 dm^3/(s*bar), the unit of data sheets, in m^3/(s*Pa)."""
-
-_LAMINAR = 0.999  # ratio of pressures above which the flow is proportional to their difference (ISO 6358)
-
-
-def mass_flow(conductance: float, critical: float, upstream: float, downstream: float) -> float:
-    """Mass flow [kg/s] by ISO 6358-1:2013 through C [m^3/(s*Pa)], b, at absolute pressures [Pa]; either way."""
-    if downstream > upstream:
-        return -mass_flow(conductance, critical, downstream, upstream)
-    if upstream <= 0:
-        return 0.0
-    ratio = downstream / upstream
-    if ratio <= critical:
-        share = 1.0
-    elif ratio < _LAMINAR:
-        share = math.sqrt(1 - ((ratio - critical) / (1 - critical)) ** 2)
-    else:
-        edge = math.sqrt(1 - ((_LAMINAR - critical) / (1 - critical)) ** 2)
-        share = edge * (1 - ratio) / (1 - _LAMINAR)
-    return conductance * DENSITY * upstream * share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +85,7 @@ _NUDGE = 1.0  # Pa
 
 
 class Chamber:
-    """Air of the muscle. Its mass is the state; the pressure follows from the volume."""
+    """Air of the muscle at the temperature of the room. Its mass is the state; the pressure follows from the volume."""
 
     def __init__(self, regulator: Regulator, volume: float) -> None:
         self.regulator = regulator
@@ -193,12 +157,12 @@ class Chamber:
         part, pressure = self.regulator, gauge + ATMOSPHERE
         out = part.leak + self.hole  # leaks and hole in parallel
         if self.exhausting:
-            return mass_flow(out + part.exhaust, part.critical, ATMOSPHERE, pressure)
+            return mass_flow(out + part.exhaust, part.critical, ATMOSPHERE, pressure, FLOATS)
         opening = min(max((command - gauge) / part.band, -1.0), 1.0) if self.stuck is None else self.stuck
         if opening <= 0:
-            return mass_flow(out - part.conductance * opening, part.critical, ATMOSPHERE, pressure)
-        flow = mass_flow(part.conductance * opening, part.critical, self.supply + ATMOSPHERE, pressure)
-        return flow + mass_flow(out, part.critical, ATMOSPHERE, pressure) if out else flow
+            return mass_flow(out - part.conductance * opening, part.critical, ATMOSPHERE, pressure, FLOATS)
+        flow = mass_flow(part.conductance * opening, part.critical, self.supply + ATMOSPHERE, pressure, FLOATS)
+        return flow + mass_flow(out, part.critical, ATMOSPHERE, pressure, FLOATS) if out else flow
 
     @property
     def opening(self) -> float:

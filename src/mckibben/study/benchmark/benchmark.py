@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.control import Controller
-from mckibben.dataset.schema import html_table
 from mckibben.errors import FileError, ParameterError, Problem
+from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
 from mckibben.simulation.metrics import METRICS
 from mckibben.study.benchmark.runs import Runs, draw
@@ -27,7 +27,7 @@ from mckibben.study.parameters import batched, valid_rows
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.result import spearman
 from mckibben.study.tune.objective import FAILED_COST
-from mckibben.study.tune.search import Costs, Method, Progress, SearchSpace, Vector, by_cma, check_method
+from mckibben.study.tune.search import Costs, Method, SearchSpace, Vector, by_cma, check_method
 from mckibben.study.tune.tune import Evaluator, TuningHistory
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def compare(
     *,
     folder: Path | None = None,
     resume: bool = False,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> BenchmarkResult:
     """Tune the controllers of a suite and compare them on its evaluation runs.
 
@@ -113,7 +113,7 @@ def compare(
     folder, resume
         Folder for the tuning histories, a file for each controller, and whether to continue those in it.
     progress
-        Called with the present task and the finished share, 0 to 1.
+        Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
 
     Raises
     ------
@@ -122,6 +122,7 @@ def compare(
     FileError
         As for `tune`.
     """
+    progress = progress or notebook_progress()
     training = draw(suite, suite.tuning.runs, suite.tuning.seed)
     evaluation = draw(suite, suite.evaluation.runs, suite.evaluation.seed)
     names = list(suite.controllers)
@@ -214,7 +215,7 @@ class ControllerTuning:
         }
 
     def run(
-        self, folder: Path | None, resume: bool, progress: Progress
+        self, folder: Path | None, resume: bool, progress: Callable[[float], None]
     ) -> tuple[dict[str, float], tuple[float, float], tuple[str, ...]]:
         """Best values [SI], their cost and the nominal one, and the parameters at a bound."""
         tuning, space = self.suite.tuning, self.space
@@ -243,7 +244,7 @@ class ControllerTuning:
             values = dict(zip(space.names, rounded.tolist(), strict=True))
             return values, (float(cost), float(before)), space.at_bound(best.point)
 
-    def _search(self, costs: Costs, start: Vector, seed: int, progress: Progress) -> None:
+    def _search(self, costs: Costs, start: Vector, seed: int, progress: Callable[[float], None]) -> None:
         tuning, count = self.suite.tuning, start.size
         by_cma(
             lambda points: costs(points[:, :count]),
@@ -278,6 +279,7 @@ def _simulated(runs: Runs, controller: Controller, sets: int, metrics: tuple[str
         control_period=suite.control_period,
         substeps=suite.substeps,
         metrics=metrics,
+        progress=silent,
     )
 
 

@@ -15,7 +15,7 @@ from mckibben.config.model import ConfigModel, model_in
 from mckibben.config.schema import ComponentModel
 from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
 from mckibben.study.scenario import GeometrySpec, JointSpec, LoopSpec, Scenario, SignalSpec
-from mckibben.study.scenario.plant import CatalogName
+from mckibben.study.scenario.muscle import CatalogName
 from mckibben.units import BoundedInt, Quantity, show
 
 
@@ -28,7 +28,9 @@ def effective_value(scenario: Scenario, part: ConfigModel, place: tuple[str, ...
     if key == "strength":  # of a muscle's law
         return 1.0
     if key == "valve_time_constant":  # of the controller's model
-        return 0.0 if scenario.valve is None else getattr(scenario.valve, key.removeprefix("valve_"), None)
+        from mckibben.study.scenario.building import valve_time_constant
+
+        return valve_time_constant(scenario.valve, scenario.joint)
     if isinstance(part, JointSpec):
         return part.geometry.effective(key) if key in type(part.geometry).model_fields else None
     return part.effective(key) if isinstance(part, ComponentModel) else None

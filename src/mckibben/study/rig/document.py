@@ -10,20 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from mckibben import catalog
 from mckibben.config.document import Document, to_text
 from mckibben.config.fields import Flag, OneOf, Title
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation, parse_model, read_text
 from mckibben.config.schema import model_of
 from mckibben.errors import ScenarioError
-from mckibben.muscle import ChouLaw, ForceLaw, Muscle, NoCreep, NoFriction, Specimen
+from mckibben.muscle import Muscle, Specimen
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.calibration import Calibration, read_calibrations
 from mckibben.rig.steps import Step, steps_of
 from mckibben.storage.files import atomic_write
 from mckibben.study.rig.steps import Address, JsonPath, ProtocolSpec, steps
-from mckibben.study.scenario.plant import CatalogName, CreepSpec, FrictionSpec, Law
+from mckibben.study.scenario.muscle import CreepSpec, FrictionSpec, Law, MuscleSpec
 from mckibben.units import (
     BoundedInt,
     Contraction,
@@ -38,16 +37,18 @@ if TYPE_CHECKING:
     from mckibben.rig.ni import Terminals
 
 
-class TestedMuscleSpec(ConfigModel):
-    """Specimen under test; the boundaries of the test follow from its `law`, or are found without one."""
+class TestedMuscleSpec(MuscleSpec):
+    """Muscle under test; the boundaries of the test follow from its `law`, or are found without one.
 
-    specimen: Annotated[str, CatalogName("specimens")]
-    law: Law | None = None
+    Friction and creep are those of the simulated rig's muscle, unless it has its own.
+    """
+
+    law: Law | None = None  # type: ignore[assignment]
     mounted_at: Contraction = 0.0
 
 
 class SimulatedRigSpec(ConfigModel):
-    """The simulated rig: law (default: that of `muscle`), friction and creep of its muscle, real or ideal parts."""
+    """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`), real or ideal parts."""
 
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
     law: Law | None = None
@@ -142,6 +143,14 @@ class RigTest(ConfigModel):
             )
         return value
 
+    @field_validator("limits", mode="after")
+    @classmethod
+    def _force_known(cls, value: LimitsSpec, info: ValidationInfo) -> LimitsSpec:
+        muscle = info.data.get("muscle")
+        if value.force is None and muscle is not None and muscle.specimen.effective("rated_force") is None:
+            fail_validation("has no force, and the specimen no rated_force", "give `force`, such as `force: 200 N`")
+        return value
+
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> RigTest:
         """Read a protocol file; `ScenarioError` with all problems: line, field, value, allowed range and remedy."""
@@ -186,12 +195,12 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
     """The rig of a test; `session` counts its resumptions."""
     of = build_muscle(test)
     if test.rig.simulated is not None:
-        backend, calibrations, drive = _simulated(test.rig.simulated, test, of, session)
+        backend, calibrations, drive = _simulated(test.rig.simulated, test, session)
     else:
         assert test.rig.nidaqmx is not None  # the model of the rig sees to it
         backend, calibrations, drive = _card(test.rig.nidaqmx)
     specimen = of.specimen if isinstance(of, Muscle) else of
-    limits = RigLimits(**{"force": float(specimen.rated_force), **explicit_fields(test.limits)})
+    limits = RigLimits(**{"force": specimen.force_limit, **explicit_fields(test.limits)})
     bench = Bench(
         of=of,
         mounted_at=test.muscle.mounted_at,
@@ -206,8 +215,8 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
 
 def build_muscle(test: RigTest) -> Muscle | Specimen:
     """The specimen with its law, or alone if the law is unknown."""
-    specimen = catalog.specimen(test.muscle.specimen)
-    return specimen if test.muscle.law is None else Muscle(specimen, _law(test.muscle.law, specimen))
+    muscle = test.muscle.model_copy(update={"friction": None, "creep": None})
+    return muscle.specimen.build() if muscle.law is None else muscle.build()
 
 
 def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ...]:
@@ -218,7 +227,7 @@ def build_steps(protocol: ProtocolSpec, of: Muscle | Specimen) -> tuple[Step, ..
 
 
 def _simulated(
-    spec: SimulatedRigSpec, test: RigTest, of: Muscle | Specimen, session: int
+    spec: SimulatedRigSpec, test: RigTest, session: int
 ) -> tuple[MovingBackend, Mapping[str, Calibration], Drive]:
     from dataclasses import replace
 
@@ -232,12 +241,8 @@ def _simulated(
         Stretcher,
     )
 
-    specimen = of.specimen if isinstance(of, Muscle) else of
-    law = spec.law or test.muscle.law
-    assert law is not None  # the model of the test sees to it
-    friction = NoFriction() if spec.friction is None else spec.friction.build()
-    creep = NoCreep() if spec.creep is None else spec.creep.build()
-    muscle = Muscle(specimen, _law(law, specimen), friction, creep)
+    changes = explicit_fields(spec, "seed", "parts", "paced")
+    muscle = test.muscle.model_copy(update={**changes, "strength": None} if spec.law else changes).build()
     parts: dict[str, Any] = {}
     if spec.parts == "ideal":
         parts = {
@@ -283,11 +288,3 @@ def rig_calibrations(path: Path) -> dict[str, Calibration]:
     if problems:
         raise ScenarioError(str(path), problems)
     return found
-
-
-def _law(named: str | Path, specimen: Specimen) -> ForceLaw:
-    if isinstance(named, Path):
-        from mckibben.identification import read_law
-
-        return read_law(named)
-    return ChouLaw.of(specimen) if named == "chou" else catalog.law(named)

@@ -363,8 +363,8 @@ def _header(checked: CheckedTest, folder: Path) -> dict[str, Any]:
         "specimen": {
             "name": specimen.name,
             "initial_length_m": float(specimen.initial_length),
-            "initial_diameter_m": float(specimen.initial_diameter),
-            "rated_force_N": float(specimen.rated_force),
+            "initial_diameter_m": specimen.initial_diameter,
+            "rated_force_N": specimen.rated_force,
             "mounted_at": bench.mounted_at,
         },
         "calibration": {name: one.to_json() for name, one in bench.calibrations.items()},

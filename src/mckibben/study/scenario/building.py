@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
-from mckibben import catalog
+import numpy as np
+
 from mckibben.config.model import explicit_fields
 from mckibben.control import (
     Controller,
@@ -24,10 +24,10 @@ from mckibben.control import (
     PressureObserver,
     VelocityObserver,
 )
-from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError
+from mckibben.errors import FileError, McKibbenError, Problem, RangeError, ScenarioError
 from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon
-from mckibben.muscle import ChouLaw, Muscle, NoCreep, NoFriction, scaled_law
-from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors
+from mckibben.notebook import Progress, silent
+from mckibben.plant import AirValve, IdealValve, JointPlant, NoDisturbance, PerfectSensors
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
 from mckibben.study.parameters import Known, Table, batched
 from mckibben.study.scenario import Scenario
@@ -36,7 +36,6 @@ from mckibben.study.scenario.plant import (
     DisturbanceSpec,
     JointSpec,
     LoadSpec,
-    MuscleSpec,
     SensorsSpec,
     ValveSpec,
 )
@@ -66,7 +65,7 @@ def build_joint(spec: JointSpec) -> AntagonisticJoint:
     muscle1, muscle2 = spec.muscle1 or spec.muscle, spec.muscle2 or spec.muscle
     tendon = RigidTendon() if spec.spring is None else spec.spring.build()
     assert muscle1 is not None and muscle2 is not None  # the model of the joint sees to it
-    return AntagonisticJoint(build_geometry(spec), _muscle(muscle1), _muscle(muscle2), tendon)
+    return AntagonisticJoint(build_geometry(spec), muscle1.build(), muscle2.build(), tendon)
 
 
 def build_geometry(spec: JointSpec) -> KneeGeometry:
@@ -75,6 +74,27 @@ def build_geometry(spec: JointSpec) -> KneeGeometry:
     if spec.connector_length is None:
         return geometry
     return dataclasses.replace(geometry, connector_length=spec.connector_length)
+
+
+def valve_time_constant(valve: ValveSpec | None, joint: JointSpec) -> Any:
+    """First-order time constant [s] of the valves in a controller's model, where it is not given; None if unknown.
+
+    For valves with air it is that of small changes in the middle of the first muscle's pressures and contractions.
+    """
+    if valve is None:
+        return 0.0
+    if not issubclass(valve.runtime, AirValve):
+        return getattr(valve, "time_constant", None)  # a class of one's own may have none
+    spec = joint.muscle1 or joint.muscle
+    assert spec is not None
+    muscle = spec.build()
+    domain = muscle.domain
+    volume = muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2)
+    try:
+        found = valve.build().time_constant_at((domain.pressure_min + domain.pressure_max) / 2, float(volume))
+    except RangeError:  # of a value that is only tried
+        return math.nan
+    return np.asarray(found, float) if np.ndim(found) else float(found)
 
 
 def build_control(spec: ControllerSpec, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> Controller:
@@ -126,19 +146,6 @@ def observers(spec: ModelBasedSpec) -> tuple[Observer, PressureObserver]:
         VelocityObserver(velocity.bandwidth) if velocity else ExtendedStateObserver(**explicit_fields(disturbance))
     )
     return observer, PressureObserver(**explicit_fields(pressure))
-
-
-def _muscle(spec: MuscleSpec) -> Muscle:
-    specimen = catalog.specimen(spec.specimen)
-    friction = NoFriction() if spec.friction is None else spec.friction.build()
-    creep = NoCreep() if spec.creep is None else spec.creep.build()
-    if isinstance(spec.law, Path):
-        from mckibben.identification import Fit
-
-        law = Fit.from_yaml(spec.law).law
-    else:
-        law = ChouLaw.of(specimen) if spec.law == "chou" else catalog.law(spec.law)
-    return Muscle(specimen, law if spec.strength is None else scaled_law(law, spec.strength), friction, creep)
 
 
 def initial_state(scenario: Scenario) -> AtRest:
@@ -203,7 +210,7 @@ def run_many(
     precision: int = 64,
     chunk: int | None = None,
     workers: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Batch:
     """Simulate a scenario once for each row of a table of values; raises ParameterError for an invalid row."""
     many = batched(scenario, table, known=known)
@@ -219,5 +226,5 @@ def run_many(
         precision=precision,
         chunk=chunk,
         workers=workers,
-        progress=progress,
+        progress=progress or silent,
     )

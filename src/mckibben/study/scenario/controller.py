@@ -20,7 +20,7 @@ from mckibben.control import (
     PredictiveControl,
     SlidingMode,
 )
-from mckibben.study.scenario.plant import JointSpec, LoadSpec, ValveSpec
+from mckibben.study.scenario.plant import AnyLoad, JointSpec, LoadSpec, ValveSpec
 from mckibben.units import (
     AngleDerivativeGain,
     AngleGain,
@@ -98,12 +98,12 @@ class LoopSpec(ConfigModel):
 def _loop(quantity: str, kp: Any, ki: Any, kd: Any, scale: Any) -> Any:
     """The model of a loop with these units."""
     gains = {"kp": kp, "ki": ki, "kd": kd}
-    pid = model_of(PID, base=PIDSpec, name=f"{quantity}PIDSpec", **gains)
+    pid = model_of(PID, base=PIDSpec, model_name=f"{quantity}PIDSpec", **gains)
     jacobian: Any = Annotated[str, OneOf(tuple(one.name.lower() for one in Jacobian))]
     backprop = model_of(
         BackpropPID,
         base=named_model(f"{quantity}GainsSpec", (BackpropSpec, pid), {}),
-        name=f"{quantity}BackpropSpec",
+        model_name=f"{quantity}BackpropSpec",
         signal_scale=scale,
         error_scale=scale,
         jacobian=(jacobian | None, Field(None, validate_default=True)),
@@ -153,7 +153,7 @@ class ModelBasedSpec(ComponentModel):
     pressure_observer: ObserverSpec | None = None
     valve_time_constant: ShortTime | None = None
     minimum_tension: Force | None = None
-    load: LoadSpec | None = None
+    load: AnyLoad | None = None
     adaptation: AdaptationSpec | None = None
 
     @field_validator("disturbance_observer", mode="after")
@@ -191,7 +191,7 @@ class InverseModelSpec(model_of(InverseModelControl)):
     """Parameters of `InverseModelControl`, and its model of the load, the plant's unless given; `alone` has none."""
 
     alone: Flag | None = None
-    load: LoadSpec | None = None
+    load: AnyLoad | None = None
 
     @field_validator("load", mode="after")
     @classmethod
@@ -248,7 +248,9 @@ class ControllerSpec(ConfigModel):
     def with_model(self, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> ControllerSpec:
         """The controller with its model of joint, load and valves written out, taken from a plant where not given."""
         update: dict[str, Any] = {} if self.model is not None else {"model": joint}
-        lag = 0.0 if valve is None else getattr(valve, "time_constant", None)  # a class of one's own may have none
+        from mckibben.study.scenario.building import valve_time_constant
+
+        lag = valve_time_constant(valve, joint)
         for name in ("decoupling", "predictive", "inverse_model"):
             part = getattr(self, name)
             if part is None:
@@ -265,7 +267,7 @@ class OwnControllerSpec(ComponentModel):
     """A controller class of one's own; its `model` and `load` are the plant's unless given."""
 
     model: JointSpec | None = None
-    load: LoadSpec | None = None
+    load: AnyLoad | None = None
     friction_compensation: ClassVar[None] = None
 
     def with_model(self, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> OwnControllerSpec:

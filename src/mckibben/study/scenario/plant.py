@@ -2,115 +2,26 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    GetCoreSchemaHandler,
-    PlainSerializer,
-    SerializationInfo,
-    ValidationInfo,
-    field_validator,
-    model_serializer,
-    model_validator,
-)
-from pydantic_core import core_schema
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
-from mckibben.config.fields import Flag, read_path, write_path
-from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
-from mckibben.config.schema import ComponentModel, PartOf, model_of
-from mckibben.errors import quoted, suggest
-from mckibben.joint import KneeGeometry, Load, SeriesSpring
-from mckibben.muscle import MaxwellCreep, MaxwellSlip
+from mckibben.config.fields import Flag
+from mckibben.config.model import ConfigModel, fail_validation
+from mckibben.config.schema import PartOf, model_of
+from mckibben.joint import GeneralLoad, KneeGeometry, KneeLoad, PendulumLoad, SeriesSpring
 from mckibben.plant import FirstOrderValve, SampledSensors, TorquePulses
-from mckibben.units import Angle, Distance, Stiffness, Strength
+from mckibben.study.scenario.muscle import CatalogName, CatalogPart, MuscleSpec, entry_of
+from mckibben.units import Angle, Distance, Stiffness, Torque
 
 
-@dataclass(frozen=True)
-class CatalogName:
-    """Marks the name of a catalog entry of a kind."""
-
-    kind: str
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        return core_schema.no_info_before_validator_function(self.read, handler(source))
-
-    def read(self, value: Any, others: Sequence[str] = ()) -> str:
-        """The name, if the catalog has it or it is one of the others."""
-        from mckibben import catalog
-
-        known = [*catalog.names(self.kind), *others]
-        if value not in known:
-            what = {"geometries": "geometry"}.get(self.kind, self.kind.removesuffix("s"))
-            fail_validation(f"the catalog has no {what} {quoted(value)}", suggest(str(value), known))
-        return value
-
-
-def read_law(value: Any, info: ValidationInfo) -> str | Path:
-    """A law of the catalog, ``chou``, or the path of a fit."""
-    if str(value).endswith((".yaml", ".yml")):
-        return read_path(value, info, ".yaml")
-    return CatalogName("laws").read(value, others=("chou",))
-
-
-def write_law(value: str | Path, info: SerializationInfo) -> str:
-    """Text that `read_law` reads."""
-    return write_path(value, info) if isinstance(value, Path) else value
-
-
-Law = Annotated[str | Path, BeforeValidator(read_law), PlainSerializer(write_law, when_used="json")]
-
-
-def _entry_of(kind: str) -> Any:
-    """The field ``from``, which names an entry of the catalog."""
-    name: Any = Annotated[str, CatalogName(kind)]
-    return name | None, Field(None, alias="from")
-
-
-class _CatalogPart(ComponentModel):
-    """An entry of the catalog by name, with changes, or all numbers."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _name_alone(cls, value: Any) -> Any:
-        return {"from": value} if isinstance(value, str) and value else value
-
-    @model_serializer(mode="wrap", when_used="json")
-    def _write(self, handler: Any) -> Any:
-        written = handler(self)
-        given = {key: value for key, value in written.items() if value is not None}
-        return given["from"] if list(given) == ["from"] else written
-
-    def build(self, *args: Any, **others: Any) -> Any:
-        entry = self._entry()
-        if entry is None:
-            return super().build(*args, **others)
-        return dataclasses.replace(entry, **explicit_fields(self, "entry"), **others)
-
-    def effective(self, name: str) -> Any:
-        entry = self._entry()
-        return super().effective(name) if entry is None or getattr(self, name) is not None else getattr(entry, name)
-
-    def _entry(self) -> Any:
-        """The entry of the catalog; None without."""
-        name = getattr(self, "entry", None)
-        if name is None:
-            return None
-        from mckibben import catalog
-
-        return catalog.geometry(name) if self.runtime is KneeGeometry else catalog.load(name)
-
-
-class GeometrySpec(model_of(KneeGeometry, optional=True, base=_CatalogPart, entry=_entry_of("geometries"))):
+class GeometrySpec(model_of(KneeGeometry, optional=True, base=CatalogPart, entry=entry_of("geometries"))):
     """Geometry of the joint: an entry of the catalog by name, or the lengths of `KneeGeometry`.
 
     In text the name alone will do: ``geometry: knee-table-2``.
     """
+
+    catalog_function = "geometry"
 
     connector_length: Distance | None = Field(None, validate_default=True)
 
@@ -133,27 +44,6 @@ class GeometrySpec(model_of(KneeGeometry, optional=True, base=_CatalogPart, entr
         if length is not None and value is not None and value >= length:
             fail_validation(f"connector_length {value:g} m leaves no length for a muscle in {length:g} m", "shorten it")
         return value
-
-
-class FrictionSpec(model_of(MaxwellSlip)):
-    """Hysteresis and viscous friction of a muscle."""
-
-
-class CreepSpec(model_of(MaxwellCreep)):
-    """Creep of a muscle."""
-
-
-class MuscleSpec(ConfigModel):
-    """A specimen of the catalog and its law: of the catalog, ``chou``, or the path of a fit file.
-
-    `strength` multiplies all forces of the law.
-    """
-
-    specimen: Annotated[str, CatalogName("specimens")]
-    law: Law
-    strength: Strength | None = None
-    friction: FrictionSpec | None = None
-    creep: CreepSpec | None = None
 
 
 class SpringSpec(model_of(SeriesSpring)):
@@ -229,11 +119,13 @@ class JointSpec(ConfigModel):
 _NEEDED = ("mass1", "mass2", "distance1", "distance2", "inertia", "damping")
 
 
-class LoadSpec(model_of(Load, optional=True, base=_CatalogPart, entry=_entry_of("loads"))):
-    """An entry of the catalog by name, with changes, or the parameters of `Load`.
+class LoadSpec(model_of(KneeLoad, optional=True, base=CatalogPart, entry=entry_of("loads"))):
+    """An entry of the catalog by name, with changes, or the parameters of `KneeLoad`.
 
     In text the name alone will do: ``load: knee-table-2``.
     """
+
+    catalog_function = "load"
 
     hanging: Flag | None = Field(None, validate_default=True)
 
@@ -244,7 +136,10 @@ class LoadSpec(model_of(Load, optional=True, base=_CatalogPart, entry=_entry_of(
         missing = [key for key in _NEEDED if given.get(key, 0.0) is None]
         if given.get("entry", "") is None and missing:
             fail_validation(
-                f"lacks {', '.join(missing)}", "give all of it, or begin with `from: knee-table-2`", parent=True
+                f"lacks {', '.join(missing)}",
+                "give all of it, or begin with `from: knee-table-2`; or give a pendulum by `mass` and `length`, or any "
+                "load by `inertia` and `gravity_torque`",
+                parent=True,
             )
         parts = [given.get(key, 1.0) for key in ("inertia", "mass1", "distance1", "mass2", "distance2")]
         if all(part is not None for part in parts):
@@ -254,6 +149,20 @@ class LoadSpec(model_of(Load, optional=True, base=_CatalogPart, entry=_entry_of(
                     "has no inertia: the joint could not move", "give `inertia`, or masses at a distance", parent=True
                 )
         return value
+
+
+class PendulumLoadSpec(model_of(PendulumLoad)):
+    """A pendulum: ``load: {mass: 0.3 kg, length: 250 mm}``."""
+
+    own_keys = frozenset({"mass", "length"})
+
+
+class GeneralLoadSpec(
+    model_of(GeneralLoad, greatest_gravity_torque=(Torque, Field(alias="gravity_torque", examples=["0 N*m"])))
+):
+    """A load by its numbers: ``load: {inertia: 0.02 kg*m^2, gravity_torque: 0.7 N*m}``."""
+
+    own_keys = frozenset({"gravity_torque"})
 
 
 class ValveSpec(model_of(FirstOrderValve)):
@@ -278,10 +187,20 @@ class DisturbanceSpec(ConfigModel):
         return self.pulses.build()
 
 
-AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:Valve")]
+def _valve_of_catalog(value: Any) -> Any:
+    """A section of a valve with the numbers of the catalog's entry that its key ``from`` names."""
+    if not isinstance(value, dict) or "from" not in value:
+        return value
+    from mckibben import catalog
+
+    changes = {key: one for key, one in value.items() if key != "from"}
+    return {**catalog.valve_section(CatalogName("valves").read(value["from"])), **changes}
+
+
+AnyValve = Annotated[ValveSpec, PartOf("mckibben.plant:ValveModel"), BeforeValidator(_valve_of_catalog)]
 AnySensors = Annotated[SensorsSpec, PartOf("mckibben.plant:Sensors")]
 AnyDisturbance = Annotated[DisturbanceSpec, PartOf("mckibben.plant:Disturbance")]
-AnyLoad = Annotated[LoadSpec, PartOf("mckibben.joint:Load")]
+AnyLoad = Annotated[LoadSpec, PartOf("mckibben.joint:Load", others=(PendulumLoadSpec, GeneralLoadSpec))]
 
 
 class StartSpec(ConfigModel):

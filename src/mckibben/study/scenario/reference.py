@@ -182,13 +182,13 @@ def _signal(name: str, quantity: Any, unit: str) -> Any:
     prefix = name.title()
     forms = {
         "constant": quantity,
-        "step": model_of(Step, signal=quantity, name=f"{prefix}StepSpec"),
-        "sine": model_of(Sine, signal=quantity, name=f"{prefix}SineSpec"),
+        "step": model_of(Step, signal=quantity, model_name=f"{prefix}StepSpec"),
+        "sine": model_of(Sine, signal=quantity, model_name=f"{prefix}SineSpec"),
         "multisine": model_of(
             Multisine,
             signal=quantity,
             base=_MultisineModel,
-            name=f"{prefix}MultisineSpec",
+            model_name=f"{prefix}MultisineSpec",
             amplitudes=(Annotated[tuple[quantity, ...], Field(min_length=1)], ...),
             phases=(tuple[Phase, ...] | None, Field(None, validate_default=True)),
         ),

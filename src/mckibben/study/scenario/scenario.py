@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -119,6 +120,16 @@ class Scenario(RunSpec):
             )
         return value
 
+    @field_validator("controller", mode="after")
+    @classmethod
+    def _commands_fit(cls, value: Any, info: ValidationInfo) -> Any:
+        if isinstance(value, ControllerSpec) and getattr(info.data.get("valve"), "direct", None):
+            fail_validation(
+                "commands pressures, but the valve has `direct` commands, which are openings",
+                "leave `direct` out, or name a controller class of your own",
+            )
+        return value
+
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Scenario:
         """Read a scenario file; raises ScenarioError with every problem: line, field, value, range and remedy."""
@@ -128,6 +139,9 @@ class Scenario(RunSpec):
     def parse(cls, text: str, *, source: str = "scenario", folder: str | os.PathLike[str] = ".") -> Scenario:
         """Read a scenario from YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
         return parse_model(cls, text, source=source, folder=folder)[0]
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(self.dumps())}</pre>"
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write the scenario to a file that `read` reads back to the last bit."""

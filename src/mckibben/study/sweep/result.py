@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.schema import html_table, load_netcdf, write_netcdf
+from mckibben.dataset.schema import load_netcdf, write_netcdf
 from mckibben.errors import FileError, ParameterError, Problem
+from mckibben.notebook import html_table
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES, attributes

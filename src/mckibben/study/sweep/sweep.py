@@ -6,6 +6,7 @@ import hashlib
 import io
 import os
 import tempfile
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
+from mckibben.notebook import Progress, notebook_progress
 from mckibben.storage.files import check_free, explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, pack, read_header
 from mckibben.study.parameters import Known
@@ -153,7 +155,7 @@ def sweep(
     block: int | None = None,
     known: Known | None = None,
     source: str = "",
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> SweepResult:
     """Simulate a scenario many times with some of its parameters varied.
 
@@ -188,7 +190,7 @@ def sweep(
     source
         Origin of the scenario, for the record.
     progress
-        Called with the numbers of finished and of all runs.
+        Called with the present step and the finished fraction, 0 to 1; a progress bar in notebooks.
 
     Raises
     ------
@@ -210,7 +212,7 @@ def sweep(
     options = SweepOptions(over, design, samples, seed, metrics, precision, block, known)
     if dask is not None:
         check_cluster(dask)
-    engine = (dask, workers, progress)
+    engine = (dask, workers, progress or notebook_progress())
     if out is None:
         if resume:
             raise ParameterError("there is no sweep to continue", remedy="say in which folder it is")
@@ -241,6 +243,24 @@ def sweep(
         return _stored(store, *engine)
 
 
+def _reporting(progress: Progress | None, runs: int) -> Callable[[int], None]:
+    """Callback for the number of finished runs, which reports their rate too."""
+    calls, began = 0, (0.0, 0)
+
+    def report(done: int) -> None:
+        nonlocal calls, began
+        calls, now = calls + 1, time.monotonic()
+        if calls <= 2:  # the first block includes compilation
+            began = (now, done)
+        text = f"{done} of {runs} runs"
+        if done > began[1] and now > began[0] + 1:
+            text += f", {(done - began[1]) / (now - began[0]):.4g} runs/s"
+        if progress:
+            progress(text, done / runs)
+
+    return report
+
+
 def _stored(store: SweepStore, *engine: Any) -> SweepResult:
     """Compute the missing blocks and write the table."""
     try:
@@ -252,13 +272,11 @@ def _stored(store: SweepStore, *engine: Any) -> SweepResult:
     return swept
 
 
-def _computed(
-    store: SweepStore, dask: str | None, workers: int | None, progress: Callable[[int, int], None] | None
-) -> SweepResult:
+def _computed(store: SweepStore, dask: str | None, workers: int | None, progress: Progress | None) -> SweepResult:
     plan, before = store.plan, store.runs
     done = before
-    if progress:
-        progress(done, plan.rows)
+    report = _reporting(progress, plan.rows)
+    report(done)
     if store.missing:
         blocks = ((block, plan.block_table(block)) for block in store.missing)
         if dask is None:
@@ -269,6 +287,5 @@ def _computed(
             for block in finished:
                 rows = plan.block_rows(block)
                 done += rows.stop - rows.start
-                if progress:
-                    progress(done, plan.rows)
+                report(done)
     return SweepResult.of(plan, store.columns(), plan.rows - before)

@@ -198,6 +198,10 @@ class TuningProblem:
                 raise ParameterError(f"{scenario.name}: {error}", value=error.value) from None
             if "coupling" in self.cost.metrics:
                 _check_steps(scenario)
+            if "air" in self.cost.metrics:
+                for muscle in (scenario.joint.muscle, scenario.joint.muscle1, scenario.joint.muscle2):
+                    if muscle is not None:
+                        muscle.specimen.build().braid("the use of air")
 
     @classmethod
     def of(

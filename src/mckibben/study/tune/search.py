@@ -160,8 +160,9 @@ def _range_around(parameter: ScenarioParameter, decades: float) -> LogUniform:
 
 Points = NDArray[np.float64]
 Costs = Callable[[Points], NDArray[np.float64]]
+Fraction = Callable[[float], None]
+"""Called with the finished fraction of a search, 0 to 1."""
 CostsAndGradients = Callable[[Points], tuple[NDArray[np.float64], Points]]
-Progress = Callable[[float], None]
 
 _LINE_SEARCH = 8  # evaluations along a direction: a chattering loop has huge slopes, on which it would not end
 _STEP = 0.25
@@ -201,7 +202,13 @@ def check_method(method: Method, *, numbers: int, population: int) -> None:
 
 
 def by_gradient(
-    function: CostsAndGradients, first: Points, *, starts: int, iterations: int, seed: int, progress: Progress
+    function: CostsAndGradients,
+    first: Points,
+    *,
+    starts: int,
+    iterations: int,
+    seed: int,
+    progress: Fraction,
 ) -> None:
     """L-BFGS-B (Byrd et al., SIAM J. Sci. Comput. 16 (1995) 1190) from the first and Sobol points, side by side."""
     from scipy.optimize import minimize  # 0.3 s at import
@@ -288,7 +295,7 @@ def side_by_side(
 
 
 def by_evolution(
-    function: Costs, first: Points, *, population: int, generations: int, seed: int, progress: Progress
+    function: Costs, first: Points, *, population: int, generations: int, seed: int, progress: Fraction
 ) -> None:
     """Differential evolution (Storn and Price, J. Global Optim. 11 (1997) 341) from random points and the first one."""
     from scipy.optimize import differential_evolution  # 0.3 s at import
@@ -317,7 +324,7 @@ def by_evolution(
         progress(1.0)
 
 
-def by_cma(function: Costs, first: Points, *, population: int, generations: int, seed: int, progress: Progress) -> None:
+def by_cma(function: Costs, first: Points, *, population: int, generations: int, seed: int, progress: Fraction) -> None:
     """CMA-ES (Hansen, arXiv:1604.00772) from the first point, which replaces the first draw."""
     from cmaes import CMA
 

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
-from mckibben.dataset.schema import html_table
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, Problem
+from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.storage.files import explain_write_errors, file_lock, make_folder
 from mckibben.storage.journal import Journal, JournalReader, header_differences, pack_json, read_header
 from mckibben.study.parameters import Distribution, Known, SweptParameter, sweep_parameters, with_values
@@ -177,8 +177,7 @@ def tune(
     history: Path | None = None,
     resume: bool = False,
     known: Known = (),
-    progress: Callable[[float], None] | None = None,
-    least: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> TuningResult:
     """Search scenario parameters within ranges for the least cost.
 
@@ -205,9 +204,8 @@ def tune(
     known
         Tuned plant parameters that the controllers' models follow, "all" for all of them. Default: none.
     progress
-        Called with the finished share, 0 to 1; first when all arguments have been checked.
-    least
-        Called before `progress` with the least cost so far, once there is one.
+        Called with the present step and the finished fraction, 0 to 1, first when all arguments have been checked; a
+        progress bar in notebooks.
 
     Raises
     ------
@@ -241,13 +239,13 @@ def tune(
         "seed": seed,
         **({} if method is Method.GRADIENT else {"population": population}),
     }
+    progress = progress or notebook_progress()
     with TuningHistory.open(history, about, resume=resume) as past:
 
         def report(part: float) -> None:
-            if least and past.trials and past.best.cost < FAILED_COST:
-                least(past.best.cost)
             if progress:
-                progress(part)
+                found = past.trials and past.best.cost < FAILED_COST
+                progress(f"searching, lowest cost {past.best.cost:.4g}" if found else "searching", part)
 
         report(0.0)
         first = problem.space.point(problem.space.nominal)

@@ -1,0 +1,36 @@
+"""Writes rig.csv, the measurements of the tutorial: a muscle of 300 mm and 20 mm as a laboratory would log it.
+
+A semicolon file with decimal commas; force noise of 1.2 N, 7 N of friction, an offset of the load cell of 3.4 N, and
+pressures that scatter by 0.01 bar. `python examples/your-muscle/make_data.py` writes the same file again.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+LENGTH, FRICTION, OFFSET, NOISE, SCATTER = 300.0, 7.0, 3.4, 1.2, 0.01  # mm, N, N, N, bar
+LAW = {"a1": -430.0, "a2": 290.0, "b1": 3.0, "b2": -9.6, "c1": 310.0, "c2": -8.0, "decay": 0.33}  # N, bar, percent
+
+
+def force(percent: float, pressure: float) -> float:
+    """Eq. 2 of the paper."""
+    constant, linear, exponential = (LAW[f"{name}1"] + LAW[f"{name}2"] * pressure for name in "abc")
+    return float(constant + linear * percent + exponential * np.exp(-LAW["decay"] * percent))
+
+
+def main() -> None:
+    """Loading and unloading between 0 and 30 % at six pressures."""
+    rng = np.random.default_rng(2026)
+    rows = ["Druck [bar];Kraft [N];Laenge [mm]"]
+    stroke = np.linspace(0, 30, 21)
+    for level in range(1, 7):
+        for side, pass_ in ((-1, stroke), (1, stroke[::-1])):
+            for percent in pass_:
+                pressure = level + rng.normal(0, SCATTER)
+                pull = max(force(percent, pressure) + side * FRICTION, 0.0) + OFFSET + rng.normal(0, NOISE)
+                rows.append(f"{pressure:.3f};{pull:.2f};{LENGTH * (1 - percent / 100):.2f}".replace(".", ","))
+    Path(__file__).with_name("rig.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

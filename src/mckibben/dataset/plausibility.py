@@ -1,0 +1,117 @@
+"""Plausibility of measured points: mistakes of sign, unit and initial length."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import Problem
+from mckibben.muscle import Specimen
+from mckibben.units import bar, mm, percent
+
+Floats = NDArray[np.float64]
+
+_PRESSURES = (0.08 * bar, 0.9 * bar, 12 * bar, 16 * bar)
+"""Highest pressure of a test of a pneumatic muscle: impossible below, usual from, usual to, impossible above."""
+_DIAMETERS = (0.8 * mm, 120 * mm)
+_BLOCKED_FORCE = 8.2
+"""Force of a muscle at its initial length over p pi d^2/4 at a braid angle of 25 deg; 14 at 20 deg, 5 at 30 deg.
+
+C.-P. Chou and B. Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90-102.
+"""
+_LIKE_SPECIMEN = (0.4, 2.0, 3.0)  # implied over given diameter: usual from, usual to, impossible above
+_STRETCHED, _OVERSTRETCHED, _SHORT, _SHORTEST = -0.05, -0.15, 0.4, 0.5  # contractions of a taut muscle
+_FIRST = 0.1  # least contraction of a test that begins near the initial length
+_SMALL_FORCE = 0.05  # of the largest one
+_LENGTH = "check initial_length (command line: --initial-length)"
+_UNIT = "check the unit of the column, and give the right one: columns={...} (command line: --column 'HEADER=NAME')"
+
+
+class Findings(NamedTuple):
+    """Problems of points that cannot be measured on a muscle, and warnings for unusual ones."""
+
+    problems: list[Problem]
+    warnings: list[str]
+
+
+def check_points(
+    pressure: Floats,
+    contraction: Floats,
+    force: Floats,
+    slack_force: float,
+    initial_length: float | None,
+    specimen: Specimen | None = None,
+) -> Findings:
+    """Check points of a muscle, with those of its specimen where it is known."""
+    problems, warnings = [], []
+    found = list(_sign(force)) if len(force) else []
+    if found and found[0][1]:
+        problems.append(found[0][0])  # the other numbers mean nothing
+    elif len(force):
+        for problem, impossible in (
+            *found,
+            *_contractions(contraction, force > slack_force, initial_length),
+            *_pressures(float(pressure.max())),
+            *_forces(pressure, force, specimen),
+        ):
+            if impossible:
+                problems.append(problem)
+            else:
+                warnings.append(str(problem))
+    return Findings(problems, warnings)
+
+
+def _sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
+    limit = _SMALL_FORCE * float(np.abs(force).max())
+    negative, positive = int((force < -limit).sum()), int((force > limit).sum())
+    if negative > positive:
+        text = f"{negative} of {len(force)} forces are negative, down to {force.min():.4g} N, and a muscle only pulls"
+        yield Problem(text, field="force", remedy="turn the sign: force_sign=-1 (command line: --force-sign -1)"), True
+    elif negative:
+        text = f"{negative} of {len(force)} forces are negative, down to {force.min():.4g} N: they count as slack"
+        yield Problem(text, field="force", remedy="check these points, and the zero of the load cell"), False
+
+
+def _contractions(
+    contraction: Floats, taut: NDArray[np.bool_], initial: float | None
+) -> Iterator[tuple[Problem, bool]]:
+    low, high = float(contraction.min()), float(contraction[taut].max(initial=-1.0))
+    if low < _STRETCHED:
+        text = f"contractions begin at {low / percent:.3g} %, and a muscle can be stretched by about 3 %"
+        yield (
+            Problem(text, field="contraction", remedy=f"{_LENGTH}, and the sign (positive = shorter)"),
+            low < _OVERSTRETCHED,
+        )
+    elif low > _FIRST:
+        longest = f": the longest length measured is {initial * (1 - low) / mm:.4g} mm" if initial else ""
+        text = f"contractions begin at {low / percent:.3g} %, not near 0 %{longest}"
+        yield Problem(text, field="contraction", remedy=_LENGTH), False
+    if high > _SHORT:
+        text = f"the muscle pulls at a contraction of {high / percent:.3g} %, and muscles contract by 20 to 35 %"
+        yield Problem(text, field="contraction", remedy=f"{_LENGTH}, and the unit"), high > _SHORTEST
+
+
+def _pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
+    lowest, least, most, limit = _PRESSURES
+    if highest > 0 and not least <= highest <= most:
+        text = f"the highest pressure is {highest / bar:.3g} bar, and pneumatic muscles are tested at 1 to 8 bar"
+        yield Problem(text, field="pressure", remedy=_UNIT), not lowest <= highest <= limit
+
+
+def _forces(pressure: Floats, force: Floats, specimen: Specimen | None) -> Iterator[tuple[Problem, bool]]:
+    at = int(np.argmax(force))
+    if force[at] <= 0 or pressure[at] <= 0:
+        return
+    diameter = math.sqrt(4 * force[at] / (math.pi * _BLOCKED_FORCE * pressure[at]))
+    text = f"{force[at]:.4g} N at {pressure[at] / bar:.3g} bar is the force of a muscle of about {diameter / mm:.2g} mm"
+    if not _DIAMETERS[0] <= diameter <= _DIAMETERS[1]:
+        yield Problem(text, field="force", remedy=_UNIT), True
+    elif specimen is not None and (given := specimen.initial_diameter):
+        low, high, limit = _LIKE_SPECIMEN
+        if not low <= diameter / given <= high:
+            text = f"{text}, and {specimen.name} has {given / mm:.3g} mm"
+            yield Problem(text, field="force", remedy=f"{_UNIT}, that of pressures too"), diameter / given > limit

@@ -1,0 +1,197 @@
+"""Preprocessing of measured points: pressure levels, passes of loading and unloading, force of the slack muscle.
+
+Only what a dataset does not record is estimated. Each estimate is a method for any data: gaps between sorted pressures,
+reversals of the contraction in the order of the rows, and the mode of the lowest forces with the spread below it, which
+forces of a taut muscle do not reach.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from mckibben.dataset.schema import format_range
+from mckibben.units import bar
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+Bools = NDArray[np.bool_]
+
+_FEWEST = 3  # points at a level
+_SEPARATION = 2.5  # least ratio of gaps between levels to those within
+_STEPS = (1.0, 0.5, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.001)  # bar, of nominal pressures
+_REVERSAL = 0.1  # of the range of contractions: a smaller change of direction is noise
+_LOWEST_FORCES = 0.15  # of the range of forces, in which the slack muscle is searched
+_FEWEST_SLACK = 5
+_OUTSIDE = 4.0  # standard deviations of the noise
+_TAIL = 0.8  # of the slack points have no taut point at a larger contraction; the rest may be friction
+_DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
+_MANY = 20  # points for quadratic terms
+_NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
+
+
+def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
+    """Table with levels, directions, repeats and slack force, where they are not known; `preprocessing` lists them."""
+    notes = []
+    pressure, contraction = (table[name].to_numpy() for name in ("pressure", "contraction"))
+    labels = group_pressures(pressure) if "set_pressure" not in table else None
+    if labels is not None:
+        nominal, scatter = nominal_pressures(pressure, labels)
+        table = table.assign(set_pressure=("point", nominal[labels]))
+        shown = format_range(nominal / bar)
+        notes.append(
+            f"{len(nominal)} pressure levels ({shown} bar), about which pressures scatter by {scatter:.2g} bar"
+        )
+    levels = table.get("set_pressure", table["pressure"]).to_numpy()
+    values, groups = np.unique(levels, return_inverse=True)
+    grouped = 2 * len(values) <= len(levels)
+    if "direction" not in table and (found := passes(groups if grouped else 0 * groups, contraction)) is not None:
+        direction, repeat = found
+        table = table.assign(direction=("point", direction))
+        each = ""
+        if grouped and repeat.any() and "repeat" not in table:
+            table = table.assign(repeat=("point", repeat))
+            each = f"{repeat.max() + 1} of each per level, "
+        notes.append(f"passes of loading and unloading, {each}from the order of the rows")
+    if not slack_known and (slack := slack_force(table["force"].to_numpy(), contraction, levels)) is not None:
+        table = table.assign(force=table["force"] - slack.offset)
+        table.attrs["slack_force"] = _OUTSIDE * slack.noise
+        notes.append(
+            f"slack muscle: {slack.points} points with a force of {slack.offset:.3g} +- {slack.noise:.2g} N; this "
+            f"offset is subtracted, and forces up to {_OUTSIDE * slack.noise:.3g} N count as slack"
+        )
+    if notes:
+        table.attrs["preprocessing"] = "\n".join([*table.attrs.get("preprocessing", "").splitlines(), *notes])
+    return table
+
+
+def group_pressures(pressure: Floats) -> Ints | None:
+    """Level of each measured pressure, ascending from 0; None where pressures repeat exactly, or are not grouped.
+
+    The finest grouping is taken in which gaps between levels are larger than levels are wide, and than gaps in them.
+    """
+    order = np.argsort(pressure)
+    gaps = np.diff(pressure[order])
+    ranked = np.sort(gaps)[::-1]
+    most = len(pressure) // _FEWEST  # levels
+    wider = np.flatnonzero(ranked[: most - 1] > _SEPARATION * ranked[1:most]) if most > 1 else []
+    for last in wider[::-1]:
+        parts = np.split(pressure[order], np.flatnonzero(gaps >= ranked[last]) + 1)
+        if min(map(len, parts)) < _FEWEST or ranked[last] < (width := max(map(np.ptp, parts))):
+            continue
+        labels = np.empty(len(pressure), int)
+        labels[order] = np.repeat(np.arange(len(parts)), list(map(len, parts)))
+        return labels if width else None
+    return None
+
+
+def nominal_pressures(pressure: Floats, labels: Ints) -> tuple[Floats, float]:
+    """Pressure of each level [Pa], rounded within its scatter, and the scatter [bar]."""
+    parts = [pressure[labels == label] / bar for label in range(labels.max() + 1)]
+    means, spreads = np.array([part.mean() for part in parts]), np.array([part.std(ddof=1) for part in parts])
+    scatter = float(np.sqrt(np.mean(spreads**2)))
+    for step in _STEPS:
+        nominal = np.round(means / step) * step
+        if (np.abs(nominal - means) <= np.maximum(spreads, scatter)).all() and (np.diff(nominal) > 0).all():
+            return np.round(nominal, 3) * bar, scatter
+    return means * bar, scatter
+
+
+def passes(groups: Ints, contraction: Floats) -> tuple[NDArray[np.str_], Ints] | None:
+    """Direction and repeat of each point from reversals of the contraction in each group; None without reversals."""
+    direction, repeat = np.zeros(len(groups), "<U9"), np.zeros(len(groups), int)
+    reversing = count = 0
+    for group in np.unique(groups):
+        rows = np.flatnonzero(groups == group)
+        runs = list(_runs(contraction[rows]))
+        words = [word for _, word in runs]
+        reversing += len(runs) > 1
+        count += len(runs)
+        for number, (part, word) in enumerate(runs):
+            direction[rows[part]], repeat[rows[part]] = word, words[:number].count(word)
+    if 2 * reversing <= len(np.unique(groups)) or len(groups) < _FEWEST * count:
+        return None
+    return direction, repeat
+
+
+def _runs(values: Floats) -> Iterator[tuple[slice, str]]:
+    """Parts in which the contraction rises (unloading) or falls (loading), apart from noise."""
+    threshold = _REVERSAL * np.ptp(values)
+    start = extreme = 0
+    rising: bool | None = None
+    if not threshold:
+        return
+    for i, value in enumerate(values):
+        if rising is None:
+            if abs(value - values[0]) > threshold:
+                rising, extreme = bool(value > values[0]), i
+        elif (value >= values[extreme]) if rising else (value <= values[extreme]):
+            extreme = i if value != values[extreme] else extreme
+        elif abs(value - values[extreme]) > threshold:
+            yield slice(start, extreme + 1), "unloading" if rising else "loading"
+            start, extreme, rising = extreme + 1, i, not rising
+    yield slice(start, len(values)), "unloading" if rising else "loading"
+
+
+class Slack(NamedTuple):
+    """Force of the slack muscle: zero offset and standard deviation of the noise [N], and number of points."""
+
+    offset: float
+    noise: float
+    points: int
+
+
+def slack_force(force: Floats, contraction: Floats, pressure: Floats) -> Slack | None:
+    """Force of the slack muscle, in which the force does not depend on the contraction; None if it is not to be seen.
+
+    The mode of the lowest forces is their offset, and the forces below it give the noise: there are no taut points.
+    """
+    lowest = np.sort(force[force <= force.min() + _LOWEST_FORCES * np.ptp(force)])
+    if len(lowest) < _FEWEST_SLACK or not np.ptp(force):
+        return None
+    offset, noise = half_sample_mode(lowest), 0.0
+    for _ in range(20):
+        below = np.sort(offset - lowest[lowest <= offset])
+        before, noise = noise, max(float(np.quantile(below, share)) / size for share, size in _NORMAL)
+        near = lowest[np.abs(lowest - offset) <= _OUTSIDE * noise]
+        offset = float(np.median(near))
+        if noise == before:
+            break
+    slack = np.abs(force - offset) <= _OUTSIDE * noise
+    count = int(slack.sum())
+    if count < _FEWEST_SLACK or offset == noise == 0:
+        return None
+    behind = contraction[slack] >= _largest_taut(force > offset + _OUTSIDE * noise, contraction, pressure)[slack]
+    if behind.mean() < _TAIL or _explained(force[slack], contraction[slack], pressure[slack]) > _DEPENDENT:
+        return None
+    return Slack(offset, noise, count)
+
+
+def _largest_taut(taut: Bools, contraction: Floats, pressure: Floats) -> Floats:
+    """Largest contraction of a taut point at the pressure of each point, or at a lower one."""
+    order = np.lexsort((contraction, pressure))
+    largest = np.maximum.accumulate(np.where(taut, contraction, -np.inf)[order])
+    return largest[np.searchsorted(pressure[order], pressure, side="right") - 1]
+
+
+def _explained(force: Floats, contraction: Floats, pressure: Floats) -> float:
+    """Adjusted coefficient of determination of the force by contraction and pressure."""
+    x, y = ((each - each.mean()) / (np.ptp(each) or 1.0) for each in (contraction, pressure))
+    terms = [x, y, x * y, x * x, y * y][: 5 if len(x) >= _MANY else 2]
+    columns = np.column_stack([np.ones(len(x)), *terms])
+    rest = force - columns @ np.linalg.lstsq(columns, force)[0]
+    rank = np.linalg.matrix_rank(columns)
+    return 1 - float(rest.var() / (force.var() or 1.0)) * (len(x) - 1) / max(len(x) - rank, 1)
+
+
+def half_sample_mode(values: Floats) -> float:
+    """Mode of sorted values by repeated halving (Robertson and Cryer, J. American Statistical Ass. 69 (1974) 1012)."""
+    while len(values) > 3:
+        half = (len(values) + 1) // 2
+        start = int(np.argmin(values[half - 1 :] - values[: len(values) - half + 1]))
+        values = values[start : start + half]
+    return float(values.mean() if len(values) < 3 else np.median(values))

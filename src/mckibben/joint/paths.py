@@ -1,0 +1,257 @@
+"""Paths of single muscles over the joint angle: pulley, cam, two bones, measured table; geometries of two paths."""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Sequence
+from numbers import Real
+from typing import Annotated, Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+from numpy.polynomial import Chebyshev
+from numpy.typing import NDArray
+
+from mckibben.errors import RangeError
+from mckibben.joint.geometry import Geometry, Pair
+from mckibben.notebook import Displayed
+from mckibben.numerics.calculus import derivative
+from mckibben.numerics.checks import check_positive
+from mckibben.numerics.elementary import floating, sincos
+from mckibben.units import COMPONENT, Angle, ArmCurvature, ArmSlope, Coordinate, Distance, Length, deg, mm
+
+_Side = int
+"""1 for muscle 1, which lengthens as the angle increases, -1 for muscle 2."""
+_LARGEST_DEGREE = 8
+_SPARE = 2  # points of a table beyond the coefficients
+
+
+class MusclePath(eqx.Module, Displayed):
+    """Length of a muscle, with what is in series with it, over the joint angle."""
+
+    @abc.abstractmethod
+    def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
+        """Return the length [m] at an angle [rad] of muscle 1 (`side` 1) or 2 (-1)."""
+
+    @property
+    def angle_range(self) -> tuple[float, float]:
+        """Angles [rad] for which the path is known."""
+        return -math.inf, math.inf
+
+
+class Pulley(MusclePath):
+    """Muscle on a pulley, with a constant moment arm.
+
+    Parameters
+    ----------
+    radius, rest_length
+        Moment arm, and length of the muscle at the angle 0 [m].
+    """
+
+    radius: Length
+    rest_length: Length
+
+    def __check_init__(self) -> None:
+        check_positive("Pulley", "m", radius=self.radius, rest_length=self.rest_length)
+
+    def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
+        return self.rest_length + side * self.radius * floating(angle)
+
+
+class Cam(MusclePath):
+    """Muscle on a cam, with a moment arm that is quadratic in the angle.
+
+    Parameters
+    ----------
+    arm, arm_slope, arm_curvature
+        Moment arm at the angle 0 [m], and its derivatives with respect to the angle [m/rad], [m/rad^2].
+    rest_length
+        Length of the muscle at the angle 0 [m].
+    """
+
+    arm: Length
+    rest_length: Length
+    arm_slope: ArmSlope = 0.0
+    arm_curvature: ArmCurvature = 0.0
+
+    def __check_init__(self) -> None:
+        check_positive("Cam", "m", arm=self.arm, rest_length=self.rest_length)
+
+    def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
+        x = floating(angle)
+        return self.rest_length + side * x * (self.arm + x * (self.arm_slope / 2 + x * (self.arm_curvature / 6)))
+
+
+class TwoBonePath(MusclePath):
+    """Straight muscle between an anchor on the fixed bone and one on the moving bone, which turns about a hinge.
+
+    Coordinates have their origin in the hinge; those of the distal anchor are at the angle 0, and the angle turns from
+    x to y.
+
+    Parameters
+    ----------
+    proximal_x, proximal_y, distal_x, distal_y
+        Anchors on the fixed and on the moving bone [m].
+    connector_length
+        Length of the connectors in series with the muscle [m].
+    """
+
+    proximal_x: Coordinate
+    proximal_y: Coordinate
+    distal_x: Coordinate
+    distal_y: Coordinate
+    connector_length: Distance = 0.0
+
+    def __check_init__(self) -> None:
+        values = (self.proximal_x, self.proximal_y, self.distal_x, self.distal_y, self.connector_length)
+        if all(isinstance(value, Real) for value in values):
+            closest = abs(math.hypot(*values[:2]) - math.hypot(*values[2:4]))
+            check_positive("TwoBonePath: length where its anchors are closest", "m", length=closest)
+
+    def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
+        sine, cosine = sincos(floating(angle))
+        x = self.distal_x * cosine - self.distal_y * sine - self.proximal_x
+        y = self.distal_x * sine + self.distal_y * cosine - self.proximal_y
+        return jnp.sqrt(x * x + y * y) - self.connector_length
+
+
+class TabulatedPath(MusclePath):
+    """Path through a measured table of lengths or moment arms, as a Chebyshev series.
+
+    The degree is that with the least leave-one-out error, `error`. Outside of the table the moment arm is constant.
+
+    Parameters
+    ----------
+    angles
+        Measured angles [rad], in any order.
+    lengths
+        Lengths of the muscle with what is in series [m].
+    arms, rest_length
+        Positive moment arms, and length at the angle 0 [m], in place of lengths.
+    """
+
+    angles: tuple[Angle, ...]
+    lengths: tuple[Length, ...] | None = None
+    arms: tuple[Length, ...] | None = None
+    rest_length: Length | None = None
+    error: float = eqx.field(static=True, default=0.0)
+    coefficients: Any = eqx.field(static=True, default=())
+    window: Any = eqx.field(static=True, default=())
+
+    def __init__(
+        self,
+        angles: Sequence[float],
+        *,
+        lengths: Sequence[float] | None = None,
+        arms: Sequence[float] | None = None,
+        rest_length: float | None = None,
+    ) -> None:
+        values = arms if lengths is None else lengths
+        if values is None or (lengths is None) == (arms is None):
+            raise RangeError("a table has lengths or moment arms", remedy="give `lengths`, or `arms` and `rest_length`")
+        if (arms is None) != (rest_length is None):
+            remedy = "give `rest_length`, the length at the angle 0, with `arms`, and not with `lengths`"
+            raise RangeError("a table of moment arms needs a length", remedy=remedy)
+        x, y = np.asarray(angles, float), np.asarray(values, float)
+        if x.shape != y.shape or len(np.unique(x)) < 2 + _SPARE:
+            raise RangeError(
+                f"the table has {x.size} angles and {y.size} values",
+                value=x.size,
+                lower=2 + _SPARE,
+                remedy="give one value for each of at least four different angles",
+            )
+        series, self.error = _series(x, y)
+        if arms is not None:
+            series = series.integ(lbnd=0)
+        self.coefficients, self.window = tuple(series.coef.tolist()), (float(x.min()), float(x.max()))
+        self.angles, self.rest_length = tuple(x.tolist()), rest_length
+        self.lengths = None if lengths is None else tuple(y.tolist())
+        self.arms = None if arms is None else tuple(y.tolist())
+
+    @property
+    def angle_range(self) -> tuple[float, float]:
+        return self.window
+
+    def length(self, angle: ArrayLike, side: _Side) -> Float[Array, "..."]:
+        low, high = self.window
+        x = floating(angle)
+        inside = jnp.clip(x, low, high)
+
+        def series(at: Array) -> Array:
+            """Clenshaw's sum."""
+            scaled = (2 * at - (low + high)) / (high - low)
+            last = before = jnp.zeros_like(scaled)
+            for coefficient in self.coefficients[:0:-1]:
+                last, before = coefficient + 2 * scaled * last - before, last
+            return self.coefficients[0] + scaled * last - before
+
+        # Its value at the nearest angle of the table, and from there on with the slope at that angle.
+        value = series(inside) + (x - inside) * derivative(series, inside)
+        return value if self.rest_length is None else self.rest_length + side * value
+
+
+def _series(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[Chebyshev, float]:
+    """Chebyshev series of the degree with the least RMS leave-one-out error, and this error."""
+    best: tuple[float, int] = (math.inf, 0)
+    for degree in range(1, min(_LARGEST_DEGREE, len(np.unique(x)) - _SPARE) + 1):
+        columns = np.polynomial.chebyshev.chebvander((2 * x - x.min() - x.max()) / np.ptp(x), degree)
+        q = np.linalg.qr(columns)[0]
+        left_out = (y - q @ (q.T @ y)) / np.maximum(1 - np.sum(q * q, axis=1), 1e-12)
+        error = float(np.sqrt(np.mean(left_out**2)))
+        if error < best[0] * (1 - 1e-9) - 1e-15:
+            best = error, degree
+    return Chebyshev.fit(x, y, best[1], domain=[x.min(), x.max()]), best[0]
+
+
+class PairedPaths(Geometry):
+    """Joint whose muscles have a path each; muscle 1 lengthens as the angle increases, muscle 2 shortens.
+
+    Parameters
+    ----------
+    path1, path2
+        Paths of muscle 1 and of muscle 2.
+
+    Examples
+    --------
+    >>> from mckibben.units import mm
+    >>> elbow = PairedPaths(
+    ...     TwoBonePath(proximal_x=-0.02, proximal_y=0.30, distal_x=-0.03, distal_y=0.0),
+    ...     Pulley(radius=25 * mm, rest_length=300 * mm),
+    ... )
+    >>> [round(float(value), 4) for value in (*elbow.path_lengths(0.0), *elbow.moment_arms(0.0))]
+    [0.3002, 0.3, 0.03, 0.025]
+    """
+
+    path1: Annotated[MusclePath, COMPONENT]
+    path2: Annotated[MusclePath, COMPONENT]
+
+    def __check_init__(self) -> None:
+        low, high = self.angle_range
+        if low >= high:
+            raise RangeError("the tables of the two muscles have no angle in common", remedy="measure the same angles")
+        if not all(isinstance(leaf, Real) for leaf in jax.tree.leaves(self)):  # arrays of many runs
+            return
+        at = min(max(0.0, low), high)
+        for number, arm in enumerate(self.moment_arms(at), 1):
+            if not float(arm) > 0:
+                does = "shortens" if number == 1 else "lengthens"
+                raise RangeError(
+                    f"muscle {number} {does} as the angle increases: its moment arm at {at / deg:.4g} deg is "
+                    f"{float(arm) / mm:.4g} mm",
+                    value=float(arm),
+                    lower=0.0,
+                    unit="m",
+                    remedy="exchange the paths, or check the signs of the coordinates",
+                )
+
+    @property
+    def angle_range(self) -> tuple[float, float]:
+        (low1, high1), (low2, high2) = self.path1.angle_range, self.path2.angle_range
+        return max(low1, low2), min(high1, high2)
+
+    def path_lengths(self, angle: ArrayLike) -> Pair:
+        return self.path1.length(angle, 1), self.path2.length(angle, -1)

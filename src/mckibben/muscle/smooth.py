@@ -1,0 +1,156 @@
+"""Eq. 2 with smooth deviations over contraction, affine or quadratic in pressure."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw
+from mckibben.muscle.exponential import ExponentialLaw
+from mckibben.muscle.specimen import Domain
+from mckibben.numerics.checks import check_positive
+from mckibben.numerics.elementary import exp
+
+DEGREE = 5
+"""Degree of the polynomial of each deviation."""
+
+
+def _deviation(order: int) -> tuple[Parameter, ...]:
+    """Coefficients of s_j, penalised in an identification."""
+    unit = ("N", "N/Pa", "N/Pa^2")[order]
+    shown = ("N", "N/bar", "N/bar^2")[order]
+    powers = ("constant", "linear", "quadratic", "cubic", "quartic", "quintic")
+    return tuple(
+        Parameter(f"s{order}{i}", unit, shown, f"deviation s{order}, {power}", penalised=True)
+        for i, power in enumerate(powers)
+    )
+
+
+class _Deviations(ForceLaw):
+    """Fields and terms that both laws share."""
+
+    a1: float
+    a2: float
+    b1: float
+    b2: float
+    c1: float
+    c2: float
+    s00: float
+    s01: float
+    s02: float
+    s03: float
+    s04: float
+    s05: float
+    s10: float
+    s11: float
+    s12: float
+    s13: float
+    s14: float
+    s15: float
+    decay: float
+    centre: float
+    half_width: float
+
+    def __check_init__(self) -> None:
+        check_positive(type(self).__name__, "per unit of contraction", decay=self.decay)
+        check_positive(type(self).__name__, "1", half_width=self.half_width)
+
+    source = "this project"
+    shape_parameters = ExponentialLaw.shape_parameters
+    constants = (
+        Parameter("centre", "1", "percent", "centre of the window of the deviations"),
+        Parameter("half_width", "1", "percent", "its half width"),
+    )
+
+    def _terms(self, contraction: ArrayLike) -> tuple[Array, Array, Array, Array]:
+        """Offset [N] and gain [N/Pa]; place v in the window, and the factor (1 - v^2)^3, of the deviations."""
+        eps = jnp.asarray(contraction)
+        v = jnp.clip((eps - self.centre) * (1 / self.half_width), -1.0, 1.0)
+        inside = 1 - v * v
+        window = inside * inside * inside
+        decayed = exp(-self.decay * eps)
+        s0 = _polynomial(v, self.s00, self.s01, self.s02, self.s03, self.s04, self.s05)
+        s1 = _polynomial(v, self.s10, self.s11, self.s12, self.s13, self.s14, self.s15)
+        offset = self.a1 + self.b1 * eps + self.c1 * decayed + window * s0
+        return offset, self.a2 + self.b2 * eps + self.c2 * decayed + window * s1, v, window
+
+
+def _polynomial(v: Array, *coefficients: float) -> Array:
+    value = jnp.asarray(coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        value = value * v + coefficient
+    return value
+
+
+class SmoothAffineLaw(_Deviations, PressureAffineLaw):
+    """`SmoothLaw` without its term quadratic in pressure: a law affine in pressure."""
+
+    domain: Domain = Domain()
+
+    equation = "F = F_Eq2 + s0 + p s1, s_j = (1 - v^2)^3 sum_i s_ji v^i, v = clip((eps - centre)/half_width, -1, 1)"
+    linear_parameters = (*ExponentialLaw.linear_parameters, *_deviation(0), *_deviation(1))
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        return self._terms(contraction)[:2]
+
+
+class SmoothLaw(_Deviations):
+    r"""Eq. 2 with smooth deviations over contraction, quadratic in pressure.
+
+    .. math:: F = F_{Eq. 2} + s_0(\varepsilon) + p\,s_1(\varepsilon) + p^2 s_2(\varepsilon), \quad
+        s_j = (1 - v^2)^3 \sum_{i=0}^{5} s_{ji} v^i, \quad
+        v = \mathrm{clip}\left(\frac{\varepsilon - \varepsilon_m}{h}, -1, 1\right)
+
+    The deviations and their first two derivatives vanish outside of the window :math:`\varepsilon_m \pm h`, where the
+    law is Eq. 2. `identify` sets the window to twice the range of the contractions measured, and estimates how large
+    the deviations are from the points (`mckibben.identification.smooth`): it returns a `SmoothAffineLaw` if the points
+    do not support a quadratic term, and an `ExponentialLaw` if they support no deviation.
+
+    Parameters
+    ----------
+    a1, a2, b1, b2, c1, c2, decay
+        As for `ExponentialLaw`.
+    s00, ..., s25
+        Coefficients of the deviations [N], [N/Pa] and [N/Pa^2].
+    centre, half_width
+        Window of the deviations: contractions [-].
+
+    References
+    ----------
+    This project, docs/laws.md.
+
+    Examples
+    --------
+    >>> from mckibben import catalog, identify
+    >>> fit = identify(SmoothLaw, catalog.dataset("festo-tool-10mm"))
+    >>> round(fit.rmse, 2), round(fit.leave_one_pressure_out.rmse, 2)
+    (0.06, 0.15)
+    """
+
+    s20: float
+    s21: float
+    s22: float
+    s23: float
+    s24: float
+    s25: float
+    domain: Domain = Domain()
+
+    equation: ClassVar[str] = SmoothAffineLaw.equation.replace("p s1,", "p s1 + p^2 s2,")
+    linear_parameters = (*SmoothAffineLaw.linear_parameters, *_deviation(2))
+
+    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        offset, gain, curvature = self._quadratic(contraction)
+        return offset + (gain + curvature * pressure) * pressure
+
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        """Return the gauge pressure [Pa] of the branch on which the force rises with it; NaN for none."""
+        offset, gain, curvature = self._quadratic(contraction)
+        above = jnp.asarray(force) - offset
+        return 2 * above / (gain + jnp.sqrt(gain * gain + 4 * curvature * above))
+
+    def _quadratic(self, contraction: ArrayLike) -> tuple[Array, Array, Array]:
+        offset, gain, v, window = self._terms(contraction)
+        s2 = _polynomial(v, self.s20, self.s21, self.s22, self.s23, self.s24, self.s25)
+        return offset, gain, window * s2

@@ -1,0 +1,76 @@
+"""Display in notebooks: HTML tables of results and components, and a progress bar."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from html import escape
+from typing import Any, TypeAlias, get_type_hints
+
+from mckibben.errors import printable
+from mckibben.units import Quantity, show
+
+Progress: TypeAlias = Callable[[str, float], None]
+"""Called with the present step of a long computation and its finished fraction, 0 to 1."""
+
+_PERIOD = 0.2  # s between updates of the bar
+_LONGEST = 120  # characters of a value
+
+
+def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()) -> str:
+    """Table for a notebook: a title, a header, rows, and notes below."""
+
+    def row(cells: Sequence[object], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"
+
+    table = row(header, "th") + "".join(row(cells, "td") for cells in rows)
+    return f"<p>{escape(title)}</p><table>{table}</table>" + "".join(f"<p>{escape(note)}</p>" for note in notes)
+
+
+class Displayed:
+    """Base of components with a table of their fields, in the units shown, in notebooks."""
+
+    def _repr_html_(self) -> str:
+        return html_table(type(self).__name__, ("field", "value, SI if no unit is given"), _rows(self))
+
+
+def _rows(component: Any) -> Iterator[tuple[str, str]]:
+    hints = get_type_hints(type(component), include_extras=True)
+    for field in dataclasses.fields(component):
+        if not field.repr:
+            continue
+        value = getattr(component, field.name)
+        units = [each for each in getattr(hints[field.name], "__metadata__", ()) if isinstance(each, Quantity)]
+        try:
+            text = show(float(value), units[0].shown) if units else repr(value)
+        except TypeError:  # an array, a tracer or None
+            text = repr(value)
+        yield field.name, printable(" ".join(text.split()), _LONGEST)
+
+
+def silent(step: str, part: float) -> None:
+    """Progress callback of a computation within another."""
+
+
+def notebook_progress() -> Progress | None:
+    """Progress bar below the running cell of a notebook, removed at the end; None outside of a notebook."""
+    python = sys.modules.get("IPython")
+    if python is None or not hasattr(python.get_ipython(), "kernel"):
+        return None
+    from IPython.display import HTML, display  # pyright: ignore[reportMissingImports]
+
+    shown: Any = display(HTML(""), display_id=True)
+    last = 0.0
+
+    def update(step: str, part: float) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if part < 1 and now < last + _PERIOD:
+            return
+        last = now
+        bar = f"<progress max='1' value='{part:.3f}'></progress> {part:.0%} {escape(printable(step, _LONGEST))}"
+        shown.update(HTML(bar if part < 1 else ""))
+
+    return update

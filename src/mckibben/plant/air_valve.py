@@ -1,0 +1,392 @@
+"""Valves that let air into the muscles and out: the pressures follow from mass flow and volume."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.errors import RangeError
+from mckibben.muscle import Domain
+from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, FLOATS, LAMINAR, flow_share, mass_flow, pressure_rate
+from mckibben.numerics.checks import check_positive, check_within
+from mckibben.numerics.elementary import floating
+from mckibben.plant.valve import ValveModel
+from mckibben.units import (
+    Compensation,
+    Conductance,
+    CriticalRatio,
+    DeadVolume,
+    DeadZone,
+    PolytropicIndex,
+    PositiveTime,
+    PressureScale,
+    ShortTime,
+    Volume,
+    bar,
+    ms,
+)
+
+Scalar = Float[Array, ""]
+
+
+class AirState(NamedTuple):
+    """State of the valves of both muscles, and the gauge pressure [Pa] of the reservoir where there is one."""
+
+    valves: tuple[Any, Any]
+    reservoir: Any = ()
+
+
+class AirVolume(NamedTuple):
+    """Volume [m^3] of the air of a muscle, its rate [m^3/s] at constant pressure, and derivative by it [m^3/Pa]."""
+
+    volume: Array
+    rate: Array
+    by_pressure: Array | None = None
+
+    def effective(self, index: ArrayLike, pressure: ArrayLike) -> Array:
+        """Return the volume [m^3] for `pressure_rate` at an absolute pressure [Pa]."""
+        return self.volume if self.by_pressure is None else self.volume + index * pressure * self.by_pressure
+
+
+class AirValve(ValveModel):
+    """Base of valves between supply, muscle and exhaust; one for each muscle.
+
+    An opening u in -1..1 has the conductance u C from the supply, or where it is negative, -u C from the muscle to the
+    exhaust; see `mckibben.muscle.air` for mass flow and pressure. Commands are pressures: a proportional loop opens the
+    valve fully at an error of one `band`.
+
+    Parameters
+    ----------
+    conductance
+        Sonic conductance C [m^3/(s*Pa)] of the open valve.
+    supply
+        Gauge pressure of the supply [Pa]; no muscle exceeds it.
+    exhaust_conductance
+        C to the exhaust; unless given, that from the supply.
+    critical_ratio
+        Critical pressure ratio b [-].
+    band
+        Error of the pressure [Pa] at which the valve is fully open.
+    polytropic_index
+        n of the air in the muscles, 1 (isothermal) to 1.4 (adiabatic).
+    dead_volume
+        Volume [m^3] of tube and fittings between valve and muscle.
+    reservoir_volume, line_conductance
+        Volume [m^3] of air at the valves' inlets, and the C of the line that fills it from the supply: with them the
+        supply drops while air flows. Without, the pressure at the inlets is constant.
+    """
+
+    conductance: Conductance
+    supply: PressureScale
+    exhaust_conductance: Conductance | None = eqx.field(kw_only=True, default=None)
+    critical_ratio: CriticalRatio = eqx.field(kw_only=True, default=0.3)
+    band: PressureScale = eqx.field(kw_only=True, default=1 * bar)
+    polytropic_index: PolytropicIndex = eqx.field(kw_only=True, default=1.2)
+    dead_volume: DeadVolume = eqx.field(kw_only=True, default=0.0)
+    reservoir_volume: Volume | None = eqx.field(kw_only=True, default=None)
+    line_conductance: Conductance | None = eqx.field(kw_only=True, default=None)
+
+    def __check_init__(self) -> None:
+        owner = type(self).__name__
+        optional = {
+            name: getattr(self, name)
+            for name in ("exhaust_conductance", "line_conductance")
+            if getattr(self, name) is not None
+        }
+        check_positive(owner, "m^3/(s*Pa)", conductance=self.conductance, **optional)
+        check_positive(owner, "Pa", supply=self.supply, band=self.band)
+        check_positive(owner, "m^3", zero=True, dead_volume=self.dead_volume)
+        check_within(owner, 0.0, 0.99, critical_ratio=self.critical_ratio)
+        check_within(owner, 1.0, 1.67, polytropic_index=self.polytropic_index)
+        if (self.reservoir_volume is None) != (self.line_conductance is None):
+            raise RangeError(
+                f"{owner}: a reservoir has a volume and a line that fills it",
+                remedy="give reservoir_volume and line_conductance, or neither",
+            )
+        if self.reservoir_volume is not None:
+            check_positive(owner, "m^3", reservoir_volume=self.reservoir_volume)
+
+    @abc.abstractmethod
+    def init(self, pressure: Scalar) -> Any:
+        """Return the state of a valve that holds a pressure [Pa]."""
+
+    @abc.abstractmethod
+    def opening(self, state: Any, command: ArrayLike, pressure: ArrayLike) -> Array:
+        """Return the opening -1 (exhaust) to 1 (supply) at a command and a pressure [Pa]."""
+
+    @abc.abstractmethod
+    def rate(self, state: Any, command: ArrayLike, pressure: ArrayLike) -> Any:
+        """Return the time derivative of the state."""
+
+    @property
+    @abc.abstractmethod
+    def lag(self) -> ArrayLike:
+        """Time constant [s] of the command before the loop of the pressure; 0 for none."""
+
+    def fastest_rate(self, stroke: float) -> float:
+        """Return a bound on the rates [1/s] of valve and loop, where a pressure strokes by `stroke` [Pa/s]."""
+        return stroke / float(self.band)
+
+    def before_step(self, state: Any, command: ArrayLike, pressure: ArrayLike, step: ArrayLike) -> Any:
+        """Return the state before an integration step [s]; for valves that switch."""
+        return state
+
+    def clip_command(self, command: ArrayLike, rated: Domain) -> Array:
+        """Return a command within the rated pressures [Pa] of a muscle, and up to the supply's."""
+        return jnp.clip(jnp.asarray(command), rated.pressure_min, jnp.minimum(rated.pressure_max, self.supply))
+
+    def init_air(self, pressures: tuple[Scalar, Scalar]) -> AirState:
+        """Return the state of the valves at rest, and of the reservoir at the pressure of the supply."""
+        pressure1, pressure2 = pressures
+        filled = () if self.reservoir_volume is None else jnp.full_like(floating(pressure1), self.supply)
+        return AirState((self.init(pressure1), self.init(pressure2)), filled)
+
+    def telemetry(
+        self, air: AirState, commands: tuple[ArrayLike, ArrayLike], pressures: tuple[ArrayLike, ArrayLike]
+    ) -> dict[str, Array]:
+        """Return columns of a result: openings, and the pressure [Pa] of the reservoir where there is one."""
+        opening1, opening2 = map(self.opening, air.valves, commands, pressures)
+        reservoir = {} if self.reservoir_volume is None else {"reservoir": air.reservoir}
+        return {"opening1": opening1, "opening2": opening2, **reservoir}
+
+    def air_rate(
+        self,
+        pressures: tuple[Scalar, Scalar],
+        air: AirState,
+        commands: tuple[ArrayLike, ArrayLike],
+        volumes: tuple[AirVolume, AirVolume],
+    ) -> tuple[tuple[Array, Array], AirState]:
+        """Return the rates of the pressures [Pa/s] and of the state."""
+        inlet = ATMOSPHERE + (self.supply if self.reservoir_volume is None else air.reservoir)
+        rates, valve_rates, drawn = [], [], 0.0
+        for pressure, state, command, volume in zip(pressures, air.valves, commands, volumes, strict=True):
+            opening = self.opening(state, command, pressure)
+            flow = self.flow(opening, inlet, pressure)
+            index, absolute = self.polytropic_index, pressure + ATMOSPHERE
+            rates.append(pressure_rate(index, absolute, flow, volume.effective(index, absolute), volume.rate))
+            valve_rates.append(self.rate(state, command, pressure))
+            drawn = drawn + jnp.where(opening > 0, flow, 0.0)
+        reservoir: Any = ()
+        if self.reservoir_volume is not None:
+            line = mass_flow(self.line_conductance, self.critical_ratio, self.supply + ATMOSPHERE, inlet)
+            reservoir = pressure_rate(self.polytropic_index, inlet, line - drawn, self.reservoir_volume, 0.0)
+        return (rates[0], rates[1]), AirState((valve_rates[0], valve_rates[1]), reservoir)
+
+    def flow(self, opening: ArrayLike, inlet: ArrayLike, pressure: ArrayLike) -> Array:
+        """Return the mass flow [kg/s] into a muscle at a gauge pressure [Pa], from an absolute pressure [Pa]."""
+        opening = jnp.asarray(opening)
+        conductance = jnp.where(opening > 0, self.conductance * opening, -self._exhaust * opening)
+        return mass_flow(
+            conductance, self.critical_ratio, jnp.where(opening > 0, inlet, ATMOSPHERE), pressure + ATMOSPHERE
+        )
+
+    def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
+        """Return the command [Pa] at which a pressure [Pa] changes at a rate [Pa/s], with a full supply.
+
+        Infinite where the open valve or the supply is too small. The lag of a spool is left out.
+        """
+        absolute = jnp.asarray(pressure) + ATMOSPHERE
+        room = volume.effective(self.polytropic_index, absolute)
+        needed = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY
+        full = jnp.where(needed > 0, 1.0, -1.0)
+        share = needed / self.flow(full, self.supply + ATMOSPHERE, pressure)
+        command = pressure + self.band * full * share + self.lag * rate
+        possible = (share >= 0) & (share <= 1) & (jnp.asarray(pressure) <= self.supply)
+        return jnp.where(possible, command, full * jnp.inf)
+
+    def time_constant_at(self, pressure: Any, volume: Any) -> Any:
+        """Return the first-order time constant [s] of a small change of the command at a pressure and volume.
+
+        It is the area between a step of the command and the response of the pressure in a fixed volume [m^3] around a
+        gauge pressure [Pa], over the step; the mean of filling and venting. For the valve model of a controller.
+        """
+        inside = pressure + ATMOSPHERE
+        fill = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inside, np)
+        vent = mass_flow(self._exhaust, self.critical_ratio, inside, ATMOSPHERE, np)
+        mass = self.band * (volume + self.dead_volume) / (self.polytropic_index * ENERGY)  # of a band
+        return self.lag + mass * (1 / fill + 1 / vent) / 2
+
+    def fastest_rate_in(self, volume: float) -> float:
+        """Return a bound on the rates [1/s] of the air in a volume [m^3], of valve, loop and reservoir."""
+        index, critical = float(self.polytropic_index), float(self.critical_ratio)
+        widest = max(float(self.conductance), float(self._exhaust))
+        slope = flow_share(critical, LAMINAR, FLOATS) / (1 - LAMINAR)  # of the flow over the pressure, both relative
+        per_volume = index * ENERGY * DENSITY * slope
+        room = volume + float(self.dead_volume)
+        stroke = index * ENERGY * DENSITY * widest * (float(self.supply) + ATMOSPHERE) / room
+        rates = [per_volume * widest / room + self.fastest_rate(stroke)]
+        if self.reservoir_volume is not None and self.line_conductance is not None:
+            rates.append(per_volume * (float(self.line_conductance) + 2 * widest) / float(self.reservoir_volume))
+        return max(rates)
+
+    @property
+    def _exhaust(self) -> Conductance:
+        return self.conductance if self.exhaust_conductance is None else self.exhaust_conductance
+
+    def _loop(self, command: ArrayLike, pressure: ArrayLike) -> Array:
+        """Opening that the proportional loop asks for."""
+        return jnp.clip((jnp.asarray(command) - jnp.asarray(pressure)) * (1 / self.band), -1.0, 1.0)
+
+
+def _compensated(opening: Array, shut: Any, compensation: Any) -> Array:
+    """Command that opens a valve which is shut up to a part of its range; within the rest of it the steps are small."""
+    jump, rest = compensation * shut, jnp.maximum((1 - compensation) * shut, 1e-9)
+    return (1 - jump) * opening + jump * jnp.clip(opening * (1 / rest), -1.0, 1.0)
+
+
+class FlowValve(AirValve):
+    """Proportional directional valve, 3/3 or 5/3: a spool with a lag and a dead zone.
+
+    Parameters
+    ----------
+    spool_lag
+        Time constant [s] of the spool.
+    dead_zone
+        Part of the stroke, to either side of the middle, at which the valve is shut.
+    compensation
+        Part of the dead zone that the loop skips. The rest, times `band`, is the error of the pressure at rest.
+    direct
+        Whether commands are openings -1..1 in place of pressures, for a controller with its own loop of the pressure.
+
+    A `band` below 4 times `spool_lag` times the fastest change of the pressure makes the loop oscillate visibly.
+    """
+
+    spool_lag: PositiveTime = eqx.field(kw_only=True, default=2 * ms)
+    dead_zone: DeadZone = eqx.field(kw_only=True, default=0.0)
+    compensation: Compensation = eqx.field(kw_only=True, default=0.9)
+    direct: bool = eqx.field(kw_only=True, default=False)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_positive("FlowValve", "s", spool_lag=self.spool_lag)
+        check_within("FlowValve", 0.0, 0.9, dead_zone=self.dead_zone)
+        check_within("FlowValve", 0.0, 0.99, compensation=self.compensation)
+
+    @property
+    def lag(self) -> ArrayLike:
+        return 0.0
+
+    def fastest_rate(self, stroke: float) -> float:
+        lag = float(self.spool_lag)
+        loop = 0.0 if self.direct else (stroke / (float(self.band) * lag)) ** 0.5
+        return max(1 / lag, loop)
+
+    def init(self, pressure: Scalar) -> Scalar:
+        return jnp.zeros_like(floating(pressure))
+
+    def opening(self, state: Scalar, command: ArrayLike, pressure: ArrayLike) -> Array:
+        return (state - jnp.clip(state, -self.dead_zone, self.dead_zone)) * (1 / (1 - self.dead_zone))
+
+    def rate(self, state: Scalar, command: ArrayLike, pressure: ArrayLike) -> Array:
+        wanted = jnp.asarray(command)
+        if not self.direct:
+            wanted = _compensated(self._loop(command, pressure), self.dead_zone, self.compensation)
+        return (wanted - state) * (1 / self.spool_lag)
+
+    def clip_command(self, command: ArrayLike, rated: Domain) -> Array:
+        return jnp.clip(jnp.asarray(command), -1.0, 1.0) if self.direct else super().clip_command(command, rated)
+
+    def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
+        command = super().command_for(pressure, rate, volume)
+        return jnp.where(jnp.isfinite(command), pressure, command) if self.direct else command  # no loop to lead
+
+
+class PressureRegulator(AirValve):
+    """Proportional pressure regulator: a first-order lag of the command, and a limited flow.
+
+    Parameters
+    ----------
+    time_constant
+        Lag [s] of the command before the loop.
+    """
+
+    time_constant: PositiveTime = eqx.field(kw_only=True)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_positive("PressureRegulator", "s", time_constant=self.time_constant)
+
+    @property
+    def lag(self) -> ArrayLike:
+        return self.time_constant
+
+    def fastest_rate(self, stroke: float) -> float:
+        return max(1 / float(self.time_constant), stroke / float(self.band))
+
+    def init(self, pressure: Scalar) -> Scalar:
+        return floating(pressure)
+
+    def opening(self, state: Scalar, command: ArrayLike, pressure: ArrayLike) -> Array:
+        return self._loop(state, pressure)
+
+    def rate(self, state: Scalar, command: ArrayLike, pressure: ArrayLike) -> Array:
+        return (jnp.asarray(command) - state) * (1 / self.time_constant)
+
+
+class Switching(NamedTuple):
+    """State of a pair of switching valves: time in the period [s], duty -1..1, and opening over the present step."""
+
+    phase: Scalar
+    duty: Scalar
+    opening: Scalar
+
+
+class SwitchingValves(AirValve):
+    """Two switching valves, one to fill and one to vent, with pulse width modulation.
+
+    At the start of each period the loop sets the duty of one of them. Within an integration step the opening is the
+    part of the step in which the valve is open, so that the air of a pulse does not depend on the step. Derivatives
+    are those of that mean flow; they do not include a switch that moves to another period.
+
+    Parameters
+    ----------
+    period
+        Period of the modulation [s], rounded to whole integration steps.
+    opening_delay
+        Time [s] by which a valve opens late; shorter pulses do not open it.
+    compensation
+        Part of the delay by which pulses are longer. The rest over the period, times `band`, is the error at rest.
+    """
+
+    period: PositiveTime = eqx.field(kw_only=True)
+    opening_delay: ShortTime = eqx.field(kw_only=True, default=0.0)
+    compensation: Compensation = eqx.field(kw_only=True, default=0.9)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_positive("SwitchingValves", "s", period=self.period)
+        check_positive("SwitchingValves", "s", zero=True, opening_delay=self.opening_delay)
+        if isinstance(self.period, float):  # else it is traced
+            check_within("SwitchingValves", 0.0, self.period, "s", opening_delay=self.opening_delay)
+        check_within("SwitchingValves", 0.0, 0.99, compensation=self.compensation)
+
+    @property
+    def lag(self) -> ArrayLike:
+        return 0.0
+
+    def init(self, pressure: Scalar) -> Switching:
+        zero = jnp.zeros_like(floating(pressure))
+        return Switching(zero + jnp.inf, zero, zero)  # the first step begins a period
+
+    def before_step(self, state: Switching, command: ArrayLike, pressure: ArrayLike, step: ArrayLike) -> Switching:
+        period = jnp.maximum(jnp.round(self.period / step), 1.0) * step
+        begins = state.phase >= period - 0.5 * step
+        phase = jnp.where(begins, 0.0, state.phase)
+        wanted = _compensated(self._loop(command, pressure), self.opening_delay / period, self.compensation)
+        duty = jnp.where(begins, wanted, state.duty)
+        width = jnp.abs(duty) * period
+        open_for = jnp.clip(phase + step, self.opening_delay, width) - jnp.clip(phase, self.opening_delay, width)
+        share = jnp.where(jnp.abs(duty) < 1, jnp.minimum(open_for / step, 1.0), 1.0)
+        return Switching(phase + step, duty, jnp.sign(duty) * share)
+
+    def opening(self, state: Switching, command: ArrayLike, pressure: ArrayLike) -> Array:
+        return state.opening
+
+    def rate(self, state: Switching, command: ArrayLike, pressure: ArrayLike) -> Switching:
+        return jax.tree.map(jnp.zeros_like, state)

@@ -1,0 +1,190 @@
+"""Slack force, levels and passes found in the data, and mistakes of sign, unit and initial length."""
+
+import numpy as np
+import pytest
+
+from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, read_dataset
+from mckibben.dataset.plausibility import check_points
+from mckibben.dataset.preprocessing import group_pressures, nominal_pressures, passes, slack_force
+from mckibben.errors import DatasetError, McKibbenWarning
+from mckibben.units import bar, mm
+
+TRUTH = {"a1": -200.0, "a2": 95.0, "b1": 1.0, "b2": -3.0, "c1": 170.0, "c2": -4.0, "decay": 0.36}  # bar, percent
+SI = {"a1": 1.0, "a2": 1e-5, "b1": 100.0, "b2": 1e-3, "c1": 1.0, "c2": 1e-5, "decay": 100.0}
+LENGTH = 250 * mm
+
+
+def measured(seed=0, *, bars=(1, 2, 3, 4, 5, 6), noise=1.2, offset=0.0, scatter=0.01, largest=0.26, repeats=1):
+    """Pressure [bar], contraction, force [N] of an Eq. 2 muscle with 7 N of friction, pressure by pressure."""
+    rng = np.random.default_rng(seed)
+    stroke = np.linspace(0, largest, 20)
+    contraction = np.tile(np.concatenate([stroke, stroke[::-1]]), len(bars) * repeats)
+    side = np.tile(np.repeat([-1.0, 1.0], 20), len(bars) * repeats)
+    pressure = np.repeat(np.array(bars, float), 40 * repeats) + rng.normal(0, scatter, contraction.size)
+    t, percent = TRUTH, 100 * contraction
+    law = t["a1"] + t["a2"] * pressure + (t["b1"] + t["b2"] * pressure) * percent
+    law += (t["c1"] + t["c2"] * pressure) * np.exp(-t["decay"] * percent)
+    force = np.maximum(law + 7 * side, 0) + offset + rng.normal(0, noise, contraction.size)
+    return pressure, contraction, force, side
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Writes a semicolon file with decimal commas; its columns are those of `read`."""
+
+    def write(pressure, contraction, force):
+        rows = [
+            f"{p:.3f};{f:.2f};{1e3 * LENGTH * (1 - c):.2f}"
+            for p, c, f in zip(pressure, contraction, force, strict=True)
+        ]
+        path = tmp_path / "lab.csv"
+        path.write_text("\n".join(["Druck [bar];Kraft [N];Laenge [mm]", *rows]).replace(".", ",") + "\n")
+        return path
+
+    return write
+
+
+def read(path, *, length=LENGTH, pressure="pressure_bar", **options):
+    columns = {"Druck [bar]": pressure, "Kraft [N]": "force_N", "Laenge [mm]": "length_mm"}
+    return read_dataset(path, columns=columns, initial_length=length, **options)
+
+
+def test_intervals_of_plain_files_hold_the_truth(written):
+    for seed in range(5):
+        pressure, contraction, force, side = measured(seed, offset=3.0)
+        data = read(written(pressure, contraction, force))
+        assert data.pressures.tolist() == [1e5, 2e5, 3e5, 4e5, 5e5, 6e5]
+        assert (data.table["direction"].to_numpy() == np.where(side > 0, "loading", "unloading")).all()
+        assert "repeat" not in data.table
+        assert len(data.table.attrs["preprocessing"].splitlines()) == 3
+        fit = identify(ExponentialLaw, data)
+        intervals = fit.intervals(0.95)
+        assert all(low <= TRUTH[name] * SI[name] <= high for name, (low, high) in intervals.items())
+        assert fit.rmse == pytest.approx(7.1, abs=0.5)
+        assert fit.leave_one_pressure_out.rmse < 8
+
+
+def test_a_file_that_was_preprocessed_is_read_back_as_it_is(written, tmp_path):
+    data = read(written(*measured(repeats=2)[:3]))
+    assert data.repeats.tolist() == [0, 1]
+    data.to_csv(tmp_path / "kept.csv")
+    assert read_dataset(tmp_path / "kept.csv").table.identical(data.table)
+
+
+@pytest.mark.parametrize(("noise", "offset", "largest"), [(1.2, 0.0, 0.26), (0.2, -8.0, 0.26), (1.2, 30.0, 0.12)])
+def test_the_slack_force_is_found_from_its_noise(noise, offset, largest):
+    pressure, contraction, force, _ = measured(noise=noise, offset=offset, largest=largest)
+    found = slack_force(force, contraction, np.round(pressure))
+    error = 4 * noise / np.sqrt(found.points)
+    assert found.offset == pytest.approx(offset, abs=error)
+    assert found.noise == pytest.approx(noise, rel=0.2)
+
+
+def test_taut_points_are_no_slack_force():
+    pressure, contraction, force, _ = measured(bars=(4, 5, 6), largest=0.08)
+    assert slack_force(force, contraction, np.round(pressure)) is None
+    chart = catalog.dataset("festo-tool-10mm")
+    assert slack_force(chart.force, chart.contraction, chart.levels) is None
+
+
+def test_published_data_are_not_changed():
+    for name in catalog.names("datasets"):
+        data = catalog.dataset(name)
+        assert "preprocessing" not in data.table.attrs
+        assert data.table.attrs["slack_force"] == 0
+
+
+def test_levels_and_their_nominal_pressures():
+    rng = np.random.default_rng(1)
+    bars = np.repeat([0.5, 1.0, 1.5, 3.0], [5, 9, 7, 12])
+    pressure = rng.permutation((bars + rng.normal(0, 0.02, bars.size)) * bar)
+    labels = group_pressures(pressure)
+    nominal, scatter = nominal_pressures(pressure, labels)
+    np.testing.assert_allclose(nominal / bar, [0.5, 1.0, 1.5, 3.0])
+    assert scatter == pytest.approx(0.02, rel=0.3)
+    assert group_pressures(rng.uniform(0, 6, 200) * bar) is None
+    assert group_pressures(bars * bar) is None  # they are levels already
+    many = rng.permutation(np.repeat([0.1, 0.2, 6.0], 2000) + rng.normal(0, 0.004, 6000).round(3)) * bar
+    assert np.bincount(group_pressures(many)).tolist() == [2000, 2000, 2000]
+
+
+def test_passes_need_reversals():
+    up = np.linspace(0, 0.2, 10)
+    one = np.zeros(30, int)
+    direction, repeat = passes(one, np.concatenate([up, up[::-1], up]))
+    assert direction[[0, 9, 10, 19, 20, 29]].tolist() == ["unloading"] * 2 + ["loading"] * 2 + ["unloading"] * 2
+    assert repeat[[0, 19, 20]].tolist() == [0, 0, 1]
+    assert passes(np.repeat([0, 1, 2], 10), np.tile(up, 3)) is None
+    assert passes(one, np.random.default_rng(0).uniform(0, 0.2, 30)) is None
+
+
+def test_points_without_levels_have_blocks_all_the_same(written):
+    pressure, contraction, force, _ = measured(scatter=0.3)
+    data = read(written(pressure, contraction, force))
+    assert "set_pressure" not in data.table
+    assert len(identify(ExponentialLaw, data).leave_one_pressure_out.by_pressure) == 8
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "options"),
+    [
+        (lambda p, f: (p, -f), "force", {}),
+        (lambda p, f: (p, f / 1000), "force", {}),
+        (lambda p, f: (p, f), "pressure", {"pressure": "pressure_MPa"}),
+        (lambda p, f: (p, f), "pressure", {"pressure": "pressure_kPa"}),
+        (lambda p, f: (p, f), "contraction", {"length": 200 * mm}),
+    ],
+)
+def test_what_no_muscle_does_is_an_error_of_its_column(written, change, field, options):
+    pressure, contraction, force, _ = measured()
+    pressure, force = change(pressure, force)
+    with pytest.raises(DatasetError) as caught:
+        read(written(pressure, contraction, force), **options)
+    assert field in {problem.field for problem in caught.value.problems}
+
+
+def test_the_sign_of_a_load_cell_is_turned(written):
+    pressure, contraction, force, _ = measured()
+    turned = read(written(pressure, contraction, -force), force_sign=-1)
+    assert turned.table.identical(read(written(pressure, contraction, force)).table)
+
+
+@pytest.mark.parametrize(
+    ("change", "length"),
+    [(lambda p, f: (p / 10, f), LENGTH), (lambda p, f: (p, f), 300 * mm), (lambda p, f: (p, f), 0.23)],
+)
+def test_what_is_unusual_is_a_warning(written, change, length):
+    pressure, contraction, force, _ = measured()
+    pressure, force = change(pressure, force)
+    with pytest.warns(McKibbenWarning):
+        read(written(pressure, contraction, force), length=length)
+
+
+def test_points_are_compared_with_their_specimen():
+    specimen = catalog.specimen("DMSP-10-250")
+    ours = catalog.dataset("dmsp-10-250-martens2017").taut
+    columns = (ours.pressure, ours.contraction)
+    assert check_points(*columns, ours.force, 0.0, LENGTH, specimen) == ([], [])
+    assert len(check_points(*columns, 10 * ours.force, 0.0, LENGTH, specimen).problems) == 1
+    assert len(check_points(*columns, ours.force / 10, 0.0, LENGTH, specimen).warnings) == 1
+    assert check_points(*columns, ours.force / 10, 0.0, LENGTH) == ([], [])
+
+
+@pytest.mark.parametrize("rows", ["1,02;350,5;245,0\n2,01;400;240\n", "1.02\t350.5\t245.0\n2.01\t400\t240\n"])
+def test_columns_without_a_header_go_by_position(tmp_path, rows):
+    path = tmp_path / "bare.txt"
+    path.write_text(rows)
+    data = read_dataset(path, columns={"1": "pressure_bar", "2": "force_N", "3": "length_mm"}, initial_length=LENGTH)
+    assert data.force.tolist() == [350.5, 400.0]
+    with pytest.raises(DatasetError, match="no header"):
+        read_dataset(path)
+
+
+def test_thousands_separators_that_can_be_nothing_else(tmp_path):
+    path = tmp_path / "large.csv"
+    path.write_text("pressure_bar;contraction_percent;force_N\n6,0;0,0;1.234,5\n5,0;1,0;1.100,0\n4,0;2;900,5\n")
+    assert read_dataset(path).force.tolist() == [1234.5, 1100.0, 900.5]
+
+
+def test_an_empty_dataset_stays_empty():
+    assert len(IsobaricDataset.of(pressure=[], contraction=[], force=[])) == 0

@@ -1,0 +1,75 @@
+"""`SmoothLaw`: what the points support, intervals, files, and where it is Eq. 2."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mckibben import Fit, catalog
+from mckibben.dataset import IsobaricDataset
+from mckibben.identification import identify
+from mckibben.identification.fit import unphysical
+from mckibben.muscle import ExponentialLaw, Muscle, PressureAffineLaw, SmoothAffineLaw, SmoothLaw, forces
+from mckibben.units import bar
+
+EQ_2 = catalog.law("lei-mas-10-180n")
+CONTRACTION, PRESSURE = (a.ravel() for a in np.meshgrid(np.linspace(-0.02, 0.14, 9), np.arange(2, 7) * bar))
+
+
+def measured(deviation, noise, seed=0):
+    """Points of Eq. 3 with a deviation [N] and noise [N]."""
+    force = forces(EQ_2, CONTRACTION, PRESSURE) + deviation
+    force = force + noise * np.random.default_rng(seed).standard_normal(len(force))
+    return IsobaricDataset.of(pressure=PRESSURE, contraction=CONTRACTION, force=force)
+
+
+AFFINE = 10 * np.sin(40 * CONTRACTION) * PRESSURE / (6 * bar)
+QUADRATIC = AFFINE * PRESSURE / (3 * bar)
+
+
+@pytest.mark.parametrize(
+    ("deviation", "kind"), [(0.0, ExponentialLaw), (AFFINE, SmoothAffineLaw), (QUADRATIC, SmoothLaw)]
+)
+def test_the_law_is_the_simplest_that_the_points_support(deviation, kind):
+    fit = identify(SmoothLaw, measured(deviation, 0.3))
+    assert type(fit.law) is kind
+    assert issubclass(kind, PressureAffineLaw) == (kind is not SmoothLaw)
+    assert any("Eq. 2 alone" in warning for warning in fit.warnings) == (kind is ExponentialLaw)
+    assert fit.rmse == pytest.approx(0.3, rel=0.35)
+
+
+def test_few_points_with_much_noise_are_no_deviation():
+    found = [
+        type(identify(SmoothLaw, measured(0.0, 3.0, seed).select(np.arange(45) % 9 % 2 == 0)).law) for seed in range(6)
+    ]
+    assert found.count(ExponentialLaw) >= 5
+
+
+def test_outside_of_its_window_it_is_eq_2_and_inside_a_muscle():
+    law = identify(SmoothLaw, measured(QUADRATIC, 0.1)).law
+    eq_2 = ExponentialLaw(**{p.name: getattr(law, p.name) for p in ExponentialLaw.parameters()})
+    for side in (-1.0, 1.5):
+        at = law.centre + side * law.half_width
+        np.testing.assert_allclose(law.force(at, PRESSURE), eq_2.force(at, PRESSURE), rtol=1e-12)
+    assert unphysical(law) == ""
+    back = law.pressure_for(law.force(CONTRACTION, PRESSURE), CONTRACTION)
+    np.testing.assert_allclose(back, PRESSURE, rtol=1e-9)
+
+
+def test_intervals_hold_the_truth_and_new_points():
+    truth, held = forces(EQ_2, CONTRACTION, PRESSURE) + AFFINE, []
+    fresh = truth + 0.5 * np.random.default_rng(99).standard_normal((8, len(truth)))
+    for seed, new in enumerate(fresh):
+        found = identify(SmoothAffineLaw, measured(AFFINE, 0.5, seed)).force_intervals(CONTRACTION, PRESSURE)
+        pairs = ((found.confidence, truth), (found.prediction, new))
+        held.append([np.mean((one.lower <= value) & (value <= one.upper)) for one, value in pairs])
+    assert np.all(np.mean(held, axis=0) > 0.88)
+
+
+def test_a_fit_file_gives_the_same_law_and_a_muscle_uses_it(tmp_path):
+    fit = identify(SmoothLaw, measured(QUADRATIC, 0.1))
+    fit.to_yaml(tmp_path / "fit.yaml")
+    law = Fit.from_yaml(tmp_path / "fit.yaml").law
+    assert law == dataclasses.replace(fit.law)
+    muscle = Muscle(catalog.joint("knee-table-2").muscle1.specimen, law)
+    assert float(muscle.law.force(0.05, 4 * bar)) == float(fit.law.force(0.05, 4 * bar))

@@ -1,0 +1,159 @@
+"""Contract of all geometries: paths, moment arms, torque, stiffness, attainable set; MuJoCo agrees on the torque."""
+
+import math
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+from numpy.polynomial import Chebyshev
+
+from mckibben import AntagonisticJoint, Cam, KneeGeometry, PairedPaths, Pulley, TabulatedPath, TwoBonePath, catalog
+from mckibben.errors import RangeError
+from mckibben.joint import Geometry
+from mckibben.units import deg, mm
+
+MUSCLE = catalog.joint("knee-table-2").muscle1
+ANGLES = np.linspace(-25, 25, 11) * deg
+TABLE = np.linspace(-40, 40, 17) * deg
+ANCHORS = {1: (-30 * mm, 160 * mm, -35 * mm, 5 * mm), 2: (28 * mm, 162 * mm, 33 * mm, -4 * mm)}
+KNEE = KneeGeometry(370 * mm, 30 * mm, 208 * mm)
+CAMS = Cam(30 * mm, 162 * mm, arm_slope=8 * mm, arm_curvature=-20 * mm), Cam(28 * mm, 160 * mm, arm_slope=-5 * mm)
+TABLES = tuple(TabulatedPath(TABLE, lengths=np.asarray(path)) for path in KNEE.path_lengths(TABLE))
+ARMS = TabulatedPath(TABLE, arms=0.03 + 0.004 * np.cos(TABLE), rest_length=162 * mm)
+GEOMETRIES: dict[str, Geometry] = {
+    "knee": KNEE,
+    "pulleys": PairedPaths(Pulley(30 * mm, 162 * mm), Pulley(25 * mm, 160 * mm)),
+    "cams": PairedPaths(*CAMS),
+    "two bones": PairedPaths(TwoBonePath(*ANCHORS[1]), TwoBonePath(*ANCHORS[2])),
+    "tables": PairedPaths(*TABLES),
+    "arms and a pulley": PairedPaths(ARMS, Pulley(25 * mm, 160 * mm)),
+}
+PRESSURES = (3.2e5, 2.4e5)
+
+
+@pytest.fixture(params=GEOMETRIES)
+def joint(request):
+    return AntagonisticJoint(GEOMETRIES[request.param], MUSCLE, MUSCLE)
+
+
+def test_moment_arms_and_stiffness_are_derivatives(joint):
+    step = 1e-6
+    paths, arms = joint.geometry.paths_and_arms(ANGLES)
+    (up1, up2), (down1, down2) = joint.geometry.path_lengths(ANGLES + step), joint.geometry.path_lengths(ANGLES - step)
+    np.testing.assert_allclose(arms[0], (up1 - down1) / (2 * step), rtol=1e-7)
+    np.testing.assert_allclose(arms[1], (down2 - up2) / (2 * step), rtol=1e-7)
+    torque, stiffness = joint.torque_and_stiffness(ANGLES, PRESSURES)
+    up, down = (joint.torque(ANGLES + sign * step, PRESSURES) for sign in (1, -1))
+    np.testing.assert_allclose(stiffness, (down - up) / (2 * step), rtol=1e-6)
+    np.testing.assert_allclose(torque, joint.torque(ANGLES, PRESSURES), rtol=1e-12)
+    assert np.shape(paths) == (2, ANGLES.size)
+
+
+def test_pressures_for_a_torque_and_a_stiffness_are_found_in_the_attainable_set(joint):
+    torque = 1.5
+    low, high = joint.attainable_stiffness(0.05, torque)
+    wanted = 0.5 * float(low) + 0.5 * float(high)
+    assert low < wanted < high
+    found = joint.torque_and_stiffness(0.05, joint.pressures_for(0.05, torque, wanted))
+    np.testing.assert_allclose(found, (torque, wanted), rtol=1e-9)
+    assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(jax.grad(_torque)(joint.geometry)))
+
+
+def _torque(geometry):
+    return AntagonisticJoint(geometry, MUSCLE, MUSCLE).torque(0.1, PRESSURES)
+
+
+def tendons(name: str, angle: float) -> str:
+    """MJCF of the tendons of muscles 1 and 2: through sites where the geometry has points, else with the moment arm."""
+    if name == "two bones":
+        return "".join(f'<spatial name="{i}"><site site="p{i}"/><site site="d{i}"/></spatial>' for i in (1, 2))
+    x = angle
+    arms = {
+        "pulleys": (0.030, 0.025),
+        "cams": (0.030 + 0.008 * x - 0.010 * x * x, 0.028 - 0.005 * x),
+        "arms and a pulley": (0.03 + 0.004 * math.cos(x), 0.025),
+        "knee": knee_arms(x),
+        "tables": knee_arms(x),
+    }[name]
+    signed = (arms[0], -arms[1])
+    return "".join(f'<fixed name="{i}"><joint joint="hinge" coef="{a!r}"/></fixed>' for i, a in enumerate(signed, 1))
+
+
+def knee_arms(x: float) -> tuple[float, float]:
+    """Eq. 5 of the paper."""
+    H, r = 0.37, 0.03
+    length1 = math.sqrt((H + r * math.sin(x)) ** 2 + (r - r * math.cos(x)) ** 2)
+    length2 = math.sqrt((H - r * math.sin(x)) ** 2 + (r - r * math.cos(x)) ** 2)
+    return (r * (H * math.cos(x) + r * math.sin(x)) / length1, r * (H * math.cos(x) - r * math.sin(x)) / length2)
+
+
+@pytest.mark.parametrize(
+    ("name", "within"),
+    [
+        ("knee", 1e-9),
+        ("pulleys", 1e-9),
+        ("cams", 1e-9),
+        ("two bones", 1e-9),
+        ("tables", 2e-5),
+        ("arms and a pulley", 1e-5),
+    ],
+)
+def test_mujoco_agrees_on_the_torque(name, within):
+    """With the tensions of our muscles; tables are series of points of the exact curve."""
+    joint = AntagonisticJoint(GEOMETRIES[name], MUSCLE, MUSCLE)
+    for angle in (-0.4, -0.1, 0.0, 0.3):
+        placed = {
+            kind: "".join(f'<site name="{kind}{i}" pos="{a[at]} {a[at + 1]} 0"/>' for i, a in ANCHORS.items())
+            for kind, at in (("p", 0), ("d", 2))
+        }
+        model = mujoco.MjModel.from_xml_string(
+            f"""<mujoco><option gravity="0 0 0"/><worldbody>{placed["p"]}
+            <body><joint name="hinge" type="hinge" axis="0 0 1"/><geom size="0.01" mass="1"/>{placed["d"]}</body>
+            </worldbody><tendon>{tendons(name, angle)}</tendon><actuator>
+            <motor tendon="1" gear="-1"/><motor tendon="2" gear="-1"/></actuator></mujoco>"""
+        )  # fmt: skip
+        data = mujoco.MjData(model)
+        data.qpos[0] = angle
+        data.ctrl[:] = [float(tension) for tension in joint.tensions(angle, PRESSURES)]
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_actuator[0] == pytest.approx(float(joint.torque(angle, PRESSURES)), abs=within)
+        if name == "two bones":
+            np.testing.assert_allclose(data.ten_length, joint.geometry.path_lengths(angle), atol=1e-12)
+
+
+def test_a_noisy_table_is_smoothed_and_says_its_error():
+    rng = np.random.default_rng(0)
+    angles = rng.permutation(np.linspace(-40, 40, 33)) * deg
+    exact = np.asarray(KNEE.path_lengths(angles)[0])
+    path = TabulatedPath(angles, lengths=exact + rng.normal(0, 0.1 * mm, angles.size))
+    assert path.error == pytest.approx(0.1 * mm, rel=0.4)
+    assert np.abs(np.asarray(path.length(angles, 1)) - exact).max() < 0.1 * mm
+
+
+def test_beyond_the_table_the_moment_arm_is_constant():
+    series = Chebyshev.fit(TABLE, np.asarray(KNEE.path_lengths(TABLE)[0]), len(TABLES[0].coefficients) - 1)
+    outside = np.array([-50.0, 50.0]) * deg
+    ends = TABLE[[0, -1]]
+    expected = series(ends) + series.deriv()(ends) * (outside - ends)
+    np.testing.assert_allclose(TABLES[0].length(outside, 1), expected, rtol=1e-9)
+    assert GEOMETRIES["tables"].angle_range == pytest.approx((-40 * deg, 40 * deg))
+    assert GEOMETRIES["pulleys"].angle_range == (-math.inf, math.inf)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: PairedPaths(TwoBonePath(*ANCHORS[2]), TwoBonePath(*ANCHORS[1])),
+        lambda: TwoBonePath(0.03, 0.0, 0.0, 0.03),
+        lambda: Pulley(-30 * mm, 160 * mm),
+        lambda: TabulatedPath(TABLE),
+        lambda: TabulatedPath(TABLE, arms=[0.03] * 17),
+        lambda: TabulatedPath(TABLE, lengths=[0.2] * 16),
+        lambda: TabulatedPath(TABLE[:3], lengths=[0.2] * 3),
+        lambda: PairedPaths(TABLES[0], TabulatedPath(TABLE + 2.0, arms=[0.03] * 17, rest_length=0.16)),
+    ],
+)
+def test_what_is_no_joint_is_refused(make):
+    with pytest.raises(RangeError):
+        make()

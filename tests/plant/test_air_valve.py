@@ -1,0 +1,198 @@
+"""Valves with air, against closed forms and against SciPy with the equations written anew."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+from scipy.integrate import solve_ivp
+
+from mckibben.errors import RangeError
+from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, LAMINAR, mass_flow, pressure_rate
+from mckibben.numerics.calculus import rk4
+from mckibben.numerics.compiled import compiled, numeric
+from mckibben.plant import FlowValve, JointPlant, PressureRegulator, SwitchingValves
+
+C = 0.4e-8  # m^3/(s*Pa): 0.4 dm^3/(s*bar)
+RESERVOIR = {"reservoir_volume": 1e-3, "line_conductance": 0.2e-8}
+VALVES = {
+    "flow": FlowValve(C, 7e5, exhaust_conductance=0.6e-8, dead_volume=3e-6, dead_zone=0.05, **RESERVOIR),
+    "regulator": PressureRegulator(C, 7e5, time_constant=0.02),
+}
+advance = compiled(lambda plant, state, commands, time: plant.advance(state, commands, time, 100))
+
+
+def filled(volume, time, index):
+    """Gauge pressure [Pa] after filling a rigid volume, vented at first."""
+
+    def rate(pressure):
+        return pressure_rate(index, pressure, mass_flow(C, 0.3, 8e5, pressure), volume, 0.0)
+
+    return float(jax.jit(lambda p: jax.lax.fori_loop(0, 500, lambda _, p: rk4(rate, p, time / 500), p))(ATMOSPHERE))
+
+
+@pytest.mark.parametrize("index", [1.0, 1.4])
+def test_choked_filling_of_a_rigid_volume_is_linear_in_time(index):
+    choked_until = 0.3 * 8e5
+    slope = index * ENERGY * C * DENSITY * 8e5 / 14e-6
+    time = 0.9 * (choked_until - ATMOSPHERE) / slope
+    assert filled(14e-6, time, index) == pytest.approx(ATMOSPHERE + slope * time, rel=1e-12)
+    assert filled(14e-6, 0.3, index) == pytest.approx(8e5, rel=1e-6)  # and stops at the supply
+
+
+def test_flow_chokes_at_the_critical_ratio_and_is_linear_at_small_differences():
+    assert float(mass_flow(C, 0.3, 7e5, 1e5)) == float(mass_flow(C, 0.3, 7e5, 0.3 * 7e5)) == C * DENSITY * 7e5
+    assert float(mass_flow(C, 0.3, 7e5, 0.65 * 7e5)) == pytest.approx(C * DENSITY * 7e5 * math.sqrt(0.75))
+    assert float(mass_flow(C, 0.3, 5e5, 7e5)) == -float(mass_flow(C, 0.3, 7e5, 5e5))
+    slopes = jax.vmap(jax.grad(lambda p: mass_flow(C, 0.3, 7e5, p)))(7e5 * jnp.array([LAMINAR + 1e-4, 1.0, 1.0005]))
+    assert float(slopes[1]) == pytest.approx(float(slopes[0]), rel=1e-9)  # no kink where the flow turns round
+    assert float(slopes[2]) == pytest.approx(float(slopes[0]), rel=1e-2)
+
+
+@pytest.fixture(scope="module")
+def plants(knee, load):
+    return {name: numeric(JointPlant(knee, load, valve)) for name, valve in VALVES.items()}
+
+
+def braid_volume(contraction):
+    alpha, ratio = math.radians(25), 1 - contraction
+    return math.pi * 0.01**2 * 0.18 / 4 * ratio * (1 - math.cos(alpha) ** 2 * ratio**2) / math.sin(alpha) ** 2
+
+
+def independent(paper, valve, commands, start, time):
+    """The joint with its air, by SciPy."""
+    is_flow, dead, index = isinstance(valve, FlowValve), valve.dead_volume, valve.polytropic_index
+
+    def flow(conductance, inlet, outlet):
+        if outlet > inlet:
+            return -flow(conductance, outlet, inlet)
+        ratio = outlet / inlet
+        share = math.sqrt(1 - max((min(ratio, 0.999) - 0.3) / 0.7, 0.0) ** 2)
+        return conductance * 1.185 * inlet * share * min((1 - ratio) / 0.001, 1.0)
+
+    def rates(_, y):
+        angle, velocity, *pressures, state1, state2, reservoir = y
+        inlet = 101325 + (7e5 if valve.reservoir_volume is None else reservoir)
+        arms, changes, moved, drawn = paper.eq5(angle), [], [], 0.0
+        contractions = paper.contractions(angle)
+        for i, (pressure, state, command) in enumerate(zip(pressures, (state1, state2), commands, strict=True)):
+            error = (command if is_flow else state) - pressure
+            wanted = min(max(error / 1e5, -1.0), 1.0)
+            zone = valve.dead_zone if is_flow else 0.0
+            if is_flow:  # nine tenths of the dead zone are skipped
+                wanted = (1 - 0.9 * zone) * wanted + 0.9 * zone * min(max(wanted / (0.1 * zone), -1.0), 1.0)
+            opening = math.copysign(max(abs(state) - zone, 0.0) / (1 - zone), state) if is_flow else wanted
+            moved.append((wanted - state) / 0.002 if is_flow else (command - state) / 0.02)
+            source = (C * opening, inlet) if opening > 0 else ((valve.exhaust_conductance or C) * -opening, 101325)
+            mass = flow(*source, pressure + 101325)
+            drawn += max(mass, 0.0)
+            volume = braid_volume(contractions[i]) + dead
+            slope = (braid_volume(contractions[i] + 1e-5) - braid_volume(contractions[i] - 1e-5)) / 2e-5
+            growth = slope * (-arms[0], arms[1])[i] * velocity / 0.18
+            changes.append(index / volume * (288 * 293.15 * mass - (pressure + 101325) * growth))
+        filling = 0.0
+        if valve.reservoir_volume is not None:
+            filling = index / 1e-3 * 288 * 293.15 * (flow(0.2e-8, 7e5 + 101325, inlet) - drawn)
+        return [velocity, paper.acceleration(angle, velocity, pressures), *changes, *moved, filling]
+
+    pressures = [float(p) for p in start.pressures]
+    first = [float(start.angle), 0.0, *pressures, *([0.0, 0.0] if is_flow else pressures), 7e5]
+    return solve_ivp(rates, (0, time), first, method="LSODA", rtol=1e-9, atol=1e-9, max_step=1e-3).y[:, -1]
+
+
+@pytest.mark.parametrize("name", VALVES)
+def test_joint_and_air_move_as_an_independent_solver_says(plants, paper_precontracted, name):
+    plant, time = plants[name], 0.05
+    start = plant.equilibrium(0.1)
+    commands = (float(start.pressures[0]) + 2e5, float(start.pressures[1]) - 1e5)
+    got = advance(plant, start, commands, time)
+    angle, velocity, pressure1, pressure2, *_, reservoir = independent(
+        paper_precontracted, VALVES[name], commands, start, time
+    )
+    assert float(got.angle) == pytest.approx(angle, abs=2e-5)
+    assert float(got.velocity) == pytest.approx(velocity, abs=2e-3)
+    assert [float(p) for p in got.pressures] == pytest.approx([pressure1, pressure2], abs=20.0)
+    if name == "flow":
+        assert float(got.air.reservoir) == pytest.approx(reservoir, abs=1.0) and reservoir < 6.99e5
+
+
+def test_with_shut_valves_the_air_is_compressed_as_p_v_to_the_n_and_is_as_stiff_as_the_joint_says(
+    plants, paper_precontracted, knee
+):
+    """At commands that are the pressures the dead zone keeps the valves shut."""
+    start = plants["flow"].init_state(0.1, (3e5, 4e5))._replace(velocity=jnp.asarray(0.5))
+    moved = advance(plants["flow"], start, (3e5, 4e5), 0.002)
+    pressures = [[float(p) for p in state.pressures] for state in (start, moved)]
+    volumes = [
+        [braid_volume(c) + 3e-6 for c in paper_precontracted.contractions(float(state.angle))]
+        for state in (start, moved)
+    ]
+    for i in range(2):
+        expected = (pressures[0][i] + ATMOSPHERE) * (volumes[0][i] / volumes[1][i]) ** 1.2 - ATMOSPHERE
+        assert pressures[1][i] == pytest.approx(expected, rel=1e-9) != pytest.approx(pressures[0][i], rel=1e-4)
+    torques = [
+        paper_precontracted.torque(float(state.angle), held)
+        for state, held in zip((start, moved), pressures, strict=True)
+    ]
+    closed = compiled(lambda joint, p: joint.closed_valve_stiffness(0.1, p, polytropic_index=1.2, dead_volume=3e-6))
+    stiffness = (torques[0] - torques[1]) / float(moved.angle - start.angle)
+    assert stiffness == pytest.approx(float(closed(knee, (3e5, 4e5))), rel=5e-3)
+
+
+@pytest.mark.parametrize("steps", [4, 30])
+@pytest.mark.parametrize("error", [0.3e5, -0.05e5, 2e5, -3e5])
+def test_a_pulse_is_open_for_its_width_less_the_delay_in_steps_of_any_length(error, steps):
+    """The delay is a tenth of the period, of which nine tenths are compensated."""
+    valve = SwitchingValves(C, 7e5, period=0.01, opening_delay=0.001, compensation=0.9)
+    state, step, share = valve.init(jnp.asarray(3e5)), 0.01 / steps, 0.0
+    for k in range(2 * steps):
+        command = 3e5 + error if k % steps == 0 else 0.0  # it is looked at when a period begins
+        state = valve.before_step(state, command, 3e5, step)
+        share += float(valve.opening(state, command, 3e5)) / (2 * steps)
+    part = 0.91 * abs(error) / 1e5 + 0.09 - 0.1
+    expected = math.copysign(1.0 if abs(error) > 1e5 else part, error)
+    assert share == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_no_valve_can_be_is_refused():
+    for wrong, field in (
+        ({"conductance": 0.0}, "conductance"),
+        ({"polytropic_index": 0.9}, "polytropic_index"),
+        ({"dead_volume": -1e-6}, "dead_volume"),
+        ({"dead_zone": 0.95}, "dead_zone"),
+        ({"reservoir_volume": 1e-3}, ""),
+    ):
+        with pytest.raises(RangeError) as caught:
+            FlowValve(**({"conductance": C, "supply": 7e5} | wrong))
+        assert (caught.value.field or "") == field
+    with pytest.raises(RangeError):
+        SwitchingValves(C, 7e5, period=0.01, opening_delay=0.02)
+
+
+def test_commands_lead_the_pressure_by_what_the_loop_needs_and_none_does_beyond_the_open_valve(plants):
+    plant = plants["regulator"]
+    state = plant.init_state(0.1, (3e5, 4e5))
+    rates = (20e5, -10e5)
+    commands = plant.commands_for(state, rates)
+    lagging = state._replace(
+        air=state.air._replace(valves=tuple(c - 0.02 * r for c, r in zip(commands, rates, strict=True)))
+    )
+    found, _ = plant.valve.air_rate(state.pressures, lagging.air, commands, plant.air_volumes(state))
+    assert [float(rate) for rate in found] == pytest.approx(rates, rel=1e-9)
+    assert [float(c) for c in plant.commands_for(state, (1e9, -1e9))] == [math.inf, -math.inf]
+    beyond = plant.init_state(0.1, (7.5e5, 4e5))  # above the supply
+    assert not math.isfinite(plant.commands_for(beyond, (0.0, 0.0))[0])
+    assert float(plant.clip_commands((7.5e5, 0.0))[0]) == 7e5
+
+
+def test_direct_commands_are_openings():
+    valve = FlowValve(C, 7e5, spool_lag=0.002, direct=True)
+    assert float(valve.clip_command(3.0, None)) == 1.0
+    assert float(valve.rate(jnp.asarray(0.0), 0.5, 3e5)) == pytest.approx(250.0)
+
+
+def test_a_measured_volume_takes_the_place_of_the_braid(knee, specimen):
+    measured = eqx.tree_at(lambda one: one.volume_terms, specimen, (2e-5, 1e-4, -2e-4), is_leaf=lambda one: one is None)
+    assert float(measured.volume(0.1)) == pytest.approx(2.8e-5, rel=1e-12)
+    assert float(specimen.volume(0.1)) == pytest.approx(braid_volume(0.1), rel=1e-12)

@@ -1,0 +1,220 @@
+"""Muscles and loads of one's own in files: they read, write and build, and each mistake is named with its file."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.errors import RangeError, ScenarioError
+from mckibben.identification import read_law
+from mckibben.study.parameters import edit_scenario, find_parameter, with_values
+from mckibben.study.rig.document import RigTest, build_muscle, build_setup
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.muscle import muscle_text
+from mckibben.units import bar, deg, mm
+
+FOLDER = Path(__file__).parent / "own_muscle"
+TEXT = (FOLDER / "pendulum.yaml").read_text()
+MUSCLE, LOAD = "muscle: fit/muscle.yaml", "load: {mass: 2 kg, length: 250 mm, damping: 0.1 N*m*s/rad}"
+
+
+def read(muscle="fit/muscle.yaml", load=LOAD, folder=FOLDER):
+    text = TEXT.replace(MUSCLE, f"muscle: {muscle}")
+    return Scenario.parse(text.replace(LOAD, load), folder=folder)
+
+
+def built(muscle, folder=FOLDER) -> Any:
+    return read(muscle, folder=folder).plant().joint.muscle1
+
+
+def problem(muscle="fit/muscle.yaml", load=LOAD, folder=FOLDER):
+    with pytest.raises(ScenarioError) as caught:
+        read(muscle, load, folder)
+    assert len(caught.value.problems) == 1, caught.value
+    return caught.value.problems[0]
+
+
+def test_a_muscle_from_its_file():
+    muscle = built("fit/muscle.yaml")
+    assert (muscle.specimen.name, muscle.specimen.initial_length) == ("my muscle", 300 * mm)
+    assert muscle.law == read_law(FOLDER / "fit" / "fit.yaml")
+    assert float(muscle.friction.half_width) == 7.0
+    assert muscle.specimen.domain.contraction_max == 0.22  # the law's
+    assert (muscle.specimen.domain.pressure_min, muscle.specimen.domain.pressure_max) == (0.0, 6 * bar)
+
+
+def test_changes_of_a_file_and_of_a_catalog_entry():
+    law = "law: fit/fit.yaml"
+    for text, length, diameter in (
+        ("{from: fit/muscle.yaml, specimen: {initial_length: 310 mm}, friction: {half_width: 9 N}}", 310, 20),
+        (f"{{specimen: fit/muscle.yaml, {law}}}", 300, 20),
+        (f"{{specimen: {{from: fit/muscle.yaml, initial_diameter: 18 mm}}, {law}}}", 300, 18),
+        (f"{{specimen: {{from: DMSP-10-250, initial_length: 120 mm}}, {law}}}", 120, 10),
+    ):
+        muscle = built(text)
+        assert muscle.specimen.initial_length / mm == pytest.approx(length)
+        assert muscle.specimen.initial_diameter / mm == pytest.approx(diameter)
+    narrower = built("{specimen: {from: DMSP-10-250, domain: {pressure_max: 4 bar}}, law: chou}")
+    assert (narrower.specimen.domain.pressure_max, narrower.specimen.domain.contraction_max) == (4 * bar, 0.25)
+
+
+def test_a_kept_scenario_has_relative_paths_and_reads_back(tmp_path):
+    scenario = read("{from: fit/muscle.yaml, strength: 0.9}")
+    scenario.to_yaml(tmp_path / "kept.yaml")
+    assert re.search(r"law: \.\./\S*/fit/fit.yaml", (tmp_path / "kept.yaml").read_text())
+    assert Scenario.read(tmp_path / "kept.yaml") == scenario
+    changed = edit_scenario(TEXT, {"joint.muscle.friction.half_width": 8.0}, folder=FOLDER)
+    assert "{from: fit/muscle.yaml, friction: {half_width: 8 N}}" in changed
+    friction: Any = Scenario.parse(changed, folder=FOLDER).plant().joint.muscle1.friction
+    assert float(friction.half_width) == 8.0
+
+
+def test_numbers_of_a_specimen_are_parameters():
+    scenario = read("{specimen: {name: x, initial_length: 300 mm}, law: fit/fit.yaml}")
+    assert find_parameter(scenario, "joint.muscle.specimen.rated_force").nominal is None
+    other = with_values(scenario, {"joint.muscle.specimen.initial_length": 0.31})
+    assert float(other.plant().joint.muscle1.specimen.initial_length) == 0.31
+
+
+@pytest.mark.parametrize(
+    ("muscle", "field", "said"),
+    [
+        ("fit/mucsle.yaml", "joint.muscle", "fit/mucsle.yaml"),
+        ("fit/fit.yaml", "joint.muscle", "is a fit"),
+        ("rig.csv", "joint.muscle", "rig.csv"),
+        ("{from: fit/muscle.yaml, strenght: 0.9}", "joint.muscle.strenght", "not a known key"),
+        ("{specimen: {name: x}, law: chou}", "joint.muscle.specimen", "initial_length"),
+        ("{specimen: {name: x, initial_length: 300}, law: chou}", "joint.muscle.specimen.initial_length", "no unit"),
+        (
+            "{specimen: {name: x, initial_length: 1 m, domain: {pressure_min: 5 bar, pressure_max: 1 bar}}, law: chou}",
+            "joint.muscle.specimen",
+            "pressure",
+        ),
+    ],
+)
+def test_mistakes(muscle, field, said):
+    found = problem(muscle)
+    assert found.field == field and found.line == 8 and said in found.message
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("specimen: {name: x, initial_lenght: 3 m}\nlaw: chou", "specimen.initial_lenght"),
+        ("specimen: DMSP-10-250\nlaw: missing.yaml", "missing.yaml"),
+        ("from: muscle.yaml", "itself"),
+        ("specimen: muscle.yaml\nlaw: chou", "itself"),
+    ],
+)
+def test_a_mistake_in_a_muscle_file_names_both_files(tmp_path, text, said):
+    (tmp_path / "muscle.yaml").write_text(text)
+    found = problem("muscle.yaml", folder=tmp_path)
+    assert found.field == "joint.muscle" and found.line == 8
+    assert "muscle.yaml: line" in found.message and said in found.message
+
+
+def test_what_is_unknown_is_said():
+    specimen = mk.Specimen("x", 300 * mm)
+    with pytest.raises(RangeError) as caught:
+        mk.ChouLaw.of(specimen)
+    assert caught.value.field == "initial_diameter"
+    known = mk.Specimen("x", 300 * mm, initial_diameter=20 * mm, braid_angle=25 * deg)
+    wide = mk.Muscle(known, mk.ChouLaw.of(known))
+    with pytest.raises(RangeError) as caught:
+        mk.AntagonisticJoint(mk.KneeGeometry(0.6, 0.04, 0.327), wide, wide)
+    assert caught.value.field == "pressure_max"
+
+
+@pytest.mark.parametrize(
+    ("load", "inertia", "moment", "damping"),
+    [
+        ("{mass: 0.3 kg, length: 250 mm}", 0.3 * 0.25**2, 0.3 * 0.25 * 9.81, 0.0),
+        ("{inertia: 0.02 kg*m^2, gravity_torque: 0.7 N*m, damping: 0.1 N*m*s/rad}", 0.02, 0.7, 0.1),
+        ("{class: GeneralLoad, inertia: 0.02 kg*m^2, gravity_torque: 0 N*m}", 0.02, 0.0, 0.0),
+    ],
+)
+def test_loads(load, inertia, moment, damping, tmp_path):
+    scenario = read(load=f"load: {load}")
+    built = scenario.plant().load
+    assert (float(built.total_inertia), float(built.gravity_moment)) == pytest.approx((inertia, moment))
+    angle, velocity, torque = 0.4, 0.3, 1.2
+    by_hand = (torque - moment * np.sin(angle) - damping * velocity) / inertia
+    assert float(built.acceleration(angle, velocity, torque)) == pytest.approx(by_hand)
+    assert float(built.required_torque(angle, velocity, by_hand)) == pytest.approx(torque)
+    scenario.to_yaml(tmp_path / "kept.yaml")
+    assert Scenario.read(tmp_path / "kept.yaml") == scenario
+
+
+def test_a_pendulum_is_the_knee_with_one_mass():
+    pendulum = mk.PendulumLoad(mass=0.3, length=0.25, damping=0.1, hanging_angle=20 * deg)
+    knee = mk.KneeLoad(0.0, 0.3, 0.0, 0.25, 0.0, 0.1, hanging_angle=20 * deg)
+    assert float(pendulum.acceleration(0.3, 1.0, 0.5)) == float(knee.acceleration(0.3, 1.0, 0.5))
+    assert float(pendulum.gravity_stiffness(0.3)) == float(knee.gravity_stiffness(0.3))
+
+
+@pytest.mark.parametrize(
+    ("load", "field"),
+    [
+        ("{mass: 0.3 kg}", "load.length"),
+        ("{mass: 0.3 kg, lenght: 250 mm}", "load.lenght"),
+        ("{mass: 300, length: 250 mm}", "load.mass"),
+        ("{gravity_torque: 1 N*m}", "load.inertia"),
+        ("{inertia: 0.02 kg*m^2}", "load"),
+    ],
+)
+def test_mistakes_in_a_load(load, field):
+    assert problem(load=f"load: {load}").field == field
+
+
+def test_adaptation_of_a_load_without_a_mass():
+    text = TEXT[: TEXT.index("controller:")] + TEXT[TEXT.index("reference:") :]
+    text += "controller: {decoupling: {poles: {bandwidth: 40 rad/s}, adaptation: {mass_spread: 0.2 kg}}}\n"
+    Scenario.parse(text, folder=FOLDER).control()
+    general = Scenario.parse(text.replace(LOAD, "load: {inertia: 0.02 kg*m^2, gravity_torque: 1 N*m}"), folder=FOLDER)
+    with pytest.raises(RangeError) as caught:
+        general.control()
+    assert caught.value.field == "mass_spread"
+
+
+RIG = """
+name: own test
+muscle: fit/muscle.yaml
+rig: {simulated: {seed: 1}}
+limits: {pressure: 6.5 bar, stretch: 5 mm, shorten: 80 mm}
+protocol: {isobaric: {pressures: [2 bar, 6 bar], repeats: 1}}
+"""
+
+
+def test_the_rig_tests_a_muscle_from_its_file(tmp_path):
+    test = RigTest.parse(RIG, folder=FOLDER)
+    muscle = build_muscle(test)
+    assert isinstance(muscle, mk.Muscle) and muscle.specimen.name == "my muscle"
+    assert build_setup(test).bench.limits.force == 1500.0
+    (tmp_path / "bare.yaml").write_text(
+        f"specimen: {{name: x, initial_length: 0.3 m}}\nlaw: {FOLDER / 'fit/fit.yaml'}\n"
+    )
+    with pytest.raises(ScenarioError) as caught:
+        RigTest.parse(RIG.replace("fit/muscle.yaml", "bare.yaml"), folder=tmp_path)
+    assert [one.field for one in caught.value.problems] == ["limits"]
+
+
+def test_a_muscle_file_is_written_from_what_is_known(tmp_path):
+    friction = mk.MaxwellSlip(half_width=7.0, presliding_length=0.5 * mm)
+    law = str(FOLDER / "fit" / "fit.yaml")
+    (tmp_path / "muscle.yaml").write_text(muscle_text(law, specimen="mine", initial_length=0.3, friction=friction))
+    muscle = built("muscle.yaml", tmp_path)
+    assert (muscle.specimen.name, muscle.specimen.initial_length) == ("mine", 0.3)
+    assert float(muscle.friction.half_width) == 7.0
+    assert "specimen: DMSP-10-250" in muscle_text(law, specimen="DMSP-10-250", initial_length=None)
+    assert muscle_text(law, specimen="mine", initial_length=None) == ""
+
+
+def test_a_muscle_without_a_volume_runs():
+    scenario = read("{specimen: {name: x, initial_length: 300 mm}, law: fit/fit.yaml}")
+    short = scenario.model_copy(update={"duration": 0.05})
+    result = mk.simulate(short.plant(), short.control(), short.reference(), duration=0.05, control_period=1e-3)
+    assert not result.outcome.failed
+    assert np.isnan(result.metrics["air"]) and result.metrics["force_max"] > 0

@@ -1,0 +1,102 @@
+"""Valves with air in scenario files."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mckibben.errors import ScenarioError, SimulationError
+from mckibben.plant import FlowValve, PressureRegulator, SwitchingValves
+from mckibben.reachability import check_trackability
+from mckibben.simulation.resolution import check_substeps
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.building import run_many, run_scenario
+from mckibben.units import bar
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
+SHORT = EXAMPLE.read_text(encoding="utf-8").replace("duration: 10 s", "duration: 0.4 s").replace("at: 5 s", "at: 0.2 s")
+FLOW = (
+    "{class: FlowValve, conductance: 0.4 L/(s*bar), supply: 7 bar, "
+    "reservoir_volume: 500 cm^3, line_conductance: 0.2 L/(s*bar)}"
+)
+
+
+def scenario(valve):
+    return Scenario.parse(re.sub(r"valve:.*", f"valve: {valve}", SHORT))
+
+
+@pytest.fixture(scope="module")
+def flow():
+    return scenario(FLOW)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        (FLOW, FlowValve),
+        (
+            "{class: PressureRegulator, conductance: 9 L/(min*bar), supply: 7 bar, time_constant: 20 ms}",
+            PressureRegulator,
+        ),
+        ("{class: SwitchingValves, conductance: 0.4 L/(s*bar), supply: 7 bar, period: 10 ms}", SwitchingValves),
+        ("{from: festo-mh1, supply: 7 bar, period: 20 ms, dead_volume: 2 cm^3}", SwitchingValves),
+    ],
+)
+def test_a_valve_is_read_and_written_to_the_last_bit(text, kind):
+    read = scenario(text)
+    valve = read.plant().valve
+    assert isinstance(valve, kind) and valve.supply == 7 * bar
+    assert Scenario.parse(read.dumps()).plant().valve == valve
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        ("{class: FlowValv, conductance: 1 L/(s*bar), supply: 7 bar}", "valve"),
+        ("{class: FlowValve, conductance: 1 L/s, supply: 7 bar}", "valve.conductance"),
+        ("{class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, deadzone: 3 %}", "valve.deadzone"),
+        ("{class: FlowValve, conductance: 1 L/(s*bar)}", "valve.supply"),
+        ("{class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, direct: true}", "controller"),
+        ("{from: festo-mh2, supply: 7 bar, period: 20 ms}", "valve"),
+    ],
+)
+def test_a_wrong_valve_is_named(text, field):
+    with pytest.raises(ScenarioError) as caught:
+        scenario(text)
+    assert [problem.field for problem in caught.value.problems] == [field]
+
+
+def test_a_valve_too_fast_for_the_substeps_is_refused_with_their_number():
+    plant = scenario("{class: FlowValve, conductance: 4 L/(s*bar), supply: 7 bar, band: 0.1 bar}").plant()
+    with pytest.raises(SimulationError) as caught:
+        check_substeps(plant, [0.0, 0.1], 15.0, 1e-3, 4)
+    assert caught.value.field == "substeps"
+    check_substeps(plant, [0.0, 0.1], 15.0, 1e-3, caught.value.lower)
+
+
+def test_openings_and_reservoir_are_in_the_result_and_its_file(flow, tmp_path):
+    result = run_scenario(flow).result
+    assert result.outcome.name == "COMPLETED"
+    result.to_netcdf(tmp_path / "result.nc")
+    with xr.open_dataset(tmp_path / "result.nc") as saved:
+        assert float(abs(saved["opening1"]).max()) > 0.05
+        assert 6 * bar < float(saved["reservoir"].min()) < 6.999 * bar
+        assert saved["opening2"].attrs["units"] == "1" and saved["reservoir"].attrs["units"] == "Pa"
+
+
+def test_a_small_valve_tracks_worse_and_its_rate_limit_is_found(flow):
+    batch = run_many(flow, {"valve.conductance": np.array([2e-10, 4e-9])})
+    small, large = batch.table["angle_rmse"].values
+    assert small > 1.1 * large
+    trackable = {
+        conductance: check_trackability(
+            scenario(FLOW.replace("0.4 L", f"{conductance} L")).plant(),
+            flow.reference(),
+            duration=0.4,
+            control_period=0.01,
+        ).describe()
+        for conductance in (0.4, 0.005)
+    }
+    assert "trackable throughout" in trackable[0.4] and "at the rate limit" in trackable[0.005]
