@@ -1,4 +1,4 @@
-"""Forms of friction: chosen by held-out loops, rejected where they lack something; drift only where it is significant."""
+"""Forms of friction: chosen by held-out loops, rejected where they lack something; only significant drifts."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def loops(kind, *, drift=0.0, noise=0.05, lowest=0.0, clipped=True):
             fine = np.linspace(-0.03, 0.25, 2000)
             below = forces(LAW, fine, pressure) <= lowest
             top = fine[np.argmax(below)] if lowest and below.any() else 0.25
-            stroke = np.linspace(-0.03, top, int(round((top + 0.03) * LENGTH / (2 * mm))) + 1)
+            stroke = np.linspace(-0.03, top, round((top + 0.03) * LENGTH / (2 * mm)) + 1)
             contraction = np.concatenate([stroke, stroke[::-1][1:]])
             side = np.repeat([-1.0, 1.0], [len(stroke), len(stroke) - 1])
             tension = np.maximum(forces(LAW, contraction, pressure), 0)
