@@ -17,6 +17,7 @@ from mckibben.units import bar, mm, percent
 
 SPECIMEN, LAW = catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n")
 MUSCLE = Muscle(SPECIMEN, LAW)
+ABSENT = {"tension_growth": 0.0, "viscous": 0.0}
 PROTOCOL = IsobaricProtocol(pressures=np.arange(1, 7) * bar, step=2 * mm, repeats=2, samples=100)
 
 
@@ -60,7 +61,9 @@ def test_growth_and_drift_are_found_with_their_errors(drifting):
     assert found.warnings == () and found.rmse < 0.12
     order = list(errors)
     assert found.correlations.shape == (len(order), len(order))
-    np.testing.assert_allclose(np.diag(found.correlations), 1.0)
+    known = [np.isfinite(errors[name]) for name in order]
+    assert [name for name, has in zip(order, known, strict=True) if not has] == ["tension_growth", "viscous"]
+    np.testing.assert_allclose(np.diag(found.correlations)[known], 1.0)
 
 
 def test_the_parts_add_up_to_what_was_measured(drifting):
@@ -86,7 +89,8 @@ def test_a_known_law_may_be_given(drifting):
     data, _ = drifting
     found = identify_hysteresis(LAW, data)
     assert found.law is LAW
-    assert list(found.standard_errors) == ["half_width", "growth", "presliding_length"]
+    names = ["half_width", "growth", "tension_growth", "viscous", "presliding_length"]
+    assert list(found.standard_errors) == names
     assert found.friction.half_width == pytest.approx(10, rel=5e-3)
     assert found.muscle(SPECIMEN).friction is found.friction
 
@@ -145,7 +149,8 @@ def model(drifting):
     data, _ = drifting
     strokes = LoadingPaths.of(data)
     line = DriftBasis.candidates(strokes, data)[1]
-    return PathDependentModel(LAW, strokes, data, line, np.ones(len(data), bool), 3 * bar, 6)
+    rate = 2e-3 * np.sin(np.arange(len(data)))
+    return PathDependentModel(LAW, strokes, data, line, np.ones(len(data), bool), 3 * bar, 6, 200.0, rate)
 
 
 def test_the_force_along_the_way_is_that_of_the_rig(model):
@@ -153,14 +158,22 @@ def test_the_force_along_the_way_is_that_of_the_rig(model):
     own = MaxwellSlip(9.0, 1 * mm, growth=1 / bar, reference_pressure=3 * bar)
     data = SimulatedIsobaricTest(Muscle(SPECIMEN, LAW, own), **quiet).run(PROTOCOL, seed=0)
     exact = dataclasses.replace(model, paths=LoadingPaths.of(data), means=data)
-    tension, friction = exact.components({"half_width": 9.0, "growth": 1 / bar, "log_presliding": np.log(1e-3)})
+    tension, friction = exact.components(
+        {**ABSENT, "half_width": 9.0, "growth": 1 / bar, "log_presliding": np.log(1e-3)}
+    )
     np.testing.assert_allclose(tension + friction, data.force, atol=1e-9)
 
 
 def test_the_jacobian_is_that_of_small_changes(model):
     names = ("a2", "decay", *FRICTION)
     values = {name: float(getattr(LAW, name)) for name in model.law_names}
-    values |= {"half_width": 10.0, "growth": 1 / bar, "log_presliding": float(np.log(1.3e-3))}
+    values |= {
+        "half_width": 10.0,
+        "growth": 1 / bar,
+        "tension_growth": 0.01,
+        "viscous": 500.0,
+        "log_presliding": float(np.log(1.3e-3)),
+    }
     offsets = np.array([0.2, 0.4])
     columns = model.jacobian(values, names)
     for k, name in enumerate(names):
@@ -200,5 +213,5 @@ def test_a_law_that_fits_badly_is_said_to_spoil_the_friction(drifting):
     data, found = drifting
     assert found.rmse < 0.25 * 10
     bad = identify_hysteresis(ReynoldsLaw, data)
-    assert bad.rmse > 30
+    assert bad.rmse > 20
     assert "ReynoldsLaw leaves residuals of" in bad.warnings[-1] and "may pass for friction" in bad.warnings[-1]

@@ -13,7 +13,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, ParameterError, RangeError
 from mckibben.identification import Bootstrap, Fit, Grouping, bootstrap, identify, profile
 from mckibben.identification.uncertainty import ClusterRobustErrors, group_labels
-from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw, ReynoldsLaw
+from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw, ReynoldsLaw, forces
 from mckibben.units import bar, deg, mm, percent
 
 EQ_3 = catalog.law("lei-mas-10-180n")
@@ -275,7 +275,8 @@ def test_bands_broadcast_and_a_further_measurement_is_less_sure(fit):
         fit.force_intervals([0.05], [3 * bar], level=0.9).confidence.upper[0]
     )
     independent = fit.force_intervals(0.05, 3 * bar, by=Grouping.POINT)
-    total = independent.confidence.standard_error**2 + fit.rmse**2 * 119 / 112
+    scatter = fit.rmse**2 * 119 / 112 * fit.regression.relative_variance(independent.prediction.value)
+    total = independent.confidence.standard_error**2 + scatter
     assert float(independent.prediction.standard_error) == pytest.approx(np.sqrt(total))
 
 
@@ -483,3 +484,22 @@ def test_draws_that_determine_nothing_are_refused():
 def test_a_fit_stays_a_value(fit):
     with pytest.raises(dataclasses.FrozenInstanceError):
         fit.regression.points = None
+
+
+@pytest.mark.parametrize(("relative", "grows"), [(0.0, False), (0.01, True)])
+def test_the_prediction_covers_where_the_scatter_grows_with_the_force(relative, grows):
+    law, random = catalog.law("lei-mas-10-180n"), np.random.default_rng(1)
+    contraction, pressure = (np.tile(each.ravel(), 2) for each in np.meshgrid(np.linspace(0, 0.2, 17), np.arange(2, 7)))
+    force = forces(law, contraction, pressure * bar)
+    deviation = 0.3 + relative * force
+    covered = []
+    for _ in range(20):
+        measured = force + deviation * random.standard_normal(len(force))
+        data = IsobaricDataset.of(pressure=pressure * bar, contraction=contraction, force=measured)
+        fit = identify(ExponentialLaw, data)
+        assert ("scatter grows" in fit.report()) == grows
+        found = fit.force_intervals(contraction, pressure * bar).prediction
+        new = force + deviation * random.standard_normal(len(force))
+        covered.append((found.lower <= new) & (new <= found.upper))
+    for part in np.array_split(np.argsort(force), 4):
+        assert 0.91 < np.mean(np.array(covered)[:, part]) < 0.985

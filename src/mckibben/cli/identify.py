@@ -36,7 +36,7 @@ from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import ExtractedPoints, IsobaricDataset, Recording
-    from mckibben.identification import RankedLaw, Ranking
+    from mckibben.identification import FrictionForm, RankedLaw, Ranking
     from mckibben.muscle import MaxwellSlip
 
 
@@ -206,6 +206,11 @@ def identify(
     profile: Annotated[bool, Option("--profile", help="Profile likelihood of the shape parameters.")] = False,
     bootstrap: Annotated[int, Option(metavar="N", help="Block bootstrap with N resamples.")] = 0,
     hysteresis: Annotated[bool, Option("--hysteresis", help="Identify friction and drift with the law.")] = False,
+    friction_form: Annotated[
+        str,
+        Option("--friction", metavar="FORM", help="Form of friction of --hysteresis (default: by held-out loops)."),
+    ] = "",
+    no_drift: Annotated[bool, Option("--no-drift", help="Estimate no drift with --hysteresis.")] = False,
     initial_length: InitialLength = "",
     slack_force: SlackForce = "",
     force_sign: ForceSign = 1,
@@ -227,6 +232,8 @@ def identify(
     from mckibben.study.inputs import law_type_named
 
     law_type = law_type_named(law) if law != _ALL else None
+    if (friction_form or no_drift) and not hysteresis:
+        raise ParameterError("--friction and --no-drift apply to --hysteresis", remedy="add --hysteresis")
     points = read_data(data, column, initial_length, slack_force, force_sign, skip_corrupt=skip_corrupt)
     if law_type is None:
         if profile or bootstrap or hysteresis or level != _LEVEL:
@@ -240,7 +247,8 @@ def identify(
     from mckibben.identification import identify_hysteresis
     from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
 
-    friction = identify_hysteresis(law_type, points) if hysteresis else None
+    form = _friction_form(friction_form) if friction_form else None
+    friction = identify_hysteresis(law_type, points, drift=not no_drift, form=form) if hysteresis else None
     static = friction.corrected(points) if friction else points
     fit = run(law_type, static)
     uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
@@ -281,6 +289,18 @@ def _keep_muscle(out: Path, data: str, points: IsobaricDataset, friction: Maxwel
     with atomic_write(out / "muscle.yaml", overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
     return "muscle.yaml for scenarios and protocols"
+
+
+def _friction_form(text: str) -> FrictionForm:
+    from mckibben.identification import FrictionForm
+
+    try:
+        return FrictionForm(text)
+    except ValueError:
+        forms = ", ".join(form.value for form in FrictionForm)
+        raise ParameterError(
+            f"--friction {text!r} is no form of friction", value=text, remedy=f"take {forms}"
+        ) from None
 
 
 def validate(

@@ -4,6 +4,7 @@ from mckibben.identification.bootstrap import Bootstrap, bootstrap
 from mckibben.identification.creep import CreepFit, identify_creep
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut
 from mckibben.identification.fitting import ResidualCorrelation, identify
+from mckibben.identification.friction_forms import FormComparison, FrictionForm, LackOfFit
 from mckibben.identification.hysteresis import HysteresisFit, SensorDrift, identify_hysteresis
 from mckibben.identification.intervals import ForceIntervals, Interval, IntervalEstimate
 from mckibben.identification.least_squares import design_matrix
@@ -21,11 +22,14 @@ __all__ = [
     "ErrorStatistics",
     "Fit",
     "ForceIntervals",
+    "FormComparison",
+    "FrictionForm",
     "Grouping",
     "HoldOut",
     "HysteresisFit",
     "Interval",
     "IntervalEstimate",
+    "LackOfFit",
     "LeaveOnePressureOut",
     "Noise",
     "Posterior",

@@ -160,6 +160,9 @@ class Fit:
     ) -> ForceIntervals:
         """Pointwise confidence interval and prediction interval of the force [N], negative where the muscle is slack.
 
+        The variance of the scatter about the law is constant, or proportional to 1 + c F^2 where the residuals grow
+        significantly (1 %) with the force F.
+
         Parameters
         ----------
         contraction, pressure
@@ -178,9 +181,9 @@ class Fit:
         value = forces(self.law, contraction, pressure)
         free = [regression.problem.names[i] for i in regression.free]
         model = regression.error_model(by)
-        of_law = variance, freedom = model.variance(force_gradients(self.law, free, contraction, pressure))
+        of_law = _, freedom = model.variance(force_gradients(self.law, free, contraction, pressure))
         square, residual_freedom = model.residual_variance
-        scatter = np.full_like(variance, square), np.full_like(freedom, residual_freedom)
+        scatter = square * regression.relative_variance(value.ravel()), np.full_like(freedom, residual_freedom)
         return ForceIntervals(t_interval(level, value, [of_law]), t_interval(level, value, [of_law, scatter]))
 
     def require_regression(self) -> Regression:
@@ -222,6 +225,12 @@ class Fit:
             "",
             f"residuals: RMSE {self.rmse:.3g} N, maximum {self.max_error:.3g} N",
         ]
+        if self.regression and self.regression.scatter_growth:
+            largest = float((self.regression.points.force - self.regression.solution.residuals).max())
+            scatter = self.rmse * np.sqrt(self.regression.relative_variance(np.array([0.0, largest])))
+            lines.append(
+                f"scatter grows with the force: {scatter[0]:.3g} N at 0 N, {scatter[1]:.3g} N at {largest:.3g} N"
+            )
         if lopo := self.leave_one_pressure_out:
             lines.append(f"leave-one-pressure-out: RMSE {lopo.rmse:.3g} N, maximum {lopo.max_error:.3g} N")
         if pairs := self.strongest_correlations():

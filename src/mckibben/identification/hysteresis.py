@@ -11,21 +11,29 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import DatasetSummary, Fit, domain_of
 from mckibben.identification.fitting import identify
+from mckibben.identification.friction_forms import (
+    FormComparison,
+    FrictionForm,
+    LackOfFit,
+    PathSolution,
+    compare_forms,
+    drift_rate,
+    form_start,
+    lack_of_fit,
+    least_squares,
+    solve,
+    systematic_residual,
+    with_drift,
+)
 from mckibben.identification.loading_path import (
     FRICTION,
     DriftBasis,
     LoadingPaths,
     PathDependentModel,
+    clipped,
     loop_half_width,
 )
-from mckibben.identification.uncertainty import (
-    CONDITION_LIMIT,
-    Bools,
-    Floats,
-    condition_number,
-    uncertainty,
-    unidentifiable,
-)
+from mckibben.identification.uncertainty import Bools, Floats
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
 from mckibben.notebook import html_table
 from mckibben.units import bar, mm, show
@@ -38,11 +46,10 @@ class SensorDrift:
     time: Floats
     offset: Floats
     standard_errors: Floats
-
-    @property
-    def rate(self) -> float:
-        """Mean rate [N/s]: slope of the least-squares line through the knots."""
-        return float(np.polyfit(self.time - self.time[0], self.offset, 1)[0])
+    rate: float
+    """Mean rate [N/s]: slope of the least-squares line through the knots."""
+    rate_error: float
+    """Standard error of the mean rate [N/s], robust to errors common to a loading path."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,12 +61,16 @@ class HysteresisFit:
     law
         Static law, midway between loading and unloading; its domain is the range of the points.
     friction
-        Hysteresis; its viscous part is 0, as points measured at rest do not determine it.
+        Hysteresis, with the parameters that its form has.
+    form, comparison, lack_of_fit
+        Form of the friction; the forms compared by held-out loops, None where the form was given; and what the friction
+        depends on beyond its form, None where nothing is significant.
     standard_errors, correlations
-        By parameter, in SI, and in their order: those of the law unless it was given, ``half_width``, ``growth`` and
-        ``presliding_length``; NaN where the data do not determine one.
+        By parameter, in SI, and in their order: those of the law unless it was given, ``half_width``, ``growth``,
+        ``tension_growth``, ``viscous`` and ``presliding_length``; NaN where the form lacks one, or the data do not
+        determine it.
     drift
-        Drift of the force sensor; None where the points show none.
+        Drift of the force sensor; None where it is not significant (1 %).
     rmse, max_error
         Root mean square and largest absolute residual [N].
     tension, friction_force, offset, residuals
@@ -71,6 +82,9 @@ class HysteresisFit:
 
     law: ForceLaw
     friction: MaxwellSlip
+    form: FrictionForm
+    comparison: FormComparison | None
+    lack_of_fit: LackOfFit | None
     standard_errors: dict[str, float]
     correlations: Floats
     drift: SensorDrift | None
@@ -95,40 +109,52 @@ class HysteresisFit:
         return Muscle(specimen, self.law, self.friction)
 
     def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
-        """Plateau means of the identified dataset without friction and drift, for the fit of a static law."""
+        """Plateau means of the identified dataset without friction and drift, for the fit of a static law.
+
+        Slack points, measured or by the law, are slack in the answer as well.
+        """
         means = dataset.plateau_means()
         if len(means) != len(self.residuals) or not np.allclose(means.force, self.force + self.residuals):
             raise IdentificationError(
                 f"{means!r} is not the dataset that the hysteresis was identified from",
                 remedy="give the whole dataset",
             )
-        force = means.force - self.friction_force - self.offset
+        force = np.where(means.slack, means.force, means.force - self.friction_force - self.offset)
+        force = np.where(self.tension > 0, force, np.minimum(force, means.table.attrs["slack_force"]))
         return IsobaricDataset(means.table.assign(force=("point", force)))
 
     def _rows(self) -> list[tuple[str, str, str, str]]:
         friction, errors, length = self.friction, self.standard_errors, self.friction.presliding_length
-        reference = f"at {show(friction.reference_pressure, 'bar', 3)}"
+        by_tension = self.form is FrictionForm.TENSION
+        at = show(friction.reference_tension, "N", 3) if by_tension else show(friction.reference_pressure, "bar", 3)
+        rows = [
+            ("half width", f"{friction.half_width:.4g}", errors["half_width"], f"N at {at}"),
+            ("growth", f"{friction.growth * bar:.3g}", errors["growth"] * bar, "N/bar"),
+            ("tension growth", f"{friction.tension_growth:.3g}", errors["tension_growth"], "N/N"),
+            ("viscous", f"{friction.viscous:.4g}", errors["viscous"], "N*s/m"),
+            ("presliding length", f"{length / mm:.4g}", errors["presliding_length"] / mm, "mm"),
+        ]
+        has = {"growth": friction.growth, "tension growth": friction.tension_growth, "viscous": friction.viscous}
         return [
             (name, value, f"{error:.2g}" if np.isfinite(error) else "-", unit)
-            for name, value, error, unit in (
-                ("half width", f"{friction.half_width:.4g}", errors["half_width"], f"N {reference}"),
-                ("growth", f"{friction.growth * bar:.3g}", errors["growth"] * bar, "N/bar"),
-                ("presliding length", f"{length / mm:.4g}", errors["presliding_length"] / mm, "mm"),
-            )
+            for name, value, error, unit in rows
+            if has.get(name, 1.0)
         ]
 
     def report(self) -> str:
         """Fit as text."""
         lines = [
-            f"{type(self.law).__name__} with Maxwell-slip friction of {self.friction.elements} elements",
+            f"{type(self.law).__name__} with friction of the form {self.form.value!r}",
             f"{self.dataset.specimen or 'unnamed specimen'}: {self.points_used} points used, {self.points_slack} slack",
             "",
             f"{'':17}  {'estimate':>8}  {'standard error':>14}",
             *(f"{name:17}  {value:>8}  {error:>14}  {unit}" for name, value, error, unit in self._rows()),
         ]
         if self.drift is not None:
-            lines.append(f"drift of the force sensor: {self.drift.rate * 3600:+.3g} N/h on average")
+            rate, error = 3600 * self.drift.rate, 3600 * self.drift.rate_error
+            lines.append(f"drift of the force sensor: {rate:+.3g} N/h on average, standard error {error:.2g} N/h")
         lines.append(f"residuals: RMSE {self.rmse:.3g} N, maximum {self.max_error:.3g} N")
+        lines += [self.comparison.describe()] if self.comparison else []
         lines += [f"warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
@@ -142,25 +168,32 @@ class HysteresisFit:
         return html_table(repr(self), ("friction", "estimate", "standard error", "unit"), self._rows(), self.warnings)
 
 
-_SIGNIFICANT = 3.0  # standard errors: a smaller growth with pressure is taken for 0
 _AT_BOUND = 1e-2  # of the logarithm of the presliding length
 _EDGE = 1e-6  # of the range of a shape parameter
-_MISFIT = 0.25  # of half the loop width: larger residuals of the law may pass for friction
+_MISFIT = 0.1  # of half the loop width: larger systematic residuals may pass for friction
 _ROUNDS = 2
 _VAGUE = 0.3  # relative standard error above which a parameter is not determined
 
 
 def identify_hysteresis(
-    law: type[ForceLaw] | ForceLaw | Fit, dataset: IsobaricDataset, *, drift: bool = True, elements: int = 6
+    law: type[ForceLaw] | ForceLaw | Fit,
+    dataset: IsobaricDataset,
+    *,
+    drift: bool = True,
+    form: FrictionForm | None = None,
+    elements: int = 6,
 ) -> HysteresisFit:
     """Fit a law and its friction to all points of an isobaric test, in the order of time.
 
     The force at a point is that of the law, that of friction after the loading path to there, and the sensor's offset,
-    all estimated together by least squares. Each path begins on the branch of its first stroke: loading before an
-    unloading stroke and vice versa.
+    all estimated together by least squares. The branch on which the paths begin follows from the first points.
 
-    The drift of the sensor is none, a straight line, or linear with a knot for each path with slack points, whichever
-    has the least Bayesian information criterion. It needs times; without slack points it is at most a line from 0.
+    Unless the form of the friction is given, the forms that the data can tell apart are compared by their error at
+    held-out loops. A score test, robust to errors common to a loading path, finds what the form lacks.
+
+    The drift of the sensor is none, a straight line, or linear with a knot for each path with slack points: of those
+    that are significant, the one of least Bayesian information criterion. It needs times; without slack points, or
+    where their forces are clipped at a floor, it is at most a line from 0.
 
     Parameters
     ----------
@@ -170,7 +203,9 @@ def identify_hysteresis(
         Directions, initial length, and nominal pressures where measured ones scatter, in the order of the test or with
         times.
     drift
-        True to estimate a drift.
+        True to estimate a drift where it is significant.
+    form
+        Form of the friction; chosen by held-out loops unless given.
     elements
         Number of Maxwell-slip elements.
 
@@ -197,18 +232,29 @@ def identify_hysteresis(
     paths = LoadingPaths.of(means)
     taut = ~means.slack
     bases = DriftBasis.candidates(paths, means)[: None if drift else 1]
-    used = taut | any(basis.has_offset for basis in bases)
+    used = taut | (any(basis.has_offset for basis in bases) and not clipped(means))
     known = law if isinstance(law, ForceLaw) else None
     law_type = type(law) if isinstance(law, ForceLaw) else law
     levels = np.unique(means.levels[taut])
     half_gap = loop_half_width(means, taut)
-    start = {"half_width": half_gap, "growth": 0.0, "log_presliding": float(np.log(paths.step))}
     template = known or identify(law_type, means).law
-    model = PathDependentModel(template, paths, means, bases[0], used, float(levels.mean()), elements)
-    free = FRICTION if known else (*model.law_names, *FRICTION)
-    _check_count(model, free, bases[-1])
+    model = PathDependentModel(
+        template,
+        paths,
+        means,
+        bases[0],
+        used,
+        float(levels.mean()),
+        elements,
+        float(means.force[taut].mean()),
+        paths.rate(means),
+    )
+    of_law = () if known else model.law_names
+    _check_count(model, (*of_law, *FrictionForm.CONSTANT.free), bases[-1])
+    start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap, "log_presliding": float(np.log(paths.step))}
+    model, start = _started(model, start)
     for _ in range(0 if known else _ROUNDS):  # a better start: friction and law in turn
-        start = _least_squares(model, start, ("half_width", "log_presliding"), max_nfev=20).values
+        start = least_squares(model, start, ("half_width", "log_presliding"), max_nfev=20).values
         friction = model.components(start)[1]
         corrected = IsobaricDataset(means.table.assign(force=("point", means.force - friction)))
         try:
@@ -216,69 +262,75 @@ def identify_hysteresis(
         except (IdentificationError, np.linalg.LinAlgError):
             break  # the start is good enough
     warnings: list[str] = []
-    for name in _shapes_at_bound(model.template) & set(free):
-        free = _without(free, name)
+    for name in _shapes_at_bound(model.template) & set(of_law):
+        of_law = _without(of_law, name)
         warnings.append(f"{name} is held at the bound of its range: the law is probably misspecified")
     start |= {name: float(getattr(model.template, name)) for name in model.law_names}
 
-    growth_known = len(levels) >= 3
-    model, found = _with_drift(model, bases, start, free if growth_known else _without(free, "growth"))
-    if growth_known and abs(found.values["growth"]) < _SIGNIFICANT * found.error("growth"):
-        found = _solve(model, {**found.values, "growth": 0.0}, _without(found.free, "growth"))
-    elif not growth_known:
+    comparison = None
+    if form is None:
+        comparison, start = compare_forms(dataclasses.replace(model, drift=bases[-1]), start, of_law)
+        form = comparison.chosen
+    else:
+        _check_form(model, form, levels)
+        start = form_start(model, start, form)
+    free = (*of_law, *form.free)
+    model, found = with_drift(model, bases, start, free)
+    if len(levels) < 3:
         warnings.append("fewer than three pressures: the growth of the half width with pressure is not determined")
     log_presliding = found.values["log_presliding"]
-    if log_presliding < model.shortest + _AT_BOUND or not found.error("log_presliding") < _VAGUE:
-        value = min(max(log_presliding, model.shortest), float(np.log(paths.step)))
-        found = _solve(model, {**found.values, "log_presliding": value}, _without(found.free, "log_presliding"))
+    determined = log_presliding >= model.shortest + _AT_BOUND and found.error("log_presliding") < _VAGUE
+    if "half_width" in form.free and not determined:
+        if "log_presliding" in found.free:
+            value = min(max(log_presliding, model.shortest), float(np.log(paths.step)))
+            found = solve(model, {**found.values, "log_presliding": value}, _without(found.free, "log_presliding"))
         warnings.append(
             f"the presliding length is not determined (steps of {show(paths.step, 'mm', 3)}): no point lies where "
             "friction reverses; measure a reversal in smaller steps"
         )
     half_width, error = found.values["half_width"], found.error("half_width")
-    if not error < _VAGUE * half_width:
+    if "half_width" in form.free and not error < _VAGUE * half_width:
         warnings.append(
             f"the half width {half_width:.3g} N has a standard error of {error:.2g} N: loading and unloading hardly "
             "differ, or the strokes are too short"
         )
     warnings += [f"{name} is at the bound of its range" for name in found.at_bound]
-    answer = _result(model, found, taut, tuple(warnings))
-    if answer.rmse <= _MISFIT * half_gap:
+    lack = lack_of_fit(model, found, half_gap)
+    warnings += [lack.describe(form)] if lack else []
+    answer = _result(model, found, taut, form, comparison, lack, tuple(warnings))
+    systematic = systematic_residual(model, answer.residuals)
+    if systematic <= _MISFIT * half_gap:
         return answer
     misfit = (
-        f"{type(model.template).__name__} leaves residuals of {answer.rmse:.3g} N beside {half_gap:.3g} N of half the "
-        "loop width: its misfit may pass for friction or drift; take a law that fits better"
+        f"{type(model.template).__name__} leaves residuals of {answer.rmse:.3g} N, {systematic:.3g} N of them alike "
+        f"from point to point, beside {half_gap:.3g} N of half the loop width: its misfit may pass for friction or "
+        "drift; take a law that fits better"
     )
     return dataclasses.replace(answer, warnings=(*answer.warnings, misfit))
 
 
-@dataclass(frozen=True, eq=False)
-class _Solution:
-    """Least-squares solution; errors and correlations of the free parameters and the drift amplitudes."""
+def _started(model: PathDependentModel, start: dict[str, float]) -> tuple[PathDependentModel, dict[str, float]]:
+    """Model whose paths start on the branch of their first point's direction, or on the other: which fits better."""
+    models = [model, dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=-model.paths.side))]
+    found = [least_squares(each, start, ("half_width", "log_presliding"), max_nfev=20) for each in models]
+    best = int(found[1].cost < found[0].cost)
+    return models[best], found[best].values
 
-    values: dict[str, float]
-    free: tuple[str, ...]
-    offsets: Floats
-    residuals: Floats
-    jacobian: Floats
-    active: Bools
-    converged: bool
-    errors: Floats = dataclasses.field(default_factory=lambda: np.empty(0))
-    correlations: Floats = dataclasses.field(default_factory=lambda: np.empty(0))
 
-    @property
-    def cost(self) -> float:
-        """Sum of squared residuals [N^2]."""
-        return float(self.residuals @ self.residuals)
-
-    @property
-    def at_bound(self) -> list[str]:
-        """Free parameters at a bound."""
-        return [n for n, out in zip(self.free, self.active, strict=False) if out and n != "log_presliding"]
-
-    def error(self, name: str) -> float:
-        """Standard error of a parameter; NaN if it was not free."""
-        return float(self.errors[self.free.index(name)]) if name in self.free else float("nan")
+def _check_form(model: PathDependentModel, form: FrictionForm, levels: Floats) -> None:
+    """Refuse a form that the data do not determine."""
+    if "growth" in form.free and len(levels) < 3:
+        raise IdentificationError(
+            f"friction of the form {form.value!r} needs three pressures, not {len(levels)}",
+            value=len(levels),
+            lower=3,
+            remedy="measure at more pressures, or take another form",
+        )
+    if "viscous" in form.free and model.rate is None:
+        raise IdentificationError(
+            f"friction of the form {form.value!r} needs times at which the speed varies",
+            remedy="give the times of motions at several speeds, or take another form",
+        )
 
 
 def _without(names: tuple[str, ...], name: str) -> tuple[str, ...]:
@@ -293,21 +345,6 @@ def _shapes_at_bound(law: ForceLaw) -> set[str]:
     }
 
 
-def _with_drift(
-    model: PathDependentModel, bases: list[DriftBasis], start: dict[str, float], free: tuple[str, ...]
-) -> tuple[PathDependentModel, _Solution]:
-    """Solution with the drift of least Bayesian information criterion."""
-    answers: list[tuple[float, PathDependentModel, _Solution]] = []
-    for basis in bases:
-        trial = dataclasses.replace(model, drift=basis)
-        found = _solve(trial, start, free)
-        start = found.values
-        count = int(np.count_nonzero(model.used))
-        parameters = len(free) + basis.points.shape[1]
-        answers.append((count * np.log(found.cost / count) + parameters * np.log(count), trial, found))
-    return min(answers, key=lambda answer: answer[0])[1:]
-
-
 def _check_count(model: PathDependentModel, free: tuple[str, ...], drift: DriftBasis) -> None:
     needed, count = len(free) + drift.points.shape[1] + 1, int(np.count_nonzero(model.used))
     if count < needed:
@@ -319,59 +356,15 @@ def _check_count(model: PathDependentModel, free: tuple[str, ...], drift: DriftB
         )
 
 
-def _least_squares(
-    model: PathDependentModel, start: dict[str, float], free: tuple[str, ...], *, max_nfev: int = 200
-) -> _Solution:
-    """Bounded least squares from a start; the drift amplitudes are always free."""
-    from scipy.optimize import least_squares  # 0.3 s, which no import of the package should wait for
-
-    count = len(free)
-    lower, upper = model.bounds(free)
-    unbounded = np.full(model.drift.points.shape[1], np.inf)
-    initial = np.clip([start[name] for name in free], lower, upper)
-
-    def values(x: Floats) -> dict[str, float]:
-        return {**start, **dict(zip(free, x[:count].tolist(), strict=True))}
-
-    answer = least_squares(
-        lambda x: model.residuals(values(x), x[count:]),
-        np.concatenate([initial, np.zeros_like(unbounded)]),
-        lambda x: model.jacobian(values(x), free),  # type: ignore[arg-type]
-        bounds=(np.concatenate([lower, -unbounded]), np.concatenate([upper, unbounded])),
-        x_scale="jac",
-        xtol=1e-10,
-        ftol=1e-10,
-        gtol=1e-10,
-        max_nfev=max_nfev,
-    )
-    active = np.concatenate([answer.active_mask[:count] != 0, np.zeros(len(unbounded), bool)])
-    return _Solution(values(answer.x), free, answer.x[count:], answer.fun, answer.jac, active, answer.status > 0)
-
-
-def _solve(model: PathDependentModel, start: dict[str, float], free: tuple[str, ...]) -> _Solution:
-    """Bounded least squares with standard errors."""
-    found = _least_squares(model, start, free)
-    names = (*free, *(f"offset {k}" for k in range(len(found.offsets))))
-    number = condition_number(found.jacobian[:, ~found.active])
-    if not number < CONDITION_LIMIT:
-        remaining = [name for name, out in zip(names, found.active, strict=True) if not out]
-        loose = unidentifiable(found.jacobian[:, ~found.active], remaining)
-        raise IdentificationError(
-            f"the points do not determine {', '.join(loose)} (condition number {number:.1e})",
-            value=number,
-            upper=CONDITION_LIMIT,
-            remedy="measure at more pressures and contractions, take a law with fewer parameters, or give a known one",
-        )
-    if not found.converged:
-        raise IdentificationError(
-            f"the fit of law and friction did not converge (RMSE {np.sqrt(np.mean(found.residuals**2)):.3g} N)",
-            remedy="look for outliers, wrong units and rows that are not in the order of the test",
-        )
-    known = uncertainty(found.jacobian, found.residuals, found.active)
-    return dataclasses.replace(found, errors=known.standard_errors, correlations=known.correlations)
-
-
-def _result(model: PathDependentModel, found: _Solution, taut: Bools, warnings: tuple[str, ...]) -> HysteresisFit:
+def _result(
+    model: PathDependentModel,
+    found: PathSolution,
+    taut: Bools,
+    form: FrictionForm,
+    comparison: FormComparison | None,
+    lack: LackOfFit | None,
+    warnings: tuple[str, ...],
+) -> HysteresisFit:
     means, used, basis = model.means, model.used, model.drift
     tension, force = model.components(found.values)
     offset = basis.points @ found.offsets
@@ -379,7 +372,7 @@ def _result(model: PathDependentModel, found: _Solution, taut: Bools, warnings: 
     points = means.select(taut)
     friction = model.friction(found.values)
     names = [name for name in found.free if name in model.law_names]
-    errors = {name: found.error(name) for name in (*names, "half_width", "growth")}
+    errors = {name: found.error(name) for name in (*names, *FRICTION[:-1])}
     errors["presliding_length"] = found.error("log_presliding") * friction.presliding_length
     order = [*names, *FRICTION]
     correlations = np.full((len(order), len(order)), np.nan)
@@ -393,10 +386,14 @@ def _result(model: PathDependentModel, found: _Solution, taut: Bools, warnings: 
     drift = None
     if len(basis.time):
         drift_errors = basis.at_knots @ found.errors[len(found.free) :]
-        drift = SensorDrift(basis.time, basis.at_knots @ found.offsets, drift_errors)
+        rate, rate_error, _ = drift_rate(model, found)
+        drift = SensorDrift(basis.time, basis.at_knots @ found.offsets, drift_errors, rate, rate_error)
     return HysteresisFit(
         law=law,
         friction=friction,
+        form=form,
+        comparison=comparison,
+        lack_of_fit=lack,
         standard_errors=errors,
         correlations=correlations,
         drift=drift,

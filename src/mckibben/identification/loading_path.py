@@ -20,6 +20,8 @@ _FEWEST = 4  # points of a path that show friction
 _MISLABELLED = 0.05  # of the moves may be against their direction: labels at reversals are ambiguous
 _REVERSALS = 0.3  # per move; a stroke has a few moves at least
 _SIGNIFICANT = 3.0  # standard errors
+_SPEEDS = 1.3  # ratio of the upper to the lower quartile that tells viscous from dry friction
+_CLIPPED = 0.25  # of the slack points at exactly the lowest force
 _SLACK = 2  # slack points that determine the sensor's zero of a path
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
 
@@ -44,6 +46,26 @@ class LoadingPaths:
     def rows(self) -> list[Ints]:
         """Rows of each path in the order of time."""
         return [self.place[:count, path] for path, count in enumerate(self.counts)]
+
+    @property
+    def label(self) -> Ints:
+        """Path of each row, shape (rows,)."""
+        label = np.empty(len(self.length), np.int64)
+        for path, rows in enumerate(self.rows):
+            label[rows] = path
+        return label
+
+    def rate(self, means: IsobaricDataset) -> Floats | None:
+        """Rate of the length [m/s] by central differences, shape (rows,); None without times, or at one speed."""
+        if "time" not in means.table:
+            return None
+        time, rate = means.table["time"].to_numpy(), np.zeros(len(self.length))
+        for rows in self.rows:
+            if len(rows) > 1 and (np.diff(time[rows]) <= 0).any():
+                return None
+            rate[rows] = np.gradient(self.length[rows], time[rows]) if len(rows) > 1 else 0.0
+        slow, fast = np.quantile(np.abs(rate), [0.25, 0.75])
+        return rate if fast > _SPEEDS * slow else None
 
     def scattered(self, values: Floats) -> Floats:
         """Values by point and path, shape (points, paths, ...), as rows of the dataset, shape (rows, ...)."""
@@ -108,11 +130,14 @@ class DriftBasis:
 
     @classmethod
     def candidates(cls, paths: LoadingPaths, means: IsobaricDataset) -> list[DriftBasis]:
-        """No drift, a line, a knot for each path with slack points, which determine the sensor's zero."""
+        """No drift, a line, a knot for each path with slack points, which determine the sensor's zero.
+
+        Slack points that share one lowest force were clipped there, and do not determine it.
+        """
         none = cls(np.empty((len(means), 0)), np.empty(0), np.empty((0, 0)))
         if "time" not in means.table:
             return [none]
-        time, slack = means.table["time"].to_numpy(), means.slack
+        time, slack = means.table["time"].to_numpy(), means.slack & ~clipped(means)
         ends = np.array([time.min(), time.max()])
         if ends[0] == ends[1]:
             return [none]
@@ -137,6 +162,12 @@ def _hats(time: Floats, knots: Floats) -> Floats:
     basis[rows, left] = 1 - part
     basis[rows, left + 1] = part
     return basis
+
+
+def clipped(means: IsobaricDataset) -> bool:
+    """True if the forces of the slack points end at a floor, as those of a reading that is never negative."""
+    slack = means.force[means.slack]
+    return bool(len(slack)) and int(np.count_nonzero(slack == slack.min())) > max(1.0, _CLIPPED * len(slack))
 
 
 def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
@@ -168,12 +199,13 @@ def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
     return middle / 2
 
 
-FRICTION = ("half_width", "growth", "log_presliding")
-"""Parameters of the friction: half width [N], its growth [N/Pa], and the logarithm of the presliding length [m]."""
+FRICTION = ("half_width", "growth", "tension_growth", "viscous", "log_presliding")
+"""Parameters of the friction in SI, as those of `MaxwellSlip`, with the logarithm of the presliding length [m]."""
 
 _TENSION_STEP = 1e-4  # N: of difference quotients
 _RELATIVE_STEP = 1e-6
 _WIDEST = 1e5  # N
+_LONGEST = 0.25  # of the range of lengths: with a longer presliding length friction would never be fully reversed
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +219,8 @@ class PathDependentModel:
     used: Bools = field(repr=False)
     reference_pressure: float
     elements: int
+    reference_tension: float = 0.0
+    rate: Floats | None = None
 
     @property
     def law_names(self) -> tuple[str, ...]:
@@ -204,6 +238,9 @@ class PathDependentModel:
             float(np.exp(values["log_presliding"])),
             growth=values["growth"],
             reference_pressure=self.reference_pressure,
+            tension_growth=values["tension_growth"],
+            reference_tension=self.reference_tension,
+            viscous=values["viscous"],
             elements=self.elements,
         )
 
@@ -218,7 +255,9 @@ class PathDependentModel:
         given = {p.name: (p.lower, p.upper) for p in type(self.template).shape_parameters}
         given |= {
             "half_width": (MIN_HALF_WIDTH, _WIDEST),
-            "log_presliding": (self.shortest, float(np.log(10 * np.ptp(self.paths.length)))),
+            "tension_growth": (-1.0, 1.0),
+            "viscous": (0.0, np.inf),
+            "log_presliding": (self.shortest, float(np.log(_LONGEST * np.ptp(self.paths.length)))),
         }
         lower, upper = zip(*(given.get(name, (-np.inf, np.inf)) for name in names), strict=True)
         return np.array(lower, float), np.array(upper, float)
@@ -227,6 +266,13 @@ class PathDependentModel:
         """Tension of the law and friction force [N] at each row, shape (rows,)."""
         tension = self._tension(values)
         return tension, self._friction(tension[:, None], [values])[:, 0]
+
+    def band_side(self, values: Mapping[str, float]) -> Floats:
+        """Friction of a taut muscle relative to its half width at each row, from -1 to 1, shape (rows,)."""
+        unit = {**dict.fromkeys(FRICTION, 0.0), "half_width": 1.0}
+        # The stiffness of the elements follows from half width and presliding length.
+        unit["log_presliding"] = values["log_presliding"]
+        return self._friction(np.full((len(self.means), 1), _WIDEST), [unit])[:, 0]
 
     def residuals(self, values: Mapping[str, float], offsets: Floats) -> Floats:
         """Modelled minus measured force [N] at the points used."""
@@ -242,8 +288,12 @@ class PathDependentModel:
         others = [name for name in names if name not in self.law_names]
         # All difference quotients of the friction in one pass along the paths.
         by_law = _TENSION_STEP / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-300)
-        pressures = max(float(np.abs(self.means.pressure - self.reference_pressure).max()), 1.0)
-        steps = np.array([*by_law, *(_RELATIVE_STEP / (pressures if name == "growth" else 1.0) for name in others)])
+        sizes = {
+            "growth": float(np.abs(self.means.pressure - self.reference_pressure).max()),
+            "tension_growth": float(np.abs(tension - self.reference_tension).max()),
+            "viscous": 1.0 if self.rate is None else float(np.abs(self.rate).max()),
+        }
+        steps = np.array([*by_law, *(_RELATIVE_STEP / max(sizes.get(name, 1.0), 1e-9) for name in others)])
         moved = [dict(values) for _ in names]
         for k, name in enumerate(others):
             moved[len(of_law) + k][name] += steps[len(of_law) + k]
@@ -259,9 +309,12 @@ class PathDependentModel:
 
     def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
-        half_width, growth, log_presliding = (np.array([values[name] for values in sets]) for name in FRICTION)
+        half_width, growth, by_tension, viscous, log_presliding = (
+            np.array([values[name] for values in sets]) for name in FRICTION
+        )
         above = self.means.pressure - self.reference_pressure
-        limit = smooth_limit(half_width + growth * above[:, None], tension, np)
+        width = half_width + growth * above[:, None] + by_tension * (tension - self.reference_tension)
+        limit = smooth_limit(width, tension, np)
         share, stiffness = polygon(self.elements)
         stiffness = stiffness * (half_width / np.exp(log_presliding))[:, None]
         deflections = play_response(
@@ -271,4 +324,8 @@ class PathDependentModel:
             share,
             side=self.paths.side[:, None],
         )
-        return self.paths.scattered(np.einsum("pwse,se->pws", deflections, stiffness))
+        force = self.paths.scattered(np.einsum("pwse,se->pws", deflections, stiffness))
+        if self.rate is None or not viscous.any():
+            return force
+        half = np.maximum(tension / 2, 1e-9)
+        return force + half * np.tanh(viscous * self.rate[:, None] / half)

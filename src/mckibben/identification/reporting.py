@@ -47,14 +47,25 @@ def hysteresis_numbers(found: HysteresisFit) -> dict[str, Any]:
     friction, errors = found.friction, found.standard_errors
     per_bar = factor("N/bar")
     return {
+        "form": found.form.value,
+        "held_out_rmse_N": {form.value: rmse for form, rmse in found.comparison.rmse.items()}
+        if found.comparison
+        else {},
+        "rejected_for": found.lack_of_fit.quantity if found.lack_of_fit else None,
         "half_width_N": friction.half_width,
         "half_width_standard_error_N": errors["half_width"],
         "growth_N_per_bar": friction.growth / per_bar,
         "growth_standard_error_N_per_bar": errors["growth"] / per_bar,
         "reference_pressure_bar": friction.reference_pressure / factor("bar"),
+        "tension_growth": friction.tension_growth,
+        "tension_growth_standard_error": errors["tension_growth"],
+        "reference_tension_N": friction.reference_tension,
+        "viscous_N_s_per_m": friction.viscous,
+        "viscous_standard_error_N_s_per_m": errors["viscous"],
         "presliding_length_mm": friction.presliding_length / factor("mm"),
         "presliding_length_standard_error_mm": errors["presliding_length"] / factor("mm"),
         "drift_N_per_hour": found.drift.rate * 3600 if found.drift else 0.0,
+        "drift_standard_error_N_per_hour": found.drift.rate_error * 3600 if found.drift else None,
         "rmse_N": found.rmse,
         "max_N": found.max_error,
         "warnings": list(found.warnings),

@@ -215,6 +215,38 @@ def _solve(triangle: Floats, gradients: Floats) -> Floats:
     return np.linalg.solve((triangle / lengths).T, (gradients / lengths).T).T
 
 
+_GROWTH_LEVEL = 0.01  # probability of a growth where there is none
+_GROWTHS = np.geomspace(1e-3, 1e5, 200).tolist()  # of the variance, over the range of forces
+
+
+def scatter_growth(force: Floats, residuals: Floats) -> float:
+    """Ratio c [1/N^2] of a variance proportional to 1 + c F^2, by maximum likelihood; 0 where it is not significant.
+
+    The test is that of Koenker: of the slope of the squared residuals.
+    """
+    # R. Koenker, J. Econometrics 17 (1981) 107-112.
+    from scipy.special import stdtr
+
+    square, largest = residuals**2, float(np.max(force**2, initial=0.0))
+    if not largest or not square.any():
+        return 0.0
+    relative = force**2 / largest
+    design = np.column_stack([np.ones_like(relative), relative])
+    if not condition_number(design) < CONDITION_LIMIT:
+        return 0.0
+    slope = np.linalg.lstsq(design, square, rcond=None)[0]
+    errors = square - design @ slope
+    variance, freedom = IndependentErrors.of(design, errors).variance(np.array([[0.0, 1.0]]))
+    if not (slope[1] > 0 and variance[0] > 0 and stdtr(freedom[0], -slope[1] / np.sqrt(variance[0])) < _GROWTH_LEVEL):
+        return 0.0
+
+    def deviance(growth: float) -> float:
+        shape = 1 + growth * relative
+        return float(len(square) * np.log(np.mean(square / shape)) + np.log(shape).sum())
+
+    return min(_GROWTHS, key=deviance) / largest
+
+
 class Grouping(enum.Enum):
     """Grouping of points that may share an error; groups are independent of each other.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
-from mckibben.units import FrictionForce, FrictionGrowth, Presliding, Pressure, Viscosity
+from mckibben.units import Force, FrictionForce, FrictionGrowth, Presliding, Pressure, TensionGrowth, Viscosity
 
 FrictionState = tuple[Array, ...]
 """Anchor of each element: the length [m] at which it is unstressed."""
@@ -111,7 +111,7 @@ class MaxwellSlip(Friction):
     .. math::
 
         f = \sum_i \mathrm{clip}\big(k_i (l - a_i),\ \pm w_i A\big), \qquad a_i \leftarrow l - f_i/k_i,
-        \qquad A = B \tanh\frac{T}{2B}, \quad B = B_0 + B_1 (p - p_0)
+        \qquad A = B \tanh\frac{T}{2B}, \quad B = B_0 + B_1 (p - p_0) + B_2 (T - T_0)
 
     The state of an element is its anchor :math:`a_i`, the length at which it is unstressed. The half width :math:`A`
     of the band is at most half the law's tension :math:`T`, so the muscle never pushes, and 0.96 B at T = 4B. Where the
@@ -126,11 +126,13 @@ class MaxwellSlip(Friction):
     Parameters
     ----------
     half_width
-        B0 [N] at the reference pressure: half the distance between loading (above) and unloading (below).
+        B0 [N] at the reference pressure and tension: half the distance between loading (above) and unloading (below).
     presliding_length
         s0 [m].
     growth, reference_pressure
         B1 [N/Pa], and p0 [Pa, gauge]; the half width is never taken below 0.
+    tension_growth, reference_tension
+        B2 [-], and T0 [N].
     viscous
         c [N*s/m].
     elements
@@ -156,6 +158,8 @@ class MaxwellSlip(Friction):
     presliding_length: Presliding
     growth: FrictionGrowth = eqx.field(default=0.0, kw_only=True)
     reference_pressure: Pressure = eqx.field(default=0.0, kw_only=True)
+    tension_growth: TensionGrowth = eqx.field(default=0.0, kw_only=True)
+    reference_tension: Force = eqx.field(default=0.0, kw_only=True)
     viscous: Viscosity = eqx.field(default=0.0, kw_only=True)
     elements: int = eqx.field(default=6, kw_only=True, static=True)
 
@@ -166,10 +170,12 @@ class MaxwellSlip(Friction):
         check_positive("MaxwellSlip", "N*s/m", zero=True, viscous=self.viscous)
         check_within("MaxwellSlip", -1.0, 1.0, "N/Pa", growth=self.growth)
         check_within("MaxwellSlip", -1e9, 1e9, "Pa", reference_pressure=self.reference_pressure)
+        check_within("MaxwellSlip", -1.0, 1.0, tension_growth=self.tension_growth)
+        check_positive("MaxwellSlip", "N", zero=True, reference_tension=self.reference_tension)
         check_within("MaxwellSlip", _ELEMENTS[0], _ELEMENTS[-1], elements=self.elements)
 
     def half_width_at(self, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        return smooth_limit(self._width(jnp.asarray(pressure)), jnp.asarray(tension), jnp)
+        return smooth_limit(self._width(jnp.asarray(tension), jnp.asarray(pressure)), jnp.asarray(tension), jnp)
 
     def initial(self, length: ArrayLike) -> FrictionState:
         return (floating(length),) * self.elements
@@ -204,7 +210,7 @@ class MaxwellSlip(Friction):
         length, tension, pressure = np.broadcast_arrays(
             *(np.asarray(column, np.float64) for column in (length, tension, pressure))
         )
-        limit = smooth_limit(self._width(pressure), tension, np)
+        limit = smooth_limit(self._width(tension, pressure), tension, np)
         travel = np.diff(length, prepend=length[:1])
         deflections = play_response(travel, limit, self.stiffnesses, self.shares, side=side)
         return deflections @ self.stiffnesses
@@ -219,8 +225,9 @@ class MaxwellSlip(Friction):
         """Stiffness k of each element [N/m]; shape (elements,)."""
         return polygon(self.elements).stiffness * (float(self.half_width) / float(self.presliding_length))
 
-    def _width(self, pressure: Any) -> Any:
-        return self.half_width + self.growth * (pressure - self.reference_pressure)
+    def _width(self, tension: Any, pressure: Any) -> Any:
+        width = self.half_width + self.growth * (pressure - self.reference_pressure)
+        return width + self.tension_growth * (tension - self.reference_tension)
 
     def _forces(self, state: FrictionState, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> list[Array]:
         """Force [N] of each element."""

@@ -138,6 +138,7 @@ class Grip:
             self._stiffness, shares = friction.stiffnesses.tolist(), friction.shares.tolist()
             self._reach = [share / k for share, k in zip(shares, self._stiffness, strict=True)]
             self._width = float(friction.half_width), float(friction.growth), float(friction.reference_pressure)
+            self._by_tension = float(friction.tension_growth), float(friction.reference_tension)
             self._viscous = float(friction.viscous)
         self._deflections = [0.0] * len(self._stiffness)
         self._times: list[float] = []
@@ -172,7 +173,8 @@ class Grip:
         total = tension
         if self._slipping:
             base, growth, reference = self._width
-            width = max(base + growth * (pressure - reference), _LEAST)
+            share, middle = self._by_tension
+            width = max(base + growth * (pressure - reference) + share * (tension - middle), _LEAST)
             limit = width * math.tanh(tension / (2 * width))
             deflections = self._deflections
             for k, (stiffness, reach) in enumerate(zip(self._stiffness, self._reach, strict=True)):

@@ -1,0 +1,124 @@
+"""Forms of friction: chosen by held-out loops, rejected where they lack something; only significant drifts."""
+
+import numpy as np
+import pytest
+
+from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, identify_hysteresis
+from mckibben.errors import IdentificationError
+from mckibben.identification import FrictionForm
+from mckibben.muscle import forces
+from mckibben.units import bar, mm
+
+LAW = catalog.law("lei-mas-10-180n")
+LENGTH = 180 * mm
+WIDTH = 12.0  # N
+HALF_WIDTHS = {
+    "coulomb": lambda contraction, pressure, tension: WIDTH,
+    "pressure": lambda contraction, pressure, tension: WIDTH * pressure / (3.5 * bar),
+    "tension": lambda contraction, pressure, tension: 0.06 * tension,
+    "contraction": lambda contraction, pressure, tension: WIDTH * (1 - contraction / 0.3),
+}
+
+
+def loops(kind, *, drift=0.0, noise=0.05, lowest=0.0, clipped=True):
+    """Points of two repeats of loops at six pressures; drift in N/h, `lowest` tension [N] of a loop."""
+    rng = np.random.default_rng(0)
+    parts, start = [], 0.0
+    for repeat in range(2):
+        for pressure in np.arange(1, 7) * bar:
+            fine = np.linspace(-0.03, 0.25, 2000)
+            below = forces(LAW, fine, pressure) <= lowest
+            top = fine[np.argmax(below)] if lowest and below.any() else 0.25
+            stroke = np.linspace(-0.03, top, round((top + 0.03) * LENGTH / (2 * mm)) + 1)
+            contraction = np.concatenate([stroke, stroke[::-1][1:]])
+            side = np.repeat([-1.0, 1.0], [len(stroke), len(stroke) - 1])
+            tension = np.maximum(forces(LAW, contraction, pressure), 0)
+            time = start + 7.0 * np.arange(len(contraction))
+            if kind == "viscous":  # the speed varies along a stroke
+                speed = mm * (1 + 3 * np.sin(np.pi * (contraction + 0.03) / (top + 0.03)) ** 2)
+                steps = np.abs(np.diff(contraction)) * LENGTH / (0.5 * (speed[1:] + speed[:-1]))
+                time = start + np.concatenate([[0.0], np.cumsum(steps)])
+                half = np.maximum(tension / 2, 1e-9)
+                friction = half * np.tanh(5e3 * side * speed / half)
+            else:
+                friction = side * np.minimum(HALF_WIDTHS[kind](contraction, pressure, tension), tension / 2)
+            force = tension + friction + noise * rng.standard_normal(len(time)) + drift / 3600 * time
+            if clipped:
+                force = np.where(tension > 0, np.maximum(force, 0), 0.0)
+            direction = np.where(side > 0, "loading", "unloading")
+            columns = (time, np.full(len(time), pressure), contraction, force, direction, np.full(len(time), repeat))
+            parts.append(columns)
+            start = time[-1] + 20
+    names = ("time", "pressure", "contraction", "force", "direction", "repeat")
+    joined = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return IsobaricDataset.of(**dict(zip(names, joined, strict=True)), initial_length=LENGTH)
+
+
+def law_error(law):
+    contraction, pressure = np.meshgrid(np.linspace(0, 0.2, 21), np.linspace(1, 6, 6) * bar)
+    true = forces(LAW, contraction, pressure)
+    known = (true > 10) & (true < 600)
+    return float(np.sqrt(np.mean((forces(law, contraction, pressure) - true)[known] ** 2)))
+
+
+@pytest.mark.parametrize("kind", ["coulomb", "pressure", "tension", "viscous"])
+def test_the_form_is_found_by_held_out_loops(kind):
+    found = identify_hysteresis(ExponentialLaw, loops(kind))
+    assert found.form is FrictionForm(kind)
+    assert found.lack_of_fit is None
+    assert found.drift is None or abs(found.drift.rate) * 3600 < 0.5
+    assert law_error(found.law) < 0.3
+    expected = {
+        "coulomb": (found.friction.half_width, WIDTH),
+        "pressure": (found.friction.growth * bar, WIDTH / 3.5),
+        "tension": (found.friction.tension_growth, 0.06),
+        "viscous": (found.friction.viscous, 5e3),
+    }[kind]
+    assert expected[0] == pytest.approx(expected[1], rel=0.03)
+    assert kind in found.report()
+
+
+@pytest.mark.parametrize(("given", "kind"), [("coulomb", "pressure"), ("coulomb", "tension"), ("constant", "viscous")])
+def test_a_wrong_form_is_rejected_and_another_offered(given, kind):
+    found = identify_hysteresis(ExponentialLaw, loops(kind), form=FrictionForm(given))
+    assert found.comparison is None
+    assert found.lack_of_fit.remedy is not FrictionForm(given)
+    assert found.lack_of_fit.p_value < 1e-3
+    assert any("rejected" in warning for warning in found.warnings)
+
+
+def test_a_dependence_that_no_form_has_is_named():
+    found = identify_hysteresis(ExponentialLaw, loops("contraction"))
+    assert (found.lack_of_fit.quantity, found.lack_of_fit.remedy) == ("contraction", None)
+
+
+@pytest.mark.parametrize("drift", [-3.0, 3.0])
+def test_drift_of_a_load_cell_that_is_never_negative_does_not_ruin_the_law(drift):
+    data = loops("coulomb", drift=drift)
+    found = identify_hysteresis(ExponentialLaw, data)
+    assert found.drift.rate * 3600 == pytest.approx(drift, rel=0.15)
+    corrected = found.corrected(data)
+    assert corrected.slack[data.slack].all()
+    assert law_error(identify(ExponentialLaw, corrected).law) < 0.4
+
+
+def test_there_is_no_drift_without_one():
+    data = loops("coulomb", lowest=20.0)
+    assert not data.slack.any()
+    found = identify_hysteresis(ExponentialLaw, data)
+    assert found.drift is None
+    assert law_error(found.law) < 0.3
+
+
+def test_drift_may_be_left_out():
+    found = identify_hysteresis(ExponentialLaw, loops("coulomb", drift=3.0, clipped=False), drift=False)
+    assert found.drift is None
+    assert not found.offset.any()
+
+
+def test_a_form_that_the_data_do_not_determine_is_refused():
+    data = loops("coulomb")
+    with pytest.raises(IdentificationError, match="three pressures"):
+        identify_hysteresis(ExponentialLaw, data.at([2 * bar, 4 * bar]), form=FrictionForm.PRESSURE)
+    with pytest.raises(IdentificationError, match="speed"):
+        identify_hysteresis(ExponentialLaw, data, form=FrictionForm.VISCOUS)
