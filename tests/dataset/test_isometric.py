@@ -44,7 +44,7 @@ def test_points_at_given_pressures_for_filling_and_venting_apart(noise):
     assert np.all(np.abs(data.table["force_spread"] - 0.65 * noise) < 0.12)  # of force and, times the slope, pressure
     assert sum(points.counts.values()) == len(TIME)
     assert points.counts["used"] == points.samples.sum()
-    assert "filling 1 does not pass 4 bar" in points.notes
+    assert points.notes == ("not passed: 4 bar by filling 1, venting 1",)
 
 
 def test_the_line_is_that_of_numpy():
@@ -70,7 +70,7 @@ def test_a_rest_at_the_top_belongs_to_the_filling():
 
 def test_a_level_is_not_reached_from_one_side():
     with pytest.raises(
-        RangeError, match=r"no level is passed\n  10500 samples: 0 used[^\n]*\n  filling 0 does not pass 7"
+        RangeError, match=r"no level is passed\n  10500 samples: 0 used[^\n]*\n  not passed: 7 bar by filling 0"
     ):
         record().isometric([7 * bar])
 
@@ -127,3 +127,43 @@ def test_fillings_and_ventings_at_several_lengths_identify_a_law(tmp_path):
     fit = identify(ExponentialLaw, both)
     expected = law.force(contraction=both.contraction, pressure=both.pressure)
     np.testing.assert_allclose(fit.law.force(contraction=both.contraction, pressure=both.pressure), expected, atol=0.4)
+
+
+def staircase(levels, *, overshoot=0.1, move=0.1, hold=2.0, decay=0.1, rate=RATE):
+    """Steps of the pressure [Pa] through levels [bar] that overshoot, decaying over `decay` [s]."""
+    time = np.arange(0, hold * len(levels), 1 / rate)
+    step = np.minimum((time // hold).astype(int), len(levels) - 1)
+    since, before = time - step * hold, np.array([levels[0], *levels[:-1]])[step]
+    jump = np.array(levels)[step] - before
+    rise = np.minimum(since / move, 1.0)
+    after = np.maximum(since - move, 0.0)
+    ring = overshoot * (since > move) * np.exp(-after / decay) * np.sin(after / decay)
+    pressure = (before + jump * (rise + ring)) * bar
+    return time, pressure + np.random.default_rng(0).normal(0, 200, len(time))
+
+
+LEVELS = [*np.arange(0, 6.1, 0.5), *np.arange(5.5, -0.1, -0.5)]
+
+
+def test_a_staircase_is_no_ramp():
+    time, pressure = staircase(LEVELS, overshoot=0.5)
+    record = Recording.of(time=time, pressure=pressure, force=truth(pressure, 0), contraction=0.05)
+    with pytest.raises(RangeError, match="was held at") as error:
+        record.isometric()
+    assert "plateaus" in error.value.remedy
+    points = record.plateaus()
+    assert points.dataset.table["phase"].values.tolist()[1:] == ["filling"] * 12 + ["venting"] * 12
+
+
+def test_transients_of_the_valve_are_no_points():
+    time, pressure = staircase([0.0, 6.0, 0.0], move=0.3, overshoot=0.0, hold=10.0)
+    record = Recording.of(time=time, pressure=pressure, force=truth(pressure, 0), contraction=0.05)
+    with pytest.raises(RangeError, match="of a transient"):
+        record.isometric()
+
+
+def test_an_overshoot_of_a_ramp_is_no_phase():
+    ripple = 0.1 * bar * np.sin(2 * np.pi * 3 * TIME)
+    data = record(pressure=CLEAN + ripple).isometric([2 * bar, 4 * bar]).dataset
+    assert data.table["phase"].values.tolist()[:4] == ["filling", "filling", "venting", "venting"]
+    assert data.table["repeat"].values.tolist()[:4] == [0] * 4

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from mckibben.cli.identify import _levels, points
 from mckibben.dataset import read_dataset
-from mckibben.errors import DatasetError, UnitError
+from mckibben.errors import DatasetError, RangeError, UnitError
 from mckibben.units import bar
 
 APP = typer.Typer()
@@ -123,3 +123,14 @@ def test_corrupt_rows_are_refused_or_left_out_and_named(run):
 def test_options_that_cannot_be_read(arguments, error, expected, run):
     write("rig.csv", LEVEL)
     assert expected in run("rig.csv", *COLUMN, *arguments, error=error)
+
+
+def test_a_column_is_assigned_in_either_order(run):
+    write("rig.csv", LEVEL)
+    assert "5 points" in run("rig.csv", "--column", "pressure_bar=Druck [bar]", "--contraction", "10 %")
+
+
+def test_a_shorter_dwell_is_suggested(run):
+    write("rig.csv", LEVEL)
+    error = run("rig.csv", *COLUMN, "--dwell", "10 s", error=RangeError)
+    assert "--dwell '5 s'" in error

@@ -175,6 +175,10 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
         by_position = "columns={'1': 'pressure_bar', ...} (command line: --column 1=pressure_bar)"
         problem("the file has no header", remedy=f"name the columns by position: {by_position}")
         return layout
+    mapping = {  # the other way round is as clear
+        **{k: v for k, v in mapping.items() if not _swapped(k, v, header)},
+        **{v: k for k, v in mapping.items() if _swapped(k, v, header)},
+    }
     asked: set[str] = set()
     seen: set[str] = set()
     for given, name in mapping.items():
@@ -209,6 +213,11 @@ def find_columns(sheet: RawTable, mapping: Mapping[str, str], needed: Sequence[s
             problem(f"no column for {name}; the file has {shown}", remedy=remedy)
     _same_length(sheet, layout)
     return layout
+
+
+def _swapped(given: str, name: str, header: Sequence[str]) -> bool:
+    """True if a pair of the mapping is a known name and a header, in place of a header and a known name."""
+    return given not in header and name in header and parse_header(given) is not None
 
 
 def _same_length(sheet: RawTable, layout: Layout) -> None:

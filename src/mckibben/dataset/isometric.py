@@ -9,9 +9,14 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.points import SampleAccount
+from mckibben.dataset.segmentation import steady_segments
 from mckibben.errors import RangeError
+from mckibben.units import bar
 
 LEAST = 3  # samples of a point
+FASTEST = 2.0  # s for the range of the pressure: a muscle that lags 50 ms behind the sensor is 2.5 % of it behind
+REVERSAL = 20  # parts of the range of the pressure
+_NAMED = 8  # pressures that a message names
 _SMOOTHED = 2000  # means by which the turns of the pressure are found: at most so many
 BAND = 40  # parts of the range of the levels
 
@@ -107,6 +112,47 @@ def split_phases(pressure: NDArray[np.float64], broken: NDArray[np.bool_], rever
     return Phases(np.repeat(of, np.diff(bounds)), filling, repeat)
 
 
+_HOLDS = 2  # inside the range of a phase: then it is a staircase
+_HOLD = 50  # parts of a phase: the shortest hold
+_HELD = 200  # parts of the range of a phase: the tolerance of a hold
+_INSIDE = 0.05  # of the range of a phase, from its ends
+
+
+def refuse_staircase(pressure: NDArray[np.float64], phases: Phases, interval: float) -> None:
+    """Raise a `RangeError` if most of a recording are phases in which the pressure was held at levels inside."""
+    held: list[float] = []
+    shortest: list[float] = []
+    samples = 0
+    for number in range(len(phases.rising)):
+        part = pressure[phases.of == number]
+        low, high = float(part.min()), float(part.max())
+        found = steady_segments([(part, (high - low) / _HELD)], np.zeros(len(part), bool), max(2, len(part) // _HOLD))
+        means = np.array([part[a:b].mean() for a, b in zip(found.first, found.last, strict=True)])
+        inside = (means > low + _INSIDE * (high - low)) & (means < high - _INSIDE * (high - low))
+        if np.count_nonzero(inside) >= _HOLDS:
+            samples += len(part)
+            held += means[inside].tolist()
+            shortest += ((found.last - found.first)[inside] * interval).tolist()
+    if 2 * samples > np.count_nonzero(phases.of >= 0):
+        named = ", ".join(f"{each / bar:.3g}" for each in held[:_NAMED]) + (" ..." if len(held) > _NAMED else "")
+        dwell = 0.5 * float(np.median(shortest))
+        raise RangeError(
+            f"the pressure was held at {len(held)} levels ({named} bar); the transients in between are no points",
+            remedy=f"plateaus(dwell={dwell:.2g}) (command line: leave out --isometric, --dwell '{dwell:.2g} s')",
+        )
+
+
+def named_cells(where: NDArray[np.bool_], levels: NDArray[np.float64], phases: Phases) -> str:
+    """Levels and their phases, as text, where a mask of shape (phases, levels) is true."""
+    parts = []
+    for level in np.flatnonzero(where.any(axis=0))[:_NAMED]:
+        numbers = np.flatnonzero(where[:, level])
+        names = [f"{'filling' if phases.rising[n] else 'venting'} {phases.repeat[n]}" for n in numbers[:2]]
+        more = f" and {len(numbers) - 2} more" if len(numbers) > 2 else ""
+        parts.append(f"{levels[level] / bar:.4g} bar by {', '.join(names)}{more}")
+    return "; ".join(parts) + ("; ..." if np.count_nonzero(where.any(axis=0)) > _NAMED else "")
+
+
 class Lines(NamedTuple):
     """Least-squares lines of force over pressure at offset 0, shape (groups,); NaN where a group is empty."""
 
@@ -116,6 +162,11 @@ class Lines(NamedTuple):
     time: NDArray[np.float64]
     below: NDArray[np.float64]
     above: NDArray[np.float64]
+
+    def rate(self, interval: float) -> NDArray[np.float64]:
+        """Mean rate of the pressure in each group [Pa/s]."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return (self.above - self.below) / (self.samples * interval)
 
 
 def lines_through(

@@ -12,10 +12,21 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.isometric import BAND, LEAST, fixed_contraction, lines_through, pressure_levels, split_phases
+from mckibben.dataset.isometric import (
+    BAND,
+    FASTEST,
+    LEAST,
+    REVERSAL,
+    fixed_contraction,
+    lines_through,
+    named_cells,
+    pressure_levels,
+    refuse_staircase,
+    split_phases,
+)
 from mckibben.dataset.points import ExtractedPoints, SampleAccount, check_positive, extracted_points
 from mckibben.dataset.schema import RECORDED, assemble, format_range, load_validated, normalize, write_netcdf
-from mckibben.dataset.segmentation import approaches, levels_of, steady_segments
+from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, kPa, percent
 
@@ -191,7 +202,8 @@ class Recording:
         if force_tolerance is not None:
             signals.append((force, force_tolerance))
         least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
-        found = steady_segments(signals, account.broken | (account.of >= 0), least)
+        unusable = account.broken | (account.of >= 0)
+        found = steady_segments(signals, unusable, least)
         account.assign_reason(found.drifting, "drifting")
         first, last = found.first, found.last
         firsts = zip(first, last, strict=True)
@@ -205,14 +217,20 @@ class Recording:
             account.assign_reason(slice(a, b), "settling")
             account.assign_reason(slice(c, d), "at the end of a plateau")
         first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
+        shorter = "" if len(first) >= FEW else shorter_dwell(signals, unusable, least, interval, len(first))
         if not len(first):
+            fixed = np.ptp(contraction) <= 2 * contraction_tolerance
             raise RangeError(
                 f"nothing in the recording is steady for {dwell:g} s\n  {account.describe('not steady')}",
                 value=dwell,
                 unit="s",
-                remedy="allow a larger pressure_tolerance or contraction_tolerance, or a shorter dwell; for a record "
-                "that is never steady at a fixed length use isometric",
+                remedy=shorter
+                or "allow a larger pressure_tolerance or contraction_tolerance (command line: --pressure-tolerance, "
+                "--contraction-tolerance)"
+                + ("; for a ramp of the pressure use isometric() (command line: --isometric)" if fixed else ""),
             )
+        if shorter:
+            account.notes.append(f"{len(first)} plateaus are steady for {dwell:g} s: {shorter}")
         samples = ends - begins
         owner = np.repeat(np.arange(len(first)), samples)
         at = np.arange(len(owner)) + np.repeat(begins - np.concatenate([[0], np.cumsum(samples)[:-1]]), samples)
@@ -257,13 +275,14 @@ class Recording:
         contraction: float | None = None,
         contraction_tolerance: float = 0.5 * percent,
         band: float | None = None,
-        reversal: float = 10 * kPa,
+        reversal: float | None = None,
         gap: float | None = None,
     ) -> ExtractedPoints:
         """Points at given pressures of a recording at a fixed length, separately for each filling and venting.
 
         At each level the force is that of a least-squares line through the samples with a pressure near it; nothing
-        needs to be steady.
+        needs to be steady. A level that is passed faster than the range of the pressure in 2 s is a transient of
+        the valve, and no point.
 
         Parameters
         ----------
@@ -277,8 +296,9 @@ class Recording:
             Largest deviation of a sample's pressure from its level [Pa]; unless given, half the least distance between
             levels, and at most a fortieth of their range.
         reversal
-            Pressure has reversed when it is this far [Pa] from its last extreme; samples in between belong to neither
-            phase, as there the muscle rests or friction has not reversed yet.
+            Pressure has reversed when it is this far [Pa] from its last extreme, 5 % of its range and at least 10 kPa
+            unless given; samples in between belong to neither phase, as there the muscle rests or friction has not
+            reversed yet.
         gap
             As for `plateaus`.
 
@@ -291,9 +311,11 @@ class Recording:
         Raises
         ------
         RangeError
-            If an argument has no meaning, the contraction is not known, or no level was passed.
+            If an argument has no meaning, the contraction is not known, no level was passed, or the pressure was
+            raised and lowered in steps, for `plateaus`.
         """
-        check_positive("reversal", reversal, "Pa")
+        if reversal is not None:
+            check_positive("reversal", reversal, "Pa")
         check_positive("contraction_tolerance", contraction_tolerance, "1")
         time, pressure, force = self.time, self.pressure, self.force
         if not len(time):
@@ -313,7 +335,12 @@ class Recording:
                 upper=spacing / 2,
                 unit="Pa",
             )
+        span = float(np.ptp(pressure[usable])) if usable.any() else 0.0
+        if reversal is None:
+            reversal = max(10 * kPa, span / REVERSAL)
         phases = split_phases(pressure, account.broken, reversal)
+        interval = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else np.inf
+        refuse_staircase(pressure, phases, interval)
         account.assign_reason(phases.of < 0, "at rest or turning")
         usable = account.of < 0
 
@@ -327,17 +354,15 @@ class Recording:
         sums = lines_through(cell, offset[near], force[near], time[near], len(phases.rising) * len(wanted))
         account.assign_reason(near, "used")
 
-        good = (sums.samples >= LEAST) & (sums.below < 0) & (sums.above > 0)
-        index = np.flatnonzero(good)
-        few = np.flatnonzero(~good)
-        account.of[np.flatnonzero(near)[~good[cell]]] = -1
-        account.assign_reason(near, "too few at a level")
-        for number, rising in enumerate(phases.rising):
-            missed = [wanted[i % len(wanted)] for i in few if i // len(wanted) == number]
-            if missed:
-                what = f"{'filling' if rising else 'venting'} {phases.repeat[number]}"
-                shown = ", ".join(f"{level / bar:g}" for level in missed[:8]) + (" ..." if len(missed) > 8 else "")
-                account.notes.append(f"{what} does not pass {shown} bar")
+        passed = (sums.samples >= LEAST) & (sums.below < 0) & (sums.above > 0)
+        fast = passed & (sums.rate(interval) > span / FASTEST)
+        for out, reason in ((fast, "of a transient"), (~passed, "too few at a level")):
+            account.of[np.flatnonzero(near)[out[cell]]] = -1
+            account.assign_reason(near, reason)
+        index = np.flatnonzero(passed & ~fast)
+        for out, what in ((~passed, "not passed"), (fast, f"passed faster than {span / FASTEST / bar:.2g} bar/s")):
+            if out.any():
+                account.notes.append(f"{what}: {named_cells(out.reshape(-1, len(wanted)), wanted, phases)}")
         if not len(index):
             raise RangeError(
                 f"no level is passed\n  {account.describe('between levels')}",

@@ -63,6 +63,26 @@ def steady_segments(
     return Segments(bounds[first], bounds[last], np.repeat(drifting, sizes), size if window > 4 else 0)
 
 
+FEW = 3  # plateaus
+_SHORTEST = 20  # samples of a dwell
+
+
+def shorter_dwell(
+    signals: Sequence[tuple[NDArray[np.float64], float]],
+    broken: NDArray[np.bool_],
+    dwell: int,
+    interval: float,
+    found: int,
+) -> str:
+    """Longest of the halved dwells with at least three times as many plateaus, as a remedy; "" where there is none."""
+    while (dwell := dwell // 2) >= _SHORTEST:
+        more = len(steady_segments(signals, broken, dwell).first)
+        if more >= max(FEW, 3 * found):
+            seconds = f"{dwell * interval:.2g}"
+            return f"{more} are steady for {seconds} s: dwell={seconds} (command line: --dwell '{seconds} s')"
+    return ""
+
+
 def _sliding(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:
     """Sliding maximum and minimum, shape (n - window + 1,)."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # 50 ms that reading points does not need
@@ -119,6 +139,9 @@ def levels_of(pressures: NDArray[np.float64], tolerance: float) -> tuple[NDArray
     return levels, int(count[wide].sum())
 
 
+_OVERSHOOT = 0.5  # of a step: farther beyond its level the pressure was moved there
+
+
 def approaches(
     table: xr.Dataset,
     broken: NDArray[np.bool_],
@@ -126,7 +149,11 @@ def approaches(
     last: NDArray[np.int64],
     levels: Mapping[str, tuple[NDArray[np.float64], float]],
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
-    """Direction and phase of each plateau, by the last motion before it, never across a gap."""
+    """Direction and phase of each plateau, never across a gap.
+
+    The direction is that of the last motion. The phase is that of the step between the levels, of which an overshoot
+    is a smaller part; without a step, that of the last motion.
+    """
     before = np.concatenate([[0], last[:-1]])
     breaks = np.append(0, np.flatnonzero(broken))
     parted = breaks[np.searchsorted(breaks, first, side="right") - 1]  # where the part that a plateau is in begins
@@ -135,14 +162,17 @@ def approaches(
     sides = []
     for name, (level, tolerance) in levels.items():  # of contraction, then of pressure
         values = table[name].to_numpy()
-        side = np.zeros(len(first), int)
+        side, beyond = np.zeros(len(first), int), np.zeros(len(first))
         for i, (a, b) in enumerate(zip(before, first, strict=True)):
             away = values[a:b] - level[i]
             out = np.flatnonzero(np.abs(away) > 2 * tolerance)
             if len(out):
                 side[i] = 1 if away[out[-1]] > 0 else -1
+                beyond[i] = np.max(side[i] * away)
         jump = np.where(anew, 0.0, np.diff(level, prepend=level[0]))
-        sides.append(np.where((side == 0) & (np.abs(jump) > 2 * tolerance), -np.sign(jump), side).astype(int))
+        stepped = np.abs(jump) > 2 * tolerance
+        by_step = stepped & ((side == 0) | ((name == "pressure") & (beyond < _OVERSHOOT * np.abs(jump))))
+        sides.append(np.where(by_step, -np.sign(jump), side).astype(int))
     moved, pressed = sides
     direction = np.array(["", "loading", "unloading"], dtype="<U9")[moved]  # from above: it was stretched
     phase = np.where(moved != 0, "", np.array(["", "venting", "filling"], dtype="<U9")[pressed])
