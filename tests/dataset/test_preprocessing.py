@@ -74,17 +74,35 @@ def test_a_file_that_was_preprocessed_is_read_back_as_it_is(written, tmp_path):
 @pytest.mark.parametrize(("noise", "offset", "largest"), [(1.2, 0.0, 0.26), (0.2, -8.0, 0.26), (1.2, 30.0, 0.12)])
 def test_the_slack_force_is_found_from_its_noise(noise, offset, largest):
     pressure, contraction, force, _ = measured(noise=noise, offset=offset, largest=largest)
-    found = slack_force(force, contraction, np.round(pressure))
+    found = slack_force(force, contraction, np.round(pressure), np.round(pressure).astype(int))
     error = 4 * noise / np.sqrt(found.points)
     assert found.offset == pytest.approx(offset, abs=error)
     assert found.noise == pytest.approx(noise, rel=0.2)
 
 
+@pytest.mark.parametrize("offset", [-0.5, 0.0, 0.5])
+def test_a_reading_that_is_never_negative_hides_no_slack_muscle(written, offset):
+    for seed in range(3):
+        pressure, contraction, force, _ = measured(seed, noise=1.2, offset=offset)
+        data = read(written(pressure, contraction, np.maximum(force, 0)))
+        assert data.table.attrs["slack_force"] == pytest.approx(4.8, rel=0.4)
+        assert identify(ExponentialLaw, data).rmse == pytest.approx(7.1, abs=0.5)
+
+
+def test_noise_beyond_the_first_slack_points_of_a_pass_is_slack(written):
+    pressure, contraction, force, side = measured(noise=1.2)
+    outlier = np.flatnonzero((np.round(pressure) == 1) & (side > 0) & (contraction > 0.06))[-1]
+    force[outlier] = 6.5
+    data = read(written(pressure, contraction, force))
+    assert data.slack[outlier]
+    assert identify(ExponentialLaw, data).rmse == pytest.approx(7.1, abs=0.5)
+
+
 def test_taut_points_are_no_slack_force():
     pressure, contraction, force, _ = measured(bars=(4, 5, 6), largest=0.08)
-    assert slack_force(force, contraction, np.round(pressure)) is None
+    assert slack_force(force, contraction, np.round(pressure), np.round(pressure).astype(int)) is None
     chart = catalog.dataset("festo-tool-10mm")
-    assert slack_force(chart.force, chart.contraction, chart.levels) is None
+    assert slack_force(chart.force, chart.contraction, chart.levels, chart.levels.astype(int)) is None
 
 
 def test_published_data_are_not_changed():

@@ -28,7 +28,9 @@ _REVERSAL = 0.1  # of the range of contractions: a smaller change of direction i
 _LOWEST_FORCES = 0.15  # of the range of forces, in which the slack muscle is searched
 _FEWEST_SLACK = 5
 _OUTSIDE = 4.0  # standard deviations of the noise
+_FAR = 8.0  # standard deviations: farther above, a point beyond slack ones is no noise
 _TAIL = 0.8  # of the slack points have no taut point at a larger contraction; the rest may be friction
+_UPPERMOST = 0.95  # share of the readings of the slack muscle, above which friction may be
 _DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
 _MANY = 20  # points for quadratic terms
 _NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
@@ -57,12 +59,14 @@ def preprocess(table: xr.Dataset, *, slack_known: bool) -> xr.Dataset:
             table = table.assign(repeat=("point", repeat))
             each = f"{repeat.max() + 1} of each per level, "
         notes.append(f"passes of loading and unloading, {each}from the order of the rows")
-    if not slack_known and (slack := slack_force(table["force"].to_numpy(), contraction, levels)) is not None:
+    loading = table["direction"].to_numpy() == "loading" if "direction" in table else 0
+    force = table["force"].to_numpy()
+    if not slack_known and (slack := slack_force(force, contraction, levels, 2 * groups + loading)) is not None:
         table = table.assign(force=table["force"] - slack.offset)
-        table.attrs["slack_force"] = _OUTSIDE * slack.noise
+        table.attrs["slack_force"] = slack.limit
         notes.append(
             f"slack muscle: {slack.points} points with a force of {slack.offset:.3g} +- {slack.noise:.2g} N; this "
-            f"offset is subtracted, and forces up to {_OUTSIDE * slack.noise:.3g} N count as slack"
+            f"offset is subtracted, and forces up to {slack.limit:.3g} N count as slack"
         )
     if notes:
         table.attrs["preprocessing"] = "\n".join([*table.attrs.get("preprocessing", "").splitlines(), *notes])
@@ -143,9 +147,11 @@ class Slack(NamedTuple):
     offset: float
     noise: float
     points: int
+    limit: float
+    """Largest force that counts as slack, above the offset [N]."""
 
 
-def slack_force(force: Floats, contraction: Floats, pressure: Floats) -> Slack | None:
+def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: Ints) -> Slack | None:
     """Force of the slack muscle, in which the force does not depend on the contraction; None if it is not to be seen.
 
     The mode of the lowest forces is their offset, and the forces below it give the noise: there are no taut points.
@@ -153,8 +159,8 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats) -> Slack |
     lowest = np.sort(force[force <= force.min() + _LOWEST_FORCES * np.ptp(force)])
     if len(lowest) < _FEWEST_SLACK or not np.ptp(force):
         return None
-    offset, noise = half_sample_mode(lowest), 0.0
-    for _ in range(20):
+    offset, noise = _clipped(force, contraction, passes) or (half_sample_mode(lowest), 0.0)
+    for _ in range(20 if not noise else 0):
         below = np.sort(offset - lowest[lowest <= offset])
         before, noise = noise, max(float(np.quantile(below, share)) / size for share, size in _NORMAL)
         near = lowest[np.abs(lowest - offset) <= _OUTSIDE * noise]
@@ -168,7 +174,39 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats) -> Slack |
     behind = contraction[slack] >= _largest_taut(force > offset + _OUTSIDE * noise, contraction, pressure)[slack]
     if behind.mean() < _TAIL or _explained(force[slack], contraction[slack], pressure[slack]) > _DEPENDENT:
         return None
-    return Slack(offset, noise, count)
+    above = (force - offset)[_beyond(slack, contraction, passes)]
+    limit = max(_OUTSIDE * noise, float(above[above <= _FAR * noise].max(initial=0.0)))
+    return Slack(offset, noise, count, limit)
+
+
+def _clipped(force: Floats, contraction: Floats, passes: Ints) -> tuple[float, float] | None:
+    """Offset and noise of readings of the slack muscle that end at a floor: those of a censored normal distribution."""
+    from scipy.special import ndtri
+
+    floor = force.min()
+    beyond = _beyond(force == floor, contraction, passes)
+    if np.count_nonzero(force[beyond] == floor) < _FEWEST_SLACK:
+        return None
+    ranked = np.sort(force[beyond])
+    share = (np.arange(len(ranked)) + 0.5) / len(ranked)
+    used = (ranked > floor) & (share < _UPPERMOST)
+    if np.count_nonzero(used) < _FEWEST_SLACK:
+        return None
+    noise, offset = np.polyfit(ndtri(share[used]), ranked[used], 1)
+    return float(offset), float(noise)
+
+
+def _beyond(marked: Bools, contraction: Floats, passes: Ints) -> Bools:
+    """Points from the second of the marked ones of their pass on, in the order of contraction."""
+    order = np.lexsort((contraction, passes))
+    found, starts = np.cumsum(marked[order]), np.flatnonzero(np.diff(passes[order], prepend=-1))
+    sizes = np.diff(np.append(starts, len(order)))
+    counts = np.add.reduceat(marked[order].astype(int), starts)
+    before = np.repeat(np.cumsum(counts) - counts, sizes)
+    needed = np.repeat(np.clip(counts, 1, 2), sizes)
+    beyond = np.empty(len(order), bool)
+    beyond[order] = found - before >= needed
+    return beyond
 
 
 def _largest_taut(taut: Bools, contraction: Floats, pressure: Floats) -> Floats:
