@@ -62,6 +62,7 @@ from .muscle import (
     Muscle as Muscle,
     SmoothLaw as SmoothLaw,
     Specimen as Specimen,
+    return_spring as return_spring,
 )
 from .paper import (
     reproduce as reproduce,

@@ -26,10 +26,25 @@ class Allocation(NamedTuple):
 
 
 def prioritise_torque(
-    affine: TorqueStiffnessMap, torque: ArrayLike, stiffness: ArrayLike, lower: Pair, upper: Pair
+    affine: TorqueStiffnessMap,
+    torque: ArrayLike,
+    stiffness: ArrayLike,
+    lower: Pair,
+    upper: Pair,
+    springs: tuple[bool, bool] = (False, False),
 ) -> Allocation:
-    """Pressures for a torque [N*m] and the nearest attainable stiffness [N*m/rad], within limits [Pa]."""
+    """Pressures for a torque [N*m] and the nearest attainable stiffness [N*m/rad], within limits [Pa].
+
+    Beside a spring, the torque determines the pressure of the only muscle, and the stiffness.
+    """
     (torque0, t1, t2), (stiffness0, k1, k2) = affine.torque, affine.stiffness
+    if any(springs):
+        own = springs.index(False)
+        slope = (t1, t2)[own]
+        free = (torque - torque0) / slope
+        pressure = jnp.clip(free, lower[own], upper[own])
+        pair = (pressure, lower[1]) if own == 0 else (lower[0], pressure)
+        return Allocation(pair, torque0 + slope * pressure, pressure != free)
     least = torque0 + t1 * upper[0] + t2 * lower[1]
     greatest = torque0 + t1 * lower[0] + t2 * upper[1]
     given = jnp.clip(torque, least, greatest)
@@ -76,11 +91,22 @@ def limit_commands(
     return clip_commands(model, (cocontraction - jnp.asarray(differential), cocontraction + jnp.asarray(differential)))
 
 
+def achieved(model: AntagonisticJoint, commands: Pair, cocontraction: ArrayLike) -> Pair:
+    """Differential pressure and co-contraction [Pa] of commands; beside a spring the co-contraction is as wanted."""
+    command1, command2 = commands
+    if model.springs[0]:
+        return command2 - jnp.asarray(cocontraction), jnp.asarray(cocontraction)
+    if model.springs[1]:
+        return jnp.asarray(cocontraction) - command1, jnp.asarray(cocontraction)
+    return (command2 - command1) / 2, (command1 + command2) / 2
+
+
 def clip_commands(model: AntagonisticJoint, commands: tuple[ArrayLike, ArrayLike]) -> tuple[Pair, Array]:
     """Commands [Pa] clipped to the pressures of the model's domains, and whether a limit was met."""
     (low1, low2), (high1, high2) = pressure_limits_of(model)
     clipped = jnp.clip(commands[0], low1, high1), jnp.clip(commands[1], low2, high2)
-    return clipped, (clipped[0] != commands[0]) | (clipped[1] != commands[1])
+    limited = [clipped[i] != commands[i] for i, spring in enumerate(model.springs) if not spring]
+    return clipped, limited[0] if len(limited) == 1 else limited[0] | limited[1]
 
 
 def linearise(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pair) -> TorqueStiffnessMap:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import value_and_derivative
@@ -327,10 +327,10 @@ def _limits_x(angle_x: Vector, previous_x: Matrix, by_angle: Pair, by_previous: 
     )
 
 
-def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, tuple[Pair, Bool[Array, " stages"]]]:
-    """Improved policy about a trajectory; inputs of each stage at nominal states, and whether one is clamped."""
+def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, tuple[Pair, Pair]]:
+    """Improved policy about a trajectory; inputs of each stage at nominal states, and whether each is clamped."""
 
-    def stage(value: ValueExpansion, at: Stage) -> tuple[ValueExpansion, tuple[Policy, tuple[Pair, Array]]]:
+    def stage(value: ValueExpansion, at: Stage) -> tuple[ValueExpansion, tuple[Policy, tuple[Pair, Pair]]]:
         f_x, f_u, l_x, l_y, l_xx, l_yx, l_yy, lower_x, upper_x = expand(problem, at)
         v_y, v_yy = add(l_y, value.gradient), add(l_yy, value.hessian)
         v_yx = add(matmul(v_yy, f_x), l_yx)
@@ -357,7 +357,7 @@ def backward_pass(problem: HorizonProblem, trajectory: Stage) -> tuple[Policy, t
         )
         u = add(at.u, step)
         offset = subtract(u, matvec(gain, at.x))
-        return ValueExpansion(gradient, hessian), (Policy(offset, gain), (u, ~(free[0] & free[1])))
+        return ValueExpansion(gradient, hessian), (Policy(offset, gain), (u, (~free[0], ~free[1])))
 
     terminal = problem.terminal_hessian()
     last = jax.tree.map(lambda values: values[-1], trajectory.y)
@@ -397,10 +397,10 @@ def feedback_gain(hessian: Matrix, cross: Matrix, free: tuple[Array, Array], lim
 
 
 class FirstCommand(NamedTuple):
-    """Pressures at the end of the first stage, and whether one is clamped."""
+    """Pressures at the end of the first stage, and whether each is clamped."""
 
     pressures: Pair
-    saturated: Array
+    limited: Pair
 
 
 def solve(
@@ -410,8 +410,9 @@ def solve(
 
     def iterate(_: ArrayLike, last: tuple[Policy, FirstCommand]) -> tuple[Policy, FirstCommand]:
         trajectory = rollout(problem, state, pressures, last[0])
-        policy, (inputs, saturated) = backward_pass(problem, trajectory)
-        return policy, FirstCommand((inputs[0][0], inputs[1][0]), saturated[0])
+        policy, (inputs, limited) = backward_pass(problem, trajectory)
+        return policy, FirstCommand((inputs[0][0], inputs[1][0]), (limited[0][0], limited[1][0]))
 
-    initial = policy, FirstCommand(pressures, jnp.zeros_like(state[0], bool))
+    free = jnp.zeros_like(state[0], bool)
+    initial = policy, FirstCommand(pressures, (free, free))
     return lax.fori_loop(0, iterations, iterate, initial)

@@ -141,4 +141,4 @@ class DecouplingControl(ModelBasedControl):
 
         (lower1, upper1), (lower2, upper2) = window(0), window(1)
         affine = linearise(model, angle, keep_taut(pressures, lowest))
-        return prioritise_torque(affine, torque, stiffness, (lower1, lower2), (upper1, upper2))
+        return prioritise_torque(affine, torque, stiffness, (lower1, lower2), (upper1, upper2), model.springs)

@@ -15,6 +15,7 @@ from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.control.position_stiffness import Feedforward, PositionStiffnessControl, PositionStiffnessState
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.joint import Load
+from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.batching import computed_once
 from mckibben.numerics.checks import check_kind, check_positive
@@ -245,13 +246,16 @@ class InverseModelControl(Controller):
         lowest, highest = pressure_range(self.loops.model, x.angle, tension)
         affine = linearise(self.loops.model, x.angle, keep_taut(pressures, lowest))
         torque = load.required_torque(x.angle, x.velocity, x.acceleration)
-        return prioritise_torque(affine, torque, x.stiffness, lowest, highest).pressures
+        return prioritise_torque(affine, torque, x.stiffness, lowest, highest, self.loops.model.springs).pressures
 
     @computed_once
     def _unlimited_inverse(self, load: Load, x: InverseInput, pressures: Pair) -> Pair:
         """Pressures [Pa] of the model without limits."""
-        torque = load.required_torque(x.angle, x.velocity, x.acceleration)
-        return linearise(self.loops.model, x.angle, pressures).pressures_for(torque, x.stiffness)
+        torque, model = load.required_torque(x.angle, x.velocity, x.acceleration), self.loops.model
+        affine = linearise(model, x.angle, pressures)
+        if any(model.springs):
+            return prioritise_torque(affine, torque, x.stiffness, *pressure_limits_of(model), model.springs).pressures
+        return affine.pressures_for(torque, x.stiffness)
 
     @computed_once
     def _is_taut(self, angle: Scalar, pressures: Pair) -> Array:

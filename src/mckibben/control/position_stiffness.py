@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.control.allocation import limit_commands
+from mckibben.control.allocation import achieved, limit_commands
 from mckibben.control.base import Controller, Loop, Measurement, Setpoint
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.geometry import Pair
@@ -116,12 +116,13 @@ class PositionStiffnessControl(Controller):
         offset, mean_offset = (
             (0.0, 0.0) if feedforward is None else (feedforward.differential, feedforward.cocontraction)
         )
-        (command1, command2), saturated = limit_commands(
+        commands, saturated = limit_commands(
             self.model, self.minimum_tension, angle, differential + offset, cocontraction + mean_offset
         )
-        position = self.position.track(position, differential, (command2 - command1) / 2 - offset, period)
-        stiffness = self.stiffness.track(stiffness, cocontraction, (command1 + command2) / 2 - mean_offset, period)
-        return PositionStiffnessState(position, stiffness, estimate, saturated), (command1, command2)
+        given_differential, given_mean = achieved(self.model, commands, cocontraction + mean_offset)
+        position = self.position.track(position, differential, given_differential - offset, period)
+        stiffness = self.stiffness.track(stiffness, cocontraction, given_mean - mean_offset, period)
+        return PositionStiffnessState(position, stiffness, estimate, saturated), commands
 
     def telemetry(self, state: PositionStiffnessState) -> dict[str, Scalar]:
         loops = {

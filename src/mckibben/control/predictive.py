@@ -152,7 +152,8 @@ class PredictiveControl(ModelBasedControl):
             for now, end in zip(pressures, first.pressures, strict=True)
         )
         commands, _ = clip_commands(self.model, (wanted1, wanted2))  # rounding may exceed a limit
-        estimates = estimates._replace(commands=commands, saturated=first.saturated)
+        limited = [each for each, spring in zip(first.limited, self.model.springs, strict=True) if not spring]
+        estimates = estimates._replace(commands=commands, saturated=limited[0] | limited[-1])
         return PredictiveState(estimates, (jerk_velocity, velocity_sq), policy), commands
 
     def telemetry(self, state: PredictiveState) -> dict[str, Scalar]:
@@ -215,6 +216,11 @@ class PredictiveControl(ModelBasedControl):
             for size, value, slope in zip((1.0, bar, bar), local.stiffness, local.stiffness_slope, strict=True)
         )
         stiffness_error = offset._replace(value=offset.value - per_stiffness * stiffness)
+        # A spring's pressure is 0 by its limits; without a share in the cost the problem would be singular.
+        stiffness1, stiffness2 = (
+            Quadratic(jnp.ones_like(angle), zero) if spring else one
+            for spring, one in zip(self.model.springs, (stiffness1, stiffness2), strict=True)
+        )
 
         def limits(values: Pair, slopes: Pair) -> tuple[Quadratic, Quadratic]:
             return Quadratic(values[0] / bar, unit * slopes[0] / bar), Quadratic(

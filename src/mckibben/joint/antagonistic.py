@@ -13,7 +13,7 @@ from mckibben.errors import RangeError
 from mckibben.joint import attainable
 from mckibben.joint.geometry import Geometry, Pair, Pressures
 from mckibben.joint.tendon import RigidTendon, Tendon
-from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw
+from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw, SpringLaw
 from mckibben.muscle.muscle import warn_outside
 from mckibben.notebook import Displayed
 from mckibben.numerics.batching import computed_once
@@ -115,6 +115,8 @@ class AntagonisticJoint(eqx.Module, Displayed):
             muscle2=(self.muscle2, Muscle),
             tendon=(self.tendon, Tendon),
         )
+        if all(self.springs):
+            raise RangeError("AntagonisticJoint: two springs and no muscle", remedy="make one of them a muscle")
         for muscle in (self.muscle1, self.muscle2):
             muscle.check_pressure_limit()
         if not isinstance(self.tendon, RigidTendon):  # the rate of the length is no function of the state
@@ -135,6 +137,11 @@ class AntagonisticJoint(eqx.Module, Displayed):
     def has_friction(self) -> bool:
         """Whether a muscle has friction."""
         return self.muscle1.has_friction or self.muscle2.has_friction
+
+    @property
+    def springs(self) -> tuple[bool, bool]:
+        """Whether a return spring is in place of muscles 1 and 2."""
+        return isinstance(self.muscle1.law, SpringLaw), isinstance(self.muscle2.law, SpringLaw)
 
     @property
     def has_creep(self) -> bool:

@@ -10,6 +10,7 @@ from mckibben.muscle.muscle import NO_STATE, Muscle, MuscleState, forces
 from mckibben.muscle.phenomenological import HuntLaw, ReppergerLaw, ReynoldsLaw
 from mckibben.muscle.smooth import SmoothAffineLaw, SmoothLaw
 from mckibben.muscle.specimen import Domain, Specimen
+from mckibben.muscle.spring import SpringLaw, return_spring
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
 from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
 
@@ -59,9 +60,11 @@ __all__ = [
     "SmoothAffineLaw",
     "SmoothLaw",
     "Specimen",
+    "SpringLaw",
     "TonduLopezLaw",
     "TonduLopezVariableLaw",
     "TsagarakisCaldwellLaw",
     "forces",
+    "return_spring",
     "scaled_law",
 ]

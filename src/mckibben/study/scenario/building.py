@@ -62,7 +62,8 @@ def build_plant(
 
 def build_joint(spec: JointSpec) -> AntagonisticJoint:
     """A joint: the plant's, or that of a controller's model."""
-    muscle1, muscle2 = spec.muscle1 or spec.muscle, spec.muscle2 or spec.muscle
+    muscle1 = spec.return_spring1 or spec.muscle1 or spec.muscle
+    muscle2 = spec.return_spring2 or spec.muscle2 or spec.muscle
     tendon = RigidTendon() if spec.spring is None else spec.spring.build()
     assert muscle1 is not None and muscle2 is not None  # the model of the joint sees to it
     return AntagonisticJoint(build_geometry(spec), muscle1.build(), muscle2.build(), tendon)
@@ -85,7 +86,7 @@ def valve_time_constant(valve: ValveSpec | None, joint: JointSpec) -> Any:
         return 0.0
     if not issubclass(valve.runtime, AirValve):
         return getattr(valve, "time_constant", None)  # a class of one's own may have none
-    spec = joint.muscle1 or joint.muscle
+    spec = joint.muscle1 or joint.muscle2 or joint.muscle
     assert spec is not None
     muscle = spec.build()
     domain = muscle.domain

@@ -10,6 +10,7 @@ from mckibben.config.fields import Flag
 from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.config.schema import PartOf, model_of
 from mckibben.joint import GeneralLoad, KneeGeometry, KneeLoad, PendulumLoad, SeriesSpring
+from mckibben.muscle import Muscle, SpringLaw, return_spring
 from mckibben.plant import FirstOrderValve, SampledSensors, TorquePulses
 from mckibben.study.scenario.muscle import CatalogName, CatalogPart, MuscleSpec, entry_of
 from mckibben.units import Angle, Distance, Stiffness, Torque
@@ -50,16 +51,27 @@ class SpringSpec(model_of(SeriesSpring)):
     """Preloaded spring in series with each muscle."""
 
 
+class ReturnSpringSpec(model_of(SpringLaw, without=("domain",))):
+    """Tension spring in place of a muscle."""
+
+    def build(self, *args: Any, **others: Any) -> Muscle:
+        """The spring as a muscle whose pressure is 0."""
+        return return_spring(self.rate, self.free_length)
+
+
 class JointSpec(ConfigModel):
     """A joint with two equal muscles (`muscle`) or two different ones (`muscle1`, the antagonist, and `muscle2`).
 
-    `connector_length` [m] replaces that of the geometry.
+    `return_spring1` or `return_spring2` is in place of that muscle. `connector_length` [m] replaces that of the
+    geometry.
     """
 
     geometry: Annotated[GeometrySpec, PartOf("mckibben.joint:Geometry")]
     connector_length: Distance | None = None
     muscle1: MuscleSpec | None = None
     muscle2: MuscleSpec | None = None
+    return_spring1: ReturnSpringSpec | None = None
+    return_spring2: ReturnSpringSpec | None = None
     muscle: MuscleSpec | None = Field(None, validate_default=True)
     spring: SpringSpec | None = None
 
@@ -104,7 +116,13 @@ class JointSpec(ConfigModel):
     @field_validator("muscle", mode="after")
     @classmethod
     def _two_muscles(cls, value: MuscleSpec | None, info: ValidationInfo) -> MuscleSpec | None:
+        springs = [key for key in ("return_spring1", "return_spring2") if info.data.get(key) is not None]
         given = [key for key in ("muscle1", "muscle2") if info.data.get(key, "wrong") is not None]
+        if springs:
+            muscle = f"muscle{2 if springs[0].endswith('1') else 1}"
+            if len(springs) == 2 or (value is not None) + len(given) != 1 or given not in ([], [muscle]):
+                fail_validation(f"has {springs[0]} beside other than one muscle", f"give `{muscle}` alone", parent=True)
+            return value
         if value is not None and given:
             fail_validation(
                 f"is given beside {' and '.join(given)}", "give `muscle` for both, or `muscle1` and `muscle2`"

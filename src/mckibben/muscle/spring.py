@@ -1,0 +1,63 @@
+"""A return spring in place of a muscle."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.muscle.base import PressureAffineLaw
+from mckibben.muscle.muscle import Muscle
+from mckibben.muscle.specimen import Domain, Specimen
+from mckibben.numerics.checks import check_positive
+from mckibben.units import Length, SpringRate
+
+_VOLUME = 1e-6  # m^3: a valve that is simulated beside it has a chamber, which stays at 0 bar
+
+
+class SpringLaw(PressureAffineLaw):
+    """Tension spring: a force proportional to the length beyond the free one, at no pressure.
+
+    Parameters
+    ----------
+    rate
+        Spring rate [N/m].
+    free_length
+        Length without force [m], to which the contraction refers.
+    """
+
+    rate: SpringRate
+    free_length: Length
+    domain: Domain = Domain(pressure_min=0.0, pressure_max=0.0)
+
+    equation = "F = -k l0 eps"
+    source = "Hooke"
+
+    def __check_init__(self) -> None:
+        check_positive("SpringLaw", "N/m", rate=self.rate)
+        check_positive("SpringLaw", "m", free_length=self.free_length)
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        eps = jnp.asarray(contraction)
+        return -self.rate * self.free_length * eps, jnp.zeros_like(eps)
+
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        """Return 0, the only pressure of a spring."""
+        return jnp.zeros_like(jnp.asarray(force) - jnp.asarray(contraction))
+
+
+def return_spring(rate: float, free_length: float) -> Muscle:
+    """A tension spring in place of a muscle of a joint; its pressure is 0, and without tension it is slack.
+
+    Parameters
+    ----------
+    rate, free_length
+        Spring rate [N/m], and length without force [m].
+
+    Examples
+    --------
+    >>> from mckibben.units import N, mm
+    >>> float(return_spring(2 * N / mm, 100 * mm).force(-0.05, 0.0))  # 5 mm longer
+    10.0
+    """
+    law = SpringLaw(rate=rate, free_length=free_length)
+    return Muscle(Specimen("return spring", free_length, domain=law.domain, volume_terms=(_VOLUME,)), law)

@@ -1,0 +1,166 @@
+"""One muscle against a return spring: torque, stiffness, attainable set, all controllers, envelope; a linear axis."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from mckibben import (
+    AntagonisticJoint,
+    Constant,
+    DecouplingControl,
+    FirstOrderValve,
+    GeneralLoad,
+    InverseModelControl,
+    JointPlant,
+    PairedPaths,
+    PredictiveControl,
+    Pulley,
+    Reference,
+    Scenario,
+    Sine,
+    catalog,
+    return_spring,
+    simulate,
+)
+from mckibben.config.document import to_text
+from mckibben.control import ExtendedStateObserver, PolePlacement, PressureObserver
+from mckibben.errors import RangeError, ReachabilityWarning, ScenarioError
+from mckibben.reachability import envelope
+from mckibben.units import N, bar, deg, mm
+
+MUSCLE = catalog.joint("knee-table-2").muscle1
+PATHS = {1: Pulley(30 * mm, 150 * mm), 2: Pulley(25 * mm, 160 * mm)}
+RATE, FREE_LENGTH = 4 * N / mm, 130 * mm
+SPRING = return_spring(RATE, FREE_LENGTH)
+JOINTS = {
+    1: AntagonisticJoint(PairedPaths(PATHS[1], PATHS[2]), SPRING, MUSCLE),
+    2: AntagonisticJoint(PairedPaths(PATHS[2], PATHS[1]), MUSCLE, SPRING),
+}
+PID = {
+    "position": {"pid": {"kp": "2 bar/rad", "ki": "60 bar/(rad*s)", "kd": "0.4 bar*s/rad"}},
+    "stiffness": {"pid": {"kp": "0 bar/(N*m/rad)", "ki": "0 bar/(N*m*s/rad)", "kd": "0 bar*s/(N*m/rad)"}},
+}
+
+
+def scenario(side=1, **joint):
+    own = {f"return_spring{side}": {"rate": "4 N/mm", "free_length": "130 mm"}}
+    path = {"class": "Pulley", "radius": "30 mm", "rest_length": "155 mm"}
+    return {
+        "name": "return spring",
+        "joint": {
+            "geometry": {"class": "PairedPaths", "path1": path, "path2": path},
+            "muscle": {"specimen": "MAS-10-180N-AA-MC-O", "law": "lei-mas-10-180n"},
+            **own,
+            **joint,
+        },
+        "load": "knee-table-2",
+        "valve": {"time_constant": "20 ms"},
+        "controller": PID,
+        "reference": {
+            "angle": {"sine": {"amplitude": "5 deg", "frequency": "0.5 Hz"}},
+            "stiffness": "10 N*m/rad",
+        },
+        "start": {"angle": "0 deg"},
+        "duration": "2 s",
+        "control_period": "1 ms",
+    }
+
+
+def read(**changes):
+    return Scenario.parse(to_text(scenario(**changes)))
+
+
+@pytest.mark.parametrize("side", [1, 2])
+def test_mujoco_agrees_on_the_torque(side):
+    joint, pressures = JOINTS[side], (0.0, 3 * bar) if side == 1 else (3 * bar, 0.0)
+    signs = {1: 1, 2: -1}
+    coefficients = {i: signs[i] * (0.03 if i == side else 0.025) for i in (1, 2)}
+    for angle in (-0.2, 0.0, 0.15):
+        fixed = "".join(
+            f'<fixed name="{i}" {spring}><joint joint="hinge" coef="{coefficient!r}"/></fixed>'
+            for i, coefficient in coefficients.items()
+            for spring in [f'stiffness="{RATE}" springlength="{FREE_LENGTH - 0.15!r}"' if i == side else ""]
+        )
+        model = mujoco.MjModel.from_xml_string(
+            f"""<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="hinge" type="hinge" axis="0 0 1"/>
+            <geom size="0.01" mass="1"/></body></worldbody><tendon>{fixed}</tendon><actuator>
+            <motor tendon="{3 - side}" gear="-1"/></actuator></mujoco>"""
+        )
+        data = mujoco.MjData(model)
+        data.qpos[0], data.ctrl[0] = angle, float(joint.tensions(angle, pressures)[2 - side])
+        mujoco.mj_forward(model, data)
+        expected = data.qfrc_actuator[0] + data.qfrc_passive[0]
+        assert float(joint.torque(angle, pressures)) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("side", [1, 2])
+def test_a_torque_has_one_stiffness(side):
+    joint, torque = JOINTS[side], 1.0 if side == 1 else -1.0
+    pressures = joint.pressures_for(0.05, torque, None)
+    assert float(pressures[side - 1]) == 0
+    found, stiffness = joint.torque_and_stiffness(0.05, pressures)
+    assert float(found) == pytest.approx(torque, abs=1e-9)
+    np.testing.assert_allclose(joint.attainable_stiffness(0.05, torque), (stiffness, stiffness), rtol=1e-9)
+
+
+@pytest.mark.parametrize("side", [1, 2])
+@pytest.mark.parametrize(
+    ("name", "largest"), [("pid", 1.5), ("decoupling", 0.1), ("predictive", 0.1), ("inverse", 0.5)]
+)
+def test_every_controller_holds_the_angle(name, largest, side):
+    run = read(side=side)
+    plant = run.plant()
+    model = {"model": plant.joint, "load": plant.load, "valve_time_constant": 0.02}
+    observers = {"observer": ExtendedStateObserver(120.0), "pressure_observer": PressureObserver(200.0)}
+    controller = {
+        "pid": lambda: run.control(),
+        "decoupling": lambda: DecouplingControl(**model, **observers, feedback=PolePlacement(40.0)),
+        "predictive": lambda: PredictiveControl(**model, pressure_observer=PressureObserver(200.0)),
+        "inverse": lambda: InverseModelControl(run.control(), load=plant.load, valve_time_constant=0.02),
+    }[name]()
+    with pytest.warns(ReachabilityWarning):  # the stiffness follows from the angle
+        result = simulate(plant, controller, run.reference(), duration=2, initial=run.initial(plant))
+    assert result.metrics["angle_rmse"] < largest * deg
+    assert result.metrics["time_saturated"] < 0.01
+    assert not np.any(result[f"pressure{side}"])
+
+
+def test_the_envelope_says_that_angle_and_stiffness_are_not_independent():
+    found = envelope(read())
+    np.testing.assert_allclose(*found.static.stiffness, rtol=1e-9)
+    assert not found.trackability.trackable
+
+
+def test_a_linear_axis_is_a_pulley_of_1_m():
+    """Metres for radians, newtons for newton metres, kilograms for kg*m^2."""
+    joint = AntagonisticJoint(PairedPaths(Pulley(1.0, 150 * mm), Pulley(1.0, 155 * mm)), SPRING, MUSCLE)
+    pressures = joint.pressures_for(0.0, 0.0, None)
+    extension = 150 * mm - FREE_LENGTH
+    assert float(joint.tensions(0.0, pressures)[1]) == pytest.approx(RATE * extension)
+    muscle = MUSCLE.slope(MUSCLE.specimen.contraction_at(155 * mm), pressures[1]) / MUSCLE.specimen.initial_length
+    assert float(joint.stiffness(0.0, pressures)) == pytest.approx(RATE - float(muscle))
+
+    plant = JointPlant(joint, GeneralLoad(inertia=2.0, greatest_gravity_torque=0.0, damping=5.0), FirstOrderValve(0.02))
+    model = {"model": joint, "load": plant.load, "valve_time_constant": 0.02}
+    controller = DecouplingControl(
+        **model,
+        observer=ExtendedStateObserver(120.0),
+        pressure_observer=PressureObserver(200.0),
+        feedback=PolePlacement(40.0),
+    )
+    reference = Reference(angle=Sine(amplitude=4 * mm, frequency=0.5), stiffness=Constant(RATE))
+    with pytest.warns(ReachabilityWarning):
+        result = simulate(plant, controller, reference, duration=2)
+    assert result.metrics["angle_rmse"] < 0.1 * mm
+
+
+def test_what_is_no_joint_is_refused():
+    with pytest.raises(RangeError):
+        AntagonisticJoint(PairedPaths(PATHS[1], PATHS[2]), SPRING, SPRING)
+    with pytest.raises(RangeError):
+        return_spring(-1.0, 0.1)
+    spring = {"rate": "4 N/mm", "free_length": "130 mm"}
+    muscle = scenario()["joint"]["muscle"]
+    for joint in ({"return_spring2": spring}, {"muscle": None}, {"muscle": None, "muscle1": muscle}):
+        with pytest.raises(ScenarioError):
+            read(**joint)
