@@ -149,6 +149,8 @@ def test_the_band_grows_with_pressure_and_ends_at_none():
     shrinking = MaxwellSlip(2.0, 1e-3, growth=-1 / bar)
     assert float(shrinking.half_width_at(100.0, 5 * bar)) < 1e-8
     assert float(FRICTION.half_width_at(0.0, 3 * bar)) == 0.0
+    growing = dataclasses.replace(FRICTION, tension_growth=0.02, reference_tension=200.0)
+    np.testing.assert_allclose(growing.half_width_at([100.0, 300.0], 3 * bar), [10, 14], rtol=1e-3)
     assert float(FRICTION.half_width_at(48.0, 3 * bar)) == pytest.approx(12 * np.tanh(2))
 
 

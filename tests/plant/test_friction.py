@@ -203,8 +203,12 @@ def test_with_a_series_spring_muscle_and_spring_carry_the_same(knee):
         with_friction(knee, tendon=spring)
 
 
-def test_a_derivative_is_that_of_a_small_change(with_slip, playback):
+@pytest.mark.parametrize("by_tension", [{}, {"tension_growth": 0.02, "reference_tension": 200.0}])
+def test_a_derivative_is_that_of_a_small_change(ideal_plant, knee, load, playback, by_tension):
+    """Also a half width that grows with the tension is compiled within seconds."""
     held = Setpoint(jnp.full(40, P1), jnp.full(40, P2))
+    slip = dataclasses.replace(SLIP, **by_tension)
+    with_slip = numeric(JointPlant(with_friction(knee, slip), load, ideal_plant.valve))
 
     @jax.jit
     def final(width):

@@ -130,7 +130,7 @@ class HysteresisFit:
         rows = [
             ("half width", f"{friction.half_width:.4g}", errors["half_width"], f"N at {at}"),
             ("growth", f"{friction.growth * bar:.3g}", errors["growth"] * bar, "N/bar"),
-            ("tension growth", f"{friction.tension_growth:.3g}", errors["tension_growth"], "N/N"),
+            ("tension growth", f"{friction.tension_growth or 0.0:.3g}", errors["tension_growth"], "N/N"),
             ("viscous", f"{friction.viscous:.4g}", errors["viscous"], "N*s/m"),
             ("presliding length", f"{length / mm:.4g}", errors["presliding_length"] / mm, "mm"),
         ]

@@ -238,8 +238,8 @@ class PathDependentModel:
             float(np.exp(values["log_presliding"])),
             growth=values["growth"],
             reference_pressure=self.reference_pressure,
-            tension_growth=values["tension_growth"],
-            reference_tension=self.reference_tension,
+            tension_growth=values["tension_growth"] or None,
+            reference_tension=self.reference_tension if values["tension_growth"] else 0.0,
             viscous=values["viscous"],
             elements=self.elements,
         )

@@ -57,7 +57,7 @@ def hysteresis_numbers(found: HysteresisFit) -> dict[str, Any]:
         "growth_N_per_bar": friction.growth / per_bar,
         "growth_standard_error_N_per_bar": errors["growth"] / per_bar,
         "reference_pressure_bar": friction.reference_pressure / factor("bar"),
-        "tension_growth": friction.tension_growth,
+        "tension_growth": friction.tension_growth or 0.0,
         "tension_growth_standard_error": errors["tension_growth"],
         "reference_tension_N": friction.reference_tension,
         "viscous_N_s_per_m": friction.viscous,

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
+from mckibben.numerics.batching import compute_once
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
 from mckibben.units import Force, FrictionForce, FrictionGrowth, Presliding, Pressure, TensionGrowth, Viscosity
@@ -132,7 +133,7 @@ class MaxwellSlip(Friction):
     growth, reference_pressure
         B1 [N/Pa], and p0 [Pa, gauge]; the half width is never taken below 0.
     tension_growth, reference_tension
-        B2 [-], and T0 [N].
+        B2 [-], and T0 [N]; constant over the tension for None.
     viscous
         c [N*s/m].
     elements
@@ -158,7 +159,7 @@ class MaxwellSlip(Friction):
     presliding_length: Presliding
     growth: FrictionGrowth = eqx.field(default=0.0, kw_only=True)
     reference_pressure: Pressure = eqx.field(default=0.0, kw_only=True)
-    tension_growth: TensionGrowth = eqx.field(default=0.0, kw_only=True)
+    tension_growth: TensionGrowth | None = eqx.field(default=None, kw_only=True)
     reference_tension: Force = eqx.field(default=0.0, kw_only=True)
     viscous: Viscosity = eqx.field(default=0.0, kw_only=True)
     elements: int = eqx.field(default=6, kw_only=True, static=True)
@@ -170,12 +171,17 @@ class MaxwellSlip(Friction):
         check_positive("MaxwellSlip", "N*s/m", zero=True, viscous=self.viscous)
         check_within("MaxwellSlip", -1.0, 1.0, "N/Pa", growth=self.growth)
         check_within("MaxwellSlip", -1e9, 1e9, "Pa", reference_pressure=self.reference_pressure)
-        check_within("MaxwellSlip", -1.0, 1.0, tension_growth=self.tension_growth)
+        if self.tension_growth is not None:
+            check_within("MaxwellSlip", -1.0, 1.0, tension_growth=self.tension_growth)
         check_positive("MaxwellSlip", "N", zero=True, reference_tension=self.reference_tension)
         check_within("MaxwellSlip", _ELEMENTS[0], _ELEMENTS[-1], elements=self.elements)
 
     def half_width_at(self, tension: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        return smooth_limit(self._width(jnp.asarray(tension), jnp.asarray(pressure)), jnp.asarray(tension), jnp)
+        tension, pressure = jnp.asarray(tension), jnp.asarray(pressure)
+        if self.tension_growth is None:
+            return smooth_limit(self._width(tension, pressure), tension, jnp)
+        # Twice a function of the tension: XLA would repeat the law for each use, and again in derivatives.
+        return compute_once(lambda: smooth_limit(self._width(tension, pressure), tension, jnp))
 
     def initial(self, length: ArrayLike) -> FrictionState:
         return (floating(length),) * self.elements
@@ -227,6 +233,8 @@ class MaxwellSlip(Friction):
 
     def _width(self, tension: Any, pressure: Any) -> Any:
         width = self.half_width + self.growth * (pressure - self.reference_pressure)
+        if self.tension_growth is None:
+            return width
         return width + self.tension_growth * (tension - self.reference_tension)
 
     def _forces(self, state: FrictionState, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> list[Array]:

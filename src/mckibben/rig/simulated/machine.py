@@ -138,7 +138,7 @@ class Grip:
             self._stiffness, shares = friction.stiffnesses.tolist(), friction.shares.tolist()
             self._reach = [share / k for share, k in zip(shares, self._stiffness, strict=True)]
             self._width = float(friction.half_width), float(friction.growth), float(friction.reference_pressure)
-            self._by_tension = float(friction.tension_growth), float(friction.reference_tension)
+            self._by_tension = float(friction.tension_growth or 0.0), float(friction.reference_tension)
             self._viscous = float(friction.viscous)
         self._deflections = [0.0] * len(self._stiffness)
         self._times: list[float] = []

@@ -284,5 +284,6 @@ def muscle_text(law: str, *, specimen: str, initial_length: float | None, fricti
     data = {"specimen": SpecimenSpec.model_validate(numbers).model_dump(mode="json", by_alias=True), "law": law}
     if friction is not None:
         rows = {key: getattr(friction, key) for key in FrictionSpec.model_fields}
+        rows = {key: value for key, value in rows.items() if value is not None}
         data["friction"] = FrictionSpec.model_validate(rows).model_dump(mode="json", by_alias=True)
     return _HEAD + to_text(data)
