@@ -101,9 +101,7 @@ def test_many_seeds_run_side_by_side_as_they_do_alone():
 def increment_by_hand(loop, network, state, setpoint, measured):
     """The change of output for a network, from the paper's scheme in plain NumPy."""
     error = setpoint - measured
-    derivative = (0.005 * float(state.pid.derivative) + (-measured - float(state.pid.differentiated))) / (
-        0.005 + PERIOD
-    )
+    derivative = (0.005 * float(state.pid.derivative) + (float(state.pid.last.measured) - measured)) / (0.005 + PERIOD)
     parts = [
         3.0 * (error - float(state.error)),
         4.0 * PERIOD * error,

@@ -149,7 +149,7 @@ class BackpropPID(Loop):
         network = jax.tree.map(jnp.add, state.network, update)
 
         output = state.pid.integral + change
-        pid = PIDState(output, self.base.differentiated(setpoint, measured), derivative)
+        pid = PIDState(output, self.base.sample(state.pid, setpoint, measured), derivative)
         return BackpropState(pid, network, update, error, factors), output
 
     def track(self, state: BackpropState, output: ArrayLike, achieved: ArrayLike, period: ArrayLike) -> BackpropState:

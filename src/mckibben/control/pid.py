@@ -16,11 +16,19 @@ from mckibben.units import ShortTime
 Scalar = Float[Array, ""]
 
 
+class LastSample(NamedTuple):
+    """Last measurement; last setpoint and its last change, empty where the derivative is that of the measurement."""
+
+    measured: Scalar
+    setpoint: tuple[Scalar, ...] = ()
+    change: tuple[Scalar, ...] = ()
+
+
 class PIDState(NamedTuple):
-    """Integral term (in the output's unit), last input of the derivative, filtered derivative."""
+    """Integral term (in the output's unit), last sample, filtered derivative."""
 
     integral: Scalar
-    differentiated: Scalar
+    last: LastSample
     derivative: Scalar
 
 
@@ -29,9 +37,10 @@ class PID(Loop):
 
     .. math:: u = k_p e + k_i \int e \, dt + k_d \dot e
 
-    The derivative passes a first-order filter. It acts on the measurement alone, so that a step of the setpoint causes
-    no kick, or on the error with `derivative_on_error`. A reverse-acting loop has negative gains, in the units of
-    output and error.
+    The derivative passes a first-order filter. It acts on the measurement alone, or on the error with
+    `derivative_on_error`. Of two consecutive changes of the setpoint it then has the smaller one, and none if their
+    signs differ (minmod), so that a step of the setpoint causes no kick. A reverse-acting loop has negative gains, in
+    the units of output and error.
 
     Parameters
     ----------
@@ -57,7 +66,7 @@ class PID(Loop):
     def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> PIDState:
         return PIDState(
             integral=floating(output),
-            differentiated=self.differentiated(setpoint, measured),
+            last=self.sample(None, setpoint, measured),
             derivative=jnp.zeros_like(floating(output)),
         )
 
@@ -68,7 +77,7 @@ class PID(Loop):
         derivative = self.derivative(state, setpoint, measured, period)
         integral = state.integral + self.ki * period * error
         output = self.kp * error + integral + self.kd * derivative
-        return PIDState(integral, self.differentiated(setpoint, measured), derivative), output
+        return PIDState(integral, self.sample(state, setpoint, measured), derivative), output
 
     def track(self, state: PIDState, output: ArrayLike, achieved: ArrayLike, period: ArrayLike) -> PIDState:
         fraction = jnp.minimum(period / jnp.maximum(self.tracking_time, 1e-12), 1.0)
@@ -78,12 +87,20 @@ class PID(Loop):
     def telemetry(self, state: PIDState) -> dict[str, Scalar]:
         return {}
 
-    def differentiated(self, setpoint: ArrayLike, measured: ArrayLike) -> Scalar:
-        """Input of the derivative."""
+    def sample(self, state: PIDState | None, setpoint: ArrayLike, measured: ArrayLike) -> LastSample:
+        """Sample for the derivative of the next period, after a state."""
         measured = floating(measured)
-        return jnp.asarray(setpoint) - measured if self.derivative_on_error else -measured
+        if not self.derivative_on_error:
+            return LastSample(measured)
+        setpoint = jnp.broadcast_to(floating(setpoint), measured.shape)
+        change = jnp.zeros_like(setpoint) if state is None else setpoint - state.last.setpoint[0]
+        return LastSample(measured, (setpoint,), (change,))
 
     def derivative(self, state: PIDState, setpoint: ArrayLike, measured: ArrayLike, period: ArrayLike) -> Scalar:
         """Filtered derivative one control period [s] later."""
-        change = self.differentiated(setpoint, measured) - state.differentiated
+        change = state.last.measured - floating(measured)
+        if self.derivative_on_error:
+            now, before = jnp.asarray(setpoint) - state.last.setpoint[0], state.last.change[0]
+            smooth = jnp.where(jnp.abs(now) < jnp.abs(before), now, before)
+            change = change + jnp.where(now * before > 0, smooth, 0.0)
         return (self.filter_time * state.derivative + change) / (self.filter_time + period)

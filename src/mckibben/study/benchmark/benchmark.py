@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Callable
@@ -18,7 +19,9 @@ from numpy.typing import NDArray
 
 from mckibben.control import Controller
 from mckibben.errors import FileError, ParameterError, Problem
+from mckibben.joint import AntagonisticJoint, Load
 from mckibben.notebook import Progress, html_table, notebook_progress, silent
+from mckibben.plant import JointPlant
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
 from mckibben.simulation.metrics import METRICS
 from mckibben.study.benchmark.runs import Runs, draw
@@ -178,6 +181,10 @@ class ControllerTuning:
     def _scenario(self) -> Scenario:
         return self.suite.scenario(self.controller, next(iter(self.suite.references)))
 
+    @property
+    def _starts(self) -> int:
+        return self.suite.tuning.starts_of.get(self.controller, self.suite.tuning.starts)
+
     def costs(self, values: Vector) -> Vector:
         """Mean cost of rows of values [SI] over the training runs that can start."""
         table = dict(zip(self.space.names, values.T, strict=True))
@@ -211,7 +218,7 @@ class ControllerTuning:
             "parameters": [each.text for each in self.space.swept],
             "cost": tuning.cost,
             "population": tuning.population,
-            "starts": tuning.starts,
+            "starts": self._starts,
         }
 
     def run(
@@ -225,12 +232,12 @@ class ControllerTuning:
             costs = Evaluator(space, past, tuning.population, lambda values: (self.costs(values), None)).costs
             first = space.point(space.nominal)
             costs(first[None])
-            starts = np.random.default_rng(tuning.seed).random((tuning.starts, len(space)))
+            starts = np.random.default_rng(tuning.seed).random((self._starts, len(space)))
             starts[0] = first
             for number, start in enumerate(starts):
 
                 def report(part: float, number: int = number) -> None:
-                    progress((number + part) / tuning.starts)
+                    progress((number + part) / self._starts)
 
                 self._search(costs, start, tuning.seed + number, report)
             best = past.best
@@ -259,18 +266,43 @@ class ControllerTuning:
 def _controller(runs: Runs, controller: str, table: dict[str, Any]) -> Controller:
     """A controller with sets of values, each in all runs: arrays of shape (sets * runs,)."""
     scenario = runs.suite.scenario(controller, next(iter(runs.suite.references)))
-    if not table:
-        return scenario.control()
     columns = {name: np.repeat(np.asarray(column), runs.count) for name, column in table.items()}
-    return batched(scenario, columns).control()
+    control = (batched(scenario, columns) if columns else scenario).control()
+    if controller in runs.suite.true_model:
+        sets = len(next(iter(table.values()))) if table else 1
+        return _with_true_model(control, _tiled(runs.plant, sets))
+    return control
+
+
+def _with_true_model(control: Controller, plant: JointPlant) -> Controller:
+    """A controller whose models of joint, load and valves are those of the plants of a batch."""
+
+    def true(part: Any) -> Any:
+        if isinstance(part, AntagonisticJoint):
+            return plant.joint
+        return plant.load if isinstance(part, Load) else part
+
+    control = jax.tree.map(true, control, is_leaf=lambda part: isinstance(part, AntagonisticJoint | Load))
+    time_constant = getattr(plant.valve, "time_constant", None)
+
+    def timed(part: Any) -> Any:
+        known = time_constant is not None and hasattr(part, "valve_time_constant")
+        return dataclasses.replace(part, valve_time_constant=time_constant) if known else part
+
+    inner = getattr(control, "controller", None)
+    return timed(control) if inner is None else dataclasses.replace(control, controller=timed(inner))  # type: ignore
+
+
+def _tiled(tree: Any, sets: int) -> Any:
+    """A batch of runs repeated for sets of values."""
+    return jax.tree.map(
+        lambda leaf: np.tile(leaf, sets) if eqx.is_array_like(leaf) and np.ndim(leaf) == 1 else leaf, tree
+    )
 
 
 def _simulated(runs: Runs, controller: Controller, sets: int, metrics: tuple[str, ...] = Metrics._fields) -> Batch:
-    def tiled(leaf: Any) -> Any:
-        return np.tile(leaf, sets) if eqx.is_array_like(leaf) and np.ndim(leaf) == 1 else leaf
-
     suite = runs.suite
-    plant, reference = jax.tree.map(tiled, (runs.plant, runs.reference)) if sets > 1 else (runs.plant, runs.reference)
+    plant, reference = _tiled((runs.plant, runs.reference), sets) if sets > 1 else (runs.plant, runs.reference)
     return simulate_many(
         plant,
         controller,

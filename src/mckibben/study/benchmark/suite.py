@@ -68,9 +68,15 @@ def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Pr
             )
         if len(found) == before:
             check(("references", name, "over"), lambda name=name: suite.reference_over(name))
-    for key, names in (("over", list(suite.tuning.over)), ("untuned", suite.tuning.untuned)):
+    for i, name in enumerate(suite.true_model):
+        check(("true_model", i), lambda name=name: _check_known(suite, name))
+    for key, names in (
+        ("over", list(suite.tuning.over)),
+        ("starts_of", list(suite.tuning.starts_of)),
+        ("untuned", suite.tuning.untuned),
+    ):
         for i, name in enumerate(names):
-            place = ("tuning", key, name if key == "over" else i)
+            place = ("tuning", key, i if key == "untuned" else name)
             check(place, lambda name=name: _check_known(suite, name))
     if not found:
         for name in suite.other_joints:
@@ -175,12 +181,13 @@ class ReferenceCase(ConfigModel):
 
 
 class TuningSpec(ConfigModel):
-    """Tuning of each controller by CMA-ES, with the same budget for all."""
+    """Tuning of each controller by CMA-ES, with the same budget for all but those of `starts_of`."""
 
     cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
     runs: Annotated[int, BoundedInt(1, _MOST)] = 32  # training runs a point
     seed: _Seed = 99
     starts: Annotated[int, BoundedInt(1, 1000)] = 2  # the gains of the file, then random ones
+    starts_of: dict[str, Annotated[int, BoundedInt(1, 1000)]] = Field(default_factory=dict)  # of single controllers
     generations: Annotated[int, BoundedInt(1, 100_000)] = 40
     population: Annotated[int, BoundedInt(4, 10_000)] = 16
     decades: Annotated[int, BoundedInt(1, 6)] = 1  # powers of ten down and up from the gains of the file
@@ -221,6 +228,8 @@ class Suite(RunSpec):
         Largest angular acceleration [rad/s^2] of a reference, to which sines are scaled down.
     controllers
         Controllers by name; the others are compared with the first.
+    true_model
+        Controllers whose model is the plant of each run: what knowledge of the plant would be worth.
     tuning, evaluation
         Training runs and budget, and evaluation runs.
     """
@@ -239,6 +248,7 @@ class Suite(RunSpec):
     references: dict[str, ReferenceCase] = Field(min_length=1)
     max_angular_acceleration: AngularAcceleration | None = None
     controllers: dict[str, AnyController] = Field(min_length=1)
+    true_model: tuple[str, ...] = ()
     tuning: TuningSpec = TuningSpec()
     evaluation: EvaluationSpec = EvaluationSpec()
     duration: Duration
@@ -279,7 +289,10 @@ class Suite(RunSpec):
         return {NOMINAL_JOINT: (self.joint_share, self.joint), **others}
 
     def scenario(self, controller: str, reference: str, joint: str = NOMINAL_JOINT) -> Scenario:
-        """Scenario of a run before its conditions; the controller has the nominal model."""
+        """Scenario of a run before its conditions; the controller has the nominal model, or the plant's own."""
+        control = self.controllers[controller]
+        if controller not in self.true_model:
+            control = control.with_model(self.joint, self.load, self.valve)
         signals = self.references[reference].reference
         return Scenario(
             name=f"{self.name}: {controller}, {reference}"[:200],
@@ -288,7 +301,7 @@ class Suite(RunSpec):
             valve=self.valve,
             sensors=self.sensors,
             disturbance=self.disturbance,
-            controller=self.controllers[controller].with_model(self.joint, self.load, self.valve),
+            controller=control,
             reference=signals,
             start=start_of(signals),
             duration=self.duration,
