@@ -13,6 +13,7 @@ from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import (
     BP,
     CONTROLLERS,
+    DOUBLED_PID,
     FREE_TUNED_BP,
     PID,
     TUNED_BP,
@@ -66,6 +67,7 @@ def judged(identification, joint_maps):
     """The verdict on a claim, with some of the inputs replaced; by default BP is better at everything."""
     better = {PID: run(angle_rmse=2.0, settling=0.6), BP: run(), TUNED_PID: run(angle_rmse=0.3, settling=0.3)}
     better |= {TUNED_BP: run(angle_rmse=0.2, settling=0.2), FREE_TUNED_BP: run(angle_rmse=0.3)}
+    better[DOUBLED_PID] = run(angle_rmse=0.7)
     standard = {(s.key, w, name): better[name] for s in SETTINGS for w in StiffnessReference for name in CONTROLLERS}
     coupling = {s.key: Coupling(0.1 * deg, 0.1, 0.001) for s in SETTINGS}
 

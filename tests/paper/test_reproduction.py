@@ -27,6 +27,7 @@ from mckibben.paper.settings import (
 from mckibben.paper.tracking import (
     BP,
     CONTROLLERS,
+    DOUBLED_PID,
     FREE_TUNED_BP,
     PID,
     TUNED_BP,
@@ -111,6 +112,14 @@ def test_both_methods_have_the_same_plant_reference_start_and_base_gains(trackin
     assert tracking.runs[key, reference, BP].scenario.control().position.gain_ratio == 2.0
     assert tracking.runs[key, reference, TUNED_BP].scenario.control().position.gain_ratio == 1.1
     assert tracking.runs[key, reference, FREE_TUNED_BP].scenario.control().position.gain_ratio == 2.0
+
+
+@pytest.mark.parametrize(("key", "reference"), RUN_KEYS)
+def test_only_the_position_gains_are_doubled(tracking, key, reference):
+    base, twice = (tracking.runs[key, reference, name].scenario.control() for name in (PID, DOUBLED_PID))
+    for gain in ("kp", "ki", "kd"):
+        assert getattr(twice.position, gain) == pytest.approx(2 * getattr(base.position, gain))
+        assert getattr(twice.stiffness, gain) == getattr(base.stiffness, gain)
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)

@@ -10,7 +10,18 @@ from mckibben.paper import Reproduction
 from mckibben.paper.claims import evaluate_claims
 from mckibben.paper.identification import run_identification, run_joint
 from mckibben.paper.settings import SETTINGS, StiffnessReference, bp_scenario, gains_of, pid_scenario
-from mckibben.paper.tracking import BP, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun, Coupling, Tracking
+from mckibben.paper.settings import doubled as double
+from mckibben.paper.tracking import (
+    BP,
+    DOUBLED_PID,
+    FREE_TUNED_BP,
+    PID,
+    TUNED_BP,
+    TUNED_PID,
+    ControllerRun,
+    Coupling,
+    Tracking,
+)
 from mckibben.simulation import Metrics
 from mckibben.study.parameters import list_parameters, with_values
 from mckibben.study.scenario.building import run_scenario
@@ -38,7 +49,7 @@ def reproduction():
         coupling[setting.key] = Coupling(1e-3, 0.1, 1e-14)
         gains = gains_of(found)
         for wish in StiffnessReference:
-            for name, given in ((PID, None), (TUNED_PID, gains)):
+            for name, given in ((PID, None), (DOUBLED_PID, double(setting.moderate)), (TUNED_PID, gains)):
                 scenario = pid_scenario(setting, wish, given, name=name)
                 runs[setting.key, wish, name] = ControllerRun(scenario, run_scenario(scenario).result, None)
             for name, given, ratio in ((BP, None, 2.0), (TUNED_BP, gains, 1.1), (FREE_TUNED_BP, gains, 2.0)):

@@ -168,6 +168,11 @@ def test_a_controller_looks_the_same_everywhere_and_others_get_their_own_look():
     assert len({look["color"] for look in looks.values()}) == 3
 
 
+def test_as_many_controllers_as_a_suite_may_have_are_told_apart():
+    looks = [tuple(sorted(look.items())) for look in looks_of([f"controller {i}" for i in range(16)]).values()]
+    assert len(set(looks)) == 16
+
+
 @pytest.mark.parametrize("name", [r"gain $\kp$", "$", "_hidden", "50 $ and 60 $", "\N{GRINNING FACE}", "^_{", "a\nb"])
 def test_names_are_text_and_not_mathematics(name, reproduction, tmp_path):
     result = next(iter(reproduction.tracking.runs.values())).result

@@ -151,6 +151,12 @@ class TestTuning:
         batch = contest.batches["as it is"]
         assert batch.metrics["air"][~batch.failed] == pytest.approx(2 / 3 * 1e-4), "2 bar/rad, as in the file"
 
+    def test_a_controller_may_have_a_budget_of_its_own(self, tmp_path):
+        for name, starts in (("all", "starts: 3"), ("own", "starts: 1, starts_of: {PID 3: 3}")):
+            compare(changed(*ALONE, ("starts: 2", starts)), folder=tmp_path / name)
+        points = [[trial.point for trial in trials(tmp_path / name)] for name in ("all", "own")]
+        assert points[0] == points[1]
+
     def test_progress_goes_from_controller_to_controller(self, suite, contest, told):
         parts = [part for _, part in told]
         assert parts == sorted(parts)
@@ -221,6 +227,28 @@ def test_a_controller_does_not_differ_from_run_to_run(suite, controller):
         assert all(np.ptp(leaf) == 0 for leaf in varying)
         for leaves in others:
             assert all(np.array_equal(a, b) for a, b in zip(first, leaves, strict=True))
+
+
+@pytest.mark.parametrize("friction", ["", ", friction: {half_width: 6 N, presliding_length: 0.5 mm}"])
+def test_a_true_model_is_the_plant_of_each_run(friction):
+    compensated = "decoupling: {poles: {bandwidth: 40 rad/s}}" + (
+        "\n    friction_compensation: true" if friction else ""
+    )
+    suite = changed(
+        ("tuning: {", "true_model: [decoupling]\ntuning: {"),
+        ("strength: 1}", f"strength: 1{friction}}}"),
+        ("strength: 1.05}", f"strength: 1.05{friction}}}"),
+        ("decoupling: {poles: {bandwidth: 40 rad/s}}", compensated),
+    )
+    runs = draw(suite, 8, 1)
+    assert len(set(runs.joint)) == 2
+    bandwidths = {"controller.decoupling.poles.bandwidth": [30.0, 50.0]}
+    control = _controller(runs, "decoupling", bandwidths)
+    for row in range(2 * runs.count):
+        values = {name: column[row // runs.count] for name, column in bandwidths.items()}
+        alone = runs.scenario("decoupling", row % runs.count, values).control()
+        for own, single in zip(jax.tree.leaves(control), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(np.asarray(own)[row] if np.ndim(own) else own, single, rtol=1e-12)
 
 
 def test_sets_of_numbers_lie_one_after_the_other(suite):

@@ -7,6 +7,7 @@ each setting comes in two geometries.
 from __future__ import annotations
 
 import enum
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,6 +89,11 @@ STEP_TIME = "5 s"
 LEARNING = "learning_rate: 3 1/s, momentum: 0.5, hidden: 6, jacobian: sign"
 FREE, BOUND = 2.0, 1.1
 """Factor by which BP may change the gains: about moderate gains, and about tuned ones, close to the stability limit."""
+
+
+def doubled(gains: Gains) -> Gains:
+    """Twice the gains of the position loop."""
+    return Gains(re.sub(r": (\S+)", lambda gain: f": {2 * float(gain[1]):g}", gains.position), gains.stiffness)
 
 
 def pid_scenario(

@@ -19,6 +19,7 @@ from mckibben.paper.settings import (
     Setting,
     StiffnessReference,
     bp_scenario,
+    doubled,
     gains_of,
     pid_scenario,
 )
@@ -28,9 +29,9 @@ from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune import Cost, Method, TuningResult, gain_ranges, tune
 from mckibben.units import quantity
 
-PID, BP, TUNED_PID = "PID", "BP", "PID tuned"
+PID, BP, DOUBLED_PID, TUNED_PID = "PID", "BP", "PID, position gains doubled", "PID tuned"
 TUNED_BP, FREE_TUNED_BP = "BP on tuned gains", "BP on tuned gains, free"
-CONTROLLERS = (PID, BP, TUNED_PID, TUNED_BP, FREE_TUNED_BP)
+CONTROLLERS = (PID, BP, DOUBLED_PID, TUNED_PID, TUNED_BP, FREE_TUNED_BP)
 _GAIN_MARGIN = 1.5
 
 
@@ -115,6 +116,8 @@ def _moderate_runs(seeds: int) -> _Runs:
         for reference in StiffnessReference:
             runs[setting.key, reference, PID] = _run_pid(pid_scenario(setting, reference))
             runs[setting.key, reference, BP] = _run_bp(bp_scenario(setting, reference), seeds)
+            base = pid_scenario(setting, reference, doubled(setting.moderate), name=DOUBLED_PID)
+            runs[setting.key, reference, DOUBLED_PID] = _run_pid(base)
     return runs
 
 

@@ -45,6 +45,11 @@ def benchmark_errors(result: BenchmarkResult) -> Figure:
     return figure
 
 
+def _marker(look: Mapping[str, Any]) -> str:
+    """Marker of a controller: another where its colour is used again."""
+    return "D" if "alpha" in look else "o"
+
+
 @styled
 def benchmark_references(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
     """Median errors by reference and controller, from `statistics` of the result."""
@@ -61,7 +66,7 @@ def benchmark_references(result: BenchmarkResult, numbers: Mapping[str, Any]) ->
             places = [(median, row) for median, row in medians if median]
             if places:
                 x, y = zip(*places, strict=True)
-                panel.plot(x, y, linestyle="", marker="o", markersize=3.5, color=look["color"], label=name)
+                panel.plot(x, y, linestyle="", marker=_marker(look), markersize=3.5, color=look["color"], label=name)
         shown = [x for line in panel.lines for x in np.asarray(line.get_xdata())]
         if shown and max(shown) > _NARROW * min(shown):
             panel.set_xscale("log")
@@ -86,7 +91,7 @@ def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure
         (x0, x, x1), (y0, y, y1) = (np.nanpercentile(each, [5, 50, 95]) for each in (air, angle))
         axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
         axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
-        axes.plot(x, y, marker="o", markersize=4.5, linestyle="", color=look["color"], label=name)
+        axes.plot(x, y, marker=_marker(look), markersize=4.5, linestyle="", color=look["color"], label=name)
     scale = "log" if axes.lines else "linear"
     axes.set(xscale=scale, yscale=scale, xlabel="air consumption [L]", ylabel="angle rmse [deg]")
     if axes.lines:

@@ -45,6 +45,7 @@ DESIRED: dict[str, Any] = {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth"
 CONTROLLERS: dict[str, dict[str, Any]] = {
     "PID": {"color": VERMILLION, "linestyle": "-", "marker": "o"},
     "BP": {"color": BLUE, "linestyle": "-", "marker": "s"},
+    "PID, position gains doubled": {"color": GREEN, "linestyle": (0, (5, 1, 1, 1)), "marker": "P"},
     "PID tuned": {"color": ORANGE, "linestyle": (0, (6, 1.2)), "marker": "D"},
     "BP on tuned gains": {"color": SKY, "linestyle": (0, (3, 1, 1, 1)), "marker": "^"},
     "BP on tuned gains, free": {"color": PURPLE, "linestyle": (0, (1, 1)), "marker": "v"},
@@ -60,6 +61,12 @@ _SPARE: tuple[dict[str, Any], ...] = (
     {"color": BLACK, "linestyle": (0, (2, 1))},
     {"color": "#7F7F7F", "linestyle": "-"},
 )
+
+_AGAIN: tuple[dict[str, Any], ...] = (
+    {"linestyle": (0, (8, 1.5)), "linewidth": 2.2, "alpha": 0.55},
+    {"linestyle": (0, (1, 2)), "linewidth": 2.2, "alpha": 0.55},
+)
+"""What tells a colour that is used again from the first."""
 
 LOADING: dict[str, Any] = {"color": BLUE, "marker": "^"}
 UNLOADING: dict[str, Any] = {"color": VERMILLION, "marker": "v"}
@@ -139,7 +146,8 @@ def looks_of(names: Iterable[str]) -> dict[str, dict[str, Any]]:
         if name in CONTROLLERS:
             looks[name] = {key: CONTROLLERS[name][key] for key in ("color", "linestyle")}
         else:
-            looks[name] = spare[count % len(spare)]
+            cycle, place = divmod(count, len(spare))
+            looks[name] = spare[place] if not cycle else {**spare[place], **_AGAIN[(cycle - 1) % len(_AGAIN)]}
             count += 1
     return looks
 
@@ -274,6 +282,9 @@ def log_ticks(axis: Axis, *subs: float) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+_CHARACTER, _HANDLE, _LEGEND_ROW = 0.058, 0.45, 0.15  # inches of a legend
+
+
 def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:
     """Draw one legend above the figure, each label once in order of appearance."""
     found: dict[str, Any] = {}
@@ -282,7 +293,11 @@ def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:
             label = str(handle.get_label())
             if isinstance(handle, Line2D | Patch | Collection) and label and not _NO_LABEL.match(label):
                 found.setdefault(label, handle)
-    figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=min(columns, len(found)))
+    widest = max(map(len, found), default=0) * _CHARACTER + _HANDLE
+    columns = max(1, min(columns, len(found), int(figure.get_figwidth() / widest)))
+    rows = -(-len(found) // columns)
+    figure.set_figheight(figure.get_figheight() + max(0, rows - 2) * _LEGEND_ROW)
+    figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=columns)
 
 
 def beside(axes: Axes, text: str, **place: Any) -> None:
