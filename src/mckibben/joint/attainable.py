@@ -144,7 +144,7 @@ def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque
         )
     raise UnreachableError(
         f"stiffness {stiffness:.4g} N*m/rad {where} is outside the attainable {low:.4g}..{high:.4g} N*m/rad",
-        remedy="choose a stiffness inside, or change the connector length",
+        remedy="choose a stiffness inside, or change the lengths of the connectors or muscles",
         **attainable,
     )
 
