@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from html import escape
-from typing import Any, TypeAlias, get_type_hints
+from typing import Any, TypeAlias, get_args, get_type_hints
 
 from mckibben.errors import printable
 from mckibben.units import Quantity, show
@@ -42,7 +42,8 @@ def _rows(component: Any) -> Iterator[tuple[str, str]]:
         if not field.repr:
             continue
         value = getattr(component, field.name)
-        units = [each for each in getattr(hints[field.name], "__metadata__", ()) if isinstance(each, Quantity)]
+        parts = [hints[field.name], *get_args(hints[field.name])]  # such as of Length | None
+        units = [each for part in parts for each in getattr(part, "__metadata__", ()) if isinstance(each, Quantity)]
         try:
             text = show(float(value), units[0].shown) if units else repr(value)
         except TypeError:  # an array, a tracer or None
