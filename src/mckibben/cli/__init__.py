@@ -20,6 +20,7 @@ import typer
 from typer import Argument, Option
 
 import mckibben
+from mckibben.cli.calibrate import calibrate
 from mckibben.cli.compare import compare
 from mckibben.cli.identify import identify, points, validate
 from mckibben.cli.options import (
@@ -148,6 +149,7 @@ app.command()(plan)
 app.command()(sweep)
 app.command()(tune)
 app.command()(compare)
+app.command()(calibrate)
 app.add_typer(rig)
 
 

@@ -1,7 +1,7 @@
 """The joint: geometry (Eqs. 4-5), torque and stiffness (Eqs. 7-8), load (Eq. 6) and attainable set."""
 
 from mckibben.joint.antagonistic import AffineMap, AntagonisticJoint, Measurement, TorqueStiffnessMap
-from mckibben.joint.geometry import Geometry, KneeGeometry
+from mckibben.joint.geometry import Geometry, KneeGeometry, ScaledArms
 from mckibben.joint.load import GeneralLoad, KneeLoad, Load, PendulumLoad
 from mckibben.joint.paths import Cam, MusclePath, PairedPaths, Pulley, TabulatedPath, TwoBonePath
 from mckibben.joint.tendon import RigidTendon, SeriesSpring, Tendon
@@ -21,6 +21,7 @@ __all__ = [
     "PendulumLoad",
     "Pulley",
     "RigidTendon",
+    "ScaledArms",
     "SeriesSpring",
     "TabulatedPath",
     "Tendon",

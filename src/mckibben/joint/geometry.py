@@ -14,7 +14,7 @@ from mckibben.notebook import Displayed
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import sincos
-from mckibben.units import Distance, Length
+from mckibben.units import Angle, Distance, Length, Strength
 
 Pair = tuple[Float[Array, "..."], Float[Array, "..."]]
 """Values of muscle 1 (antagonist: lengthens as the angle increases) and muscle 2 (agonist)."""
@@ -99,3 +99,36 @@ class KneeGeometry(Geometry):
             jnp.sqrt(common + difference) - self.connector_length,
             jnp.sqrt(common - difference) - self.connector_length,
         )
+
+
+class ScaledArms(Geometry):
+    """A geometry whose moment arms are scaled; the lengths at one angle stay as they are.
+
+    Parameters
+    ----------
+    geometry, scale, angle
+        The geometry, the factor [-] of its moment arms, and the angle [rad] of unchanged lengths.
+
+    Examples
+    --------
+    >>> knee = KneeGeometry(joint_length=0.37, joint_radius=0.03, connector_length=0.19)
+    >>> [round(float(arm), 6) for arm in ScaledArms(knee, 1.02).moment_arms(0.0)]
+    [0.0306, 0.0306]
+    """
+
+    geometry: Geometry
+    scale: Strength
+    angle: Angle = 0.0
+
+    def __check_init__(self) -> None:
+        check_positive("ScaledArms", "1", scale=self.scale)
+
+    @property
+    def angle_range(self) -> tuple[float, float]:
+        return self.geometry.angle_range
+
+    def path_lengths(self, angle: ArrayLike) -> Pair:
+        """Return the length [m] of each muscle with its series spring at an angle [rad]."""
+        found, fixed = self.geometry.path_lengths(angle), self.geometry.path_lengths(self.angle)
+        one, two = (at + self.scale * (now - at) for now, at in zip(found, fixed, strict=True))
+        return one, two

@@ -2,6 +2,7 @@
 
 from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, scaled_law
 from mckibben.muscle.chou import ChouLaw
+from mckibben.muscle.corrected import ForceCorrection, corrected_law
 from mckibben.muscle.creep import Creep, CreepState, MaxwellCreep, NoCreep
 from mckibben.muscle.exponential import ExponentialLaw, SarosiLaw
 from mckibben.muscle.friction import Friction, FrictionState, MaxwellSlip, NoFriction
@@ -41,6 +42,7 @@ __all__ = [
     "CreepState",
     "Domain",
     "ExponentialLaw",
+    "ForceCorrection",
     "ForceLaw",
     "Friction",
     "FrictionState",
@@ -64,6 +66,7 @@ __all__ = [
     "TonduLopezLaw",
     "TonduLopezVariableLaw",
     "TsagarakisCaldwellLaw",
+    "corrected_law",
     "forces",
     "return_spring",
     "scaled_law",

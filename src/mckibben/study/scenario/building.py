@@ -25,7 +25,7 @@ from mckibben.control import (
     VelocityObserver,
 )
 from mckibben.errors import FileError, McKibbenError, Problem, RangeError, ScenarioError
-from mckibben.joint import AntagonisticJoint, KneeGeometry, RigidTendon
+from mckibben.joint import AntagonisticJoint, Geometry, RigidTendon, ScaledArms
 from mckibben.notebook import Progress, silent
 from mckibben.plant import AirValve, IdealValve, JointPlant, NoDisturbance, PerfectSensors
 from mckibben.simulation import AtRest, Batch, CheckedRun, Metrics, checked_run, simulate_many
@@ -69,12 +69,12 @@ def build_joint(spec: JointSpec) -> AntagonisticJoint:
     return AntagonisticJoint(build_geometry(spec), muscle1.build(), muscle2.build(), tendon)
 
 
-def build_geometry(spec: JointSpec) -> KneeGeometry:
-    """The geometry of a joint; its own connector length replaces the geometry's."""
+def build_geometry(spec: JointSpec) -> Geometry:
+    """The geometry of a joint; its own connector length replaces the geometry's, its scale is that of the arms."""
     geometry = spec.geometry.build()
-    if spec.connector_length is None:
-        return geometry
-    return dataclasses.replace(geometry, connector_length=spec.connector_length)
+    if spec.connector_length is not None:
+        geometry = dataclasses.replace(geometry, connector_length=spec.connector_length)
+    return geometry if spec.arm_scale is None else ScaledArms(geometry, spec.arm_scale)
 
 
 def valve_time_constant(valve: ValveSpec | None, joint: JointSpec) -> Any:

@@ -30,6 +30,7 @@ from mckibben.errors import FileError, quoted, suggest
 from mckibben.muscle import (
     ChouLaw,
     Domain,
+    ForceCorrection,
     ForceLaw,
     MaxwellCreep,
     MaxwellSlip,
@@ -37,6 +38,7 @@ from mckibben.muscle import (
     NoCreep,
     NoFriction,
     Specimen,
+    corrected_law,
     scaled_law,
 )
 from mckibben.units import Strength
@@ -136,7 +138,7 @@ class CatalogPart(ComponentModel):
         return getattr(catalog, self.catalog_function)(name)
 
 
-def _expanded(kind: type[ConfigModel], value: Any, info: ValidationInfo) -> Any:
+def expanded(kind: type[ConfigModel], value: Any, info: ValidationInfo) -> Any:
     """A section whose ``from`` names a file: the content of the file, with the changes that the section gives."""
     section = {"from": value} if isinstance(value, str) else value
     named = section.get("from") if isinstance(section, dict) else None
@@ -150,7 +152,7 @@ def _expanded(kind: type[ConfigModel], value: Any, info: ValidationInfo) -> Any:
         text = read_text(path, "a muscle", "docs/scenarios.md")
         keys = read_document(text).data or ()
         whole = kind is not SpecimenSpec or "specimen" not in keys
-        if kind is not SpecimenSpec and "parameters" in keys:
+        if kind is MuscleSpec and "parameters" in keys:
             fail_validation(f"{named} is a fit, the law of a muscle", f"write {{specimen: ..., law: {named}}}")
         content: Any = parse_model(kind if whole else _Muscle, text, source=named, folder=path.parent, files=files)[0]
     except FileError as error:
@@ -193,7 +195,7 @@ class SpecimenSpec(
     @model_validator(mode="before")
     @classmethod
     def _from_file(cls, value: Any, info: ValidationInfo) -> Any:
-        return _expanded(SpecimenSpec, value, info)
+        return expanded(SpecimenSpec, value, info)
 
     @model_validator(mode="after")
     def _complete(self) -> SpecimenSpec:
@@ -221,15 +223,20 @@ class CreepSpec(model_of(MaxwellCreep)):
     """Creep of a muscle."""
 
 
+class CorrectionSpec(model_of(ForceCorrection)):
+    """Correction of a muscle's force, found by `mckibben calibrate`."""
+
+
 class MuscleSpec(ConfigModel):
     """A specimen and its law (of the catalog, ``chou``, or the path of a fit file), or the path of a muscle's file.
 
-    `strength` multiplies all forces of the law.
+    `strength` multiplies all forces of the law; `correction` is added to them.
     """
 
     specimen: SpecimenSpec
     law: Law
     strength: Strength | None = None
+    correction: CorrectionSpec | None = None
     friction: FrictionSpec | None = None
     creep: CreepSpec | None = None
 
@@ -239,15 +246,17 @@ class MuscleSpec(ConfigModel):
         if isinstance(value, str) and value and not value.endswith(_ENDINGS):
             remedy = "name a file such as the muscle.yaml of `mckibben identify --out`, or give specimen and law"
             fail_validation(f"{quoted(value)} is no muscle's file", remedy)
-        return _expanded(cls, value, info)
+        return expanded(cls, value, info)
 
     def build(self) -> Muscle:
         """The muscle."""
         specimen = self.specimen.build()
         law = build_law(self.law, specimen)
+        if self.strength is not None:
+            law = scaled_law(law, self.strength)
         return Muscle(
             specimen,
-            law if self.strength is None else scaled_law(law, self.strength),
+            law if self.correction is None else corrected_law(law, self.correction.build()),
             NoFriction() if self.friction is None else self.friction.build(),
             NoCreep() if self.creep is None else self.creep.build(),
         )

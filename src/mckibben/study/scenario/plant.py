@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
 from mckibben.config.fields import Flag
 from mckibben.config.model import ConfigModel, fail_validation
 from mckibben.config.schema import PartOf, model_of
+from mckibben.errors import quoted
 from mckibben.joint import GeneralLoad, KneeGeometry, KneeLoad, PendulumLoad, SeriesSpring
 from mckibben.muscle import Muscle, SpringLaw, return_spring
 from mckibben.plant import FirstOrderValve, SampledSensors, TorquePulses
-from mckibben.study.scenario.muscle import CatalogName, CatalogPart, MuscleSpec, entry_of
-from mckibben.units import Angle, Distance, Stiffness, Torque
+from mckibben.study.scenario.muscle import CatalogName, CatalogPart, MuscleSpec, entry_of, expanded
+from mckibben.units import Angle, Distance, Stiffness, Strength, Torque
 
 
 class GeometrySpec(model_of(KneeGeometry, optional=True, base=CatalogPart, entry=entry_of("geometries"))):
@@ -63,17 +64,25 @@ class JointSpec(ConfigModel):
     """A joint with two equal muscles (`muscle`) or two different ones (`muscle1`, the antagonist, and `muscle2`).
 
     `return_spring1` or `return_spring2` is in place of that muscle. `connector_length` [m] replaces that of the
-    geometry.
+    geometry, `arm_scale` multiplies its moment arms. In text the path of a file will do: ``model: model.yaml``.
     """
 
     geometry: Annotated[GeometrySpec, PartOf("mckibben.joint:Geometry")]
     connector_length: Distance | None = None
+    arm_scale: Strength | None = None
     muscle1: MuscleSpec | None = None
     muscle2: MuscleSpec | None = None
     return_spring1: ReturnSpringSpec | None = None
     return_spring2: ReturnSpringSpec | None = None
     muscle: MuscleSpec | None = Field(None, validate_default=True)
     spring: SpringSpec | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_file(cls, value: Any, info: ValidationInfo) -> Any:
+        if isinstance(value, str) and value and not value.endswith(".yaml"):
+            fail_validation(f"{quoted(value)} is no joint's file", "name a .yaml file, or give geometry and muscles")
+        return expanded(cls, value, info)
 
     @property
     def has_friction(self) -> bool:

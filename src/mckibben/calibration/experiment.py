@@ -1,0 +1,293 @@
+"""Sweeps of a joint under its controller, bare and with a known weight, and scenarios with the calibrated model."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from mckibben.calibration.estimation import GRAVITY, JointCalibration, JointPrior, JointRecording, calibrate_joint
+from mckibben.config.document import to_text
+from mckibben.errors import ParameterError, StoppedError
+from mckibben.joint import ScaledArms
+from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
+from mckibben.realtime import JointRig, JointRunResult, prepare
+from mckibben.simulation import Result
+from mckibben.storage.files import atomic_write
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.building import build_joint
+from mckibben.study.scenario.muscle import CorrectionSpec, FrictionSpec, MuscleSpec
+from mckibben.study.scenario.plant import GeneralLoadSpec, JointSpec, StartSpec
+from mckibben.study.scenario.reference import ReferenceSpec, read_samples
+from mckibben.units import show
+
+_SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness in a part
+_FAST, _FAST_SHARE, _FASTEST = 1.0, 0.15, 1.0  # Hz; part of the amplitude; rad/s^2, of the faster motion
+_BAND = 0.7  # part of the attainable stiffness that is swept
+_TAUT = 0.08  # least tension by the model over its highest force at mid contraction: the muscle may be weaker
+_ANGLES = 41
+_HEAD = """\
+# A joint calibrated by `mckibben calibrate`, for controllers: `model: model.yaml`.
+"""
+
+
+@dataclass(frozen=True)
+class Sweeps:
+    """A calibration experiment.
+
+    Attributes
+    ----------
+    lowest, highest
+        Angles [rad].
+    duration
+        Of each part [s].
+    added_mass, distance
+        Weight of the second part [kg], and its distance from the axis [m]; without, there is one part.
+    """
+
+    lowest: float
+    highest: float
+    duration: float
+    added_mass: float = 0.0
+    distance: float = 0.0
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Added mass [kg] of each part."""
+        return (0.0, self.added_mass) if self.added_mass else (0.0,)
+
+    def scenario(self, scenario: Scenario, added_mass: float) -> Scenario:
+        """The scenario of one part: sweeps within what the controller's model can hold, with the weight or without.
+
+        Angles are swept slowly, three times, with a smaller motion of 1 Hz, and the stiffness twice over 70 % of what
+        is attainable at all angles, bare and with the weight. Raises `ParameterError` if there is nothing in common.
+        """
+        middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
+        low, high = self._attainable(scenario)
+        if not low < high:
+            remedy = "give other --angles, or a smaller --weight"
+            raise ParameterError(
+                "no stiffness is attainable at all of the angles, with and without weight", remedy=remedy
+            )
+        fast = min(_FAST_SHARE * amplitude, _FASTEST / (2 * np.pi * _FAST) ** 2)
+        angle = {
+            "amplitudes": (_rad(amplitude - fast), _rad(fast)),
+            "frequencies": (f"{_SWEEPS / self.duration!r} Hz", f"{_FAST} Hz"),
+            "offset": _rad(middle),
+        }
+        stiffness = {
+            "amplitude": f"{_BAND * (high - low) / 2!r} N*m/rad",
+            "frequency": f"{_COCONTRACTIONS / self.duration!r} Hz",
+            "offset": f"{(low + high) / 2!r} N*m/rad",
+        }
+        signals = ReferenceSpec.model_validate({"angle": {"multisine": angle}, "stiffness": {"sine": stiffness}})
+        control: Any = scenario.controller.with_model(scenario.joint, scenario.load, scenario.valve)
+        for name in ("decoupling", "predictive", "inverse_model", "load"):
+            part = getattr(control, name, None)
+            if part is None:
+                continue
+            if name == "load":
+                control = control.model_copy(update={"load": self._weighted(part, added_mass)})
+                continue
+            changes = {"adaptation": None} if getattr(part, "adaptation", None) is not None else {}
+            if part.load is not None:
+                changes["load"] = self._weighted(part.load, added_mass)
+            control = control.model_copy(update={name: part.model_copy(update=changes)})
+        return scenario.model_copy(
+            update={
+                "name": f"{scenario.name[:150]}, calibration with {added_mass:g} kg",
+                "controller": control,
+                "load": self._weighted(scenario.load, added_mass),
+                "signals": signals,
+                "start": StartSpec(angle=middle),
+                "duration": self.duration,
+            }
+        )
+
+    def _weighted(self, load: Any, added_mass: float) -> Any:
+        """Section of a load with the weight."""
+        built = load.build()
+        return GeneralLoadSpec(
+            inertia=float(built.total_inertia + added_mass * self.distance**2),
+            gravity_torque=float(built.gravity_moment + added_mass * self.distance * GRAVITY),
+            damping=float(built.damping),
+            hanging_angle=float(built.hanging_angle),
+        )
+
+    def _attainable(self, scenario: Scenario) -> tuple[float, float]:
+        """Stiffness [N*m/rad] attainable at all angles with each weight; the first above the second for none."""
+        joint, load = build_joint(model_of(scenario)), load_of(scenario)
+        angles = np.linspace(self.lowest, self.highest, _ANGLES)
+        middle = joint.contractions((self.lowest + self.highest) / 2, (0.0, 0.0))
+        muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
+        highest = [muscle.tension(at, muscle.domain.pressure_max) for muscle, at, spring in muscles if not spring]
+        least = _TAUT * float(min(highest))
+        bands = []
+        for mass in self.weights:
+            torque = -self._weighted(load, mass).build().gravity_torque(jnp.asarray(angles))
+            bands += [np.asarray(joint.attainable_stiffness(angles, torque, minimum_tension=least))]
+        low, high = np.max([band[0] for band in bands]), np.min([band[1] for band in bands])
+        return (float(low), float(high)) if np.isfinite(low + high) else (1.0, 0.0)
+
+
+def _rad(angle: float) -> str:
+    return f"{float(angle)!r} rad"
+
+
+def model_of(scenario: Scenario) -> JointSpec:
+    """Section of the controller's model of the joint, which a calibration corrects."""
+    model = getattr(scenario.controller, "model", None) or scenario.joint
+    for muscle in (model.muscle, model.muscle1, model.muscle2):
+        if model.arm_scale is not None or (muscle is not None and muscle.correction is not None):
+            raise ParameterError(
+                "the controller's model has been calibrated already",
+                remedy="give the scenario with the model before: intervals need its prior",
+            )
+    return model
+
+
+def load_of(scenario: Scenario) -> Any:
+    """Section of the controller's model of the load."""
+    control: Any = scenario.controller
+    parts = [getattr(control, name, None) for name in ("decoupling", "predictive", "inverse_model")]
+    loads = [getattr(part, "load", None) for part in (*parts, control)]
+    return next(filter(None, loads), scenario.load)
+
+
+def run_sweeps(
+    scenario: Scenario,
+    sweeps: Sweeps,
+    folder: str | os.PathLike[str],
+    *,
+    rig: JointRig | None = None,
+    ready: Callable[[float], None] | None = None,
+    progress: Any = None,
+) -> list[JointRecording]:
+    """Run all parts of an experiment on a joint rig, the simulated joint unless given, and record them in a folder.
+
+    `ready` is called with the added mass [kg] before a part. Raises `StoppedError` if a part is stopped by a limit or a
+    fault; the joint is vented then.
+    """
+    recordings = []
+    parts = [sweeps.scenario(scenario, mass) for mass in sweeps.weights]  # errors before anything moves
+    for mass, part in zip(sweeps.weights, parts, strict=True):
+        if ready is not None:
+            ready(mass)
+        on_card = rig is not None and rig.nidaqmx is not None
+        session = prepare(part, rig, paced=on_card)
+        ran: JointRunResult = session.run(Path(folder) / ("weighted" if mass else "bare"), progress=progress)
+        if ran.outcome.error is not None or ran.result is None:
+            raise StoppedError(f"stopped: {ran.outcome.text}; {ran.outcome.venting}")
+        recordings.append(recording_of(ran.result, added_mass=mass, distance=sweeps.distance))
+    return recordings
+
+
+def recording_of(result: Result, *, added_mass: float = 0.0, distance: float = 0.0) -> JointRecording:
+    """The recording of a run on a joint rig."""
+    pressures = np.stack([result["pressure1"], result["pressure2"]], axis=1)
+    return JointRecording(result.times, result["angle"], pressures, None, added_mass, distance)
+
+
+def read_joint_recording(
+    path: str | os.PathLike[str], *, added_mass: float = 0.0, distance: float = 0.0
+) -> JointRecording:
+    """Read a recording: a CSV file with columns such as ``time_s,angle_deg,pressure1_bar,pressure2_bar``.
+
+    Two columns ``tension1_N,tension2_N`` are those of load cells. A ``result.nc`` of `mckibben rig control` is read as
+    well.
+    """
+    file = Path(path)
+    if file.suffix == ".nc":
+        return recording_of(Result.from_netcdf(file), added_mass=added_mass, distance=distance)
+    times, angle = read_samples(file, "angle", "rad")
+    with file.open(encoding="utf-8-sig") as text:
+        cells = "tension1" in text.readline()
+
+    def pair(name: str, unit: str) -> np.ndarray:
+        return np.stack([read_samples(file, f"{name}{i}", unit)[1] for i in (1, 2)], axis=1)
+
+    tensions = pair("tension", "N") if cells else None
+    return JointRecording(np.asarray(times), np.asarray(angle), pair("pressure", "Pa"), tensions, added_mass, distance)
+
+
+def calibrated_model(scenario: Scenario, found: JointCalibration) -> JointSpec:
+    """Section of the controller's model with the estimates."""
+    spec, joint = model_of(scenario), found.joint
+    update: dict[str, Any] = {"muscle": None}
+    for i, muscle in enumerate((joint.muscle1, joint.muscle2), 1):
+        before: MuscleSpec | None = getattr(spec, f"muscle{i}") or spec.muscle
+        if before is None or not isinstance(muscle.law, CorrectedLaw | CorrectedAffineLaw):
+            continue
+        friction = {name: getattr(muscle.friction, name) for name in FrictionSpec.model_fields}
+        given = {name: one for name, one in friction.items() if one is not None}
+        correction = muscle.law.correction
+        update[f"muscle{i}"] = before.model_copy(
+            update={
+                "correction": CorrectionSpec(
+                    offset=tuple(map(float, correction.offset)),
+                    gain=tuple(map(float, correction.gain)),
+                    centre=float(correction.centre),
+                    half_width=float(correction.half_width),
+                ),
+                "friction": FrictionSpec(**given),
+            }
+        )
+    assert isinstance(joint.geometry, ScaledArms)
+    return spec.model_copy(update={**update, "arm_scale": float(joint.geometry.scale)})
+
+
+def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario:
+    """The scenario with the estimates as its controller's model of joint and load."""
+    control: Any = scenario.controller.with_model(scenario.joint, scenario.load, scenario.valve)
+    update: dict[str, Any] = {"model": calibrated_model(scenario, found)}
+    mass = found.load.adapted_mass
+    for name in ("decoupling", "predictive", "inverse_model"):
+        part = getattr(control, name, None)
+        if part is not None and part.load is not None and mass:
+            load = part.load.model_copy(update={mass: float(getattr(found.load, mass))})
+            update[name] = part.model_copy(update={"load": load})
+    return scenario.model_copy(update={"controller": control.model_copy(update=update)})
+
+
+def expected(
+    scenario: Scenario, sweeps: Sweeps, folder: str | os.PathLike[str], prior: JointPrior | None = None
+) -> tuple[float, float]:
+    """Standard deviation of the stiffness [N*m/rad] before and after an experiment on the model itself, simulated."""
+    model, load = model_of(scenario), load_of(scenario)
+    recordings = run_sweeps(scenario.model_copy(update={"joint": model, "load": load}), sweeps, folder)
+    return deviations(calibrate_joint(build_joint(model), load.build(), recordings, prior), recordings)
+
+
+def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tuple[float, float]:
+    """Root mean square standard deviation of the stiffness [N*m/rad] along recordings, before and after."""
+    angle = np.concatenate([one.angle[::100] for one in recordings])
+    pressures = np.concatenate([one.pressures[::100] for one in recordings])
+    before, after = (
+        float(np.sqrt(np.mean(stiffness(angle, (pressures[:, 0], pressures[:, 1]))[1] ** 2)))
+        for stiffness in (found.prior_stiffness, found.stiffness)
+    )
+    return before, after
+
+
+def statements(found: JointCalibration) -> list[str]:
+    """What could not be determined, in words."""
+    names = {"added_mass": "the added weight", "zero": "the encoder's zero", "arm_scale": "the moment arms"}
+    return [
+        f"{names.get(name, name)} was not determined: {show(one.value, one.unit)} with a standard deviation of "
+        f"{show(one.deviation, one.unit)}, {show(one.prior, one.unit)} before"
+        for name, one in found.quantities.items()
+        if not one.determined
+    ]
+
+
+def write_model(scenario: Scenario, found: JointCalibration, path: str | os.PathLike[str]) -> None:
+    """Write the section of the controller's model with the estimates, for ``model: FILE`` of a controller."""
+    spec, folder = calibrated_model(scenario, found), Path(path).parent
+    data = spec.model_dump(mode="json", by_alias=True, exclude_none=True, context={"folder": folder})
+    with atomic_write(path, overwrite=True) as part:
+        part.write_text(_HEAD + to_text(data), encoding="utf-8")

@@ -1,0 +1,220 @@
+"""`mckibben calibrate`: the controller's model identified on the joint."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer import Argument, Option
+
+from mckibben.cli.options import (
+    Force,
+    Json,
+    echo,
+    job_progress,
+    keeping,
+    parse_limits,
+    parse_optional_quantity,
+    parse_quantity,
+    required_folder,
+    results_folder,
+    table,
+)
+from mckibben.errors import ParameterError, StoppedError
+from mckibben.storage.files import to_json, write_json
+from mckibben.units import show
+
+if TYPE_CHECKING:
+    from mckibben.calibration import JointPrior, JointRecording, Sweeps
+    from mckibben.realtime import JointRig
+    from mckibben.study.scenario import Scenario
+
+_KEPT = ("model.yaml", "scenario.yaml", "results.json", "calibration.png", "calibration.svg")
+_SHOWN = {"1": "1", "N": "N", "m": "mm", "kg": "kg", "rad": "deg"}
+_PLANNED_WEIGHTS, _PLANNED_DURATIONS = (0.0, 0.5, 1.0, 2.0), (1 / 3, 1.0)
+_LEAST, _MOST = 20.0, 600.0  # s of an experiment
+
+
+def calibrate(
+    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with joint, controller and its model.")],
+    weight: Annotated[str, Option(metavar="MASS", help="A known weight to clip on, such as '0.5 kg'.")] = "",
+    distance: Annotated[str, Option(metavar="LENGTH", help="Its distance from the axis, such as '200 mm'.")] = "",
+    weight_error: Annotated[str, Option(metavar="PERCENT", help="Standard deviation of the weight.")] = "1 %",
+    angles: Annotated[str, Option(metavar="RANGE", help="Angles to sweep.")] = "-10..10 deg",
+    duration: Annotated[str, Option(metavar="TIME", help="Duration of all sweeps, 20 to 600 s.")] = "60 s",
+    rig: Annotated[Path | None, Option(metavar="RIG.yaml", help="Rig, see examples/rig/ (default: simulated).")] = None,
+    recording: Annotated[
+        list[Path] | None,
+        Option(metavar="FILE", help="Use a recording (CSV, or result.nc of `rig control`) instead; repeatable."),
+    ] = None,
+    weighted: Annotated[
+        list[Path] | None, Option(metavar="FILE", help="A recording with the weight clipped on; repeatable.")
+    ] = None,
+    plan: Annotated[
+        bool, Option("--plan", help="Show the expected accuracy for other weights and durations; move nothing.")
+    ] = False,
+    out: Annotated[Path | None, Option(metavar="DIR", help="Folder of records, model and figure.")] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Identify the controller's model of the joint on the joint, with a known weight: the stiffness it has then.
+
+    Exit codes: 0 done, 1 stopped (the joint is vented), 2 refused before anything moved.
+    """
+    mass = parse_optional_quantity("--weight", weight, "kg") or 0.0
+    at = parse_optional_quantity("--distance", distance, "m") or 0.0
+    if (mass > 0) != (at > 0):
+        raise ParameterError("--weight and --distance go together", remedy="give both, such as '0.5 kg' and '200 mm'")
+    low, high = parse_limits("--angles", angles, "rad")
+    seconds = parse_quantity("--duration", duration, "s")
+    if not _LEAST <= seconds <= _MOST:
+        raise ParameterError(f"--duration {duration}", value=seconds, unit="s", lower=_LEAST, upper=_MOST)
+    if weighted and not mass:
+        raise ParameterError("--weighted without a weight", remedy="add --weight and --distance")
+    from mckibben.calibration import JointPrior, Sweeps
+    from mckibben.study.scenario import Scenario
+
+    prior = JointPrior(added_mass=parse_quantity("--weight-error", weight_error, "1"))
+    read, count = Scenario.read(scenario), 2 if mass else 1
+    period = read.control_period
+    sweeps = Sweeps(low, high, round(seconds / count / period) * period, mass, at)
+    if plan:
+        _plan(read, sweeps, prior, json)
+        return
+    out = required_folder(out, "calibration")
+    results_folder(out, _KEPT, force)
+    if recording or weighted:
+        recordings = _read(recording or [], weighted or [], mass, at)
+    else:
+        recordings = _measured(read, sweeps, out, rig, json)
+    _report(read, recordings, prior, out, json)
+
+
+def _read(bare: list[Path], weighted: list[Path], mass: float, distance: float) -> list[JointRecording]:
+    from mckibben.calibration import read_joint_recording
+
+    found = [read_joint_recording(path) for path in bare]
+    return [*found, *(read_joint_recording(path, added_mass=mass, distance=distance) for path in weighted)]
+
+
+def _measured(scenario: Scenario, sweeps: Sweeps, out: Path, rig: Path | None, quiet: bool) -> list[JointRecording]:
+    from mckibben.realtime.compiled_step import compute_in_this_thread
+
+    compute_in_this_thread()
+    from mckibben.calibration import run_sweeps
+    from mckibben.realtime import JointRig
+    from mckibben.rig.record import segments
+
+    on: JointRig | None = None if rig is None else JointRig.read(rig)
+    names = ("bare", "weighted")
+    if any(segments(out / name) for name in names if (out / name).is_dir()):
+        remedy = f"use them with --recording {out}/bare/result.nc, or choose another folder"
+        raise ParameterError(f"{out} holds records already", remedy=remedy)
+
+    def ready(mass: float) -> None:
+        what = f"the weight of {mass:g} kg is clipped on" if mass else "no weight is on the limb"
+        if on is not None and on.nidaqmx is not None:
+            typer.confirm(f"{what}, and nobody is within reach of the joint?", abort=True, err=True)
+
+    try:
+        with job_progress(quiet=quiet) as bar:
+            return run_sweeps(
+                scenario, sweeps, out, rig=on, ready=ready, progress=bar and (lambda now: _shown(bar, now))
+            )
+    except StoppedError as stopped:
+        echo(str(stopped), err=True)
+        raise typer.Exit(1) from None
+
+
+def _shown(bar: Callable[[str, float], None], now: Any) -> None:
+    if now.time == 0 or round(now.time * 1e3) % 250 == 0:
+        bar(now.phase.name.lower(), min(now.time / now.duration, 1.0))
+
+
+def _report(scenario: Scenario, recordings: list[JointRecording], prior: JointPrior, out: Path, json: bool) -> None:
+    from mckibben.calibration import calibrate_joint, calibrated_scenario
+    from mckibben.calibration.experiment import deviations, load_of, model_of, statements, write_model
+    from mckibben.report.calibration import calibration as draw
+    from mckibben.report.style import save
+    from mckibben.study.scenario.building import build_joint
+
+    found = calibrate_joint(build_joint(model_of(scenario)), load_of(scenario).build(), recordings, prior)
+    before, after = deviations(found, recordings)
+    numbers = {
+        "residual_torque_Nm": found.residual,
+        "stiffness_deviation_before": before,
+        "stiffness_deviation": after,
+        "quantities": {
+            name: {
+                "value": one.value,
+                "standard_deviation": one.deviation,
+                "before": one.prior,
+                "unit": one.unit,
+                "determined": one.determined,
+            }
+            for name, one in found.quantities.items()
+        },
+    }
+    with keeping(out):
+        write_model(scenario, found, out / "model.yaml")
+        calibrated_scenario(scenario, found).to_yaml(out / "scenario.yaml")
+        write_json(out / "results.json", numbers)
+        save(draw(found, recordings), out, "calibration")
+    if json:
+        echo(to_json(numbers))
+    else:
+        rows = [
+            (
+                name,
+                show(one.value, _SHOWN[one.unit], 4),
+                show(one.deviation, _SHOWN[one.unit], 2),
+                show(one.prior, _SHOWN[one.unit], 2),
+                "yes" if one.determined else "no",
+            )
+            for name, one in found.quantities.items()
+        ]
+        table("calibration", ("quantity", "estimate", "standard deviation", "before", "determined"), rows)
+        echo(
+            f"stiffness: standard deviation {after:.2g} N*m/rad, {before:.2g} before; residual {found.residual:.2g} N*m"
+        )
+        for line in statements(found):
+            echo(line)
+    echo(f"wrote model.yaml (for `model: model.yaml` of a controller), scenario.yaml and figure to {out}", err=json)
+
+
+def _plan(scenario: Scenario, sweeps: Sweeps, prior: JointPrior, json: bool) -> None:
+    import dataclasses
+
+    from mckibben.calibration import expected
+
+    if not sweeps.added_mass:
+        raise ParameterError("a plan needs a weight", remedy="add --weight '0.5 kg' --distance '200 mm'")
+    period, total = scenario.control_period, 2 * sweeps.duration
+    cases = [(sweeps.added_mass * share, total * part) for share in _PLANNED_WEIGHTS for part in _PLANNED_DURATIONS]
+    rows = []
+    with job_progress(quiet=json) as bar:
+        for number, (mass, seconds) in enumerate(cases):
+            if bar:
+                bar(f"{mass:g} kg, {seconds:g} s", number / len(cases))
+            each = round(seconds / (2 if mass else 1) / period) * period
+            one = dataclasses.replace(sweeps, added_mass=mass, duration=each)
+            with tempfile.TemporaryDirectory() as folder:
+                try:
+                    before, after = expected(scenario, one, folder, prior)
+                except ParameterError:
+                    continue  # the weight is too heavy
+            rows.append({"weight_kg": mass, "duration_s": seconds, "before": before, "deviation": after})
+    if json:
+        echo(to_json(rows))
+        return
+    table(
+        "expected standard deviation of the stiffness, if the joint were the model",
+        ("weight", "duration", "before, N*m/rad", "after, N*m/rad"),
+        [
+            (f"{r['weight_kg']:g} kg", f"{r['duration_s']:g} s", f"{r['before']:.2g}", f"{r['deviation']:.2g}")
+            for r in rows
+        ],
+    )

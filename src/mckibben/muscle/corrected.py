@@ -1,0 +1,100 @@
+"""A law with a smooth correction over contraction, affine in pressure: what a calibration on the joint estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.errors import RangeError
+from mckibben.muscle.base import ForceLaw, PressureAffineLaw, pressure_for
+from mckibben.muscle.specimen import Domain
+from mckibben.numerics.checks import check_positive
+from mckibben.units import Contraction, ForcePerPressure, SignedForce
+
+
+class ForceCorrection(eqx.Module):
+    r"""Correction of a muscle's force, affine in pressure and polynomial in contraction.
+
+    .. math:: \Delta F = \sum_i o_i v^i + p \sum_i g_i v^i, \quad
+        v = \mathrm{clip}\left(\frac{\varepsilon - \varepsilon_m}{h}, -1, 1\right)
+
+    Parameters
+    ----------
+    offset, gain
+        Coefficients o_i [N] and g_i [N/Pa], as many of each.
+    centre, half_width
+        Middle eps_m and half width h [-] of the contractions that were calibrated; the correction is constant outside.
+    """
+
+    offset: Sequence[SignedForce]
+    gain: Sequence[ForcePerPressure]
+    centre: Contraction
+    half_width: Contraction
+
+    def __check_init__(self) -> None:
+        check_positive("ForceCorrection", "1", half_width=self.half_width)
+        if len(self.offset) != len(self.gain) or not self.offset:
+            raise RangeError(
+                f"ForceCorrection: {len(self.offset)} offsets and {len(self.gain)} gains", remedy="give as many of each"
+            )
+
+    def terms(self, contraction: ArrayLike) -> tuple[Array, Array]:
+        """Return offset [N] and gain [N/Pa] of the correction at a contraction [-]."""
+        v = jnp.clip((jnp.asarray(contraction) - self.centre) / self.half_width, -1.0, 1.0)
+        offset, gain = jnp.zeros_like(v), jnp.zeros_like(v)
+        for o, g in zip(self.offset[::-1], self.gain[::-1], strict=True):
+            offset, gain = offset * v + o, gain * v + g
+        return offset, gain
+
+
+class CorrectedLaw(ForceLaw):
+    """A law with a `ForceCorrection`; see `corrected_law`."""
+
+    law: ForceLaw
+    correction: ForceCorrection
+    domain: Domain
+
+    equation = "F = F_law + sum_i (o_i + g_i p) v^i"
+    source = "ours"
+
+    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        offset, gain = self.correction.terms(contraction)
+        return self.law.force(contraction, pressure) + offset + gain * pressure
+
+    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        return pressure_for(self, force, contraction)
+
+
+class CorrectedAffineLaw(PressureAffineLaw):
+    """A law affine in pressure with a `ForceCorrection`; see `corrected_law`."""
+
+    law: PressureAffineLaw
+    correction: ForceCorrection
+    domain: Domain
+
+    equation = "F = F_law + sum_i (o_i + g_i p) v^i"
+    source = "ours"
+
+    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        (offset, gain), (more, steeper) = self.law.pressure_terms(contraction), self.correction.terms(contraction)
+        return offset + more, gain + steeper
+
+
+def corrected_law(law: ForceLaw, correction: ForceCorrection) -> ForceLaw:
+    """Return a law, with its domain, plus a correction of its force.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> law = catalog.law("lei-mas-10-180n")
+    >>> more = corrected_law(law, ForceCorrection(offset=(-20.0, 5.0), gain=(1e-5, 0.0), centre=0.1, half_width=0.05))
+    >>> round(float(more.force(0.125, 4e5) - law.force(0.125, 4e5)), 6)  # -20 + 0.5 * 5 + 1e-5 * 4e5
+    -13.5
+    """
+    domain: Any = law.domain.intersection(law.formula_domain)
+    kind: Any = CorrectedAffineLaw if isinstance(law, PressureAffineLaw) else CorrectedLaw
+    return kind(law=law, correction=correction, domain=domain)
