@@ -366,6 +366,12 @@ class AntagonisticJoint(eqx.Module, Displayed):
 
         return (torque(angle - amplitude) - torque(angle + amplitude)) / (2 * amplitude)
 
+    def stiffness_for(self, angle: ArrayLike, pressures: Pressures, amplitude: ArrayLike | None) -> Array:
+        """Return `secant_stiffness`; where the amplitude is None, `stiffness` without a check of the domain."""
+        if amplitude is None:
+            return self.evaluate(angle, pressures)[1]
+        return self.secant_stiffness(angle, pressures, amplitude)
+
     def affine_map(self, angle: ArrayLike) -> TorqueStiffnessMap:
         """Return torque and stiffness at an angle over the pressures; `TypeError` where they are not affine."""
         for muscle in (self.muscle1, self.muscle2):
@@ -396,6 +402,7 @@ class AntagonisticJoint(eqx.Module, Displayed):
         *,
         pressure_limits: tuple[float, float] | None = None,
         minimum_tension: float = 0.0,
+        amplitude: ArrayLike | None = None,
     ) -> Pair:
         """Return the lowest and highest stiffness [N*m/rad] at which the taut muscles give a torque [N*m] at an angle.
 
@@ -409,8 +416,11 @@ class AntagonisticJoint(eqx.Module, Displayed):
             Lowest and highest gauge pressure [Pa]; the muscles' domains by default.
         minimum_tension
             Lowest tension [N] of each muscle.
+        amplitude
+            Amplitude [rad] of the motion whose stiffness is meant (`secant_stiffness`), at 33 tensions; the isobaric
+            stiffness unless given.
         """
-        return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension)
+        return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension, amplitude)
 
     def pressures_for(self, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None = None) -> Pair:
         """Return gauge pressures [Pa] within the muscles' domains that give a torque [N*m] and a stiffness [N*m/rad].

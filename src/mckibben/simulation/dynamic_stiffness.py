@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,6 +45,11 @@ class DynamicStiffness(NamedTuple):
     stiffness: NDArray[np.float64]
     loss: NDArray[np.float64]
 
+    @property
+    def magnitude(self) -> NDArray[np.float64]:
+        """Magnitude of stiffness + i loss [N*m/rad]: the amplitude of the torque over that of the angle."""
+        return np.hypot(self.stiffness, self.loss)
+
 
 class ImposedMotion(Load):
     """A machine that moves the joint along a sine about a centre [rad] at a rate [rad/s], whatever the torque."""
@@ -61,10 +67,13 @@ class ImposedMotion(Load):
 
 
 class ConstantCommands(Controller):
-    """The measured pressures at the start as commands."""
+    """The measured pressures at the start as commands, or openings of 0."""
+
+    openings: bool = eqx.field(static=True)
 
     def init(self, measurement: Measurement) -> Any:
-        return measurement.pressures
+        pressures = measurement.pressures
+        return jax.tree.map(jnp.zeros_like, pressures) if self.openings else pressures
 
     def step(self, state: Any, setpoint: Setpoint, measurement: Measurement, period: ArrayLike) -> tuple[Any, Any]:
         return state, state
@@ -107,7 +116,8 @@ def dynamic_stiffness(
     amplitude, frequency
         Of the motion [rad], [Hz]. A cycle is rounded to a multiple of 100 control periods.
     controller, setpoint
-        Controller at work, and its constant setpoint; without it the commands remain the pressures at the start.
+        Controller at work, and its constant setpoint; without it the commands remain the pressures at the start,
+        or openings of 0.
     control_period, substeps, cycles
         Control period [s], integration steps in it, and number of cycles.
 
@@ -141,7 +151,7 @@ def dynamic_stiffness(
             remedy=f"give at most {highest:g} Hz, or a shorter control period",
         )
     rates = 2 * np.pi / (each * _SAMPLES * control_period)
-    control = ConstantCommands() if controller is None else controller
+    control = controller or ConstantCommands(openings=bool(getattr(plant.valve, "direct", False)))
     wanted = Setpoint(jnp.asarray(0.0), jnp.asarray(0.0)) if setpoint is None else setpoint
     parts = numeric((plant, control, wanted, plant.complete_state(initial), amplitudes, control_period))
     found = [
