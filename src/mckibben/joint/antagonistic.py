@@ -18,7 +18,7 @@ from mckibben.muscle.muscle import warn_outside
 from mckibben.notebook import Displayed
 from mckibben.numerics.batching import computed_once
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
-from mckibben.numerics.checks import check_kind, check_within
+from mckibben.numerics.checks import check_kind, check_positive, check_within
 from mckibben.numerics.elementary import floating
 
 MuscleStates = tuple[MuscleState, MuscleState]
@@ -337,6 +337,7 @@ class AntagonisticJoint(eqx.Module, Displayed):
         >>> knee.secant_stiffness(0.0, (3e5, 3e5), jnp.deg2rad(jnp.array([0.01, 1.0, 3.0]))).round(1)
         Array([118.1,  94.3,  81.1], dtype=float64)
         """
+        check_positive("secant_stiffness", "rad", amplitude=amplitude)
         pressure1, pressure2 = pressure_pair(pressures)
         angle, amplitude = floating(angle), floating(amplitude)
         states = self.init_state(angle, pressures)

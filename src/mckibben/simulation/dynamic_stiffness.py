@@ -51,7 +51,7 @@ class DynamicStiffness(NamedTuple):
         return np.hypot(self.stiffness, self.loss)
 
 
-class ImposedMotion(Load):
+class _ImposedMotion(Load):
     """A machine that moves the joint along a sine about a centre [rad] at a rate [rad/s], whatever the torque."""
 
     centre: Any
@@ -66,7 +66,7 @@ class ImposedMotion(Load):
         return self.rate**2 * (self.centre - jnp.asarray(angle))
 
 
-class ConstantCommands(Controller):
+class _ConstantCommands(Controller):
     """The measured pressures at the start as commands, or openings of 0."""
 
     openings: bool = eqx.field(static=True)
@@ -121,6 +121,11 @@ def dynamic_stiffness(
     control_period, substeps, cycles
         Control period [s], integration steps in it, and number of cycles.
 
+    Raises
+    ------
+    RangeError
+        If a number is not positive, or a cycle is shorter than 100 control periods.
+
     Examples
     --------
     Pressures held, and valves closed:
@@ -151,7 +156,7 @@ def dynamic_stiffness(
             remedy=f"give at most {highest:g} Hz, or a shorter control period",
         )
     rates = 2 * np.pi / (each * _SAMPLES * control_period)
-    control = controller or ConstantCommands(openings=bool(getattr(plant.valve, "direct", False)))
+    control = controller or _ConstantCommands(openings=bool(getattr(plant.valve, "direct", False)))
     wanted = Setpoint(jnp.asarray(0.0), jnp.asarray(0.0)) if setpoint is None else setpoint
     parts = numeric((plant, control, wanted, plant.complete_state(initial), amplitudes, control_period))
     found = [
@@ -176,7 +181,7 @@ def _last_cycle(
     substeps: int,
 ) -> tuple[Array, Array]:
     """Stiffness and loss stiffness [N*m/rad] in the last cycle, shape (amplitudes,)."""
-    moved = dataclasses.replace(plant, load=ImposedMotion(initial.angle, rate))
+    moved = dataclasses.replace(plant, load=_ImposedMotion(initial.angle, rate))
 
     def measure(amplitude: Array) -> tuple[Array, Array]:
         def sample(loop: LoopState, _: None) -> tuple[LoopState, tuple[Array, Array]]:
