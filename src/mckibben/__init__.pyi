@@ -82,7 +82,9 @@ from .rig import (
 from .simulation import (
     Result as Result,
     check_reference as check_reference,
+    closed_valves as closed_valves,
     differentiate as differentiate,
+    dynamic_stiffness as dynamic_stiffness,
     simulate as simulate,
     simulate_many as simulate_many,
 )

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from mckibben.control import FrictionCompensation, PositionStiffnessControl
-from mckibben.errors import ScenarioError
+from mckibben.errors import RangeError, ScenarioError
 from mckibben.muscle import MaxwellSlip, NoFriction
+from mckibben.reachability.envelope import envelope
 from mckibben.study.parameters import batched, find_parameter
 from mckibben.study.scenario import Scenario
-from mckibben.units import bar, mm
+from mckibben.study.sweep.compute import feasibility
+from mckibben.units import bar, deg, mm
 
 BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 MUSCLE = "muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"
@@ -99,3 +101,29 @@ def test_what_does_not_go_together_is_said():
     assert "viscous friction" in problem(spring).message
     assert "outside" in problem(with_friction(("half_width: 12 N", "half_width: 0 N"))).message
     assert "unit" in problem(with_friction(("growth: 1 N/bar", "growth: 1 N"))).message
+
+
+def test_the_stiffness_of_a_motion_is_controlled_by_any_controller():
+    model_based = BASE[BASE.index("  position: {pid:") : BASE.index("  # model:")]
+    for part in ("", "  decoupling: {poles: {bandwidth: 80 rad/s}}\n", "  predictive: {bandwidth: 80 rad/s}\n"):
+        text = with_friction((LOOP, f"  stiffness_amplitude: 1 deg\n{LOOP}"))
+        text = text.replace(model_based, f"  stiffness_amplitude: 1 deg\n{part}") if part else text
+        scenario = Scenario.parse(text)
+        assert Scenario.parse(scenario.dumps()) == scenario
+        assert scenario.control().stiffness_amplitude == pytest.approx(1 * deg)
+        assert find_parameter(scenario, "controller.stiffness_amplitude").unit == "rad"
+    assert Scenario.parse(BASE).control().stiffness_amplitude is None
+
+
+def test_an_envelope_of_the_isobaric_stiffness_refuses_another():
+    scenario = Scenario.parse(with_friction((LOOP, f"  stiffness_amplitude: 1 deg\n{LOOP}")))
+    with pytest.raises(RangeError) as refused:
+        envelope(scenario)
+    assert refused.value.field == "controller.stiffness_amplitude"
+
+
+def test_a_sweep_takes_it_into_the_attainable_stiffness():
+    scenario = Scenario.parse(with_friction((LOOP, f"  stiffness_amplitude: 1 deg\n{LOOP}")))
+    table = {"controller.stiffness_amplitude": np.array([0.3, 30.0]) * deg}
+    short = feasibility(scenario, table, 2)["shortfall_max"]
+    assert short[0] > short[1] + 20  # 13 to 17 N*m/rad are out of reach for small motion

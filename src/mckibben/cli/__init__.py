@@ -37,7 +37,7 @@ from mckibben.cli.options import (
     results_folder,
     table,
 )
-from mckibben.cli.plan import envelope, plan
+from mckibben.cli.plan import envelope, plan, stiffness
 from mckibben.cli.rig import rig
 from mckibben.cli.sweep import sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, printable
@@ -145,6 +145,7 @@ def simulate(
 
 
 app.command()(envelope)
+app.command()(stiffness)
 app.command()(plan)
 app.command()(sweep)
 app.command()(tune)

@@ -1,4 +1,4 @@
-"""`mckibben plan` and `mckibben envelope`."""
+"""`mckibben plan`, `mckibben stiffness` and `mckibben envelope`."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from mckibben.cli.options import (
     SlackForce,
     check_choice,
     echo,
+    job_progress,
     keeping,
     notify,
     parse_limits,
@@ -27,6 +28,7 @@ from mckibben.cli.options import (
     table,
 )
 from mckibben.errors import ParameterError, UnitError
+from mckibben.numerics.checks import check_positive
 from mckibben.storage.files import to_json, write_json
 from mckibben.units import deg, mm, quantity
 
@@ -172,6 +174,46 @@ def _contraction_step(text: str, length: float | None) -> float | None:
             remedy="give the step in percent, or --initial-length",
         )
     return step / length
+
+
+def stiffness(
+    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with joint, valve and controller.")],
+    amplitude: Annotated[str, Option(metavar="RANGE", help="Amplitudes of the motion.")] = "0.01..10 deg",
+    rate: Annotated[str, Option(metavar="RANGE", help="Rates of the motion.")] = "0.1..10 Hz",
+    json: Json = False,
+    out: Out = None,
+    force: Force = False,
+) -> None:
+    """Test the stiffness of a joint over size and rate of a motion, at the setpoint that its controller holds."""
+    results_folder(out, ("results.json", "stiffness.png", "stiffness.svg"), force)
+    sizes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
+    for option, (low, _), unit in (("--amplitude", sizes, "rad"), ("--rate", rates, "Hz")):
+        check_positive(option, unit, lowest=low)
+    import numpy as np
+
+    from mckibben.study.scenario import Scenario
+    from mckibben.study.stiffness import stiffness_tests
+
+    read = Scenario.read(scenario)
+    with job_progress(quiet=json) as report:
+        found = stiffness_tests(
+            read, np.unique(np.geomspace(*sizes, 13)), np.unique(np.geomspace(*rates, 5)), progress=report
+        )
+    numbers = found.records()
+    if out:
+        from mckibben.report.joint import stiffness as draw
+        from mckibben.report.style import save
+
+        with keeping(out):
+            write_json(out / "results.json", numbers)
+            save(draw(found), out, "stiffness")
+    if json:
+        echo(to_json(numbers))
+    else:
+        table(f"{read.name}: stiffness [N*m/rad]", *found.rows())
+        echo(found.describe())
+    if out:
+        notify(f"kept results.json and stiffness.png and .svg in {out}", json)
 
 
 def envelope(

@@ -155,7 +155,7 @@ class PartOf:
             return next((one for one in self.others if not one.own_keys.isdisjoint(value)), None)
         module, _, name = self.base.partition(":")
         base = getattr(importlib.import_module(module), name)
-        known = {one.__name__: one for one in concrete_subclasses(base)}
+        known = {one.__name__: one for one in concrete_subclasses(base) if not one.__name__.startswith("_")}
         if "class" not in value:
             fail_validation("lacks the key `class`", f"give one of {', '.join(sorted(known))}")
         chosen = value["class"]

@@ -40,6 +40,9 @@ class Controller(eqx.Module, Displayed):
     `step` once a control period.
     """
 
+    stiffness_amplitude = None
+    """Amplitude [rad] of the motion whose stiffness is controlled; None for the isobaric stiffness."""
+
     @abc.abstractmethod
     def init(self, measurement: Measurement) -> Any:
         """Return the state before the first step, for a bumpless start from the measured pressures."""

@@ -80,6 +80,9 @@ class DecouplingControl(ModelBasedControl):
         not wrap this controller in `FrictionCompensation`.
     adaptation
         On-line correction of the strength of the model's muscles; none unless given.
+    stiffness_amplitude
+        Amplitude [rad] of the motion whose stiffness is controlled, friction of the model's muscles included
+        (`AntagonisticJoint.secant_stiffness`); the isobaric stiffness unless given.
 
     References
     ----------
@@ -115,7 +118,9 @@ class DecouplingControl(ModelBasedControl):
         torque = self.load.required_torque(angle, motion.velocity, acceleration) - estimates.friction
 
         speed = (1 - exp(-jnp.asarray(period) / lag)) / self.valve_fraction(period)
-        allocation = self._allocate(model, angle, pressures, torque, setpoint.stiffness, speed)
+        allocation = self._allocate(
+            model, angle, pressures, torque, setpoint.stiffness - estimates.added_stiffness, speed
+        )
         (p1, p2), (target1, target2) = pressures, allocation.pressures
         commands, _ = clip_commands(self.model, (p1 + speed * (target1 - p1), p2 + speed * (target2 - p2)))  # rounding
 

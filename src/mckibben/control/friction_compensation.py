@@ -53,6 +53,11 @@ class FrictionCompensation(Controller):
                 remedy="give the model's muscles a MaxwellSlip, or leave the compensation out",
             )
 
+    @property
+    def stiffness_amplitude(self) -> float | None:
+        """That of the inner controller."""
+        return self.controller.stiffness_amplitude
+
     def init(self, measurement: Measurement) -> FrictionCompensationState:
         muscles = self.model.init_state(measurement.angle, measurement.pressures)
         zero = jnp.zeros_like(measurement.angle)

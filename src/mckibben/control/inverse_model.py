@@ -171,6 +171,11 @@ class InverseModelControl(Controller):
         """Lower limit of each muscle's tension [N], that of the loops."""
         return self.loops.minimum_tension
 
+    @property
+    def stiffness_amplitude(self) -> float | None:
+        """That of the loops."""
+        return self.loops.stiffness_amplitude
+
     def init(self, measurement: Measurement) -> InverseModelState:
         angle, pressures = measurement
         zero = jnp.zeros_like(floating(angle))
@@ -204,7 +209,8 @@ class InverseModelControl(Controller):
     ) -> tuple[InverseModelState, Pair]:
         reference, offset = state.reference.update(setpoint.angle, period), state.offset
         path = state.path + jnp.where(reference.samples_since_jump >= 1.0, period * reference.velocity, 0.0)
-        target = self._preview(reference, setpoint.stiffness, period)
+        added = self._added_stiffness(measurement)
+        target = self._preview(reference, setpoint.stiffness - added, period)
         differential, cocontraction = self._model_inverse(target, measurement.pressures)
         learned, _ = self._network_output(state.network, target, offset)
         feedforward = Feedforward(
@@ -212,7 +218,7 @@ class InverseModelControl(Controller):
         )
         loops, commands = self.loops.step_with(feedforward, state.loops, setpoint, measurement, period)
 
-        measured, acceleration = self._filter(state.measured, measurement, loops.estimate, period)
+        measured, acceleration = self._filter(state.measured, measurement, loops.estimate - added, period)
         network, error = self._train(state.network, measured, acceleration, offset, period)
         return InverseModelState(loops, reference, path, measured, network, offset, feedforward[:2], error), commands
 
@@ -224,6 +230,13 @@ class InverseModelControl(Controller):
             "inverse_error_differential": state.error[0],
             "inverse_error_cocontraction": state.error[1],
         }
+
+    def _added_stiffness(self, measurement: Measurement) -> Scalar | float:
+        """Stiffness of the loops less the isobaric one, which the inverse has [N*m/rad]."""
+        model, amplitude = self.loops.model, self.loops.stiffness_amplitude
+        if amplitude is None:
+            return 0.0
+        return model.secant_stiffness(*measurement, amplitude) - model.evaluate(*measurement)[1]
 
     def _preview(self, reference: ReferenceDerivatives, stiffness: Scalar, period: ArrayLike) -> InverseInput:
         """Reference after the valves' lag."""

@@ -19,7 +19,7 @@ from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.checks import check_kind, check_positive
 from mckibben.numerics.elementary import exp
-from mckibben.units import Force, ShortTime
+from mckibben.units import AngleScale, Force, ShortTime
 
 Scalar = Float[Array, ""]
 
@@ -33,7 +33,8 @@ class Estimates(NamedTuple):
     muscles: MuscleStates  # of the model, along the reference
     adaptation: AdaptationState | tuple[()]
     torque: Scalar  # of the model's muscles at the estimated pressures, without friction [N*m]
-    stiffness: Scalar  # of the model [N*m/rad]
+    stiffness: Scalar  # of the model, for the amplitude of the controller [N*m/rad]
+    added_stiffness: Scalar  # less the isobaric one [N*m/rad]
     friction: Scalar  # compensated torque [N*m]
     commands: Pair  # since the sample [Pa]
     saturated: Array
@@ -48,6 +49,7 @@ class ModelBasedControl(Controller):
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
     adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
+    stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
         name = type(self).__name__
@@ -64,6 +66,8 @@ class ModelBasedControl(Controller):
             self.adaptation.check_load(self.load)
         check_positive(name, "s", zero=True, valve_time_constant=self.valve_time_constant)
         check_positive(name, "N", zero=True, minimum_tension=self.minimum_tension)
+        if self.stiffness_amplitude is not None:
+            check_positive(name, "rad", stiffness_amplitude=self.stiffness_amplitude)
         if self.friction_compensation and not self.model.has_friction:
             raise RangeError(
                 f"{name}: no muscle of its model has friction to compensate",
@@ -78,7 +82,8 @@ class ModelBasedControl(Controller):
     def init_estimates(self, measurement: Measurement) -> Estimates:
         """Estimates before the first step, at rest."""
         angle, pressures = measurement
-        torque, stiffness = self.model.evaluate(angle, pressures)
+        torque, isobaric = self.model.evaluate(angle, pressures)
+        stiffness, added = self._stiffness(self.model, angle, pressures, isobaric)
         zero = jnp.zeros_like(angle)
         return Estimates(
             motion=self.observers[0].init(angle, self.load.acceleration(angle, zero, torque)),
@@ -88,6 +93,7 @@ class ModelBasedControl(Controller):
             adaptation=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
             torque=torque,
             stiffness=stiffness,
+            added_stiffness=added,
             friction=zero,
             commands=pressures,
             saturated=jnp.asarray(False),
@@ -102,7 +108,8 @@ class ModelBasedControl(Controller):
         fraction = self.valve_fraction(period)
         pressures = pressure_observer.step(last.pressures, last.commands, measurement.pressures, fraction, period)
         adaptation, model = self._adapt(last.adaptation, measurement, period)
-        torque, stiffness = model.evaluate(angle, pressures)
+        torque, isobaric = model.evaluate(angle, pressures)
+        stiffness, added = self._stiffness(model, angle, pressures, isobaric)
         muscles, friction_torque = self._friction(last.muscles, setpoint.angle, pressures)
         known = self.load.acceleration(angle, last.motion.velocity, torque + friction_torque)
         estimates = last._replace(
@@ -113,6 +120,7 @@ class ModelBasedControl(Controller):
             adaptation=adaptation,
             torque=torque,
             stiffness=stiffness,
+            added_stiffness=added,
             friction=friction_torque,
         )
         return estimates, model
@@ -135,6 +143,13 @@ class ModelBasedControl(Controller):
         """Part of a step that a valve of the model covers in a time [s]."""
         lag = jnp.asarray(self.valve_time_constant)
         return jnp.where(lag > 0, 1 - exp(-jnp.asarray(duration) / jnp.where(lag > 0, lag, 1.0)), 1.0)
+
+    def _stiffness(self, model: AntagonisticJoint, angle: ArrayLike, pressures: Pair, isobaric: Scalar) -> Pair:
+        """Controlled stiffness by a model, and what it exceeds the isobaric one by [N*m/rad]."""
+        if self.stiffness_amplitude is None:
+            return isobaric, jnp.zeros_like(isobaric)
+        stiffness = model.stiffness_for(angle, pressures, self.stiffness_amplitude)
+        return stiffness, stiffness - isobaric
 
     def _adapt(
         self, state: AdaptationState | tuple[()], measurement: Measurement, period: ArrayLike

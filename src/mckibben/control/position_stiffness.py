@@ -14,6 +14,7 @@ from mckibben.joint import AntagonisticJoint
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import derivative
 from mckibben.numerics.checks import check_kind, check_positive
+from mckibben.units import AngleScale
 
 Scalar = Float[Array, ""]
 
@@ -52,12 +53,16 @@ class PositionStiffnessControl(Controller):
         Lower limit of each muscle's tension [N]; the upper one is the specimen's rated force. Both by the model at the
         measured angle; the differential pressure has priority over the co-contraction. None, as in the paper: each
         command is clipped by itself, and a muscle may go slack.
+    stiffness_amplitude
+        Amplitude [rad] of the motion whose stiffness is controlled, friction included
+        (`AntagonisticJoint.secant_stiffness`); the isobaric stiffness unless given.
     """
 
     position: Loop
     stiffness: Loop
     model: AntagonisticJoint = eqx.field(kw_only=True)
     minimum_tension: float | None = eqx.field(kw_only=True, default=None)
+    stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
         check_kind(
@@ -68,6 +73,8 @@ class PositionStiffnessControl(Controller):
         )
         if self.minimum_tension is not None:
             check_positive("PositionStiffnessControl", "N", minimum_tension=self.minimum_tension)
+        if self.stiffness_amplitude is not None:
+            check_positive("PositionStiffnessControl", "rad", stiffness_amplitude=self.stiffness_amplitude)
 
     def init(self, measurement: Measurement) -> PositionStiffnessState:
         return self.init_with(None, measurement)
@@ -80,7 +87,7 @@ class PositionStiffnessControl(Controller):
     def init_with(self, feedforward: Feedforward | None, measurement: Measurement) -> PositionStiffnessState:
         """Return the initial state beside a feedforward."""
         angle, (pressure1, pressure2) = measurement
-        estimate = self.model.evaluate(angle, measurement.pressures)[1]
+        estimate = self.model.stiffness_for(angle, measurement.pressures, self.stiffness_amplitude)
         differential, cocontraction = (pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2
         if feedforward is not None:
             differential = differential - feedforward.differential
@@ -103,7 +110,7 @@ class PositionStiffnessControl(Controller):
     ) -> tuple[PositionStiffnessState, Pair]:
         """Return the next state and the commands beside a feedforward."""
         angle, pressures = measurement
-        estimate = self.model.evaluate(angle, pressures)[1]
+        estimate = self.model.stiffness_for(angle, pressures, self.stiffness_amplitude)
         angle_gain, stiffness_gain = self._sensitivities(measurement, estimate)
         target, measured = setpoint.angle, angle
         if feedforward is not None:

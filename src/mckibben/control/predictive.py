@@ -71,7 +71,8 @@ class PredictiveControl(ModelBasedControl):
 
     Parameters
     ----------
-    model, load, pressure_observer, valve_time_constant, minimum_tension, friction_compensation, adaptation
+    model, load, pressure_observer, valve_time_constant, minimum_tension, friction_compensation, adaptation,
+    stiffness_amplitude
         As for `DecouplingControl`.
     observer
         `ExtendedStateObserver`, or `VelocityObserver`, which leaves the static error of a wrong model.
@@ -140,7 +141,9 @@ class PredictiveControl(ModelBasedControl):
 
         local = local_model(model, angle, estimates.pressures, minimum_tension=self.minimum_tension)
         stage = jnp.maximum(jnp.asarray(self.horizon) / self.stages, period)
-        problem = self._problem(local, estimates, angle, frequency_sq, setpoint.stiffness, stage, period)
+        problem = self._problem(
+            local, estimates, angle, frequency_sq, setpoint.stiffness - estimates.added_stiffness, stage, period
+        )
 
         pressures = estimates.pressures[0] / bar, estimates.pressures[1] / bar
         policy = shift(state.policy, jnp.minimum(period / stage, 1.0))

@@ -17,8 +17,8 @@ from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, Pressure
 from mckibben.muscle.muscle import warn_outside
 from mckibben.notebook import Displayed
 from mckibben.numerics.batching import computed_once
-from mckibben.numerics.calculus import derivative, value_and_derivative
-from mckibben.numerics.checks import check_kind, check_within
+from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
+from mckibben.numerics.checks import check_kind, check_positive, check_within
 from mckibben.numerics.elementary import floating
 
 MuscleStates = tuple[MuscleState, MuscleState]
@@ -300,6 +300,79 @@ class AntagonisticJoint(eqx.Module, Displayed):
         slope2 = tension_slope(self.muscle2, path2, path_slope2, pressure2)
         return slope1 * arm1 + tension1 * arm_slope1 - slope2 * arm2 - tension2 * arm_slope2
 
+    def secant_stiffness(
+        self,
+        angle: ArrayLike,
+        pressures: Pressures,
+        amplitude: ArrayLike,
+        *,
+        polytropic_index: ArrayLike | None = None,
+        atmosphere: float = 101325.0,
+        dead_volume: float = 0.0,
+    ) -> Float[Array, "..."]:
+        r"""Return the stiffness [N*m/rad] of slow motion with an amplitude [rad] about an angle, friction included.
+
+        .. math:: K_a = \frac{\tau(\theta - a) - \tau(\theta + a)}{2a}
+
+        between the reversals of a cycle, or of a first push by a from muscles without stress of friction: with
+        `MaxwellSlip` both are the same (Masing's rule). After a motion to one side a push back by a has that of a/2.
+
+        Parameters
+        ----------
+        amplitude
+            a [rad], above 0: half the motion from peak to peak. Towards 0 all friction is presliding, a spring.
+        polytropic_index
+            n of closed valves, p V^n constant, with `dead_volume` [m^3] as in `closed_valve_stiffness`; constant
+            pressures unless given.
+
+        Examples
+        --------
+        Friction of 7.5 N in each muscle of the paper's knee adds to an isobaric stiffness of 71.9 N*m/rad:
+
+        >>> import dataclasses
+        >>> from mckibben import MaxwellSlip, catalog
+        >>> knee = catalog.joint("knee-table-2")
+        >>> muscle = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(7.5, 0.5e-3))
+        >>> knee = dataclasses.replace(knee, muscle1=muscle, muscle2=muscle)
+        >>> knee.secant_stiffness(0.0, (3e5, 3e5), jnp.deg2rad(jnp.array([0.01, 1.0, 3.0]))).round(1)
+        Array([118.1,  94.3,  81.1], dtype=float64)
+        """
+        check_positive("secant_stiffness", "rad", amplitude=amplitude)
+        pressure1, pressure2 = pressure_pair(pressures)
+        angle, amplitude = floating(angle), floating(amplitude)
+        states = self.init_state(angle, pressures)
+        paths = self.geometry.path_lengths(angle)
+
+        def pressure_at(muscle: Muscle, state: MuscleState, start: Array, path: Array, pressure: ArrayLike) -> Array:
+            """Pressure [Pa] of the air that a closed valve held at the path length `start` [m]."""
+            pressure, index = floating(pressure), polytropic_index
+            if index is None:
+                return pressure
+
+            def expansion(path: Array, pressure: Array) -> Array:
+                """Absolute pressure [Pa] times V^n."""
+                volume = muscle.specimen.volume(self.tendon.contraction(muscle, path, pressure, state)) + dead_volume
+                return (pressure + atmosphere) * volume**index
+
+            held = expansion(start, pressure)
+            return bracketed_root(lambda p: expansion(path, p) / held - 1, -atmosphere, 9 * (pressure + atmosphere))
+
+        def torque(angle: Array) -> Array:
+            path1, path2 = self.geometry.path_lengths(angle)
+            moved = (
+                pressure_at(self.muscle1, states[0], paths[0], path1, pressure1),
+                pressure_at(self.muscle2, states[1], paths[1], path2, pressure2),
+            )
+            return self.forces(angle, 0.0, moved, states).torque
+
+        return (torque(angle - amplitude) - torque(angle + amplitude)) / (2 * amplitude)
+
+    def stiffness_for(self, angle: ArrayLike, pressures: Pressures, amplitude: ArrayLike | None) -> Array:
+        """Return `secant_stiffness`; where the amplitude is None, `stiffness` without a check of the domain."""
+        if amplitude is None:
+            return self.evaluate(angle, pressures)[1]
+        return self.secant_stiffness(angle, pressures, amplitude)
+
     def affine_map(self, angle: ArrayLike) -> TorqueStiffnessMap:
         """Return torque and stiffness at an angle over the pressures; `TypeError` where they are not affine."""
         for muscle in (self.muscle1, self.muscle2):
@@ -330,6 +403,7 @@ class AntagonisticJoint(eqx.Module, Displayed):
         *,
         pressure_limits: tuple[float, float] | None = None,
         minimum_tension: float = 0.0,
+        amplitude: ArrayLike | None = None,
     ) -> Pair:
         """Return the lowest and highest stiffness [N*m/rad] at which the taut muscles give a torque [N*m] at an angle.
 
@@ -343,8 +417,11 @@ class AntagonisticJoint(eqx.Module, Displayed):
             Lowest and highest gauge pressure [Pa]; the muscles' domains by default.
         minimum_tension
             Lowest tension [N] of each muscle.
+        amplitude
+            Amplitude [rad] of the motion whose stiffness is meant (`secant_stiffness`), at 33 tensions; the isobaric
+            stiffness unless given.
         """
-        return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension)
+        return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension, amplitude)
 
     def pressures_for(self, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None = None) -> Pair:
         """Return gauge pressures [Pa] within the muscles' domains that give a torque [N*m] and a stiffness [N*m/rad].

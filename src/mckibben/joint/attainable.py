@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from mckibben.joint.antagonistic import AntagonisticJoint as Joint
 
 _SCANNED = 401
+_SCANNED_FRICTION = 33
 _TOLERANCE = 1e-6  # relative, of a stiffness that was found
 _INSIDE = 1e-9  # distance from the ends of a segment, as a fraction: at the very end a muscle is slack
 
@@ -50,10 +51,11 @@ def stiffness_range(
     torque: ArrayLike,
     pressure_limits: tuple[float, float] | None,
     minimum_tension: float,
+    amplitude: ArrayLike | None = None,
 ) -> Pair:
     """See `AntagonisticJoint.attainable_stiffness`."""
     segment = cocontraction_segment(joint, angle, torque, pressure_limits, minimum_tension)
-    return _range(segment, segment.profile())
+    return _range(segment, segment.profile(), amplitude)
 
 
 class StaticSolution(NamedTuple):
@@ -83,13 +85,13 @@ def _solve_many(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: Ar
 
 
 def solve_static_and_range(
-    joint: Joint, angle: Array, torque: Array, stiffness: ArrayLike
+    joint: Joint, angle: Array, torque: Array, stiffness: ArrayLike, amplitude: ArrayLike | None = None
 ) -> tuple[StaticSolution, Pair]:
     """Return `solve_static` at the first of several angles, shape (n,), and `stiffness_range` at all."""
     segment = cocontraction_segment(joint, angle, torque, None, 0.0)
     profile = segment.profile()
     first = _solve(profile.first(), segment.feasible[0], stiffness, _fractions(joint))
-    return first, _range(segment, profile)
+    return first, _range(segment, profile, amplitude)
 
 
 def pressures_for(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None) -> Pair:
@@ -187,9 +189,14 @@ def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: A
     )
 
 
-def _range(segment: Segment, profile: Profile) -> Pair:
+def _range(segment: Segment, profile: Profile, amplitude: ArrayLike | None = None) -> Pair:
     """Return the lowest and the highest stiffness of each segment."""
-    _, stiffness = profile(_leading_axis(_fractions(segment.joint), segment.angle))
+    fractions = _fractions(segment.joint)
+    if amplitude is not None:  # the band of friction narrows where a muscle is nearly slack
+        fractions = jnp.linspace(fractions[0], fractions[-1], _SCANNED_FRICTION)
+    pressures, stiffness = profile(_leading_axis(fractions, segment.angle))
+    if amplitude is not None:
+        stiffness = segment.joint.secant_stiffness(segment.angle, pressures, amplitude)
     return (
         jnp.where(segment.feasible, jnp.min(stiffness, axis=0), jnp.nan),
         jnp.where(segment.feasible, jnp.max(stiffness, axis=0), jnp.nan),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.control import Constant, Multisine, Signal, Sine, Step
-from mckibben.errors import UnreachableError
+from mckibben.errors import RangeError, UnreachableError
 from mckibben.notebook import html_table
 from mckibben.reachability.feasible import FeasibleReference, check_margin, find_nearest
 from mckibben.reachability.sizing import Design
@@ -130,7 +130,7 @@ def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | Non
     Raises
     ------
     RangeError
-        If the margin or the smoothing is out of range.
+        If the margin or the smoothing is out of range, or the controller has a `stiffness_amplitude`.
 
     Examples
     --------
@@ -142,6 +142,14 @@ def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | Non
     smoothed over 16.6 ms
     """
     check_margin(margin)
+    if scenario.controller.stiffness_amplitude is not None:
+        raise RangeError(
+            "the envelope is that of the isobaric stiffness, the controller's stiffness that of a motion",
+            field="controller.stiffness_amplitude",
+            value=scenario.controller.stiffness_amplitude,
+            unit="rad",
+            remedy="leave stiffness_amplitude out, and give the reference of the stiffness without friction",
+        )
     plant, reference = scenario.plant(), scenario.reference()
     checker = TrackabilityChecker.of(plant, scenario.duration, scenario.control_period)
     checked = checker.check(reference, smoothing)

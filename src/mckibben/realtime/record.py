@@ -123,7 +123,13 @@ _PREFIX = "controller_"
 
 
 def measured_result(
-    columns: Mapping[str, NDArray[Any]], plant: JointPlant, reach: Feasibility, period: float, *, scenario: str = ""
+    columns: Mapping[str, NDArray[Any]],
+    plant: JointPlant,
+    reach: Feasibility,
+    period: float,
+    stiffness_amplitude: float | None,
+    *,
+    scenario: str = "",
 ) -> Result | None:
     """Result of a recorded run; stiffness, torque and forces by the laws of the muscles, None without a run."""
     whole = _every_period(columns)
@@ -140,7 +146,7 @@ def measured_result(
     record = Record(state, table["command1"], table["command2"], table["limited"] != 0, telemetry)  # type: ignore[arg-type]
     references = Setpoint(table["desired_angle"], table["desired_stiffness"])  # type: ignore[arg-type]
     nothing = np.full(count, np.nan)
-    moved = compiled_trajectory(numeric(_by_laws(plant)), references, record, nothing)  # type: ignore[arg-type]
+    moved = compiled_trajectory(numeric(_by_laws(plant)), references, record, nothing, stiffness_amplitude)  # type: ignore[arg-type]
     moved = moved._replace(air1=nothing, air2=nothing)  # type: ignore[arg-type]
     band = reach.lowest[:count], reach.highest[:count]
     return Result.of(moved, period, band=band, telemetry=telemetry, scenario=scenario)

@@ -124,7 +124,9 @@ class JointSession:
         table = read_record(folder).columns
         period = self.plan.period
         text = self.scenario.dumps()
-        result = measured_result(table, self.plant, self.reach, period, scenario=text)
+        result = measured_result(
+            table, self.plant, self.reach, period, self.scenario.controller.stiffness_amplitude, scenario=text
+        )
         return JointRunResult(outcome, result, self.reach, Timing.of(table, period), priority)
 
 
@@ -164,7 +166,13 @@ def prepare(
     period = scenario.control_period
     with _building(source or scenario.name, "start"):
         start = scenario.initial(plant)
-        reach = check_reference(plant, scenario.reference(), duration=scenario.duration, control_period=period)
+        reach = check_reference(
+            plant,
+            scenario.reference(),
+            duration=scenario.duration,
+            control_period=period,
+            stiffness_amplitude=scenario.controller.stiffness_amplitude,
+        )
     _, setpoints = sampled(scenario.reference(), scenario.duration, period)
     references = np.stack([np.asarray(setpoints.angle), np.asarray(setpoints.stiffness)], axis=1)
     approach = rig.approach

@@ -29,10 +29,13 @@ from mckibben.report.style import (
     legend_above,
     letter,
     minus,
+    part_of,
+    plain_numbers,
     robust_limits,
     styled,
 )
 from mckibben.simulation import Result
+from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, StiffnessTests
 from mckibben.units import deg
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
@@ -279,6 +282,46 @@ def _along(axes: Axes, found: FeasibleReference, values: np.ndarray, until: floa
 def _limits(axes: Axes, *curves: np.ndarray) -> None:
     low, high = robust_limits(curves, part=0.98, floor=1.0)
     axes.set_ylim(max(low, min(0.0, low)), high)
+
+
+@styled
+def stiffness(found: StiffnessTests) -> Figure:
+    """Stiffness over the amplitude of a motion: at pressures held, with closed valves, and at several rates."""
+    varied = [name for name in found.tests if name not in (HELD, CLOSED)]
+    figure = blank(DOUBLE, 2.9)
+    first, *others = figure.subplots(1, 1 + len(varied))
+    amplitudes = found.amplitudes / deg
+    forms = ((HELD, found.secant, found.isobaric, BLUE), (CLOSED, found.closed_secant, found.closed_valve, VERMILLION))
+    for name, secant, slope, color in forms:
+        first.plot(amplitudes, secant, color=color, label=f"{name}, closed form")
+        first.axhline(slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=f"{name}, without friction")
+        test = found.tests[name]
+        for row, marker, size in ((0, "o", 4.5), (-1, "x", 3.0)):
+            label = f"simulated, {test.frequency[row]:.2g} Hz"
+            look = {"color": color, "linestyle": "", "marker": marker, "markersize": size, "fillstyle": "none"}
+            first.plot(amplitudes, test.stiffness[row], label=label if color == BLUE else None, **look)
+    letter(first, 0, "held pressures, closed valves")
+    for i, (axes, name) in enumerate(zip(others, varied, strict=True)):
+        for _, secant, _, color in forms:
+            axes.plot(amplitudes, secant, color=color, linewidth=2.6, alpha=0.3)
+        test, shades = found.tests[name], part_of("viridis", 0, 222)
+        values = test.magnitude if name == CONTROLLED else test.stiffness
+        for k, (rate, row) in enumerate(zip(test.frequency, values, strict=True)):
+            color = shades(k / max(len(test.frequency) - 1, 1))
+            axes.plot(amplitudes, row, color=color, linewidth=1.0, label=f"{rate:.2g} Hz")
+        letter(axes, i + 1, name)
+    for axes in (first, *others):
+        axes.set(xscale="log", xlabel="amplitude [deg]")
+        plain_numbers(axes.xaxis)
+        if axes is others[-1]:
+            axes.set_yscale("log")
+            plain_numbers(axes.yaxis)
+        else:
+            axes.set_ylim(bottom=0.0)
+    first.set_ylabel(_STIFFNESS)
+    others[-1].set_ylabel("magnitude [N·m/rad]")
+    legend_above(figure, first, others[-1], columns=4)
+    return figure
 
 
 @styled

@@ -2,6 +2,7 @@
 
 from mckibben.simulation.batch import Batch, simulate_many
 from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
+from mckibben.simulation.dynamic_stiffness import DynamicStiffness, closed_valves, dynamic_stiffness
 from mckibben.simulation.loop import compiled_episode, episode
 from mckibben.simulation.metrics import (
     SETTLING_PART,
@@ -24,6 +25,7 @@ __all__ = [
     "Batch",
     "CheckedRun",
     "Derivatives",
+    "DynamicStiffness",
     "Feasibility",
     "Metrics",
     "Mode",
@@ -32,10 +34,12 @@ __all__ = [
     "Trajectory",
     "check_reference",
     "checked_run",
+    "closed_valves",
     "compiled_episode",
     "compiled_measure",
     "compiled_trajectory",
     "differentiate",
+    "dynamic_stiffness",
     "episode",
     "measure",
     "rms",

@@ -128,7 +128,7 @@ def streaming_episode(
     def next_period(carry: _Carry, at: tuple[Array, Setpoint]) -> tuple[_Carry, dict[str, Array]]:
         index, setpoint = at
         following, record = step(carry.loop, setpoint)
-        now = trajectory(plant, setpoint, record, carry.without_change[0].angle)
+        now = trajectory(plant, setpoint, record, carry.without_change[0].angle, controller.stiffness_amplitude)
         at_change = jnp.where(index == change.at, now.stiffness, carry.stiffness_at_change)
         air = (now.air1, now.air2)
         before = [jnp.where(index == 0, new, old) for new, old in zip(air, carry.air, strict=True)]

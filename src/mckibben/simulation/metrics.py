@@ -23,7 +23,8 @@ class Trajectory(NamedTuple):
     """An episode over time; every leaf has shape (periods,), SI units.
 
     Stiffness, torque, forces and contractions are those of the plant. Torque and forces include the muscles' friction
-    and creep; ``stiffness`` is that of the force laws, ``total_stiffness`` adds gravity's. ``angle_without_step`` is
+    and creep; ``stiffness`` is that of the force laws, or of the controller's `stiffness_amplitude` if it has one,
+    ``total_stiffness`` adds gravity's. ``angle_without_step`` is
     the angle of the same run without the last change of the desired stiffness. ``excursion`` is the larger distance of
     the two contractions from their domains. ``air1`` and ``air2`` are the muscles' contents as volumes at atmospheric
     pressure [m^3], from the volumes inside their braids.
@@ -55,10 +56,18 @@ class Trajectory(NamedTuple):
     air2: Array
 
 
-def trajectory(plant: JointPlant, setpoints: Setpoint, record: Record, angle_without_step: Array) -> Trajectory:
+def trajectory(
+    plant: JointPlant,
+    setpoints: Setpoint,
+    record: Record,
+    angle_without_step: Array,
+    stiffness_amplitude: ArrayLike | None = None,
+) -> Trajectory:
     """Trajectory of a record; elementwise, of one control period or of all."""
     state, joint = record.state, plant.joint
     torque, stiffness = compute_once(joint.torque_and_stiffness, state.angle, state.pressures)
+    if stiffness_amplitude is not None:
+        stiffness = compute_once(joint.secant_stiffness, state.angle, state.pressures, stiffness_amplitude)
     pressure1, pressure2 = state.pressures
     if state.muscles != NO_STATES:
         forces = compute_once(joint.forces, state.angle, state.velocity, state.pressures, state.muscles)

@@ -96,20 +96,26 @@ class Feasibility:
 
 
 def check_reference(
-    plant: JointPlant, reference: Reference, *, duration: float = 10.0, control_period: float = 1e-3
+    plant: JointPlant,
+    reference: Reference,
+    *,
+    duration: float = 10.0,
+    control_period: float = 1e-3,
+    stiffness_amplitude: float | None = None,
 ) -> Feasibility:
     """Compare a reference with the attainable stiffness of a plant's joint, statically, at every control period [s].
 
-    Raises `SimulationError` if duration [s] and control period do not fit together.
+    The stiffness is the isobaric one, or that of a motion with an amplitude [rad] (`secant_stiffness`). Raises
+    `SimulationError` if duration [s] and control period do not fit together.
     """
     times, setpoints = sampled(reference, duration, control_period)
-    lowest, highest = _band(plant, setpoints.angle)
+    lowest, highest = _band(plant, setpoints.angle, stiffness_amplitude)
     return Feasibility(*(np.asarray(x, float) for x in (times, setpoints.angle, setpoints.stiffness, lowest, highest)))
 
 
-def attainable_band(plant: JointPlant, angle: Array) -> tuple[Array, Array]:
+def attainable_band(plant: JointPlant, angle: Array, amplitude: ArrayLike | None = None) -> tuple[Array, Array]:
     """Lowest and highest stiffness [N*m/rad] at which the joint holds angles [rad] against gravity."""
-    return plant.joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle))
+    return plant.joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle), amplitude=amplitude)
 
 
 _band = compiled(attainable_band)
@@ -208,7 +214,8 @@ def checked_run(
     if lanes is not None:
         varying = ", ".join(named_leaves(lanes._asdict()))
         raise ParameterError(f"{varying}: an array in place of a number", remedy="use `simulate_many` for many runs")
-    checked = _check_start(problem._replace(controller=None), times)  # another controller compiles nothing new
+    amplitude = problem.controller.stiffness_amplitude
+    checked = _check_start(problem._replace(controller=None), times, amplitude)  # other controllers compile nothing new
     parts = problem.plant, problem.controller, checked.setpoints, checked.start
     if kind != np.float64:
         parts = cast(parts, kind)
@@ -278,7 +285,7 @@ def _episode_result(
         return {"angle_without_step": state.angle if constant is None else run(constant).state.angle}
 
     def derived() -> dict[str, Array]:
-        moved = compiled_trajectory(plant, setpoints, record, state.angle)._asdict()
+        moved = compiled_trajectory(plant, setpoints, record, state.angle, controller.stiffness_amplitude)._asdict()
         return {name: value for name, value in moved.items() if name != "angle_without_step"}
 
     computed: list[tuple[tuple[str, ...], Callable[[], dict[str, Any]]]] = [
@@ -304,16 +311,18 @@ class _Checked(NamedTuple):
 
 
 @compiled_batch
-def _check_start(problem: SimulationProblem, times: ArrayLike) -> _Checked:
+def _check_start(problem: SimulationProblem, times: ArrayLike, amplitude: ArrayLike | None) -> _Checked:
     """The checks before a run, for a problem without controller."""
     setpoints = sample_reference(problem.reference, times)
     if isinstance(problem.initial, PlantState):
-        return _Checked(setpoints, *problem.start(setpoints), attainable_band(problem.plant, setpoints.angle))
+        return _Checked(
+            setpoints, *problem.start(setpoints), attainable_band(problem.plant, setpoints.angle, amplitude)
+        )
     # Start and band in one pass over the angles, which share most of the work.
     angle, stiffness = problem.rest(setpoints)
     angles = jnp.concatenate([angle[None], setpoints.angle])
     torques = -problem.plant.load.gravity_torque(angles)
-    found, (lowest, highest) = solve_static_and_range(problem.plant.joint, angles, torques, stiffness)
+    found, (lowest, highest) = solve_static_and_range(problem.plant.joint, angles, torques, stiffness, amplitude)
     start = problem.plant.init_state(angle, found.pressures)
     return _Checked(setpoints, start, found.exists, (lowest[1:], highest[1:]))
 

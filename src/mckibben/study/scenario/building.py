@@ -111,6 +111,7 @@ def build_control(spec: ControllerSpec, joint: JointSpec, load: LoadSpec, valve:
         model_and_load = model, model_based.load.build()
         numbers: dict[str, Any] = {
             "friction_compensation": bool(spec.friction_compensation),
+            "stiffness_amplitude": spec.stiffness_amplitude,
             "adaptation": None if model_based.adaptation is None else model_based.adaptation.build(),
             **explicit_fields(model_based, *_PARTS),
         }
@@ -119,7 +120,9 @@ def build_control(spec: ControllerSpec, joint: JointSpec, load: LoadSpec, valve:
         return PredictiveControl(*model_and_load, *observers(model_based), **numbers)
     assert spec.position is not None and spec.stiffness is not None  # the model of the controller sees to it
     loops = spec.position.build(), spec.stiffness.build()
-    control = PositionStiffnessControl(*loops, model=model, minimum_tension=spec.minimum_tension)
+    control = PositionStiffnessControl(
+        *loops, model=model, minimum_tension=spec.minimum_tension, stiffness_amplitude=spec.stiffness_amplitude
+    )
     if spec.inverse_model is not None:
         part = spec.inverse_model
         load_model = None if part.load is None else part.load.build()

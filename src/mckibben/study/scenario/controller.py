@@ -142,7 +142,7 @@ class AdaptationSpec(model_of(LawAdaptation)):
     """Parameters of `LawAdaptation`."""
 
 
-_MODEL_FIELDS = ("valve_time_constant", "minimum_tension", "friction_compensation")
+_MODEL_FIELDS = ("valve_time_constant", "minimum_tension", "friction_compensation", "stiffness_amplitude")
 
 
 class ModelBasedSpec(ComponentModel):
@@ -205,7 +205,8 @@ class ControllerSpec(ConfigModel):
     """Two loops (`PositionStiffnessControl`), `decoupling` or `predictive`, and the controller's model of the joint.
 
     The model is the plant's joint unless given. `friction_compensation` compensates the friction of its muscles.
-    `inverse_model` and `minimum_tension` go with the two loops.
+    `inverse_model` and `minimum_tension` go with the two loops. The stiffness is the isobaric one, or with
+    `stiffness_amplitude` [rad] that of a motion of this size, the model's friction included.
     """
 
     position: PositionLoopSpec | None = None
@@ -216,6 +217,7 @@ class ControllerSpec(ConfigModel):
     friction_compensation: Flag | None = None
     inverse_model: InverseModelSpec | None = None
     minimum_tension: Tension | None = None
+    stiffness_amplitude: AngleScale | None = None
 
     @field_validator("inverse_model", "minimum_tension", mode="after")
     @classmethod
@@ -269,6 +271,7 @@ class OwnControllerSpec(ComponentModel):
     model: JointSpec | None = None
     load: AnyLoad | None = None
     friction_compensation: ClassVar[None] = None
+    stiffness_amplitude: ClassVar[None] = None
 
     def with_model(self, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> OwnControllerSpec:
         """The controller with its model of joint and load written out."""

@@ -44,16 +44,17 @@ _ROUNDING = 1e-6  # N*m/rad
 
 
 class _Case(NamedTuple):
-    """A plant and the reference that it is to follow."""
+    """A plant, the reference that it is to follow, and the amplitude [rad] of its stiffness."""
 
     plant: JointPlant
     reference: Reference
+    amplitude: Any = None
 
 
 def feasibility(scenario: Scenario, table: Table, size: int) -> dict[str, NDArray[np.float64]]:
     """Variables of `FEASIBILITY` of each run at some instants; the shortfall is NaN if no angle can be held."""
     many = batched(scenario, table)
-    case = numeric(_Case(many.plant(), many.reference()))
+    case = numeric(_Case(many.plant(), many.reference(), many.controller.stiffness_amplitude))
     times = sampling_times(scenario.duration, scenario.control_period)
     count = _INSTANTS if is_affine(case.plant.joint) else _INSTANTS_WITH_SPRINGS
     instants = times[np.unique(np.linspace(0, times.size - 1, count).round().astype(int))]
@@ -77,9 +78,9 @@ def _feasibility(varied: _Case, shared: _Case, instants: ArrayLike, size: int) -
     """Scan over instants, all runs at once: a joint with springs needs much memory an instant."""
 
     def shortfall(lane: _Case, instant: Array) -> Array:
-        plant, reference = eqx.combine(lane, shared)
+        plant, reference, amplitude = eqx.combine(lane, shared)
         setpoint = sample_reference(reference, instant)
-        low, high = attainable_band(plant, setpoint.angle)
+        low, high = attainable_band(plant, setpoint.angle, amplitude)
         return jnp.maximum(low - setpoint.stiffness, setpoint.stiffness - high)
 
     def step(carry: tuple[Array, Array], instant: Array) -> tuple[tuple[Array, Array], None]:

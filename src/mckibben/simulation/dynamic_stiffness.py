@@ -1,0 +1,201 @@
+"""Dynamic stiffness of a joint: tests in which a machine moves it along a sine and measures its torque."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
+
+from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.errors import RangeError
+from mckibben.joint import Load
+from mckibben.numerics.checks import check_positive
+from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.plant import AirValve, FlowValve, JointPlant, PlantState
+from mckibben.simulation.loop import LoopState, control_period, initial_loop
+from mckibben.units import bar
+
+_SAMPLES = 100  # a cycle, a multiple of 4: two of them are the reversals
+_SHUT = 1e-30  # m^3/(s*Pa)
+
+
+class DynamicStiffness(NamedTuple):
+    """Stiffness over frequency and amplitude; the leaves below have the shape (frequencies, amplitudes).
+
+    Attributes
+    ----------
+    frequency, amplitude
+        Of the motion [Hz], [rad]: shapes (frequencies,) and (amplitudes,).
+    stiffness
+        Change of the torque from one reversal to the other over that of the angle [N*m/rad].
+    loss
+        Loss stiffness [N*m/rad]: the energy dissipated in a cycle, over pi times the amplitude squared. Negative where
+        a controller drives the motion.
+    """
+
+    frequency: NDArray[np.float64]
+    amplitude: NDArray[np.float64]
+    stiffness: NDArray[np.float64]
+    loss: NDArray[np.float64]
+
+    @property
+    def magnitude(self) -> NDArray[np.float64]:
+        """Magnitude of stiffness + i loss [N*m/rad]: the amplitude of the torque over that of the angle."""
+        return np.hypot(self.stiffness, self.loss)
+
+
+class _ImposedMotion(Load):
+    """A machine that moves the joint along a sine about a centre [rad] at a rate [rad/s], whatever the torque."""
+
+    centre: Any
+    rate: Any
+
+    damping = 0.0
+    hanging_angle = 0.0
+    total_inertia = 1.0  # type: ignore
+    gravity_moment = 0.0  # type: ignore
+
+    def acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Array:
+        return self.rate**2 * (self.centre - jnp.asarray(angle))
+
+
+class _ConstantCommands(Controller):
+    """The measured pressures at the start as commands, or openings of 0."""
+
+    openings: bool = eqx.field(static=True)
+
+    def init(self, measurement: Measurement) -> Any:
+        pressures = measurement.pressures
+        return jax.tree.map(jnp.zeros_like, pressures) if self.openings else pressures
+
+    def step(self, state: Any, setpoint: Setpoint, measurement: Measurement, period: ArrayLike) -> tuple[Any, Any]:
+        return state, state
+
+    def telemetry(self, state: Any) -> dict[str, Array]:
+        return {}
+
+
+def closed_valves(plant: JointPlant, *, polytropic_index: float | None = None) -> JointPlant:
+    """Return a plant whose valves are closed; n and the dead volume are those of its `AirValve`, if it has one."""
+    shut = FlowValve(_SHUT, 10 * bar)
+    known = plant.valve if isinstance(plant.valve, AirValve) else shut
+    index = known.polytropic_index if polytropic_index is None else polytropic_index
+    return dataclasses.replace(
+        plant, valve=dataclasses.replace(shut, polytropic_index=index, dead_volume=known.dead_volume)
+    )
+
+
+def dynamic_stiffness(
+    plant: JointPlant,
+    initial: PlantState,
+    amplitude: ArrayLike,
+    frequency: ArrayLike,
+    *,
+    controller: Controller | None = None,
+    setpoint: Setpoint | None = None,
+    control_period: float = 1e-3,
+    substeps: int = 4,
+    cycles: int = 4,
+) -> DynamicStiffness:
+    """Move the joint of a plant along sines and return the stiffness of the last cycle: torque over deflection.
+
+    The load is replaced by a machine that imposes the motion, so that the torque is the muscles' alone, without
+    inertia and gravity. An `IdealValve` holds the pressures, `closed_valves` the air.
+
+    Parameters
+    ----------
+    plant, initial
+        Plant, and its state at the start, in the middle of the motion.
+    amplitude, frequency
+        Of the motion [rad], [Hz]. A cycle is rounded to a multiple of 100 control periods.
+    controller, setpoint
+        Controller at work, and its constant setpoint; without it the commands remain the pressures at the start,
+        or openings of 0.
+    control_period, substeps, cycles
+        Control period [s], integration steps in it, and number of cycles.
+
+    Raises
+    ------
+    RangeError
+        If a number is not positive, or a cycle is shorter than 100 control periods.
+
+    Examples
+    --------
+    Pressures held, and valves closed:
+
+    >>> from mckibben import IdealValve, catalog
+    >>> from mckibben.units import deg
+    >>> plant = JointPlant(catalog.joint("knee-table-2"), catalog.load("knee-table-2"), IdealValve())
+    >>> state = plant.init_state(0.0, (3e5, 3e5))
+    >>> for one in (plant, closed_valves(plant, polytropic_index=1.4)):
+    ...     dynamic_stiffness(one, state, 0.1 * deg, 1.0).stiffness.round(2).tolist()
+    [[71.93]]
+    [[116.06]]
+    """
+    if (controller is None) != (setpoint is None):
+        raise RangeError("a controller and its setpoint go together", remedy="give both, or neither")
+    amplitudes, frequencies = (np.atleast_1d(np.asarray(each, float)) for each in (amplitude, frequency))
+    check_positive("dynamic_stiffness", "rad", amplitude=amplitudes)
+    check_positive("dynamic_stiffness", "Hz", frequency=frequencies)
+    each = np.round(1 / (frequencies * _SAMPLES * control_period)).astype(int)
+    if np.any(each < 1):
+        highest = 1 / (_SAMPLES * control_period)
+        raise RangeError(
+            f"a frequency of {frequencies.max():g} Hz has less than {_SAMPLES} control periods in a cycle",
+            field="frequency",
+            value=float(frequencies.max()),
+            upper=highest,
+            unit="Hz",
+            remedy=f"give at most {highest:g} Hz, or a shorter control period",
+        )
+    rates = 2 * np.pi / (each * _SAMPLES * control_period)
+    control = controller or _ConstantCommands(openings=bool(getattr(plant.valve, "direct", False)))
+    wanted = Setpoint(jnp.asarray(0.0), jnp.asarray(0.0)) if setpoint is None else setpoint
+    parts = numeric((plant, control, wanted, plant.complete_state(initial), amplitudes, control_period))
+    found = [
+        _last_cycle(*parts, rate=rate, periods=count, cycles=cycles, substeps=substeps)
+        for rate, count in zip(rates, each, strict=True)
+    ]
+    stiffness, loss = (np.stack([np.asarray(one[i]) for one in found]) for i in (0, 1))
+    return DynamicStiffness(rates / (2 * np.pi), amplitudes, stiffness, loss)
+
+
+@compiled_as_given
+def _last_cycle(
+    plant: JointPlant,
+    controller: Controller,
+    setpoint: Setpoint,
+    initial: PlantState,
+    amplitudes: Array,
+    period: Array,
+    rate: Array,
+    periods: Array,  # in a sample
+    cycles: int,
+    substeps: int,
+) -> tuple[Array, Array]:
+    """Stiffness and loss stiffness [N*m/rad] in the last cycle, shape (amplitudes,)."""
+    moved = dataclasses.replace(plant, load=_ImposedMotion(initial.angle, rate))
+
+    def measure(amplitude: Array) -> tuple[Array, Array]:
+        def sample(loop: LoopState, _: None) -> tuple[LoopState, tuple[Array, Array]]:
+            def advance(_: Array, loop: LoopState) -> LoopState:
+                return control_period(moved, controller, loop, setpoint, period, substeps)[0]
+
+            angle, velocity, pressures, muscles = loop[0][:4]
+            torque = plant.joint.forces(angle, velocity, pressures, muscles).torque
+            return lax.fori_loop(0, periods, advance, loop), (velocity, torque)
+
+        start = initial._replace(velocity=amplitude * rate)
+        _, (velocity, torque) = lax.scan(sample, initial_loop(moved, controller, start), None, cycles * _SAMPLES)
+        velocity, torque = velocity[-_SAMPLES:], torque[-_SAMPLES:]
+        stiffness = (torque[3 * _SAMPLES // 4] - torque[_SAMPLES // 4]) / (2 * amplitude)
+        return stiffness, -2 * jnp.mean(torque * velocity) / (rate * amplitude**2)  # times 2 pi / rate / (pi a^2)
+
+    return jax.vmap(measure)(amplitudes)

@@ -1,0 +1,175 @@
+"""Stiffness of the joint of a scenario over size and rate of a motion, at the setpoint that its controller holds."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+from numpy.typing import NDArray
+
+from mckibben.control import Setpoint
+from mckibben.notebook import Progress, silent
+from mckibben.numerics.compiled import compiled, numeric
+from mckibben.plant import AirValve, IdealValve, JointPlant
+from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
+from mckibben.simulation.resolution import check_substeps
+from mckibben.study.scenario import Scenario
+from mckibben.units import bar, deg
+
+Values = NDArray[np.float64]
+
+_SETTLING = 2.0  # s
+HELD, CLOSED, COMMANDED, CONTROLLED = "pressures held", "valves closed", "commands constant", "controller at work"
+
+
+@dataclass(frozen=True)
+class StiffnessTests:
+    """Stiffness over size and rate of a motion about the angle that the controller of a scenario holds.
+
+    Attributes
+    ----------
+    scenario
+        Scenario.
+    angle, pressures, asked
+        Angle [rad] and gauge pressures [Pa] held, and the setpoint of the stiffness [N*m/rad].
+    isobaric, closed_valve
+        Slopes without friction (Eq. 8), at constant pressures and with closed valves [N*m/rad].
+    polytropic_index
+        n of the closed valves.
+    secant, closed_secant
+        Closed forms with friction (`AntagonisticJoint.secant_stiffness`) over the amplitudes of the tests [N*m/rad].
+    tests
+        Simulated tests by name: pressures held, valves closed, commands constant (of an `AirValve`, which lets the
+        pressure vary), and the controller at work.
+    """
+
+    scenario: Scenario
+    angle: float
+    pressures: tuple[float, float]
+    asked: float
+    isobaric: float
+    closed_valve: float
+    polytropic_index: float
+    secant: Values
+    closed_secant: Values
+    tests: dict[str, DynamicStiffness]
+
+    def __repr__(self) -> str:
+        low, high = self.secant.min(), self.secant.max()
+        return (
+            f"<StiffnessTests of {self.scenario.name!r}: isobaric {self.isobaric:.4g}, {low:.4g}..{high:.4g} N*m/rad>"
+        )
+
+    @property
+    def amplitudes(self) -> Values:
+        """Amplitudes of the motion [rad]."""
+        return self.tests[HELD].amplitude
+
+    def describe(self) -> str:
+        """What is held, and the stiffness without friction."""
+        angle, pressures = round(self.angle / deg, 3) + 0.0, ", ".join(f"{p / bar:.3g}" for p in self.pressures)
+        return (
+            f"held: {angle:g} deg at {pressures} bar, asked for {self.asked:.4g} N*m/rad; without friction "
+            f"{self.isobaric:.4g} N*m/rad at constant pressures, {self.closed_valve:.4g} with closed valves (n = "
+            f"{self.polytropic_index:g})"
+        )
+
+    def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+        """Headers and rows of a table of every other amplitude and rate; of a controller the magnitude."""
+        varied = [(name, test) for name, test in self.tests.items() if name not in (HELD, CLOSED)]
+        headers = ["amplitude", HELD, CLOSED]
+        headers += [f"{name}, {rate:.2g} Hz" for name, test in varied for rate in test.frequency[::2]]
+        columns = [self.secant, self.closed_secant]
+        for name, test in varied:
+            columns += [*(test.magnitude if name == CONTROLLED else test.stiffness)[::2]]
+        rows = [
+            (f"{amplitude / deg:.3g} deg", *(f"{column[i]:.4g}" for column in columns))
+            for i, amplitude in enumerate(self.amplitudes)
+        ]
+        return tuple(headers), rows[::2]
+
+    def records(self) -> dict[str, Any]:
+        """The results as plain data; angles in deg, pressures in bar, stiffness in N*m/rad."""
+        return {
+            "scenario": self.scenario.name,
+            "angle_deg": self.angle / deg,
+            "pressures_bar": [p / bar for p in self.pressures],
+            "asked": self.asked,
+            "isobaric": self.isobaric,
+            "closed_valve": self.closed_valve,
+            "polytropic_index": self.polytropic_index,
+            "amplitude_deg": (self.amplitudes / deg).tolist(),
+            "secant": self.secant.tolist(),
+            "closed_secant": self.closed_secant.tolist(),
+            "tests": {
+                name: {key: getattr(test, key).tolist() for key in ("frequency", "stiffness", "loss")}
+                for name, test in self.tests.items()
+            },
+        }
+
+
+def stiffness_tests(
+    scenario: Scenario, amplitudes: ArrayLike, rates: ArrayLike, *, progress: Progress | None = None
+) -> StiffnessTests:
+    """Hold the first setpoint of a scenario for 2 s, and test the stiffness over amplitudes [rad] and rates [Hz].
+
+    Raises
+    ------
+    RangeError
+        If an amplitude or a rate is not positive, or a cycle is shorter than 100 control periods.
+    SimulationError
+        If the plant needs more substeps.
+    """
+    report = progress or silent
+    plant, controller = scenario.plant(), scenario.control()
+    period, substeps = scenario.control_period, scenario.substeps
+    setpoint = scenario.reference()(0.0)
+    check_substeps(plant, setpoint.angle, setpoint.stiffness, period, substeps)
+    held = Setpoint(*(jnp.full(round(_SETTLING / period), float(value)) for value in setpoint))
+    start = plant.complete_state(scenario.initial(plant))
+    report("settling", 0.0)
+    parts = numeric((plant, controller, held, start))
+    state, _ = compiled_episode(*parts, period=np.asarray(period), substeps=substeps)
+
+    closed = closed_valves(plant)
+    plants: dict[str, JointPlant] = {HELD: dataclasses.replace(plant, valve=IdealValve()), CLOSED: closed}
+    plants |= {COMMANDED: plant} if isinstance(plant.valve, AirValve) else {}
+    tests = {}
+    for name in (*plants, CONTROLLED):
+        report(name, (len(tests) + 1) / (len(plants) + 2))
+        control = {"controller": controller, "setpoint": setpoint} if name == CONTROLLED else {}
+        own = plants.get(name, plant)
+        started = state if own.valve is plant.valve else state._replace(air=())
+        times = {"control_period": period, "substeps": substeps}
+        tests[name] = dynamic_stiffness(own, started, amplitudes, rates, **control, **times)
+    index = closed.valve.polytropic_index  # type: ignore
+    dead = closed.valve.dead_volume  # type: ignore
+    numbers = _closed_forms(plant.joint, state.angle, state.pressures, tests[HELD].amplitude, index, dead)
+    isobaric, closed_valve, secant, closed_secant = map(np.asarray, numbers)
+    return StiffnessTests(
+        scenario,
+        float(state.angle),
+        (float(state.pressures[0]), float(state.pressures[1])),
+        float(setpoint.stiffness),
+        float(isobaric),
+        float(closed_valve),
+        float(index),
+        secant,
+        closed_secant,
+        tests,
+    )
+
+
+@compiled
+def _closed_forms(joint: Any, angle: Any, pressures: Any, amplitudes: Any, index: Any, dead_volume: Any) -> tuple:
+    air = {"polytropic_index": index, "dead_volume": dead_volume}
+    return (
+        joint.stiffness(angle, pressures),
+        joint.closed_valve_stiffness(angle, pressures, **air),
+        joint.secant_stiffness(angle, pressures, amplitudes),
+        joint.secant_stiffness(angle, pressures, amplitudes, **air),
+    )

@@ -1,0 +1,37 @@
+"""`mckibben stiffness`: the table, what is kept, and mistakes."""
+
+import json
+import re
+
+import pytest
+
+FRICTION = "law: lei-mas-10-180n, friction: {half_width: 7.5 N, presliding_length: 0.5 mm}}"
+
+
+def test_closed_forms_simulation_and_the_controller(cli, shortened, tmp_path):
+    text = shortened("pre-contracted-step-pid").replace("law: lei-mas-10-180n}", FRICTION)
+    text = text.replace("before: 13 N*m/rad", "before: 38 N*m/rad").replace(
+        "  stiffness: {pid:", "  stiffness_amplitude: 1 deg\n  stiffness: {pid:"
+    )
+    (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
+    found = cli("stiffness", "s.yaml", "--amplitude", "0.01..1 deg", "--rate", "10 Hz", "--out", "kept")
+    assert found.code == 0, found.err
+    numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
+    # asked for in motion of 1 deg, the last amplitude; without friction it is less, with less motion more
+    assert numbers["secant"][-1] == pytest.approx(numbers["asked"], rel=5e-3) == 38.0
+    assert numbers["isobaric"] < 20 < numbers["closed_valve"]
+    assert numbers["secant"][0] == pytest.approx(numbers["isobaric"] + 46.1, abs=0.5)
+    tests = numbers["tests"]
+    assert tests["pressures held"]["stiffness"][0] == pytest.approx(numbers["secant"], rel=1e-4)
+    assert tests["valves closed"]["stiffness"][0] == pytest.approx(numbers["closed_secant"], rel=1e-4)
+    assert "commands constant" not in tests  # these valves hold the pressure, whatever the motion
+    assert tests["controller at work"]["frequency"] == pytest.approx([10.0])
+    assert re.search(rf"\n +1 deg +{numbers['secant'][-1]:.4g} +{numbers['closed_secant'][-1]:.4g} ", found.out)
+    assert {path.name for path in (tmp_path / "kept").iterdir()} == {"results.json", "stiffness.png", "stiffness.svg"}
+
+
+@pytest.mark.parametrize(("option", "given"), [("--rate", "10 deg"), ("--amplitude", "0..1 deg")])
+def test_mistakes_are_explained(cli, option, given):
+    found = cli("stiffness", "s.yaml", option, given)
+    assert found.code == 2
+    assert option in found.err

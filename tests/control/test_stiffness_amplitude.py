@@ -1,0 +1,133 @@
+"""Controllers that hold the stiffness of a motion of a given size: a test of the joint afterwards meets it."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.control import (
+    PID,
+    DecouplingControl,
+    ExtendedStateObserver,
+    FrictionCompensation,
+    InverseModelControl,
+    PolePlacement,
+    PositionStiffnessControl,
+    PredictiveControl,
+    Reference,
+    Setpoint,
+)
+from mckibben.errors import RangeError, ReachabilityWarning
+from mckibben.muscle import MaxwellSlip
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
+from mckibben.simulation import dynamic_stiffness, simulate, simulate_many
+from mckibben.units import deg, mm, ms
+
+PERIODS, PERIOD = 800, 2e-3
+ANGLE, SIZE, ASKED = 3 * deg, 1 * deg, 38.0
+PI = PID(kp=2e5, ki=60e5, kd=0.2e5), PID(kp=0.1e5, ki=8e5, kd=0.0)
+
+
+@pytest.fixture(scope="module")
+def joint(knee):
+    muscle = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(7.5, 0.5 * mm))
+    return dataclasses.replace(knee, muscle1=muscle, muscle2=muscle)
+
+
+@pytest.fixture(scope="module")
+def plant(joint, load):
+    return JointPlant(joint, load, FirstOrderValve(20 * ms))
+
+
+@pytest.fixture(scope="module")
+def settle(plant, short_episode):
+    """State of the plant after the setpoint was held under a controller, and the last estimate of the stiffness."""
+
+    def settle(controller, stiffness=ASKED):
+        setpoints = Setpoint(jnp.full(PERIODS, ANGLE), jnp.full(PERIODS, stiffness))
+        parts = numeric((plant, controller, setpoints, plant.equilibrium(ANGLE), jnp.asarray(PERIOD)))
+        final, record = short_episode(*parts, 4)
+        return final, float(record.telemetry["stiffness_estimate"][-1])
+
+    return settle
+
+
+def met(plant, state):
+    """Stiffness that a slow motion about the angle meets at the pressures of a state."""
+    held = dataclasses.replace(plant, valve=IdealValve())
+    return float(dynamic_stiffness(held, state, SIZE, 1.0).stiffness[0, 0])
+
+
+def controllers(joint, load):
+    loops = PositionStiffnessControl(*PI, model=joint, minimum_tension=5.0, stiffness_amplitude=SIZE)
+    model = {"valve_time_constant": 20 * ms, "stiffness_amplitude": SIZE}
+    return {
+        "PID": loops,
+        "inverse model": InverseModelControl(loops, load),
+        "decoupling": DecouplingControl(joint, load, PolePlacement(40.0), ExtendedStateObserver(120.0), **model),
+        "predictive": PredictiveControl(joint, load, ExtendedStateObserver(120.0), bandwidth=40.0, **model),
+    }
+
+
+@pytest.mark.parametrize("name", ["PID", "inverse model", "decoupling", "predictive"])
+def test_a_motion_of_the_size_meets_the_stiffness_asked_for(joint, load, plant, settle, name):
+    controller = controllers(joint, load)[name]
+    state, estimate = settle(controller)
+    assert float(state.angle) == pytest.approx(ANGLE, abs=0.05 * deg)
+    assert met(plant, state) == pytest.approx(ASKED, rel=5e-3)
+    assert estimate == pytest.approx(ASKED, rel=5e-3)
+    isobaric = float(joint.stiffness(state.angle, state.pressures))
+    assert isobaric < ASKED - 15  # friction adds the rest
+
+
+def test_a_wrong_friction_of_the_model_is_an_error_of_the_stiffness(joint, load, plant, settle):
+    """Three quarters of the friction: the rest of what it adds comes on top."""
+    weaker = eqx.tree_at(
+        lambda j: (j.muscle1.friction.half_width, j.muscle2.friction.half_width), joint, (5.625, 5.625)
+    )
+    asked = 34.0
+    state, estimate = settle(controllers(weaker, load)["decoupling"], asked)
+    real, believed = (float(each.secant_stiffness(state.angle, state.pressures, SIZE)) for each in (joint, weaker))
+    assert estimate == pytest.approx(asked, rel=5e-3) == believed
+    assert real > asked + 4
+    assert met(plant, state) == pytest.approx(real, rel=2e-3)
+
+
+def test_what_friction_adds_shifts_the_attainable_stiffness_up(joint, knee, load):
+    torque = -float(load.gravity_torque(ANGLE))
+    isobaric = np.array(knee.attainable_stiffness(ANGLE, torque, minimum_tension=30.0))
+    low, high = np.array(joint.attainable_stiffness(ANGLE, torque, minimum_tension=30.0, amplitude=SIZE)) - isobaric
+    added = float(joint.secant_stiffness(ANGLE, (4e5, 4e5), SIZE) - knee.stiffness(ANGLE, (4e5, 4e5)))
+    assert added > 20
+    assert (low, high) == pytest.approx((added, added), rel=0.02)
+    plain = np.array(joint.attainable_stiffness(ANGLE, torque, minimum_tension=30.0))
+    np.testing.assert_allclose(plain, isobaric)
+
+
+def test_the_wrapper_controls_what_the_controller_in_it_does(joint, load):
+    assert FrictionCompensation(controllers(joint, load)["PID"], model=joint).stiffness_amplitude == SIZE
+
+
+@pytest.mark.parametrize("name", ["PID", "decoupling"])
+def test_an_amplitude_of_zero_is_refused(joint, load, name):
+    with pytest.raises(RangeError) as refused:
+        dataclasses.replace(controllers(joint, load)[name], stiffness_amplitude=0.0)
+    assert refused.value.field == "stiffness_amplitude"
+
+
+def test_a_simulation_compares_the_stiffness_of_that_size(joint, load, plant):
+    controller = controllers(joint, load)["PID"]
+    short = {"duration": 0.8, "control_period": PERIOD}
+    result = simulate(plant, controller, Reference(ANGLE, ASKED), **short)  # attainable: no warning
+    assert result["stiffness"][-1] == pytest.approx(ASKED, rel=0.02)
+    at_end = float(result["angle"][-1]), (float(result["pressure1"][-1]), float(result["pressure2"][-1]))
+    assert result["stiffness"][-1] == pytest.approx(float(joint.secant_stiffness(*at_end, SIZE)), rel=1e-6)
+    with pytest.warns(ReachabilityWarning):  # friction adds more than that
+        simulate(plant, controller, Reference(ANGLE, 15.0), **short)
+    batch = simulate_many(
+        plant, controller, Reference(ANGLE, np.array([ASKED, 36.0])), **short, metrics=("stiffness_rmse",)
+    )
+    assert float(batch.table["stiffness_rmse"][0]) == pytest.approx(result.metrics["stiffness_rmse"], rel=1e-6)

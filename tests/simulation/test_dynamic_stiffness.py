@@ -1,0 +1,111 @@
+"""Simulated tests of the stiffness against its closed forms: pressures held, valves closed, and in between."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.control import Setpoint
+from mckibben.errors import RangeError
+from mckibben.joint import KneeLoad
+from mckibben.muscle import MaxwellSlip
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import IdealValve, JointPlant, PressureRegulator, TorquePulses
+from mckibben.simulation import closed_valves, compiled_episode, dynamic_stiffness
+from mckibben.units import bar, deg, mm, ms
+
+SLIP = MaxwellSlip(7.5, 0.5 * mm)
+AMPLITUDES = np.array([0.01, 0.3, 3.0]) * deg
+SLOW, FAST = 0.05, 10.0
+
+
+@pytest.fixture(scope="module")
+def held(knee, load):
+    muscle = dataclasses.replace(knee.muscle1, friction=SLIP)
+    return JointPlant(dataclasses.replace(knee, muscle1=muscle, muscle2=muscle), load, IdealValve())
+
+
+@pytest.fixture(scope="module")
+def start(held):
+    return held.equilibrium(0.0, stiffness=15.0)
+
+
+@jax.jit
+def secant(joint, pressures, amplitude, index=None):
+    return joint.secant_stiffness(0.0, pressures, amplitude, polytropic_index=index)
+
+
+def test_at_pressures_held_it_is_the_secant_stiffness_at_any_rate(held, start):
+    found = dynamic_stiffness(held, start, AMPLITUDES, (SLOW, FAST))
+    assert found.frequency == pytest.approx([SLOW, FAST])
+    expected = np.asarray(secant(held.joint, start.pressures, AMPLITUDES))
+    np.testing.assert_allclose(found.stiffness, [expected, expected], rtol=1e-5)
+    # a spring dissipates nothing
+    assert np.abs(found.loss[:, 0]).max() < 1e-6 * expected[0]
+    assert (found.loss[:, 1:] > 1.0).all()
+
+
+def test_the_loss_is_the_area_of_the_hysteresis_loop(held, start):
+    angle = 1 * deg
+    found = float(dynamic_stiffness(held, start, angle, FAST).loss[0, 0])
+    length = 0.03 * angle * np.sin(np.linspace(0, 4 * np.pi, 8001))  # arms of 30 mm at 0 deg, nearly constant
+    force = SLIP.path_response(length, 130.0, 3e5)[4000:]
+    area = np.trapezoid(force, length[4000:])
+    assert found == pytest.approx(2 * area / (math.pi * angle**2), rel=2e-3)
+
+
+def test_with_closed_valves_the_air_adds_to_it(held, start):
+    found = dynamic_stiffness(closed_valves(held, polytropic_index=1.4), start, AMPLITUDES, (SLOW, FAST))
+    expected = np.asarray(secant(held.joint, start.pressures, AMPLITUDES, 1.4))
+    np.testing.assert_allclose(found.stiffness, [expected, expected], rtol=1e-5)
+    frictionless = dataclasses.replace(
+        held.joint, muscle1=_plain(held.joint.muscle1), muscle2=_plain(held.joint.muscle2)
+    )
+    slope = float(frictionless.closed_valve_stiffness(0.0, start.pressures, polytropic_index=1.4))
+    assert slope > float(frictionless.stiffness(0.0, start.pressures)) + 10
+
+
+def _plain(muscle):
+    return type(muscle)(muscle.specimen, muscle.law)
+
+
+def test_regulators_hold_the_pressure_against_a_slow_push_and_the_air_against_a_fast_one(held, start):
+    """In between it is first order, with the time constant of the pressure."""
+    regulator = PressureRegulator(1e-10, 7 * bar, time_constant=20 * ms, polytropic_index=1.2)
+    plant = dataclasses.replace(held, valve=regulator)
+    found = dynamic_stiffness(plant, start, AMPLITUDES[:1], (SLOW, 0.5, FAST))
+    isobaric = float(secant(held.joint, start.pressures, AMPLITUDES[0]))
+    air = float(secant(held.joint, start.pressures, AMPLITUDES[0], 1.2)) - isobaric
+    volume = float(held.joint.muscle1.specimen.volume(0.1))
+    lag = np.mean([regulator.time_constant_at(float(p), volume) for p in start.pressures]) - regulator.lag
+    expected = isobaric + air / (1 + 1 / (2j * math.pi * found.frequency * lag))
+    assert (expected[0].real - isobaric, expected[-1].real - isobaric) == pytest.approx((0.0, air), abs=0.05 * air)
+    np.testing.assert_allclose(found.stiffness[:, 0], expected.real, atol=0.01 * air)
+    np.testing.assert_allclose(found.loss[:, 0], expected.imag, atol=0.01 * air)
+
+
+def test_a_torque_pulse_deflects_the_joint_by_its_size_over_the_stiffness(held, start, playback):
+    """A load with much damping follows the pulse without overshoot, which friction would remember."""
+    period, height = 1e-3, 0.7
+    load = KneeLoad(mass1=0.5, mass2=0.5, distance1=0.1, distance2=0.2, inertia=0.02, damping=3.0)
+    pulses = TorquePulses(height, width=3.0, interval=10.0, start=0.1)
+    plant = dataclasses.replace(held, load=load, disturbance=pulses)
+    pressures = Setpoint(*(jnp.full(3000, float(p)) for p in start.pressures))
+    begin = numeric(plant.complete_state(start))
+    final, _ = compiled_episode(numeric(plant), playback, pressures, begin, jnp.asarray(period), 4)
+    moved = float(final.angle)
+    gravity = float(load.gravity_torque(0.0) - load.gravity_torque(moved)) / moved
+    assert 0.5 * deg < moved < 2 * deg
+    assert height / moved - gravity == pytest.approx(float(secant(held.joint, start.pressures, moved)), rel=5e-3)
+
+
+def test_what_does_not_fit_is_refused(held, start):
+    for field, given in (("frequency", (1 * deg, 20.0)), ("amplitude", (0.0, 1.0))):
+        with pytest.raises(RangeError) as refused:
+            dynamic_stiffness(held, start, *given)
+        assert refused.value.field == field
+    with pytest.raises(RangeError):
+        dynamic_stiffness(held, start, 1 * deg, 1.0, setpoint=Setpoint(jnp.asarray(0.0), jnp.asarray(15.0)))
