@@ -25,7 +25,7 @@ BEFORE, LOOPS = TEXT.split("controller:\n")
 AFTER = LOOPS[LOOPS.index("reference:") :]
 FULL = """\
   decoupling:
-    sliding: {slope: 30 1/s, reach: 50 rad/s^2, layer: 0.5 rad/s, lag: 6 ms}
+    sliding: {slope: 30 1/s, reach: 50 rad/s^2}
     velocity_observer: {bandwidth: 300 rad/s}
     pressure_observer: {bandwidth: 150 rad/s}
     valve_time_constant: 15 ms
@@ -60,7 +60,7 @@ def test_what_is_left_out_is_that_of_the_plant_and_the_classes():
 
 def test_it_builds_what_it_says():
     control = scenario(FULL).control()
-    assert control.feedback == SlidingMode(30.0, 50.0, 0.5, 6 * ms)
+    assert control.feedback == SlidingMode(30.0, 50.0)
     assert control.observer == VelocityObserver(300.0) and control.pressure_observer == PressureObserver(150.0)
     assert (control.valve_time_constant, control.minimum_tension, control.load.mass2) == (15 * ms, 8.0, 0.6)
     assert scenario(FULL).plant().load.mass2 == 0.5
@@ -102,7 +102,7 @@ def test_bandwidths_count_as_gains():
 
 def test_what_does_not_go_together_is_said():
     assert "has no feedback" in problem("  decoupling: {minimum_tension: 5 N}\n").message
-    both = "  decoupling: {poles: {bandwidth: 50 rad/s}, sliding: {slope: 30 1/s, reach: 50 rad/s^2, layer: 1 rad/s}}\n"
+    both = "  decoupling: {poles: {bandwidth: 50 rad/s}, sliding: {slope: 30 1/s, reach: 50 rad/s^2}}\n"
     assert "poles and sliding at once" in problem(both).message
     nine = "{bandwidth: 9 rad/s}"
     two = f"{{poles: {nine}, velocity_observer: {nine}, disturbance_observer: {nine}}}"

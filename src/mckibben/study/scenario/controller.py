@@ -13,6 +13,7 @@ from mckibben.control import (
     PID,
     BackpropPID,
     DecouplingControl,
+    ExtendedStateObserver,
     InverseModelControl,
     Jacobian,
     LawAdaptation,
@@ -138,6 +139,12 @@ class ObserverSpec(ConfigModel):
     bandwidth: Bandwidth
 
 
+class DisturbanceObserverSpec(model_of(ExtendedStateObserver)):
+    """Parameters of `ExtendedStateObserver`."""
+
+    bandwidth: Bandwidth
+
+
 class AdaptationSpec(model_of(LawAdaptation)):
     """Parameters of `LawAdaptation`."""
 
@@ -149,7 +156,7 @@ class ModelBasedSpec(ComponentModel):
     """Observers of a model-based controller, and its model of load and valves, the plant's unless given."""
 
     velocity_observer: ObserverSpec | None = None
-    disturbance_observer: ObserverSpec | None = None
+    disturbance_observer: DisturbanceObserverSpec | None = None
     pressure_observer: ObserverSpec | None = None
     valve_time_constant: ShortTime | None = None
     minimum_tension: Force | None = None
