@@ -12,13 +12,14 @@ from mckibben.control import (
     PositionStiffnessControl,
     PressureObserver,
     SlidingMode,
+    SupplyLimit,
     VelocityObserver,
 )
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.study.parameters import batched, find_parameter, list_parameters
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune import gain_ranges
-from mckibben.units import ms
+from mckibben.units import bar, ms
 
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 BEFORE, LOOPS = TEXT.split("controller:\n")
@@ -93,6 +94,16 @@ def test_all_its_numbers_can_be_varied_and_have_a_value():
         find_parameter(scenario(), "controller.decoupling.load.mass2")
     with pytest.raises(ParameterError, match="outside above 0"):
         batched(scenario(), {"controller.decoupling.poles.bandwidth": [50.0, 0.0]})
+
+
+def test_the_supply_may_be_estimated_around_any_controller():
+    for controller in ("  decoupling: {poles: {bandwidth: 50 rad/s}}\n", LOOPS[: LOOPS.index("reference:")]):
+        read = scenario(f"{controller.rstrip()}\n  supply_limit: {{recovery: 0.2 bar/s}}\n")
+        control = read.control()
+        assert isinstance(control, SupplyLimit) and type(control.controller) is type(scenario(controller).control())
+        assert (control.recovery, control.valve_time_constant) == (0.2 * bar, 20 * ms)
+        assert Scenario.parse(read.dumps()) == read
+        assert find_parameter(read, "controller.supply_limit.valve_time_constant").nominal == 0.02
 
 
 def test_bandwidths_count_as_gains():

@@ -20,6 +20,7 @@ from mckibben.control import (
     PolePlacement,
     PredictiveControl,
     SlidingMode,
+    SupplyLimit,
 )
 from mckibben.study.scenario.plant import AnyLoad, JointSpec, LoadSpec, ValveSpec
 from mckibben.units import (
@@ -208,11 +209,15 @@ class InverseModelSpec(model_of(InverseModelControl)):
         return value
 
 
+class SupplyLimitSpec(model_of(SupplyLimit)):
+    """Parameters of `SupplyLimit`."""
+
+
 class ControllerSpec(ConfigModel):
     """Two loops (`PositionStiffnessControl`), `decoupling` or `predictive`, and the controller's model of the joint.
 
     The model is the plant's joint unless given. `friction_compensation` compensates the friction of its muscles.
-    `inverse_model` and `minimum_tension` go with the two loops.
+    `inverse_model` and `minimum_tension` go with the two loops. `supply_limit` estimates the supply.
     """
 
     position: PositionLoopSpec | None = None
@@ -223,6 +228,7 @@ class ControllerSpec(ConfigModel):
     friction_compensation: Flag | None = None
     inverse_model: InverseModelSpec | None = None
     minimum_tension: Tension | None = None
+    supply_limit: SupplyLimitSpec | None = None
 
     @field_validator("inverse_model", "minimum_tension", mode="after")
     @classmethod
@@ -258,12 +264,12 @@ class ControllerSpec(ConfigModel):
         from mckibben.study.scenario.building import valve_time_constant
 
         lag = valve_time_constant(valve, joint)
-        for name in ("decoupling", "predictive", "inverse_model"):
+        for name in ("decoupling", "predictive", "inverse_model", "supply_limit"):
             part = getattr(self, name)
             if part is None:
                 continue
             plant = {"load": load, "valve_time_constant": lag}
-            if name == "inverse_model" and part.alone:  # its network learns without a model of the load
+            if name == "supply_limit" or (name == "inverse_model" and part.alone):  # a lone network has no load
                 del plant["load"]
             missing = {key: value for key, value in plant.items() if getattr(part, key) is None}
             update[name] = part.model_copy(update=missing)
