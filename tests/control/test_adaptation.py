@@ -206,6 +206,22 @@ def test_it_takes_no_estimate_further_off_than_three_deviations(estimated):
     assert strengths == pytest.approx((0.82, 0.82), rel=1e-12)
 
 
+def test_with_a_drift_time_it_follows_a_strength_that_drifts_and_forgets_within_the_prior(
+    listened, records, knee, paper_precontracted
+):
+    drifting = np.linspace(1.09, 0.91, PERIODS)
+    followed = [moved(paper_precontracted, (drifting, 1.0)), records["nothing hangs"]]
+    forgetting = dataclasses.replace(KNOWN, drift_time=0.5)
+    final, course = listened([forgetting] * 2, followed, knee)
+    _, kept = listened([KNOWN] * 2, followed, knee)
+    late = slice(PERIODS // 2, None)
+    error, error_kept = (np.abs(each[0, 0] - drifting[1:])[late].max() for each in (course, kept))
+    assert error < 0.05 and 3 * error < error_kept
+    covariance = np.moveaxis(np.array(final.covariance), -1, 0)
+    assert np.linalg.eigvalsh(covariance).max() <= 1 + 1e-9
+    np.testing.assert_allclose(course[1, :2], 1.0, atol=1e-6)
+
+
 def test_in_32_bits_it_finds_the_friction_beside_the_strengths(listened, knee, paper_precontracted):
     """The model's muscles rub with 6 N, the true ones with a part of it: twice that against each motion."""
     rubbing = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(6.0, 0.002 * mm, elements=1))
@@ -231,7 +247,13 @@ def test_the_model_has_so_strong_muscles(knee):
 
 
 def test_numbers_that_make_no_sense_are_named(knee, load):
-    for field, value in (("strength_spread", 0.0), ("mass_spread", -1.0), ("torque_error", 0.0), ("bandwidth", 0.0)):
+    for field, value in (
+        ("strength_spread", 0.0),
+        ("mass_spread", -1.0),
+        ("torque_error", 0.0),
+        ("bandwidth", 0.0),
+        ("drift_time", 0.0),
+    ):
         with pytest.raises(RangeError, match=f"LawAdaptation: {field} is {value:g}"):
             LawAdaptation(**{field: value})
     with pytest.raises(RangeError, match=r"strength_spread is 0.34, outside 0..0.3"):

@@ -47,7 +47,7 @@ def controllers(knee, load):
     return {
         "observer": eso(knee, load),
         "integral": DecouplingControl(knee, load, PolePlacement(60.0, integral=True), VelocityObserver(200.0)),
-        "sliding": DecouplingControl(knee, load, SlidingMode(40.0, 80.0, 1.0, 0.005), ExtendedStateObserver(200.0)),
+        "sliding": DecouplingControl(knee, load, SlidingMode(40.0, 250.0), ExtendedStateObserver(200.0)),
     }
 
 
@@ -283,11 +283,19 @@ def test_expected_friction_is_part_of_the_torque(knee, load):
 
 
 def test_sliding_mode_is_bounded_outside_its_layer_and_linear_inside():
-    law = SlidingMode(40.0, 80.0, 1.0, 0.005)
-    assert float(law.step((), 0.001, 0.02, PERIOD)[1]) == pytest.approx(40 * 0.02 + 80 * (0.02 + 0.04))
+    law = SlidingMode(40.0, 80.0)
+    assert float(law.step((), 0.001, 0.02, PERIOD)[1]) == pytest.approx(40 * 0.02 + 40 * (0.02 + 0.04))
     assert float(law.step((), 1.0, 0.0, PERIOD)[1]) == 80.0
-    with pytest.raises(RangeError, match="layer is 0 rad/s"):
-        SlidingMode(layer=0.0)
+    with pytest.raises(RangeError, match="reach is 0 rad/s"):
+        SlidingMode(reach=0.0)
+
+
+@pytest.mark.parametrize(("law", "ratio"), [(PolePlacement(30.0), 9), (SlidingMode(30.0, 80.0), 12)])
+def test_the_feedback_is_stable_up_to_so_many_times_the_lag(law, ratio):
+    step = law.step(law.init(0.0), 1e-6, 0.0, PERIOD), law.step(law.init(0.0), 0.0, 1e-6, PERIOD)
+    by_error, by_rate = (float(acceleration) / 1e-6 for _, acceleration in step)
+    for slower, stable in ((0.99 * ratio, True), (1.01 * ratio, False)):
+        assert (np.roots([slower * law.lag, 1.0, by_rate, by_error]).real.max() < 0) == stable
 
 
 @pytest.mark.parametrize("integral", [False, True])

@@ -76,7 +76,7 @@ CONTROLLERS = {
         model=knee,
     ),
     "sliding, adaptive": lambda knee, load: DecouplingControl(
-        knee, load, SlidingMode(40.0, 80.0, 1.0, 0.005), ExtendedStateObserver(200.0), adaptation=LawAdaptation()
+        knee, load, SlidingMode(40.0, 250.0), ExtendedStateObserver(200.0), adaptation=LawAdaptation()
     ),
 }
 """Each of its own parts; other parts of control by inversion are played to in test_decoupling."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_continuous_are
 
 from mckibben.control import ExtendedStateObserver, PressureObserver, VelocityObserver
 from mckibben.errors import RangeError
@@ -18,6 +19,15 @@ def test_all_poles_of_the_error_lie_where_the_bandwidth_says(kind):
     error = ((np.eye(3) - np.outer(gains, [1, 0, 0])) @ move)[:n, :n]
     expected = np.poly([np.exp(-120.0 * PERIOD)] * n)  # compared as polynomials: multiple roots are ill-conditioned
     np.testing.assert_allclose(np.poly(error), expected, rtol=1e-12, atol=1e-14)
+
+
+def test_with_a_damping_of_two_it_is_the_steady_kalman_filter():
+    """For white noise of the angle and a disturbance of independent increments; SciPy, in continuous time."""
+    bandwidth, period = 120.0, 1e-6
+    move, white, jerk = np.diag([1.0, 1.0], 1), np.eye(1), np.diag([0.0, 0.0, 1.0])
+    covariance = solve_continuous_are(move.T, np.eye(3)[:, :1], jerk, white)  # for a bandwidth of 1
+    gains = [float(gain) / period for gain in ExtendedStateObserver(bandwidth, damping=2.0).gains(period)]
+    np.testing.assert_allclose(gains, covariance[:, 0] * bandwidth ** np.arange(1, 4), rtol=1e-3)
 
 
 def watched(observer, missing, periods=400):
@@ -78,3 +88,9 @@ def test_a_sensor_may_be_taken_at_its_word():
 def test_a_bandwidth_that_is_none_is_refused(kind):
     with pytest.raises(RangeError, match="bandwidth is -1 rad/s"):
         kind(bandwidth=-1.0)
+
+
+def test_a_damping_outside_its_range_is_refused():
+    with pytest.raises(RangeError) as caught:
+        ExtendedStateObserver(damping=1.5)
+    assert (caught.value.field, caught.value.value) == ("damping", 1.5)

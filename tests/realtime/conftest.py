@@ -108,7 +108,7 @@ _MUSCLES = """  muscle1: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n,
 """
 _SLIDING = """controller:
   decoupling:
-    sliding: {slope: 40 1/s, reach: 80 rad/s^2, layer: 1 rad/s}
+    sliding: {slope: 40 1/s, reach: 250 rad/s^2}
     disturbance_observer: {bandwidth: 200 rad/s}
     pressure_observer: {bandwidth: 200 rad/s}
 

@@ -12,20 +12,21 @@ from mckibben.control import (
     PositionStiffnessControl,
     PressureObserver,
     SlidingMode,
+    SupplyLimit,
     VelocityObserver,
 )
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.study.parameters import batched, find_parameter, list_parameters
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune import gain_ranges
-from mckibben.units import ms
+from mckibben.units import bar, ms
 
 TEXT = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 BEFORE, LOOPS = TEXT.split("controller:\n")
 AFTER = LOOPS[LOOPS.index("reference:") :]
 FULL = """\
   decoupling:
-    sliding: {slope: 30 1/s, reach: 50 rad/s^2, layer: 0.5 rad/s, lag: 6 ms}
+    sliding: {slope: 30 1/s, reach: 50 rad/s^2}
     velocity_observer: {bandwidth: 300 rad/s}
     pressure_observer: {bandwidth: 150 rad/s}
     valve_time_constant: 15 ms
@@ -60,7 +61,7 @@ def test_what_is_left_out_is_that_of_the_plant_and_the_classes():
 
 def test_it_builds_what_it_says():
     control = scenario(FULL).control()
-    assert control.feedback == SlidingMode(30.0, 50.0, 0.5, 6 * ms)
+    assert control.feedback == SlidingMode(30.0, 50.0)
     assert control.observer == VelocityObserver(300.0) and control.pressure_observer == PressureObserver(150.0)
     assert (control.valve_time_constant, control.minimum_tension, control.load.mass2) == (15 * ms, 8.0, 0.6)
     assert scenario(FULL).plant().load.mass2 == 0.5
@@ -95,6 +96,16 @@ def test_all_its_numbers_can_be_varied_and_have_a_value():
         batched(scenario(), {"controller.decoupling.poles.bandwidth": [50.0, 0.0]})
 
 
+def test_the_supply_may_be_estimated_around_any_controller():
+    for controller in ("  decoupling: {poles: {bandwidth: 50 rad/s}}\n", LOOPS[: LOOPS.index("reference:")]):
+        read = scenario(f"{controller.rstrip()}\n  supply_limit: {{recovery: 0.2 bar/s}}\n")
+        control = read.control()
+        assert isinstance(control, SupplyLimit) and type(control.controller) is type(scenario(controller).control())
+        assert (control.recovery, control.valve_time_constant) == (0.2 * bar, 20 * ms)
+        assert Scenario.parse(read.dumps()) == read
+        assert find_parameter(read, "controller.supply_limit.valve_time_constant").nominal == 0.02
+
+
 def test_bandwidths_count_as_gains():
     assert list(gain_ranges(scenario())) == ["controller.decoupling.poles.bandwidth"]
     assert "controller.decoupling.sliding.reach" in gain_ranges(scenario(FULL))
@@ -102,7 +113,7 @@ def test_bandwidths_count_as_gains():
 
 def test_what_does_not_go_together_is_said():
     assert "has no feedback" in problem("  decoupling: {minimum_tension: 5 N}\n").message
-    both = "  decoupling: {poles: {bandwidth: 50 rad/s}, sliding: {slope: 30 1/s, reach: 50 rad/s^2, layer: 1 rad/s}}\n"
+    both = "  decoupling: {poles: {bandwidth: 50 rad/s}, sliding: {slope: 30 1/s, reach: 50 rad/s^2}}\n"
     assert "poles and sliding at once" in problem(both).message
     nine = "{bandwidth: 9 rad/s}"
     two = f"{{poles: {nine}, velocity_observer: {nine}, disturbance_observer: {nine}}}"

@@ -30,7 +30,7 @@ FULL = """\
     valve_time_constant: 15 ms
     minimum_tension: 8 N
     load: {from: knee-table-2, mass2: 0.6 kg}
-    adaptation: {strength_spread: 0.05, torque_error: 0.04 N*m, bandwidth: 25 rad/s}
+    adaptation: {strength_spread: 0.05, torque_error: 0.04 N*m, bandwidth: 25 rad/s, drift_time: 20 s}
 """
 
 
@@ -64,7 +64,7 @@ def test_it_builds_what_it_says():
     assert (control.horizon, control.stages, control.iterations) == (pytest.approx(80 * ms), 16, 2)
     assert control.observer == VelocityObserver(300.0) and control.pressure_observer == PressureObserver(150.0)
     assert (control.valve_time_constant, control.minimum_tension, control.load.mass2) == (15 * ms, 8.0, 0.6)
-    assert control.adaptation == LawAdaptation(0.05, torque_error=0.04, bandwidth=25.0)
+    assert control.adaptation == LawAdaptation(0.05, torque_error=0.04, bandwidth=25.0, drift_time=20.0)
     assert scenario().control().adaptation is None
 
 

@@ -12,6 +12,7 @@ from mckibben.control.pid import PID
 from mckibben.control.position_stiffness import PositionStiffnessControl
 from mckibben.control.predictive import PredictiveControl
 from mckibben.control.reference import Constant, Multisine, Samples, Signal, Sine, Step, Sum
+from mckibben.control.supply_limit import SupplyLimit
 
 __all__ = [
     "PID",
@@ -41,5 +42,6 @@ __all__ = [
     "SlidingMode",
     "Step",
     "Sum",
+    "SupplyLimit",
     "VelocityObserver",
 ]

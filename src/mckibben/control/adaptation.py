@@ -20,9 +20,10 @@ from mckibben.muscle import scaled_law
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import exp, floating
-from mckibben.units import Bandwidth, Mass, PositiveTorque, Share, StrengthSpread
+from mckibben.units import Bandwidth, Duration, Mass, PositiveTorque, Share, StrengthSpread
 
 Scalar = Float[Array, ""]
+Covariance = tuple[tuple[Scalar, ...], ...]
 
 _LAGS = 3
 _SETTLING = 8.0  # time constants of the filter: until the noise of the first sample has decayed
@@ -37,7 +38,7 @@ class AdaptationState(NamedTuple):
     mass: Scalar  # mass of the load (`Load.adapted_mass`) less that of the model [kg]
     friction: Scalar  # relative to the model's [-]
     deviations: tuple[Scalar, ...]  # parameters less their prior mean, in prior standard deviations
-    covariance: tuple[tuple[Scalar, ...], ...]  # of the deviations, by rows
+    covariance: Covariance  # of the deviations, by rows
     filtered: tuple[tuple[Scalar, ...], ...]  # each signal behind one, two and three lags
     last: tuple[Scalar, ...]  # signals behind three lags one period ago, and the angle two periods ago
     muscles: MuscleStates  # of the model, along the measured angle
@@ -59,6 +60,14 @@ class LawAdaptation(eqx.Module):
     two derivatives. The prior is the model with the given standard deviations: estimates stay at the model without
     evidence, and where motion cannot separate strength from load.
 
+    With a `drift_time` the deviations from the model drift: each is a first-order Gauss-Markov process whose stationary
+    distribution is the prior,
+
+    .. math:: x \leftarrow a x, \quad P \leftarrow a^2 P + (1 - a^2) I, \quad a = e^{-h / T}
+
+    before each sample, in prior standard deviations. So old evidence is forgotten, no covariance exceeds the prior, and
+    without evidence the estimates return to the model.
+
     Parameters
     ----------
     strength_spread, mass_spread, friction_spread
@@ -68,11 +77,13 @@ class LawAdaptation(eqx.Module):
         Standard deviation of the equation's error [N*m].
     bandwidth
         lambda [rad/s].
+    drift_time
+        T [s], over which the parameters drift to other values within their prior; None for constant ones.
 
     References
     ----------
     K. J. Astrom and B. Wittenmark, Adaptive Control, 2nd ed., Addison-Wesley 1995, ch. 2 (recursive least squares,
-    filtered regressors).
+    filtered regressors); A. Gelb, Applied Optimal Estimation, MIT Press 1974, ch. 3 (Gauss-Markov processes).
     """
 
     strength_spread: StrengthSpread = 0.06
@@ -80,6 +91,7 @@ class LawAdaptation(eqx.Module):
     friction_spread: Share = 0.6
     torque_error: PositiveTorque = 0.05
     bandwidth: Bandwidth = 30.0
+    drift_time: Duration | None = None
 
     def __check_init__(self) -> None:
         check_positive("LawAdaptation", strength_spread=self.strength_spread)
@@ -88,6 +100,8 @@ class LawAdaptation(eqx.Module):
         check_positive("LawAdaptation", zero=True, friction_spread=self.friction_spread)
         check_positive("LawAdaptation", "N*m", torque_error=self.torque_error)
         check_positive("LawAdaptation", "rad/s", bandwidth=self.bandwidth)
+        if self.drift_time is not None:
+            check_positive("LawAdaptation", "s", drift_time=self.drift_time)
 
     def check_load(self, load: Load) -> None:
         """Raise `RangeError` if the mass is to be estimated of a load that has none among its parameters."""
@@ -155,9 +169,8 @@ class LawAdaptation(eqx.Module):
         age = state.age + self.bandwidth * period
         variance = self.torque_error**2 * 2 / (self.bandwidth * period)
         regressors = [jnp.where(age > _SETTLING, each, 0.0) for each in regressors]
-        deviations, covariance = recursive_least_squares(
-            state.deviations, state.covariance, regressors, residual, variance
-        )
+        deviations, covariance = self._drift(state.deviations, state.covariance, period)
+        deviations, covariance = recursive_least_squares(deviations, covariance, regressors, residual, variance)
         bounded = [jnp.clip(each, -_BOUND, _BOUND) for each in deviations]
         return AdaptationState(
             strengths=(1 + self.strength_spread * bounded[0], 1 + self.strength_spread * bounded[1]),
@@ -169,6 +182,18 @@ class LawAdaptation(eqx.Module):
             last=(*now, middle),
             muscles=muscles,
             age=age,
+        )
+
+    def _drift(
+        self, deviations: tuple[Scalar, ...], covariance: Covariance, period: ArrayLike
+    ) -> tuple[tuple[Scalar, ...], Covariance]:
+        """Deviations and their covariance after a period of drift within the prior."""
+        if self.drift_time is None:
+            return deviations, covariance
+        keep = exp(-jnp.asarray(period) / self.drift_time)
+        rows = enumerate(covariance)
+        return tuple(keep * each for each in deviations), tuple(
+            tuple(keep**2 * each + ((1 - keep**2) if i == j else 0.0) for j, each in enumerate(row)) for i, row in rows
         )
 
     def _signals(
@@ -214,11 +239,11 @@ def _filter(lags: tuple[Scalar, ...], signal: Scalar, fraction: Scalar) -> tuple
 
 def recursive_least_squares(
     means: tuple[Scalar, ...],
-    covariance: tuple[tuple[Scalar, ...], ...],
+    covariance: Covariance,
     regressors: list[Scalar],
     value: Scalar,
     variance: ArrayLike,
-) -> tuple[tuple[Scalar, ...], tuple[tuple[Scalar, ...], ...]]:
+) -> tuple[tuple[Scalar, ...], Covariance]:
     """Mean and covariance after an observation value = regressors . means + noise."""
     count = range(len(means))
     cross = [sum(covariance[i][j] * regressors[j] for j in count) for i in count]

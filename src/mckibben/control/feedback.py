@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.numerics.checks import check_positive
 from mckibben.numerics.elementary import floating
-from mckibben.units import AngularAcceleration, Bandwidth, PositiveRate, PositiveTime
+from mckibben.units import AngularAcceleration, Bandwidth, PositiveRate
 
 # No `from __future__ import annotations`: equinox does not see an AbstractVar written as text.
 
@@ -81,32 +81,42 @@ class PolePlacement(Feedback):
 class SlidingMode(Feedback):
     r"""Sliding mode with a boundary layer.
 
-    .. math:: s = \dot e + \lambda e, \quad a = \lambda \dot e + \rho\, \mathrm{sat}(s / \phi)
+    .. math:: s = \dot e + \lambda e, \quad a = \lambda \dot e + \rho\, \mathrm{sat}(s / \phi), \quad
+              \phi = \rho / \lambda, \quad T = 1/(6\lambda)
 
     Outside the layer :math:`|s| < \phi` the surface s = 0 is reached under any disturbance below rho; inside, the loop
-    is PD, and a disturbance d leaves an error of :math:`\phi d / (\lambda \rho)`. Stability inside requires
-    :math:`\lambda + \rho/\phi > T \lambda \rho/\phi`, so a layer of zero width would chatter.
+    is PD, and a disturbance d leaves an error of :math:`d / \lambda^2`. The width of the layer makes the approach to
+    the surface as fast as the motion on it, so that unmodelled lags see no higher bandwidth than lambda. T is a third
+    of the inverse gain of the rate, as for `PolePlacement`: with a lag g times that of the model the loop is stable up
+    to g = 12, lags of observers not counted.
 
     Parameters
     ----------
-    slope, reach, layer, lag
-        lambda [1/s], rho [rad/s^2], phi [rad/s] and T [s].
+    slope, reach
+        lambda [1/s] and rho [rad/s^2].
 
     References
     ----------
-    J.-J. E. Slotine and W. Li, Applied Nonlinear Control, Prentice Hall 1991, ch. 7.
+    J.-J. E. Slotine and W. Li, Applied Nonlinear Control, Prentice Hall 1991, ch. 7: balance of the boundary layer, and
+    choice of lambda by unmodelled lags.
     """
 
     slope: PositiveRate = 40.0
-    reach: AngularAcceleration = 80.0
-    layer: Bandwidth = 1.0
-    lag: PositiveTime = 0.005
+    reach: AngularAcceleration = 250.0
 
     def __check_init__(self) -> None:
         check_positive("SlidingMode", "1/s", slope=self.slope)
         check_positive("SlidingMode", "rad/s^2", reach=self.reach)
-        check_positive("SlidingMode", "rad/s", layer=self.layer)
-        check_positive("SlidingMode", "s", lag=self.lag)
+
+    @property
+    def lag(self) -> Any:
+        """T [s]."""
+        return 1 / (6 * self.slope)
+
+    @property
+    def layer(self) -> Any:
+        """Width of the boundary layer, phi [rad/s]."""
+        return self.reach / self.slope
 
     def init(self, error: ArrayLike) -> tuple[()]:
         return ()

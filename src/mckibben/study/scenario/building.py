@@ -103,6 +103,12 @@ def build_control(spec: ControllerSpec, joint: JointSpec, load: LoadSpec, valve:
     spec = spec.with_model(joint, load, valve)
     if isinstance(spec, OwnControllerSpec):
         return _own_controller(spec)
+    control = _build_control(spec)
+    return control if spec.supply_limit is None else spec.supply_limit.build(control)
+
+
+def _build_control(spec: ControllerSpec) -> Controller:
+    """The controller, with its model written out and without the limit of the supply."""
     assert spec.model is not None
     model = build_joint(spec.model)
     model_based = spec.decoupling or spec.predictive

@@ -13,12 +13,14 @@ from mckibben.control import (
     PID,
     BackpropPID,
     DecouplingControl,
+    ExtendedStateObserver,
     InverseModelControl,
     Jacobian,
     LawAdaptation,
     PolePlacement,
     PredictiveControl,
     SlidingMode,
+    SupplyLimit,
 )
 from mckibben.study.scenario.plant import AnyLoad, JointSpec, LoadSpec, ValveSpec
 from mckibben.units import (
@@ -138,6 +140,12 @@ class ObserverSpec(ConfigModel):
     bandwidth: Bandwidth
 
 
+class DisturbanceObserverSpec(model_of(ExtendedStateObserver)):
+    """Parameters of `ExtendedStateObserver`."""
+
+    bandwidth: Bandwidth
+
+
 class AdaptationSpec(model_of(LawAdaptation)):
     """Parameters of `LawAdaptation`."""
 
@@ -149,7 +157,7 @@ class ModelBasedSpec(ComponentModel):
     """Observers of a model-based controller, and its model of load and valves, the plant's unless given."""
 
     velocity_observer: ObserverSpec | None = None
-    disturbance_observer: ObserverSpec | None = None
+    disturbance_observer: DisturbanceObserverSpec | None = None
     pressure_observer: ObserverSpec | None = None
     valve_time_constant: ShortTime | None = None
     minimum_tension: Force | None = None
@@ -201,12 +209,16 @@ class InverseModelSpec(model_of(InverseModelControl)):
         return value
 
 
+class SupplyLimitSpec(model_of(SupplyLimit)):
+    """Parameters of `SupplyLimit`."""
+
+
 class ControllerSpec(ConfigModel):
     """Two loops (`PositionStiffnessControl`), `decoupling` or `predictive`, and the controller's model of the joint.
 
     The model is the plant's joint unless given. `friction_compensation` compensates the friction of its muscles.
     `inverse_model` and `minimum_tension` go with the two loops. The stiffness is the isobaric one, or with
-    `stiffness_amplitude` [rad] that of a motion of this size, the model's friction included.
+    `stiffness_amplitude` [rad] that of a motion of this size, the model's friction included. `supply_limit` estimates the supply.
     """
 
     position: PositionLoopSpec | None = None
@@ -218,6 +230,7 @@ class ControllerSpec(ConfigModel):
     inverse_model: InverseModelSpec | None = None
     minimum_tension: Tension | None = None
     stiffness_amplitude: AngleScale | None = None
+    supply_limit: SupplyLimitSpec | None = None
 
     @field_validator("inverse_model", "minimum_tension", mode="after")
     @classmethod
@@ -253,12 +266,12 @@ class ControllerSpec(ConfigModel):
         from mckibben.study.scenario.building import valve_time_constant
 
         lag = valve_time_constant(valve, joint)
-        for name in ("decoupling", "predictive", "inverse_model"):
+        for name in ("decoupling", "predictive", "inverse_model", "supply_limit"):
             part = getattr(self, name)
             if part is None:
                 continue
             plant = {"load": load, "valve_time_constant": lag}
-            if name == "inverse_model" and part.alone:  # its network learns without a model of the load
+            if name == "supply_limit" or (name == "inverse_model" and part.alone):  # a lone network has no load
                 del plant["load"]
             missing = {key: value for key, value in plant.items() if getattr(part, key) is None}
             update[name] = part.model_copy(update=missing)

@@ -1,5 +1,6 @@
 """Tuning: scenario parameters of least cost, by gradient, differential evolution or CMA-ES."""
 
+from mckibben.study.tune.margin import stability_margin
 from mckibben.study.tune.objective import Cost, Term, parse_cost
 from mckibben.study.tune.search import Method, SearchSpace, gain_ranges, parse_ranges
 from mckibben.study.tune.tune import TuningResult, read_trials, tune
@@ -14,5 +15,6 @@ __all__ = [
     "parse_cost",
     "parse_ranges",
     "read_trials",
+    "stability_margin",
     "tune",
 ]

@@ -1,0 +1,98 @@
+"""Controllers outside the conditions that they were tuned for: slow valves, and a low supply.
+
+    python benchmarks/robustness.py [--runs 96]
+
+Runs of examples/comparison/knee.yaml (10 to 50 ms of valve lag, 20 believed; rated pressure 8 bar), then with valves of
+55 to 65 ms, then with a supply of 4.5 to 5 bar. Gains are those of the suite's tuning, rounded, but where the name says
+otherwise. Median and 95th percentile of the RMS angle error, and median air.
+"""
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from mckibben.plant import FirstOrderValve
+from mckibben.study.benchmark import Suite, draw, evaluate
+from mckibben.study.scenario.controller import SupplyLimitSpec
+from mckibben.units import Pressure, bar, deg, ms
+
+SUITE = Suite.read(Path(__file__).parents[1] / "examples" / "comparison" / "knee.yaml")
+PID = {
+    "position.kp": 17.1 * bar,
+    "position.ki": 955 * bar,
+    "position.kd": 1.79 * bar,
+    "position.filter_time": 0.73 * ms,
+    "position.tracking_time": 9.7 * ms,
+    "stiffness.kp": 0.157 * bar,
+    "stiffness.ki": 52 * bar,
+}
+
+
+def decoupling(poles, observer, pressure, damping=3.0):
+    """Values of a `DecouplingControl`: bandwidths [rad/s] of poles, or slope [1/s] and reach, and observers."""
+    feedback = {"poles.bandwidth": poles} if np.ndim(poles) == 0 else dict(zip(_SLIDING, poles, strict=True))
+    observers = {"disturbance_observer.bandwidth": observer, "disturbance_observer.damping": damping}
+    values = {**feedback, **observers, "pressure_observer.bandwidth": pressure}
+    return {f"decoupling.{name}": value for name, value in values.items()}
+
+
+_SLIDING = ("sliding.slope", "sliding.reach")
+FED = "decoupling, friction fed forward"
+ROWS = {
+    "PID": ("PID", PID, False),
+    "PID, supply estimated": ("PID", PID, True),
+    "decoupling, pressure observer of 100 rad/s": (FED, decoupling(74, 161, 100), False),
+    "200 rad/s": (FED, decoupling(74, 161, 200), False),
+    "400 rad/s": (FED, decoupling(74, 161, 400), False),
+    "200 rad/s, supply estimated": (FED, decoupling(74, 161, 200), True),
+    "200 rad/s, damping 2": (FED, decoupling(67, 165, 200, 2.0), False),
+    "sliding mode, 56 rad/s": ("sliding mode", decoupling((47, 330), 144, 56), False),
+    "sliding mode, 200 rad/s": ("sliding mode", decoupling((47, 330), 144, 200), False),
+}
+
+
+class Supplied(FirstOrderValve):
+    """A valve that gives no more than its supply [Pa]."""
+
+    supply: Pressure = 8 * bar
+
+    def pressure_after(self, pressure, command, elapsed):
+        return super().pressure_after(pressure, jnp.minimum(jnp.asarray(command), self.supply), elapsed)
+
+
+def drawn(suite, condition, runs):
+    """The runs of a suite under a condition."""
+    if condition == "slow valves":
+        slow = [each for each in suite.conditions if not each.startswith("valve")]
+        suite = suite.model_copy(update={"conditions": (*slow, "valve.time_constant=55..65 ms")})
+    found = draw(suite, runs, 5)
+    supply = np.random.default_rng(3).uniform(4.5, 5.0, runs) * bar if condition == "low supply" else 8 * bar
+    valve = Supplied(time_constant=found.plant.valve.time_constant, supply=supply)
+    return dataclasses.replace(found, plant=dataclasses.replace(found.plant, valve=valve))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=96)
+    runs = parser.parse_args().runs
+    conditions = ("as tuned", "slow valves", "low supply")
+    print(f"| angle RMSE, median (95 %), and air | {' | '.join(conditions)} |\n|---{'|---' * len(conditions)}|")
+    for name, (controller, values, estimated) in ROWS.items():
+        spec = SUITE.controllers[controller]
+        spec = spec.model_copy(update={"supply_limit": SupplyLimitSpec() if estimated else None})
+        suite = SUITE.model_copy(update={"controllers": {controller: spec}, "true_model": ()})
+        cells = []
+        for condition in conditions:
+            values_by_name = {f"controller.{key}": float(value) for key, value in values.items()}
+            batch = evaluate(drawn(suite, condition, runs), controller, values_by_name)
+            error = np.where(batch.failed, np.inf, batch["angle_rmse"]) / deg
+            middle, tail = np.percentile(error, (50, 95))
+            cells.append(f"{middle:.3f} ({tail:.2f}) deg, {np.median(batch['air']) * 1e3:.2f} L")
+        print(f"| {name} | {' | '.join(cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

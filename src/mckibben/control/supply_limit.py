@@ -1,0 +1,126 @@
+"""Pressure limits of a controller from the supply that its commands reveal."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float
+
+from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.joint import AntagonisticJoint
+from mckibben.joint.attainable import pressure_limits_of
+from mckibben.joint.geometry import Pair
+from mckibben.muscle import Domain
+from mckibben.numerics.checks import check_kind, check_positive
+from mckibben.numerics.elementary import exp
+from mckibben.units import PositiveTime, PressureRate, ShortTime, bar
+
+Scalar = Float[Array, ""]
+
+_AT_LIMIT = 0.999  # of the limit: a command above it is one at the limit
+_SLOWER = 4.0  # lag of a valve beyond that of the model, relative to it, that is no shortfall
+
+
+class SupplyLimitState(NamedTuple):
+    """State of the inner controller, estimated supply and last commands [Pa], and first-order lags of both pairs."""
+
+    inner: Any
+    supply: Scalar
+    commands: Pair
+    expected: Pair  # pressures [Pa] by the commands
+    filtered: Pair  # measured pressures [Pa]
+
+
+class SupplyLimit(Controller):
+    r"""Wrapper that limits the pressures of a controller's model to an estimate of the supply.
+
+    A supply below the rated pressure leaves commands above it without effect. Allocation and anti-windup that know the
+    limit give the torque by less co-contraction instead, and do not wind up. Commands at the estimate :math:`\hat p_s`
+    that the pressures fall short of lower it; otherwise it rises, up to the limit of the model's domain:
+
+    .. math:: \dot{\hat p}_s = r - \frac1T \max\big(\hat p_i - p_i - 4 \max(p_i - \bar p_i, 0), 0\big), \quad
+              \tau_v \dot{\hat p}_i = u_i - \hat p_i, \quad \tau_v \dot{\bar p}_i = p_i - \bar p_i
+
+    with the larger shortfall of the muscles whose command is at the limit. A pressure that still rises is one of a slow
+    valve, of up to five times the lag of the model.
+
+    Parameters
+    ----------
+    controller
+        Controller with a model of the joint.
+    valve_time_constant
+        tau_v [s] of the model; 0 for valves without lag.
+    time_constant
+        T [s], by which a shortfall lowers the estimate.
+    recovery
+        r [Pa/s].
+    """
+
+    controller: Controller
+    valve_time_constant: ShortTime = eqx.field(kw_only=True, default=0.02)
+    time_constant: PositiveTime = eqx.field(kw_only=True, default=0.03)
+    recovery: PressureRate = eqx.field(kw_only=True, default=0.2 * bar)
+
+    def __check_init__(self) -> None:
+        check_kind("SupplyLimit", controller=(self.controller, Controller), model=(self._model, AntagonisticJoint))
+        check_positive("SupplyLimit", "s", zero=True, valve_time_constant=self.valve_time_constant)
+        check_positive("SupplyLimit", "s", time_constant=self.time_constant)
+        check_positive("SupplyLimit", "Pa/s", recovery=self.recovery)
+
+    def init(self, measurement: Measurement) -> SupplyLimitState:
+        pressures = measurement.pressures
+        return SupplyLimitState(self.controller.init(measurement), self._rated, pressures, pressures, pressures)
+
+    def step(
+        self, state: SupplyLimitState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
+    ) -> tuple[SupplyLimitState, Pair]:
+        lag = jnp.asarray(self.valve_time_constant)
+        fraction = jnp.where(lag > 0, 1 - exp(-jnp.asarray(period) / jnp.where(lag > 0, lag, 1.0)), 1.0)
+
+        def after(lagged: Pair, inputs: Pair) -> Pair:
+            return lagged[0] + fraction * (inputs[0] - lagged[0]), lagged[1] + fraction * (inputs[1] - lagged[1])
+
+        def shortfall(i: int) -> Scalar:
+            pressure = measurement.pressures[i]
+            short = expected[i] - pressure - _SLOWER * jnp.maximum(pressure - filtered[i], 0.0)
+            return jnp.where(state.commands[i] >= _AT_LIMIT * state.supply, jnp.maximum(short, 0.0), 0.0)
+
+        expected = after(state.expected, state.commands)
+        filtered = after(state.filtered, measurement.pressures)
+        short = jnp.maximum(shortfall(0), shortfall(1))
+        supply = state.supply + period * (self.recovery - short / self.time_constant)
+        supply = jnp.clip(supply, jnp.minimum(jnp.maximum(*measurement.pressures), self._rated), self._rated)
+        inner, commands = self._limited(supply).step(state.inner, setpoint, measurement, period)
+        return SupplyLimitState(inner, supply, commands, expected, filtered), commands
+
+    def telemetry(self, state: SupplyLimitState) -> dict[str, Scalar]:
+        return {**self.controller.telemetry(state.inner), "supply_estimate": state.supply}
+
+    @property
+    def _model(self) -> Any:
+        """First model of a joint within the controller; None without one."""
+        parts = jax.tree.leaves(self.controller, is_leaf=_is_joint)
+        return next(filter(_is_joint, parts), None)
+
+    @property
+    def _rated(self) -> Scalar:
+        """Largest pressure of the model's domains [Pa]."""
+        return jnp.maximum(*pressure_limits_of(self._model)[1])
+
+    def _limited(self, supply: Scalar) -> Controller:
+        """The controller, with its model's pressures limited [Pa]."""
+
+        def limited(part: Any) -> Any:
+            if not isinstance(part, Domain):
+                return part
+            return dataclasses.replace(part, pressure_max=jnp.minimum(part.pressure_max, supply))
+
+        return jax.tree.map(limited, self.controller, is_leaf=lambda part: isinstance(part, Domain))
+
+
+def _is_joint(part: Any) -> bool:
+    return isinstance(part, AntagonisticJoint)

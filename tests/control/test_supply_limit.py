@@ -1,0 +1,66 @@
+"""A supply below the rated pressure: found from the commands, and torque kept at less co-contraction."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from mckibben.control import PID, PositionStiffnessControl, Reference, Sine, SupplyLimit
+from mckibben.errors import RangeError
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.simulation import sampled
+from mckibben.units import Pressure, bar, deg
+
+PERIOD, DURATION = 1e-3, 2.5
+
+
+class Supplied(FirstOrderValve):
+    """A valve that gives no more than its supply [Pa]."""
+
+    supply: Pressure = 8 * bar
+
+    def pressure_after(self, pressure, command, elapsed):
+        return super().pressure_after(pressure, jnp.minimum(jnp.asarray(command), self.supply), elapsed)
+
+
+@pytest.fixture(scope="module")
+def inner(knee):
+    return PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(0.08e5, 5e5, 0.0), model=knee, minimum_tension=5.0)
+
+
+@pytest.fixture(scope="module")
+def run(short_episode, knee, load):
+    """RMS error of the angle [deg] over the last second, and the record, at a stiffness that needs 4.5 bar."""
+    setpoints = sampled(Reference(angle=Sine(6 * deg, 1.0), stiffness=16.5), DURATION, PERIOD)[1]
+
+    def run(control, supply, lag=0.02):
+        plant = JointPlant(knee, load, Supplied(time_constant=lag, supply=supply))
+        start = numeric(plant.equilibrium(0.0, stiffness=14.0))
+        chosen = numeric((plant, control))
+        record = short_episode(*chosen, setpoints, start, jnp.asarray(PERIOD), 2)[1]
+        late = slice(-1000, None)
+        error = (np.asarray(record.state.angle) - setpoints.angle)[late]
+        return float(np.sqrt(np.mean(error**2))) / deg, record
+
+    return run
+
+
+def test_it_finds_the_supply_and_keeps_the_angle(run, inner):
+    plain, _ = run(inner, 4.0 * bar)
+    limited, record = run(SupplyLimit(inner), 4.0 * bar)
+    estimate = np.asarray(record.telemetry["supply_estimate"]) / bar
+    assert estimate[0] == pytest.approx(6.0, abs=0.01)  # of the law's domain
+    assert estimate[-500:] == pytest.approx(4.0, abs=0.3)
+    assert limited < 0.7 * plain
+
+
+def test_valves_that_are_slow_are_no_lack_of_supply(run, inner):
+    _, record = run(SupplyLimit(inner), 8.0 * bar, lag=0.06)
+    assert np.asarray(record.telemetry["supply_estimate"]).min() > 5.9 * bar
+
+
+def test_what_makes_no_sense_is_refused(inner):
+    for field in ("time_constant", "recovery"):
+        with pytest.raises(RangeError) as caught:
+            SupplyLimit(inner, **{field: 0.0})
+        assert (caught.value.field, caught.value.value) == (field, 0.0)
