@@ -87,7 +87,7 @@ def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure
     for name, look in looks_of(result.batches).items():
         air, angle = result.metric(name, "air") * 1e3, result.metric(name, "angle_rmse") / deg
         if not (np.isfinite(angle) & np.isfinite(air)).any():
-            continue  # all runs unstable, or the volume of a muscle unknown
+            continue  # all runs diverged, or the volume of a muscle unknown
         (x0, x, x1), (y0, y, y1) = (np.nanpercentile(each, [5, 50, 95]) for each in (air, angle))
         axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
         axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
@@ -127,7 +127,7 @@ def _figures(result: BenchmarkResult, numbers: Mapping[str, Any]) -> list[Report
     runs = numbers["runs"] - numbers["no_start"]
     errors = (
         f"Cumulative distribution of the root mean square error over the {runs} unseen runs. Grey: median and 95th "
-        "percentile. Unstable runs count as infinite errors."
+        "percentile. Diverged runs count as infinite errors."
     )
     references = "Median errors over the runs with each reference."
     air = "Air consumption and angle error: median and 90 % range of the runs."
@@ -166,11 +166,11 @@ def _ranking(numbers: Mapping[str, Any]) -> Table:
     for name in numbers["order"]:
         found = numbers["controllers"][name]
         settled = f"{found['settled']['runs']} of {found['settled']['of']}"
-        rows.append((name, str(found["unstable"]), *_cells(found, _ERROR_COLUMNS), settled))
+        rows.append((name, str(found["diverged"]), *_cells(found, _ERROR_COLUMNS), settled))
     return Table(
-        "Ordered by median cost. Medians and 95th percentiles over the stable runs. Errors are those of the plant's "
-        "stiffness; coupling and settling refer to stiffness steps.",
-        ("controller", "unstable", *(title for title, _, _ in _ERROR_COLUMNS), "settled"),
+        "Ordered by median cost. Medians and 95th percentiles over the runs that did not diverge. Errors are those of "
+        "the plant's stiffness; coupling and settling refer to stiffness steps.",
+        ("controller", "diverged", *(title for title, _, _ in _ERROR_COLUMNS), "settled"),
         rows,
     )
 

@@ -108,8 +108,8 @@ def check_reference(
 
 
 def attainable_band(plant: JointPlant, angle: Array) -> tuple[Array, Array]:
-    """Lowest and highest stiffness [N*m/rad] at which the joint holds angles [rad] against gravity."""
-    return plant.joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle))
+    """Lowest and highest stiffness [N*m/rad] at which the supplied joint holds angles [rad] against gravity."""
+    return plant.supplied_joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle))
 
 
 _band = compiled(attainable_band)
@@ -313,7 +313,7 @@ def _check_start(problem: SimulationProblem, times: ArrayLike) -> _Checked:
     angle, stiffness = problem.rest(setpoints)
     angles = jnp.concatenate([angle[None], setpoints.angle])
     torques = -problem.plant.load.gravity_torque(angles)
-    found, (lowest, highest) = solve_static_and_range(problem.plant.joint, angles, torques, stiffness)
+    found, (lowest, highest) = solve_static_and_range(problem.plant.supplied_joint, angles, torques, stiffness)
     start = problem.plant.init_state(angle, found.pressures)
     return _Checked(setpoints, start, found.exists, (lowest[1:], highest[1:]))
 

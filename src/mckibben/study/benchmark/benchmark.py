@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from collections.abc import Callable
@@ -19,12 +18,11 @@ from numpy.typing import NDArray
 
 from mckibben.control import Controller
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.joint import AntagonisticJoint, Load
 from mckibben.notebook import Progress, html_table, notebook_progress, silent
-from mckibben.plant import JointPlant
+from mckibben.numerics.batching import lanes_of
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
 from mckibben.simulation.metrics import METRICS
-from mckibben.study.benchmark.runs import Runs, draw
+from mckibben.study.benchmark.runs import Group, Runs, draw, merged
 from mckibben.study.benchmark.suite import Suite, filename
 from mckibben.study.parameters import batched, valid_rows
 from mckibben.study.scenario import Scenario
@@ -74,8 +72,8 @@ class BenchmarkResult:
             found = numbers["controllers"][name]
             medians = [found["metrics"][_SHOWN[metric]] for metric in MAIN]
             cells = ["-" if each is None else f"{each['median']:.3g}" for each in medians]
-            rows.append((name, *cells, str(found["unstable"])))
-        return html_table(repr(self), ("controller", *(_SHOWN[metric] for metric in MAIN), "unstable"), rows)
+            rows.append((name, *cells, str(found["diverged"])))
+        return html_table(repr(self), ("controller", *(_SHOWN[metric] for metric in MAIN), "diverged"), rows)
 
     @property
     def started(self) -> NDArray[np.bool_]:
@@ -83,16 +81,16 @@ class BenchmarkResult:
         return _started(next(iter(self.batches.values())))
 
     def metric(self, controller: str, name: str) -> Vector:
-        """A metric [SI] of each run that started; NaN where the controller was unstable."""
+        """A metric [SI] of each run that started; NaN where the run diverged."""
         batch = self.batches[controller]
         return np.where(batch.failed, np.nan, batch.metrics[name])[self.started]
 
-    def unstable(self, controller: str) -> NDArray[np.bool_]:
-        """Mask of the runs that started and in which the controller was unstable."""
+    def diverged(self, controller: str) -> NDArray[np.bool_]:
+        """Mask of the runs that started and diverged."""
         return self.batches[controller].failed[self.started]
 
     def cost(self, controller: str) -> Vector:
-        """Cost of each run that started; 1e6 where the controller was unstable."""
+        """Cost of each run that started; 1e6 where the run diverged."""
         names = self.suite.cost.metrics
         cost = self.suite.cost({name: self.metric(controller, name) for name in names})
         return np.where(np.isfinite(cost), cost, FAILED_COST)
@@ -153,7 +151,7 @@ def compare(
 
 def evaluate(runs: Runs, controller: str, values: dict[str, float]) -> Batch:
     """Simulate the runs with a controller of these values [SI]."""
-    return _simulated(runs, _controller(runs, controller, {name: [value] for name, value in values.items()}), 1)
+    return _simulated_all(runs, controller, {name: [value] for name, value in values.items()}, 1)
 
 
 def _started(batch: Batch) -> NDArray[np.bool_]:
@@ -192,8 +190,7 @@ class ControllerTuning:
         if not good.any():
             return np.full(len(values), FAILED_COST)
         table = {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
-        control = _controller(self.runs, self.controller, table)
-        batch = _simulated(self.runs, control, len(values), self.suite.cost.metrics)
+        batch = _simulated_all(self.runs, self.controller, table, len(values), self.suite.cost.metrics)
         found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
         found = np.where(np.isfinite(found) & ~batch.failed, np.minimum(found, FAILED_COST), FAILED_COST)
         started = _started(batch)
@@ -205,7 +202,8 @@ class ControllerTuning:
 
     def about(self) -> dict[str, Any]:
         """Everything that determines the trials."""
-        leaves = jax.tree.leaves((self.runs.plant, self.runs.reference, self._scenario.control()))
+        parts = [(group.rows, group.plant, group.reference) for group in self.runs.groups]
+        leaves = jax.tree.leaves((parts, self._scenario.control()))
         content = repr([np.asarray(leaf).tolist() for leaf in leaves if eqx.is_array_like(leaf)])
         tuning = self.suite.tuning
         return {
@@ -263,46 +261,58 @@ class ControllerTuning:
         )
 
 
-def _controller(runs: Runs, controller: str, table: dict[str, Any]) -> Controller:
-    """A controller with sets of values, each in all runs: arrays of shape (sets * runs,)."""
-    scenario = runs.suite.scenario(controller, next(iter(runs.suite.references)))
-    columns = {name: np.repeat(np.asarray(column), runs.count) for name, column in table.items()}
-    control = (batched(scenario, columns) if columns else scenario).control()
-    if controller in runs.suite.true_model:
-        sets = len(next(iter(table.values()))) if table else 1
-        return _with_true_model(control, _tiled(runs.plant, sets))
-    return control
+def _controller(runs: Runs, group: Group, controller: str, table: dict[str, Any], sets: int) -> Controller:
+    """A controller with sets of values, each in all runs of a group: arrays of shape (sets * runs,)."""
+    suite, reference = runs.suite, next(iter(runs.suite.references))
+    columns = {name: np.repeat(np.asarray(column), group.count) for name, column in table.items()}
+    if controller not in suite.true_model:
+        scenario = suite.scenario(controller, reference)
+        return (batched(scenario, columns) if columns else scenario).control()
+    parts = []
+    for joint in dict.fromkeys(group.joint):
+        own = np.flatnonzero([name == joint for name in group.joint])
+        lanes = _lanes(own, group.count, sets)
+        conditions = runs.conditions_of(joint, group.rows[own])
+        values = {name: np.tile(column, sets) for name, column in conditions.items()}
+        values |= {name: column[lanes] for name, column in columns.items()}
+        scenario = suite.scenario(controller, reference, joint)
+        parts.append((lanes, (batched(scenario, values, known="all") if values else scenario).control()))
+    return merged(parts, group.count * sets)
 
 
-def _with_true_model(control: Controller, plant: JointPlant) -> Controller:
-    """A controller whose models of joint, load and valves are those of the plants of a batch."""
-
-    def true(part: Any) -> Any:
-        if isinstance(part, AntagonisticJoint):
-            return plant.joint
-        return plant.load if isinstance(part, Load) else part
-
-    control = jax.tree.map(true, control, is_leaf=lambda part: isinstance(part, AntagonisticJoint | Load))
-    time_constant = getattr(plant.valve, "time_constant", None)
-
-    def timed(part: Any) -> Any:
-        known = time_constant is not None and hasattr(part, "valve_time_constant")
-        return dataclasses.replace(part, valve_time_constant=time_constant) if known else part
-
-    inner = getattr(control, "controller", None)
-    return timed(control) if inner is None else dataclasses.replace(control, controller=timed(inner))  # type: ignore
+def _lanes(rows: NDArray[np.int64], count: int, sets: int) -> NDArray[np.int64]:
+    """Numbers of some of so many runs, repeated for sets of values."""
+    return (np.arange(sets)[:, None] * count + rows).ravel()
 
 
 def _tiled(tree: Any, sets: int) -> Any:
-    """A batch of runs repeated for sets of values."""
+    """A batch of runs repeated for sets of values; leaves that do not vary stay as they are."""
+    _, varying = lanes_of(tree)
     return jax.tree.map(
-        lambda leaf: np.tile(leaf, sets) if eqx.is_array_like(leaf) and np.ndim(leaf) == 1 else leaf, tree
+        lambda leaf, varies: np.tile(leaf, (sets, *[1] * (np.ndim(leaf) - 1))) if varies else leaf, tree, varying
     )
 
 
-def _simulated(runs: Runs, controller: Controller, sets: int, metrics: tuple[str, ...] = Metrics._fields) -> Batch:
-    suite = runs.suite
-    plant, reference = _tiled((runs.plant, runs.reference), sets) if sets > 1 else (runs.plant, runs.reference)
+def _simulated_all(
+    runs: Runs, controller: str, table: dict[str, Any], sets: int, metrics: tuple[str, ...] = Metrics._fields
+) -> Batch:
+    """Simulate all runs with sets of values [SI], one group of runs after the other."""
+    batches, lanes = [], []
+    for group in runs.groups:
+        control = _controller(runs, group, controller, table, sets)
+        batches.append(_simulated(runs.suite, group, control, sets, metrics))
+        lanes.append(_lanes(group.rows, runs.count, sets))
+    if len(batches) == 1:
+        return batches[0]
+    import xarray as xr
+
+    whole: Any = xr.concat([batch.table for batch in batches], "run")
+    return Batch(whole.isel(run=np.argsort(np.concatenate(lanes))))
+
+
+def _simulated(suite: Suite, group: Group, controller: Controller, sets: int, metrics: tuple[str, ...]) -> Batch:
+    """Simulate the runs of a group with a controller of sets of values."""
+    plant, reference = (_tiled(part, sets) for part in (group.plant, group.reference))
     return simulate_many(
         plant,
         controller,
@@ -393,7 +403,7 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
     stepped = np.isfinite(result.metric(name, "coupling"))
     settled = stepped & np.isfinite(result.metric(name, "stiffness_settling"))
     return {
-        "unstable": int(result.unstable(name).sum()),
+        "diverged": int(result.diverged(name).sum()),
         "median_cost": median_cost,
         "metrics": {
             _SHOWN[metric]: _percentiles(result.metric(name, metric), _UNIT[metric]) for metric in Metrics._fields
@@ -422,7 +432,7 @@ def _percentiles(values: NDArray[np.float64], unit: float) -> dict[str, Any] | N
 
 
 def _ratio(values: NDArray[np.float64], first: NDArray[np.float64]) -> dict[str, float]:
-    """Ratio of the medians, with infinite errors in unstable runs, and its bootstrap interval."""
+    """Ratio of the medians, with infinite errors in diverged runs, and its bootstrap interval."""
     values, first = (np.where(np.isfinite(each), each, np.inf) for each in (values, first))
     generator, ratios = np.random.default_rng(0), np.empty(0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -450,6 +460,6 @@ def _medians_by(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) ->
 
 
 def _correlation(condition: NDArray[Any], error: NDArray[np.float64]) -> float | None:
-    """Rank correlation, with infinite errors in unstable runs."""
+    """Rank correlation, with infinite errors in diverged runs."""
     found = spearman(condition, np.where(np.isfinite(error), error, np.inf))
     return float(found) if np.isfinite(found) else None

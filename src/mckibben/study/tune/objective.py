@@ -284,8 +284,9 @@ class TuningProblem:
         if not good.any():
             return {name: np.full(len(rows), np.nan) for name in self.cost.metrics}
         table = self._table(rows)
-        found = run_many(scenario, table, known=self.known, metrics=self.cost.metrics, workers=workers).metrics
-        return {name: np.where(good, values, np.nan) for name, values in found.items()}
+        batch = run_many(scenario, table, known=self.known, metrics=self.cost.metrics, workers=workers)
+        good &= ~batch.failed
+        return {name: np.where(good, values, np.nan) for name, values in batch.metrics.items()}
 
     def _derivatives(self, scenario: Scenario, rows: Vector) -> tuple[Vector, Vector]:
         """Cost of each row, and its derivatives of shape (rows, parameters)."""
