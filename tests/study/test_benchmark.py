@@ -14,6 +14,7 @@ from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune import read_trials
 from mckibben.study.tune.objective import FAILED_COST
+from mckibben.study.tune.tune import Trial
 from mckibben.units import deg
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -155,6 +156,22 @@ class TestTuning:
         assert kp == float(f"{kp:.5e}"), "six digits, as it is written down"
         assert contest.at_bound["PID 3"] == ()
 
+    def test_trials_keep_the_medians_of_the_runs_where_none_diverged(self, tmp_path):
+        one = changed(*ALONE, ("generations: 2", "generations: 6"))
+        contest = compare(one, folder=tmp_path)
+        training = draw(one, 8, 99)
+        begins = training.conditions["valve.time_constant"] <= 0.048
+        mass, lag = training.conditions["load.mass2"][begins], training.conditions["valve.time_constant"][begins]
+        assert list(contest.trials["PID 3"]) == trials(tmp_path)
+        for trial in contest.trials["PID 3"]:
+            kp = 1e4 * 200 ** trial.point[0]
+            assert (trial.metrics is None) == (kp > 8e5)
+            if trial.metrics is not None:
+                error = (1 + abs(np.log10(kp / 3e5))) * np.median(mass) / 0.5 * deg
+                assert trial.metrics == pytest.approx(
+                    {"angle_rmse": error, "stiffness_rmse": np.median(lag) / 0.02, "air": kp / 3e5 * 1e-4}
+                )
+
     def test_a_number_at_an_end_of_its_range_is_named(self):
         narrow = ALONE[1][0], ALONE[1][1].replace("0.1..20", "1..1.3")
         contest = compare(changed(ALONE[0], narrow, ("generations: 2", "generations: 6")))
@@ -269,6 +286,19 @@ def test_a_true_model_is_the_plant_of_each_run(friction):
         alone = runs.scenario("decoupling", row % runs.count, values).control()
         for own, single in zip(jax.tree.leaves(control), jax.tree.leaves(alone), strict=True):
             np.testing.assert_allclose(np.asarray(own)[row] if np.ndim(own) else own, single, rtol=1e-12)
+
+
+def test_a_front_has_the_trials_with_the_least_error_for_their_air():
+    def trial(cost, air, angle, stiffness=1.0):
+        return Trial((cost,), cost, metrics={"air": air * 1e-3, "angle_rmse": angle * deg, "stiffness_rmse": stiffness})
+
+    best = trial(1.0, 0.3, 0.2)
+    beside = [trial(2.0, 0.2, 0.4), trial(3.0, 0.1, 0.9), trial(4.0, 0.4, 0.3), trial(5.0, 0.25, 0.5)]
+    stiff, diverged = trial(6.0, 0.05, 0.1, stiffness=1.2), Trial((7.0,), FAILED_COST)
+    front = benchmark._front([diverged, *beside, best, stiff])
+    assert [each["air_L"] for each in front] == pytest.approx([0.1, 0.2, 0.3])
+    assert [each["angle_rmse_deg"] for each in front] == pytest.approx([0.9, 0.4, 0.2])
+    assert benchmark._front([diverged]) == []
 
 
 def test_sets_of_numbers_lie_one_after_the_other(suite):

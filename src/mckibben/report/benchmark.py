@@ -101,6 +101,23 @@ def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure
     return figure
 
 
+@styled
+def benchmark_front(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+    """Least median angle error over air consumption among the trials of the tuning, by controller."""
+    figure = blank(DOUBLE, 3.0)
+    axes = figure.subplots()
+    for name, look in looks_of(result.batches).items():
+        front = numbers["controllers"][name]["front"]
+        if front:
+            air, angle = ([at[key] for at in front] for key in ("air_L", "angle_rmse_deg"))
+            axes.plot(air, angle, drawstyle="steps-post", marker=_marker(look), markersize=2.5, label=name, **look)
+    axes.set(xscale="log", yscale="log", xlabel="air consumption [L]", ylabel="angle rmse [deg]")
+    plain_numbers(axes.xaxis)
+    plain_numbers(axes.yaxis)
+    legend_above(figure, axes, columns=4)
+    return figure
+
+
 def write_benchmark(result: BenchmarkResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
     """Write `comparison.html`, self-contained, and its figures in `figures/`; return its path."""
     folder = Path(folder)
@@ -131,17 +148,19 @@ def _figures(result: BenchmarkResult, numbers: Mapping[str, Any]) -> list[Report
     )
     references = "Median errors over the runs with each reference."
     air = "Air consumption and angle error: median and 90 % range of the runs."
-    drawn = (
+    drawn = [
         ("errors", "Errors over all unseen runs", errors, benchmark_errors(result)),
         ("references", "Errors by reference", references, benchmark_references(result, numbers)),
-        ("air", "Air consumption", air, benchmark_air(result, numbers)),
-    )
-    known = any(np.isfinite(result.metric(name, "air")).any() for name in result.batches)
-    return [
-        ReportFigure(name, "", title, caption, title, figure)
-        for name, title, caption, figure in drawn
-        if name != "air" or known
     ]
+    if any(np.isfinite(result.metric(name, "air")).any() for name in result.batches):
+        drawn.append(("air", "Air consumption", air, benchmark_air(result, numbers)))
+    if any(found["front"] for found in numbers["controllers"].values()):
+        front = (
+            "Angle error for its air, medians of the training runs: of all trials of the tuning those of which no "
+            "other has less of both, with at most 1.1 times the stiffness error of the best trial."
+        )
+        drawn.append(("front", "Angle error against air", front, benchmark_front(result, numbers)))
+    return [ReportFigure(name, "", title, caption, title, figure) for name, title, caption, figure in drawn]
 
 
 _Column = tuple[str, str, str]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -29,7 +29,7 @@ from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.result import spearman
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Costs, Method, SearchSpace, Vector, by_cma, check_method
-from mckibben.study.tune.tune import Evaluator, TuningHistory
+from mckibben.study.tune.tune import Evaluated, Evaluator, Trial, TuningHistory
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -53,6 +53,8 @@ class BenchmarkResult:
         Parameters at an end of their range.
     batches
         Results in the evaluation runs.
+    trials
+        Trials of the tuning, with the median metrics of the training runs where none of these diverged.
     """
 
     suite: Suite
@@ -61,6 +63,7 @@ class BenchmarkResult:
     training_cost: dict[str, tuple[float, float]]
     at_bound: dict[str, tuple[str, ...]]
     batches: dict[str, Batch]
+    trials: dict[str, tuple[Trial, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<BenchmarkResult: {', '.join(self.batches)} on {self.runs.count} runs>"
@@ -139,7 +142,7 @@ def compare(
         if swept:
             task = ControllerTuning(suite, name, SearchSpace(swept), training)
             tuned = task.run(folder, resume, lambda part: report("tuning", _TUNING * part))
-            result.tuned[name], result.training_cost[name], result.at_bound[name] = tuned
+            result.tuned[name], result.training_cost[name], result.at_bound[name], result.trials[name] = tuned
         report("evaluation runs", _TUNING)
         result.batches[name] = evaluate(evaluation, name, result.tuned[name])
         if not _started(result.batches[name]).any():
@@ -183,22 +186,34 @@ class ControllerTuning:
     def _starts(self) -> int:
         return self.suite.tuning.starts_of.get(self.controller, self.suite.tuning.starts)
 
-    def costs(self, values: Vector) -> Vector:
-        """Mean cost of rows of values [SI] over the training runs that can start."""
+    def evaluate(self, values: Vector) -> Evaluated:
+        """Mean cost and median metrics of rows of values [SI] over the training runs that can start."""
         table = dict(zip(self.space.names, values.T, strict=True))
         good = valid_rows(self._scenario, table)
         if not good.any():
-            return np.full(len(values), FAILED_COST)
+            return Evaluated(np.full(len(values), FAILED_COST))
         table = {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
-        batch = _simulated_all(self.runs, self.controller, table, len(values), self.suite.cost.metrics)
+        asked = tuple(dict.fromkeys((*self.suite.cost.metrics, *TRADED)))
+        batch = _simulated_all(self.runs, self.controller, table, len(values), asked)
         found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
-        found = np.where(np.isfinite(found) & ~batch.failed, np.minimum(found, FAILED_COST), FAILED_COST)
+        diverged = ~np.isfinite(found) | batch.failed
+        found = np.where(diverged, FAILED_COST, np.minimum(found, FAILED_COST))
         started = _started(batch)
         if not started.any():
             raise _none_starts("training")
         shape = (len(values), self.runs.count)
         total = np.sum(np.where(started, found, 0.0).reshape(shape), axis=1)
-        return np.where(good, total / started.reshape(shape).sum(axis=1), FAILED_COST)
+        costs = np.where(good, total / started.reshape(shape).sum(axis=1), FAILED_COST)
+        started, diverged = started.reshape(shape), diverged.reshape(shape)
+        columns = {name: batch.metrics[name].reshape(shape) for name in TRADED}
+
+        def medians(row: int) -> dict[str, float] | None:
+            if not good[row] or (diverged & started)[row].any():
+                return None
+            found = {name: float(np.median(column[row][started[row]])) for name, column in columns.items()}
+            return found if np.isfinite(list(found.values())).all() else None
+
+        return Evaluated(costs, metrics=[medians(row) for row in range(len(values))])
 
     def about(self) -> dict[str, Any]:
         """Everything that determines the trials."""
@@ -221,13 +236,13 @@ class ControllerTuning:
 
     def run(
         self, folder: Path | None, resume: bool, progress: Callable[[float], None]
-    ) -> tuple[dict[str, float], tuple[float, float], tuple[str, ...]]:
-        """Best values [SI], their cost and the nominal one, and the parameters at a bound."""
+    ) -> tuple[dict[str, float], tuple[float, float], tuple[str, ...], tuple[Trial, ...]]:
+        """Best values [SI], their cost and the nominal one, the parameters at a bound, and all trials."""
         tuning, space = self.suite.tuning, self.space
         check_method(Method.CMA, numbers=max(len(space), 2), population=tuning.population)
         path = None if folder is None else folder / f"{filename(self.controller)}.journal"
         with TuningHistory.open(path, self.about(), resume=resume and path is not None and path.exists()) as past:
-            costs = Evaluator(space, past, tuning.population, lambda values: (self.costs(values), None)).costs
+            costs = Evaluator(space, past, tuning.population, self.evaluate).costs
             first = space.point(space.nominal)
             costs(first[None])
             starts = np.random.default_rng(tuning.seed).random((self._starts, len(space)))
@@ -247,7 +262,7 @@ class ControllerTuning:
             rounded = space.rounded(space.values(np.array(best.point)[None])[0])
             (cost,), (before,) = costs(space.point(rounded)[None]), costs(first[None])
             values = dict(zip(space.names, rounded.tolist(), strict=True))
-            return values, (float(cost), float(before)), space.at_bound(best.point)
+            return values, (float(cost), float(before)), space.at_bound(best.point), tuple(past.trials)
 
     def _search(self, costs: Costs, start: Vector, seed: int, progress: Callable[[float], None]) -> None:
         tuning, count = self.suite.tuning, start.size
@@ -327,6 +342,9 @@ def _simulated(suite: Suite, group: Group, controller: Controller, sets: int, me
 
 MAIN = ("angle_rmse", "stiffness_rmse")
 """Errors that are compared with those of the first controller."""
+TRADED = (*MAIN, "air")
+"""Metrics of each trial of the tuning."""
+_SAME_STIFFNESS = 1.1  # largest stiffness error on a front, relative to that of the tuned controller
 _RESAMPLES = 2000
 _MAX_RESAMPLED = 2_000_000  # values at once
 _SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
@@ -420,7 +438,22 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
         "tuned": result.tuned[name],
         "training_cost": None if cost is None else {"tuned": cost[0], "before": cost[1]},
         "at_bound": list(result.at_bound[name]),
+        "front": _front(result.trials.get(name, ())),
     }
+
+
+def _front(trials: Sequence[Trial]) -> list[dict[str, float]]:
+    """Trials of which none has less air and less angle error, by rising air; with the stiffness error of the best."""
+    known = [trial for trial in trials if trial.metrics]
+    best = min(known, key=lambda trial: trial.cost, default=None)
+    if best is None or best.metrics is None:
+        return []
+    limit = _SAME_STIFFNESS * best.metrics["stiffness_rmse"]
+    found: list[dict[str, float]] = []
+    for at in sorted((trial.metrics or {} for trial in known), key=lambda at: (at["air"], at["angle_rmse"])):
+        if at["stiffness_rmse"] <= limit and (not found or at["angle_rmse"] < found[-1]["angle_rmse"]):
+            found.append(at)
+    return [{_SHOWN[metric]: at[metric] / _UNIT[metric] for metric in TRADED} for at in found]
 
 
 def _percentiles(values: NDArray[np.float64], unit: float) -> dict[str, Any] | None:
