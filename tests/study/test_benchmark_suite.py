@@ -174,6 +174,20 @@ MISTAKES = {
         ("  longer:", f"  {NOMINAL_JOINT}:"),
         ("other_joints.nominal", "  longer:", "the suite's own joint"),
     ),
+    "openings for commands": (
+        (
+            "valve: {time_constant: 20 ms}",
+            "valve: {class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, direct: true}",
+        ),
+        ("valve", "valve: {time", "commands pressures"),
+    ),
+    "openings for commands of other valves": (
+        (
+            "  longer:\n",
+            "  longer:\n    valve: {class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, direct: true}\n",
+        ),
+        ("other_joints.longer", "  longer:", "commands pressures"),
+    ),
     "the suite's own plant": (
         ("  longer:\n    joint:\n", "  longer:\n    share: 2\n  short:\n    joint:\n"),
         ("other_joints.longer", "  longer:", "the suite's own plant"),

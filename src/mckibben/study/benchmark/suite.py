@@ -8,13 +8,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
 from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model, read_text
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
+from mckibben.study.parameters.values import explained
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.controller import AnyController
 from mckibben.study.scenario.plant import AnyDisturbance, AnyLoad, AnySensors, AnyValve, JointSpec, StartSpec
@@ -39,14 +40,16 @@ def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Pr
     def check(place: tuple[str | int, ...], call: Callable[[], object]) -> None:
         try:
             call()
-        except McKibbenError as error:
-            found.append(Problem.of(error, document.line(place), dotted(place)))
+        except (McKibbenError, ValidationError) as error:
+            known = error if isinstance(error, McKibbenError) else explained(error)
+            found.append(Problem.of(known, document.line(place), dotted(place)))
 
     for key, reserved in (("other_joints", nominal), ("references", ""), ("controllers", "")):
         for name in getattr(suite, key):
             check((key, name), lambda name=name, reserved=reserved: _check_name(name, reserved))
     for name in suite.controllers:
         check(("controllers", name), lambda name=name: _check_controller(suite, name))
+    check(("valve",), suite.example)
     if found:  # no scenario can be built
         return found
     check(("conditions",), lambda: _check_differs(suite))

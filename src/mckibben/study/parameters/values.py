@@ -34,7 +34,7 @@ def validated(part: P, values: Mapping[Place, Any], place: Place = ()) -> P:
     try:
         return type(part).model_validate(fields)
     except ValidationError as error:
-        raise _explained(error, place) from None
+        raise explained(error, place) from None
 
 
 def update(part: P, values: Mapping[Place, Any]) -> P:
@@ -70,7 +70,8 @@ def _by_first_key(values: Mapping[Place, Any]) -> dict[str, dict[Place, Any]]:
     return groups
 
 
-def _explained(error: ValidationError, place: Place) -> ParameterError:
+def explained(error: ValidationError, place: Place = ()) -> ParameterError:
+    """The first mistake of a part at a place."""
     first = error.errors(include_url=False)[0]
     found = first.get("ctx", {}).get("error")
     where = (*place, *first["loc"])

@@ -339,7 +339,7 @@ class TuningProblem:
 
 def _check_steps(scenario: Scenario) -> None:
     stiffness = scenario.signals.stiffness
-    if stiffness.step is None and stiffness.samples is None:
+    if not (stiffness.step or stiffness.random_steps or stiffness.samples):
         raise ParameterError(
             f"coupling is not defined for {scenario.name!r}: its desired stiffness never steps",
             remedy="leave it out of the cost, or give the stiffness a step",
