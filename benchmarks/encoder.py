@@ -1,9 +1,9 @@
-"""Cost of an encoder's steps: errors and air of decoupling control and of its oracle, with steps and without.
+"""Cost of an encoder's steps: error and air of decoupling control and of its oracle, by encoder and bandwidth.
 
-    python benchmarks/encoder.py [--runs 256] [--generations 8]
+    python benchmarks/encoder.py [--runs 128]
 
-The runs are those of `examples/comparison/knee.yaml` but for the encoder. The controllers are tuned for its steps of
-0.022 deg (14 bits) and, anew, for none, with one search of so many generations each.
+Runs of `examples/comparison/knee.yaml`, the same for all encoders, which have no steps, or 14 or 12 bits a turn. The
+observers are 10/3 times as fast as the poles, as in the file, where these have 60 rad/s.
 """
 
 import argparse
@@ -11,47 +11,37 @@ from pathlib import Path
 
 import numpy as np
 
-from mckibben.study.benchmark import Suite, compare, draw, evaluate
+from mckibben.study.benchmark import Suite, draw, evaluate
 from mckibben.units import deg, litre
 
 SUITE = Path(__file__).parents[1] / "examples" / "comparison" / "knee.yaml"
 NAMES = ("decoupling, friction fed forward", "oracle")
-STEPS = (0.0, 0.022 * deg, 0.088 * deg)  # none, 14 and 12 bits
-
-
-def with_steps(suite, step):
-    """The suite with another encoder."""
-    return suite.model_copy(update={"sensors": suite.sensors.model_copy(update={"encoder": step})})
-
-
-def show(name, step, tuned_for, batch):
-    """Print a row of the table."""
-    angle, air = batch.metrics["angle_rmse"] / deg, batch.metrics["air"] / litre
-    numbers = f"{np.nanmedian(angle):.3f} deg ({np.nanpercentile(angle, 95):.2f}) | {np.nanmedian(air):.2f} L"
-    print(f"| {name} | {step / deg:g} deg | {tuned_for / deg:g} deg | {numbers} |", flush=True)
+BITS = (0, 14, 12)
+POLES = np.array([30.0, 60.0, 120.0])  # rad/s
+FACTORS = {"poles": 1.0, "disturbance_observer": 10 / 3, "pressure_observer": 10 / 3}
 
 
 def main():
-    """Tune, evaluate and print the table."""
+    """Evaluate and print the table."""
     options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--runs", type=int, default=256)
-    options.add_argument("--generations", type=int, default=8)
-    given = options.parse_args()
-    suite = Suite.read(SUITE)
-    suite = suite.model_copy(
-        update={
-            "controllers": {name: suite.controllers[name] for name in NAMES},
-            "tuning": suite.tuning.model_copy(update={"starts": 1, "generations": given.generations}),
-            "evaluation": suite.evaluation.model_copy(update={"runs": given.runs}),
-        }
-    )
-    print("| controller | encoder | tuned for | angle RMSE, median (95 %) | air |\n|---|---|---|---|---|")
-    for tuned_for in (STEPS[1], STEPS[0]):
-        result = compare(with_steps(suite, tuned_for), progress=lambda *_: None)
-        for name in NAMES:
-            for step in STEPS if tuned_for else (0.0,):
-                runs = draw(with_steps(suite, step), given.runs, suite.evaluation.seed)
-                show(name, step, tuned_for, evaluate(runs, name, result.tuned[name]))
+    options.add_argument("--runs", type=int, default=128)
+    count, suite = options.parse_args().runs, Suite.read(SUITE)
+    table = {f"controller.decoupling.{part}.bandwidth": POLES * factor for part, factor in FACTORS.items()}
+    found = {}
+    for name in NAMES:
+        for bits in BITS:
+            sensors = suite.sensors.model_copy(update={"encoder": 360 * deg / 2**bits if bits else 0.0})
+            runs = draw(suite.model_copy(update={"sensors": sensors}), count, suite.evaluation.seed)
+            batch = evaluate(runs, name, table, metrics=("angle_rmse", "air"))
+            shape = (POLES.size, count)
+            found[name, bits] = [np.nanmedian(batch[key].reshape(shape), axis=1) for key in ("angle_rmse", "air")]
+    print("| controller | poles | " + " | ".join(f"{bits} bits" if bits else "no steps" for bits in BITS) + " |")
+    print("|---" * (len(BITS) + 2) + "|")
+    for name in NAMES:
+        for i, poles in enumerate(POLES):
+            pairs = [(angle[i] / deg, air[i] / litre) for angle, air in (found[name, bits] for bits in BITS)]
+            cells = " | ".join(f"{angle:.3f} deg, {air:.2f} L" for angle, air in pairs)
+            print(f"| {name} | {poles:g} rad/s | {cells} |")
 
 
 if __name__ == "__main__":

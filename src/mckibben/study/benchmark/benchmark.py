@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mckibben.control import Controller
 from mckibben.errors import FileError, ParameterError, Problem
@@ -152,9 +152,12 @@ def compare(
     return result
 
 
-def evaluate(runs: Runs, controller: str, values: dict[str, float]) -> Batch:
-    """Simulate the runs with a controller of these values [SI]."""
-    return _simulated_all(runs, controller, {name: [value] for name, value in values.items()}, 1)
+def evaluate(
+    runs: Runs, controller: str, values: Mapping[str, ArrayLike], *, metrics: Sequence[str] = Metrics._fields
+) -> Batch:
+    """Simulate the runs with a controller of these values [SI], or all runs for each of several sets of values."""
+    table = {name: np.atleast_1d(np.asarray(value)) for name, value in values.items()}
+    return _simulated_all(runs, controller, table, max(map(len, table.values()), default=1), tuple(metrics))
 
 
 def _started(batch: Batch) -> NDArray[np.bool_]:
@@ -308,9 +311,7 @@ def _tiled(tree: Any, sets: int) -> Any:
     )
 
 
-def _simulated_all(
-    runs: Runs, controller: str, table: dict[str, Any], sets: int, metrics: tuple[str, ...] = Metrics._fields
-) -> Batch:
+def _simulated_all(runs: Runs, controller: str, table: dict[str, Any], sets: int, metrics: tuple[str, ...]) -> Batch:
     """Simulate all runs with sets of values [SI], one group of runs after the other."""
     batches, lanes = [], []
     for group in runs.groups:
