@@ -2,14 +2,14 @@
 
     python benchmarks/calibration.py [--runs 64] [--mass 0.5] [--duration 60]
 
-Plants and runs are those of examples/comparison/knee.yaml (a quarter of the muscles of another make, each +-10 %, mass
-+-50 %, friction of 0 to 15 N). The calibration's plants differ from the controller's model in more: the weight is 1 %
-off (as its intervals assume), the encoder's zero 0.3 deg and the moment arms 2 %, all with random signs; friction is 20 %
-larger in one direction than in the other, and the muscles creep. The weight is clipped on for half of the duration.
-Then the runs of the suite's evaluation are computed with the decoupling controller, with the model before and after,
-and with PID for comparison; errors are those of the plant's true stiffness. "Covered": part of the time along the
-sweeps that the 95 % intervals hold the true stiffness, mean over plants, and the part of plants where they hold it for at
-least half of the time. With load cells (gains 1 % wrong) there is no weight.
+Plants and runs are those of examples/comparison/knee.yaml: a quarter of the muscles of another make, each +-10 %, mass
++-50 %, friction of 0 to 15 N. The plants differ from the controller's model in more: the weight is 1 % off (as its
+intervals assume), the encoder's zero 0.3 deg and the moment arms 2 %, all with random signs; friction is 20 % larger in
+one direction than in the other, and the muscles creep. The weight is clipped on for half of the duration.
+Then the runs of the suite's evaluation are computed with PID, and with the decoupling controller with the model before
+and after; errors are those of the plant's true stiffness. "Covered": part of the time along the sweeps that the 95 %
+intervals hold the true stiffness, mean over plants, and the part of plants where they hold it for at least half of the
+time. With load cells (gains 1 % wrong) there is no weight.
 """
 
 import argparse
@@ -160,9 +160,8 @@ def main():
         loads = stacked([each.load for each in found])
         rows[name] = errors(dataclasses.replace(control, model=models, load=loads))
         half = np.mean(np.asarray(covered) >= 0.5)
-        print(
-            f"{name}: covered {np.mean(covered):.3f} of the time, half of it in {half:.3f} of plants, {seconds:.1f} s each"
-        )
+        share = f"covered {np.mean(covered):.3f} of the time, at least half of it in {half:.3f} of plants"
+        print(f"{name}: {share}; {seconds:.1f} s each")
     stiffness0 = rows["PID"][1]
     print("| | angle RMSE, median [deg] | stiffness RMSE, median (95 %) [N*m/rad] | against PID |")
     print("|---|---|---|---|")

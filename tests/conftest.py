@@ -209,7 +209,7 @@ def playback():
     return Playback()
 
 
-def invented(runs, controller, sets=1, metrics=Metrics._fields):
+def invented(suite, runs, controller, sets=1, metrics=Metrics._fields):
     """What stands for the simulation of a comparison: metrics that are simple functions of gains and conditions.
 
     The angle's error [rad] is (1 + decades of kp from 3 bar/rad) (mass2 / 0.5 kg) deg, of a controller without kp half

@@ -12,6 +12,8 @@ from .control import (
     PolePlacement as PolePlacement,
     PositionStiffnessControl as PositionStiffnessControl,
     PredictiveControl as PredictiveControl,
+    Ramp as Ramp,
+    RandomSteps as RandomSteps,
     Reference as Reference,
     Samples as Samples,
     Sine as Sine,

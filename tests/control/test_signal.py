@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.control import Constant, Multisine, Reference, Samples, Sine, Step, Sum
+from mckibben.control import Constant, Multisine, Ramp, RandomSteps, Reference, Samples, Sine, Step, Sum
 from mckibben.errors import RangeError
 from mckibben.numerics.compiled import numeric
 
@@ -16,6 +16,70 @@ def test_a_constant_is_the_same_always():
 
 def test_a_step_has_its_new_value_from_its_time_on():
     np.testing.assert_array_equal(Step(before=13.0, after=17.0, at=5.0)(TIMES), [13, 13, 13, 13, 17, 17])
+
+
+def test_a_ramp_has_a_constant_rate_and_is_held():
+    ramp = Ramp(2.0, -4.0, start=1.0, duration=3.0)
+    np.testing.assert_allclose(ramp(np.array([0.0, 1.0, 2.5, 4.0, 9.0])), [2, 2, -1, -4, -4])
+    with pytest.raises(RangeError) as caught:
+        Ramp(0.0, 1.0, 0.0, duration=0.0)
+    assert caught.value.field == "duration"
+
+
+def test_random_steps_hold_levels_of_their_range_for_dwells_of_theirs():
+    times = np.arange(400_000) * 1e-3
+    values = np.asarray(RandomSteps(-2.0, 1.0, dwell=0.2, longest_dwell=0.6, seed=5)(times))
+    changes = np.flatnonzero(np.diff(values)) + 1
+    levels, dwells = values[changes], np.diff(times[changes])
+    assert 0.2 - 1e-9 <= dwells.min() < 0.25 and 0.55 < dwells.max() <= 0.6 + 1e-9
+    assert dwells.mean() == pytest.approx(0.4, abs=0.01)
+    assert -2 <= levels.min() < -1.99 and 0.99 < levels.max() <= 1
+    assert levels.mean() == pytest.approx(-0.5, abs=0.1)
+    assert levels.std() == pytest.approx(3 / 12**0.5, abs=0.05)
+    assert abs(np.corrcoef(levels[:-1], levels[1:])[0, 1]) < 0.1
+
+
+def test_random_steps_of_one_dwell_change_at_its_multiples():
+    times = np.arange(3000) * 1e-3
+    for steps, at in ((RandomSteps(0.0, 1.0, dwell=0.3), times), (RandomSteps(0.0, 1.0, dwell=0.3), np.float32(times))):
+        changes = np.flatnonzero(np.diff(np.asarray(steps(at)))) + 1
+        assert changes.tolist() == list(range(300, 3000, 300))
+
+
+def test_random_steps_are_the_same_on_every_machine_and_others_for_another_seed():
+    """Against words of Threefry-2x32 by hand: key (0, seed), counter (0, index); the level is the first word."""
+
+    def rotated(x, by):
+        return ((x << by) | (x >> (32 - by))) & 0xFFFFFFFF
+
+    def first_word(seed, index):
+        keys = [0, seed, seed ^ 0x1BD11BDA]
+        x, y = keys[0], (index + keys[1]) & 0xFFFFFFFF
+        for block in range(5):
+            for by in ((13, 15, 26, 6), (17, 29, 16, 24))[block % 2]:
+                x = (x + y) & 0xFFFFFFFF
+                y = rotated(y, by) ^ x
+            x = (x + keys[(block + 1) % 3]) & 0xFFFFFFFF
+            y = (y + keys[(block + 2) % 3] + block + 1) & 0xFFFFFFFF
+        return x
+
+    for seed in (0, 7):
+        values = RandomSteps(0.0, 1.0, dwell=0.5, seed=seed)(np.arange(4) * 0.5)
+        assert values.tolist() == [(first_word(seed, index) >> 8) / 2**24 for index in range(4)]
+
+
+def test_random_steps_batch_and_differentiate():
+    def of(seed, high):
+        return RandomSteps(-1.0, high, 0.1, longest_dwell=0.3, seed=seed)(TIMES)
+
+    several = jax.jit(jax.vmap(of))(np.arange(3), np.array([1.0, 2.0, 3.0]))
+    for seed in range(3):
+        np.testing.assert_allclose(several[seed], of(seed, seed + 1.0), rtol=1e-12)
+    slope = jax.grad(lambda high: of(1, high)[3])(2.0)
+    assert slope == pytest.approx(float(of(1, 3.0)[3] - of(1, 2.0)[3]))
+    with pytest.raises(RangeError) as caught:
+        RandomSteps(0.0, 1.0, dwell=0.5, longest_dwell=0.4)
+    assert (caught.value.field, caught.value.lower) == ("longest_dwell", 0.5)
 
 
 def test_a_sine_is_at_its_amplitude_after_a_quarter_period():
@@ -74,6 +138,8 @@ def test_a_sum_is_all_of_its_parts():
     [
         Constant(2),
         Step(1, 2, 3),
+        Ramp(1, 2, 3, 4),
+        RandomSteps(1, 2, 3),
         Sine(1, 1),
         Multisine((1, 2), (1, 2)),
         Samples([0, 1], [0, 1]),

@@ -9,8 +9,9 @@ from scipy.integrate import quad
 from mckibben.control import Setpoint
 from mckibben.errors import McKibbenError, RangeError, UnreachableError
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IdealValve, JointPlant, PlantState
+from mckibben.plant import FirstOrderValve, FlowValve, IdealValve, JointPlant, PlantState
 from mckibben.simulation.loop import compiled_episode
+from mckibben.units import bar
 
 PERIODS = 2000
 
@@ -34,6 +35,30 @@ def test_at_rest_the_stiffness_is_the_one_asked_for_or_the_middle(plant):
     low, high = plant.joint.attainable_stiffness(0.1, -plant.load.gravity_torque(0.1))
     middle = plant.equilibrium(0.1)
     assert float(plant.joint.stiffness(0.1, middle.pressures)) == pytest.approx(float(low + high) / 2, abs=1e-6)
+
+
+@pytest.mark.parametrize("valve", [FirstOrderValve(0.02, supply=3.5 * bar), FlowValve(4e-9, 3.5 * bar)])
+def test_a_low_supply_limits_commands_start_and_attainable_stiffness(plant, valve):
+    low = JointPlant(plant.joint, plant.load, valve)
+    np.testing.assert_allclose(low.clip_commands((5 * bar, 2 * bar)), (3.5 * bar, 2 * bar))
+    np.testing.assert_allclose(plant.clip_commands((5 * bar, 2 * bar)), (5 * bar, 2 * bar))
+    gravity = -plant.load.gravity_torque(0.1)
+    lowest, highest = plant.joint.attainable_stiffness(0.1, gravity, pressure_limits=(0.0, 3.5 * bar))
+    assert float(highest) < float(plant.joint.attainable_stiffness(0.1, gravity)[1])
+    state = low.equilibrium(0.1)
+    assert max(map(float, state.pressures)) < 3.5 * bar
+    assert float(plant.joint.stiffness(0.1, state.pressures)) == pytest.approx(float(lowest + highest) / 2, rel=1e-6)
+    with pytest.raises(UnreachableError) as caught:
+        low.equilibrium(0.1, stiffness=float(highest) + 0.1)
+    assert caught.value.upper == pytest.approx(float(highest), rel=1e-6)
+
+
+def test_a_supply_above_the_rating_limits_nothing(plant):
+    high = JointPlant(plant.joint, plant.load, FirstOrderValve(0.02, supply=10 * bar))
+    np.testing.assert_array_equal(high.clip_commands((9 * bar, -1.0)), plant.clip_commands((9 * bar, -1.0)))
+    with pytest.raises(RangeError) as caught:
+        FirstOrderValve(0.02, supply=0.0)
+    assert caught.value.field == "supply"
 
 
 def test_a_rest_out_of_reach_says_why(plant, as_printed, load):

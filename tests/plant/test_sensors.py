@@ -57,6 +57,17 @@ def test_perfect_sensors_are_exact_without_delay():
     assert sensors.measure((), 3, here) == ((), here)
 
 
+def test_an_offset_of_the_encoder_is_in_the_measurement_and_not_in_the_joint(true, plant):
+    found = measured(SampledSensors(encoder_offset=2 * deg), true)
+    np.testing.assert_allclose(found.angle, true.angle + 2 * deg, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(found.pressures, true.pressures)
+    steps = measured(SampledSensors(STEP, encoder_offset=0.3 * STEP), true).angle / STEP
+    np.testing.assert_allclose(steps, np.round(true.angle / STEP + 0.3), atol=1e-9)
+    sensing = JointPlant(plant.joint, plant.load, plant.valve, SampledSensors(encoder_offset=2 * deg))
+    state, seen = sensing.sample(sensing.equilibrium(0.1), PERIOD)
+    assert (float(state.angle), float(seen.angle)) == pytest.approx((0.1, 0.1 + 2 * deg))
+
+
 def test_without_faults_sampled_sensors_are_perfect(true):
     jax.tree.map(np.testing.assert_array_equal, measured(SampledSensors(seed=3), true), true)
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mckibben.control import Constant, Multisine, Reference, Samples, Sine, Step
+from mckibben.control import Constant, Multisine, Ramp, Reference, Samples, Sine, Step
 from mckibben.errors import ParameterError, RangeError
 from mckibben.plant import FirstOrderValve, JointPlant
 from mckibben.reachability import Preserved, check_trackability, nearest_references
@@ -136,6 +136,10 @@ def test_smaller_and_slower_signals(signal, about):
         assert slow == signal
     else:
         np.testing.assert_allclose(slow(2 * times), signal(times), atol=1e-9)
+
+
+def test_a_ramp_is_slowed_by_its_duration():
+    assert slowed(Ramp(0.0, 1.0, 0.2, 0.5), 0.5) == Ramp(0.0, 1.0, 0.2, 1.0)
 
 
 def test_a_run_of_one_period(plant):

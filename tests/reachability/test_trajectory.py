@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mckibben.control import Constant, Multisine, Reference, Samples, Sine, Step
+from mckibben.control import Constant, Multisine, Ramp, Reference, Samples, Sine, Step
 from mckibben.reachability.trajectory import (
     breakpoints,
     derivatives,
@@ -76,6 +76,7 @@ def test_jumps_and_corners_are_found():
     assert breakpoints(Step(0.0, 1.0, 2.0), TIMES).size == 0, "after the run"
     bent = Samples(np.array([0.0, 0.2, 0.4, 0.6]), np.array([0.0, 1.0, 2.0, 2.0]))
     assert breakpoints(bent, TIMES).tolist() == [0.4]
+    assert breakpoints(Ramp(0.0, 1.0, start=0.1, duration=0.4), TIMES).tolist() == [0.1, 0.5]
     held = Samples(np.array([0.1, 0.5]), np.array([0.0, 1.0]))
     assert breakpoints(held, TIMES).tolist() == [0.1, 0.5], "before and after its samples a signal stands still"
 

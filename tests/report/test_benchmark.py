@@ -11,13 +11,21 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
-from mckibben.report.benchmark import _ratios, benchmark_air, benchmark_errors, benchmark_references, write_benchmark
+from mckibben.report.benchmark import (
+    _ratios,
+    benchmark_air,
+    benchmark_errors,
+    benchmark_front,
+    benchmark_references,
+    write_benchmark,
+)
 from mckibben.report.style import plain_numbers
 from mckibben.report.tables import number
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.result import OUTCOMES
 from mckibben.study.benchmark import BenchmarkResult, Suite, draw
 from mckibben.study.benchmark.benchmark import statistics
+from mckibben.study.tune.tune import Trial
 from mckibben.units import deg
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -56,7 +64,9 @@ def made(lost=None):
         batches[name] = Batch(xr.Dataset({**table, "outcome": ("run", codes, flags)}))
     tuned = {name: {each.name: each.parameter.nominal for each in suite.tuned_over(name)} for name in batches}
     costs = {"PID 3": (1.25, 20.5), "decoupling": (0.5, 0.6)}
-    return BenchmarkResult(suite, runs, tuned, costs, dict.fromkeys(batches, ()), batches)
+    metrics = [{"air": air * 1e-3, "angle_rmse": 1 / air * deg, "stiffness_rmse": 0.6} for air in (10.0, 20.0, 40.0)]
+    tried = {name: tuple(Trial((at["air"],), 1.0, metrics=at) for at in metrics) for name in ("PID 3", "decoupling")}
+    return BenchmarkResult(suite, runs, tuned, costs, dict.fromkeys(batches, ()), batches, tried)
 
 
 @pytest.fixture(scope="module")
@@ -96,11 +106,19 @@ def test_the_page_is_complete_and_needs_nothing_else(kept, text):
 
 
 def test_every_figure_is_embedded_and_lies_beside_the_page(kept, text):
-    for name in ("errors", "references", "air"):
+    for name in ("errors", "references", "air", "front"):
         assert f'<figure id="{name}">' in text
         drawing = (kept.parent / "figures" / f"{name}.svg").read_bytes()
         assert base64.b64encode(drawing).decode("ascii") in text
         assert (kept.parent / "figures" / f"{name}.png").stat().st_size > 5000
+
+
+def test_a_front_is_drawn_for_each_controller_that_was_tuned(result, numbers):
+    (axes,) = benchmark_front(result, numbers).axes
+    assert [line.get_label() for line in axes.lines] == ["PID 3", "decoupling"]
+    for line in axes.lines:
+        np.testing.assert_allclose(line.get_xdata(), [10.0, 20.0, 40.0])
+        np.testing.assert_allclose(line.get_ydata(), [0.1, 0.05, 0.025])
 
 
 def test_the_same_contest_makes_the_same_bytes(result, numbers, kept, tmp_path):
@@ -115,7 +133,7 @@ def test_its_words_and_numbers(text, numbers, result):
     assert "3 controllers on 16 unseen runs" in words
     assert "Each but as it is was tuned with the same budget: 2 searches of 2 generations of 4 points" in words
     for name, found in numbers["controllers"].items():
-        assert f"{name} {found['unstable']} {number(found['metrics']['angle_rmse_deg']['median'])}" in words
+        assert f"{name} {found['diverged']} {number(found['metrics']['angle_rmse_deg']['median'])}" in words
         ripple, estimate = (number(found["metrics"][key]["median"]) for key in ("stiffness_ripple", "estimate_rmse"))
         assert f"{name} {ripple} {estimate}" in words
     ratio = numbers["controllers"]["decoupling"]["ratio_to_first"]["angle_rmse_deg"]

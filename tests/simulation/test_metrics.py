@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from mckibben import simulation
-from mckibben.simulation import Metrics, Trajectory
+from mckibben.control import Setpoint
+from mckibben.simulation import Metrics, Trajectory, without_last_change
+from mckibben.simulation.metrics import last_change
 
 PERIOD = 1e-3
 measure = jax.jit(simulation.measure)  # one program a length
@@ -117,6 +119,16 @@ def test_the_last_change_counts():
     times, desired, stiffness = lag(0.1)
     earlier = np.where(times < 0.9995, 20.0, desired)
     assert answer(earlier, stiffness) == answer(desired, stiffness)
+
+
+def test_the_end_of_a_ramp_is_no_step():
+    times = np.arange(3000) * PERIOD
+    step = last_change(np.where(times < 0.9995, 14.0, 16.0))
+    assert (int(step.at), bool(step.ends)) == (1000, True)
+    ramp = np.interp(times, [0.5, 1.0], [14.0, 16.0])
+    assert not bool(last_change(ramp).ends)
+    assert without_last_change(Setpoint(np.zeros(3000), ramp)) is None
+    assert np.isnan(answer(ramp, ramp))
 
 
 def test_a_constant_setpoint_is_settled_from_the_start():

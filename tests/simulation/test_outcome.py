@@ -30,6 +30,12 @@ def test_each_alone():
     assert outcome(started=False) is Outcome.NO_START
 
 
+@pytest.mark.parametrize(("span", "limit"), [(0.0, 5.0), (4.0, 5.0), (16.0, 16.0), (60.0, 60.0)])
+def test_an_end_further_off_than_the_reference_moves_has_diverged(span, limit):
+    assert outcome(angle_at_end=(limit + 0.1) * deg, span=span * deg, saturated=True) is Outcome.LEFT_REFERENCE
+    assert outcome(angle_at_end=(limit - 0.1) * deg, span=span * deg) is Outcome.COMPLETED
+
+
 def test_the_worst_that_applies_wins():
     worst = [Outcome.NO_START, Outcome.DIVERGED, Outcome.SWUNG_OVER, Outcome.LEFT_DOMAIN, Outcome.SATURATED]
     for started, angle, left, saturated in itertools.product(
@@ -59,4 +65,5 @@ def test_arrays_broadcast_and_give_codes():
 
 
 def test_what_is_lost():
-    assert [o.name for o in OUTCOMES if o.failed] == ["SWUNG_OVER", "DIVERGED", "NO_START"]
+    assert [o.name for o in OUTCOMES if o.failed] == ["SWUNG_OVER", "DIVERGED", "NO_START", "LEFT_REFERENCE"]
+    assert [o.name for o in OUTCOMES if o.diverged] == ["SWUNG_OVER", "DIVERGED", "LEFT_REFERENCE"]

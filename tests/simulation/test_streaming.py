@@ -33,7 +33,7 @@ def folded(moved: Trajectory) -> Metrics:
         total, at_change, air = carried
         index, moment = at
         at_change = jnp.where(index == change.at, moment.stiffness, at_change)
-        added = MetricAccumulator.of(moment, index, change, at_change, air, SETTLING_PART)
+        added = MetricAccumulator.of(moment, index, periods, change, at_change, air, SETTLING_PART)
         return (total.merge(added), at_change, (moment.air1, moment.air2)), None
 
     nothing = jnp.zeros_like(moved.angle[0])

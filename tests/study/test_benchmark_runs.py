@@ -6,10 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from mckibben.control import Constant, Multisine, Sine, Step
-from mckibben.errors import ParameterError
+from mckibben.errors import SimulationError
 from mckibben.study.benchmark import NOMINAL_JOINT, Suite, draw
-from mckibben.study.benchmark.runs import _as_step_and_sines
 from mckibben.study.scenario import Scenario
 from mckibben.units import deg, ms
 
@@ -96,7 +94,7 @@ def test_the_same_seed_draws_the_same(suite, runs):
     assert again.joint == runs.joint
     assert again.reference_name == runs.reference_name
     for mine, same, different in zip(
-        *(jax.tree.leaves((each.plant, each.reference)) for each in (runs, again, other)), strict=True
+        *(jax.tree.leaves(each.groups[0].plant) for each in (runs, again, other)), strict=True
     ):
         assert np.array_equal(mine, same)
         if np.ndim(mine):
@@ -120,14 +118,14 @@ def test_a_run_of_the_arrays_is_that_of_its_scenario(runs):
     for run in range(0, 64, 5):
         scenario = Scenario.parse(runs.scenario("PID 3", run).dumps())
         plant = scenario.plant()
-        drawn = lane(runs.plant, run)
+        drawn = lane(runs.groups[0].plant, run)
         assert jax.tree.structure(plant) == jax.tree.structure(drawn)
         for a, b in zip(jax.tree.leaves(plant), jax.tree.leaves(drawn), strict=True):
             assert np.asarray(a) == pytest.approx(np.asarray(b), rel=1e-14)
-        reference, expected = scenario.reference(), lane(runs.reference, run)
+        reference, expected = scenario.reference(), runs.groups[0].reference
         for quantity in ("angle", "stiffness"):
             wanted = np.asarray(getattr(reference, quantity)(TIMES))
-            assert wanted == pytest.approx(np.asarray(getattr(expected, quantity)(TIMES)), rel=1e-13, abs=1e-15)
+            assert wanted == pytest.approx(np.asarray(getattr(expected, quantity).values[run]), rel=1e-13, abs=1e-15)
         assert scenario.start.angle == pytest.approx(float(reference.angle(0.0)), abs=1e-15)
 
 
@@ -145,28 +143,72 @@ def test_a_run_in_which_nothing_differs_is_the_scenario_as_it_stands(suite):
     assert drawn.scenario("PID 3", 2) == bare.scenario("PID 3", "both move", drawn.joint[2])
 
 
-@pytest.mark.parametrize(
-    ("signal", "expected"),
-    [
-        (Constant(2.0), lambda t: 2.0 + 0 * t),
-        (Step(1.0, 3.0, 0.05), lambda t: np.where(t < 0.05, 1.0, 3.0)),
-        (Sine(2.0, 3.0, 1.0, 0.5), lambda t: 1 + 2 * np.sin(6 * np.pi * t + 0.5)),
-        (
-            Multisine((1.0, 2.0), (3.0, 4.0), (0.1, 0.2), 5.0),
-            lambda t: 5 + np.sin(6 * np.pi * t + 0.1) + 2 * np.sin(8 * np.pi * t + 0.2),
-        ),
-        (Multisine((1.0,), (3.0,)), lambda t: np.sin(6 * np.pi * t)),
-    ],
-)
-def test_all_references_have_one_form(signal, expected):
-    form = _as_step_and_sines(signal, 3)
-    assert jax.tree.structure(form) == jax.tree.structure(_as_step_and_sines(Constant(0.0), 3))
-    assert np.asarray(form(TIMES)) == pytest.approx(expected(TIMES), abs=1e-13)
+def test_any_signal_is_a_reference(tmp_path):
+    """Each run has what its scenario says: other random steps for another seed, ramps, samples, single sines."""
+    (tmp_path / "recorded.csv").write_text("time_s,angle_deg\n0,1\n0.05,3\n0.1,-2\n")
+    text = TEXT[: TEXT.index("references:")] + TEXT[TEXT.index("max_angular_acceleration") :]
+    text += """
+references:
+  random:
+    reference:
+      angle: {random_steps: {low: -8 deg, high: 8 deg, dwell: 10 ms, longest_dwell: 30 ms}}
+      stiffness: {ramp: {before: 14 N*m/rad, after: 16 N*m/rad, start: 20 ms, duration: 40 ms}}
+    over: [reference.angle.seed=0..9999, reference.stiffness.duration=10..80 ms]
+  recorded:
+    reference: {angle: {samples: {file: recorded.csv}}, stiffness: 15 N*m/rad}
+  sines:
+    reference:
+      angle: {multisine: {amplitudes: [3 deg, 1 deg], frequencies: [2 Hz, 5 Hz]}}
+      stiffness: 15 N*m/rad
+    over: [reference.angle.amplitudes.0=1..3 deg]
+"""
+    drawn = draw(Suite.parse(text, folder=tmp_path), 12, 1)
+    (group,) = drawn.groups
+    for run in range(drawn.count):
+        reference = drawn.scenario("PID 3", run).reference()
+        np.testing.assert_allclose(group.reference.angle.values[run], reference.angle(TIMES), rtol=1e-13, atol=1e-15)
+        np.testing.assert_allclose(group.reference.stiffness.values[run], reference.stiffness(TIMES), rtol=1e-13)
+    random = [
+        np.asarray(group.reference.angle.values[row])
+        for row in np.flatnonzero(np.array(drawn.reference_name) == "random")
+    ]
+    assert len({values.tobytes() for values in random}) == len(random) == 4
 
 
-def test_joints_that_differ_in_more_than_numbers_are_refused(suite):
-    other = suite.other_joints["longer"]
-    chou = other.joint.model_copy(update={"muscle": other.joint.muscle.model_copy(update={"law": "chou"})})
-    wrong = suite.model_copy(update={"other_joints": {"longer": other.model_copy(update={"joint": chou})}})
-    with pytest.raises(ParameterError, match="differ in more than numbers"):
-        draw(wrong, 8, 1)
+def test_a_frequency_that_no_control_period_resolves_is_refused():
+    with pytest.raises(SimulationError) as caught:
+        draw(Suite.parse(TEXT.replace("frequencies: [2 Hz, 5 Hz]", "frequencies: [2 Hz, 250 Hz]")), 8, 1)
+    assert caught.value.upper == pytest.approx(250.0)
+
+
+OTHER_PLANTS = """other_joints:
+  other law:
+    joint: {geometry: knee-table-2, connector_length: 208 mm, muscle: {specimen: MAS-10-180N-AA-MC-O, law: chou}}
+  flow valves: {valve: {class: FlowValve, conductance: 0.4 L/(s*bar), supply: 5 bar}}
+"""
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """A suite whose plants are of three kinds."""
+    start, end = TEXT.index("other_joints:"), TEXT.index("load: knee")
+    return Suite.parse(TEXT[:start] + OTHER_PLANTS + TEXT[end:].replace("substeps: 1", "substeps: 8"))
+
+
+def test_plants_of_other_kinds_are_groups_of_their_own(mixed):
+    drawn = draw(mixed, 20, 1)
+    assert [set(group.joint) for group in drawn.groups] == [{each} for each in dict.fromkeys(drawn.joint)]
+    assert np.array_equal(np.sort(np.concatenate([group.rows for group in drawn.groups])), np.arange(20))
+    for group in drawn.groups:
+        for i, row in enumerate(group.rows):
+            plant = drawn.scenario("PID 3", int(row)).plant()
+            assert jax.tree.structure(plant) == jax.tree.structure(group.plant)
+            for a, b in zip(jax.tree.leaves(plant), jax.tree.leaves(lane(group.plant, i)), strict=True):
+                assert np.asarray(a) == pytest.approx(np.asarray(b), rel=1e-14)
+
+
+def test_a_plant_needs_as_many_substeps_as_its_valve(mixed):
+    few = mixed.model_copy(update={"substeps": 1})
+    with pytest.raises(SimulationError) as caught:
+        draw(few, 20, 1)
+    assert caught.value.field == "substeps" and 1 < caught.value.lower <= 8

@@ -74,8 +74,8 @@ def begun(values, *without):
 
 def test_who_begins_and_who_is_lost(contest, numbers):
     assert (numbers["runs"], numbers["no_start"]) == (RUNS, 1)
-    assert [each["unstable"] for each in numbers["controllers"].values()] == [0, 1, RUNS - 1]
-    assert contest.unstable(SECOND).sum() == 1
+    assert [each["diverged"] for each in numbers["controllers"].values()] == [0, 1, RUNS - 1]
+    assert contest.diverged(SECOND).sum() == 1
     assert np.isnan(contest.metric(SECOND, "air")).sum() == 1
 
 

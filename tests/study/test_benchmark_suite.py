@@ -101,7 +101,6 @@ def test_what_is_tuned(suite):
 
 
 KP = "{kp: 1.2 bar/rad, ki: 40 bar/(rad*s), kd: 0.2 bar*s/rad}"
-SAMPLES = "angle: {samples: {times: [0 s], values: [1 deg]}}"
 MISTAKES = {
     "condition": (
         ("load.mass2=+-50 %", "controller.position.kp=1..2 bar/rad"),
@@ -126,10 +125,6 @@ MISTAKES = {
             "[reference.stiffness.frequency=2..6 Hz log, reference.stiffness.frequency=2..3 Hz]",
         ),
         ("references.both move.over", "2..6 Hz", "about the same parameter"),
-    ),
-    "samples": (
-        ("angle: {multisine: {amplitudes: [3 deg, 1.5 deg], frequencies: [2 Hz, 5 Hz], offset: 1 deg}}", SAMPLES),
-        ("references.both move.reference.angle", "multisine", "samples cannot be compared on"),
     ),
     "tuning over nobody": (
         ("untuned:", "over: {PID 4: [controller.position.kp]}, untuned:"),
@@ -179,13 +174,23 @@ MISTAKES = {
         ("  longer:", f"  {NOMINAL_JOINT}:"),
         ("other_joints.nominal", "  longer:", "the suite's own joint"),
     ),
-    "other kind of law": (
-        ("law: lei-mas-10-180n, strength: 1.05", "law: chou, strength: 1.05"),
-        ("other_joints.longer", "  longer:", "differs from the suite's own joint"),
+    "openings for commands": (
+        (
+            "valve: {time_constant: 20 ms}",
+            "valve: {class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, direct: true}",
+        ),
+        ("valve", "valve: {time", "commands pressures"),
     ),
-    "condition of one joint alone": (
-        ("law: lei-mas-10-180n, strength: 1.05", "law: lei-mas-10-180n"),
-        ("other_joints.longer", "  longer:", ""),
+    "openings for commands of other valves": (
+        (
+            "  longer:\n",
+            "  longer:\n    valve: {class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, direct: true}\n",
+        ),
+        ("other_joints.longer", "  longer:", "commands pressures"),
+    ),
+    "the suite's own plant": (
+        ("  longer:\n    joint:\n", "  longer:\n    share: 2\n  short:\n    joint:\n"),
+        ("other_joints.longer", "  longer:", "the suite's own plant"),
     ),
 }
 

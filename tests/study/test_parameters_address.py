@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben.errors import ParameterError
-from mckibben.study.parameters import find_parameter, find_parameters, list_parameters
+from mckibben.study.parameters import edit_scenario, find_parameter, find_parameters, list_parameters, with_values
 from mckibben.study.scenario import Scenario
 from mckibben.units import bar, deg, mm
 
@@ -178,6 +178,18 @@ def test_what_is_refused_in_another_scenario(full, name, why):
 def test_an_unknown_name_is_answered_with_a_close_one_and_the_way_to_all(name, meant):
     with pytest.raises(ParameterError, match=f"did you mean '{meant}'.*--list"):
         find_parameter(PID, name)
+
+
+def test_an_item_of_a_list_of_sines_is_a_parameter(full):
+    found = find_parameter(full, "reference.angle.multisine.amplitudes.1")
+    assert found.name == "reference.angle.amplitudes.1"
+    assert found.nominal == 1 * deg
+    assert with_values(full, {found.name: 0.1}).signals.angle.multisine.amplitudes == (3 * deg, 0.1)
+    edited = edit_scenario(FULL, {"reference.angle.amplitudes.1": 2.5 * deg})
+    assert "amplitudes: [3 deg, 2.5 deg]" in edited
+    with pytest.raises(ParameterError) as caught:
+        find_parameter(full, "reference.angle.amplitudes.2")
+    assert "reference.angle.amplitudes.0" in caught.value.remedy
 
 
 def test_a_name_like_no_other_is_answered_with_the_way_to_all():

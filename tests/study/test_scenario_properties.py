@@ -86,6 +86,21 @@ def scenarios(draw) -> Scenario:
                 {"sine": st.fixed_dictionaries({"amplitude": value, "frequency": rate}, optional={"offset": value})}
             ),
             st.fixed_dictionaries({"multisine": many}),
+            st.fixed_dictionaries(
+                {
+                    "ramp": st.fixed_dictionaries(
+                        {"before": value, "after": value, "start": time, "duration": floats(KINDS["Duration"])}
+                    )
+                }
+            ),
+            st.fixed_dictionaries(
+                {
+                    "random_steps": st.fixed_dictionaries(
+                        {"low": value, "high": value, "dwell": floats(KINDS["PositiveTime"])},
+                        optional={"seed": st.integers(0, 2**31 - 1)},
+                    )
+                }
+            ),
             st.fixed_dictionaries({"samples": samples}),
         )
 

@@ -129,9 +129,9 @@ def _tables(numbers: dict[str, Any]) -> None:
 
     table(
         f"{numbers['suite']}: {numbers['runs'] - numbers['no_start']} unseen runs",
-        ("controller", *(title for title, _, _ in _COLUMNS), "unstable"),
+        ("controller", *(title for title, _, _ in _COLUMNS), "diverged"),
         [
-            (name, *(cell(name, key, what) for _, key, what in _COLUMNS), str(found[name]["unstable"]))
+            (name, *(cell(name, key, what) for _, key, what in _COLUMNS), str(found[name]["diverged"]))
             for name in numbers["order"]
         ],
     )

@@ -11,7 +11,7 @@ from mckibben.control.observer import ExtendedStateObserver, Observer, PressureO
 from mckibben.control.pid import PID
 from mckibben.control.position_stiffness import PositionStiffnessControl
 from mckibben.control.predictive import PredictiveControl
-from mckibben.control.reference import Constant, Multisine, Samples, Signal, Sine, Step, Sum
+from mckibben.control.reference import Constant, Multisine, Ramp, RandomSteps, Samples, Signal, Sine, Step, Sum
 from mckibben.control.supply_limit import SupplyLimit
 
 __all__ = [
@@ -34,6 +34,8 @@ __all__ = [
     "PositionStiffnessControl",
     "PredictiveControl",
     "PressureObserver",
+    "Ramp",
+    "RandomSteps",
     "Reference",
     "Samples",
     "Setpoint",

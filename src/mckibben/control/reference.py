@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import abc
+import math
 from numbers import Real
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import RANK
+from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating, sin
-from mckibben.units import Frequency, Instant, Phase, SignalValue
+from mckibben.units import Duration, Frequency, Instant, Phase, PositiveTime, Seed, SignalValue
 
 
 class Signal(eqx.Module):
@@ -43,6 +46,70 @@ class Step(Signal):
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         return jnp.where(floating(time) < self.at, self.before, self.after) * 1.0
+
+
+class Ramp(Signal):
+    """Constant rate from one value to another, from a start [s] on and over a duration [s]; then held.
+
+    >>> Ramp(0.0, 10.0, start=1.0, duration=2.0)(jnp.array([0.0, 1.5, 3.0, 4.0])).tolist()
+    [0.0, 2.5, 10.0, 10.0]
+    """
+
+    before: SignalValue
+    after: SignalValue
+    start: Instant
+    duration: Duration
+
+    def __check_init__(self) -> None:
+        check_positive("Ramp", "s", duration=self.duration)
+
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
+        part = jnp.clip((floating(time) - self.start) / self.duration, 0.0, 1.0)
+        return self.before + (jnp.asarray(self.after) - self.before) * part
+
+
+class RandomSteps(Signal):
+    """Random levels, uniformly distributed from `low` to `high`, each held for a dwell [s]; another sequence by seed.
+
+    With `longest_dwell` the dwells lie between both: changes are at the multiples of their mean, moved by a uniformly
+    distributed time (jittered sampling). The numbers are words of a counter-based generator (Threefry-2x32, Salmon et
+    al. 2011), the same on every machine.
+
+    >>> steps = RandomSteps(-1.0, 1.0, dwell=0.5, seed=3)
+    >>> [round(float(steps(time)), 6) for time in (0.0, 0.499, 0.5, 1.0)]
+    [0.730786, 0.730786, -0.093591, -0.522925]
+    """
+
+    low: SignalValue
+    high: SignalValue
+    dwell: PositiveTime
+    longest_dwell: PositiveTime | None = None
+    seed: Seed = 0
+
+    def __check_init__(self) -> None:
+        check_positive("RandomSteps", "s", dwell=self.dwell)
+        if isinstance(self.dwell, Real) and isinstance(self.longest_dwell, Real):
+            check_within("RandomSteps", self.dwell, math.inf, "s", longest_dwell=self.longest_dwell)
+
+    def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
+        time, shortest = floating(time), jnp.asarray(self.dwell)
+        longest = shortest if self.longest_dwell is None else jnp.asarray(self.longest_dwell)
+        mean, jitter = (longest + shortest) / 2, (longest - shortest) / 4
+        nearest = jnp.maximum(jnp.round(time / mean), 0.0)
+        change = nearest * mean + jitter * (2 * self._uniform(nearest, 1) - 1)
+        rounding = 4 * jnp.finfo(time.dtype).eps * jnp.abs(time)  # a change is due at the start of a control period
+        level = jnp.maximum(nearest - (time < change - rounding), 0.0)
+        return self.low + (jnp.asarray(self.high) - self.low) * self._uniform(level, 0)
+
+    def _uniform(self, index: Array, word: int) -> Array:
+        """Uniformly distributed number in 0..1 for an index, from one of the two words that belong to it."""
+        key = jax.random.key(self.seed, impl="threefry2x32")
+
+        def draw(index: Array) -> Array:
+            return jax.random.key_data(jax.random.fold_in(key, index))[word]
+
+        words = jax.vmap(draw)(index.astype(jnp.uint32).ravel()).reshape(index.shape)
+        return (words >> 8).astype(index.dtype) * 2.0**-24
 
 
 class Sine(Signal):

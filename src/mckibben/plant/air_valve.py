@@ -138,8 +138,8 @@ class AirValve(ValveModel):
         return state
 
     def clip_command(self, command: ArrayLike, rated: Domain) -> Array:
-        """Return a command within the rated pressures [Pa] of a muscle, and up to the supply's."""
-        return jnp.clip(jnp.asarray(command), rated.pressure_min, jnp.minimum(rated.pressure_max, self.supply))
+        """Return a command within the rated pressures [Pa] of a muscle."""
+        return jnp.clip(jnp.asarray(command), rated.pressure_min, rated.pressure_max)
 
     def init_air(self, pressures: tuple[Scalar, Scalar]) -> AirState:
         """Return the state of the valves at rest, and of the reservoir at the pressure of the supply."""

@@ -106,6 +106,19 @@ class JointPlant(eqx.Module, Displayed):
         """Whether sensors are perfect and there is no disturbance."""
         return isinstance(self.sensors, PerfectSensors) and isinstance(self.disturbance, NoDisturbance)
 
+    @property
+    def supplied_joint(self) -> AntagonisticJoint:
+        """The joint with its muscles rated for the supply of the valves, where that is below their own rating."""
+        supply = getattr(self.valve, "supply", None)
+        if supply is None:
+            return self.joint
+
+        def highest(joint: AntagonisticJoint) -> tuple[Any, Any]:
+            return joint.muscle1.specimen.domain.pressure_max, joint.muscle2.specimen.domain.pressure_max
+
+        limits = tuple(jnp.minimum(jnp.asarray(rated), supply) for rated in highest(self.joint))
+        return eqx.tree_at(highest, self.joint, limits)
+
     def sample(self, state: PlantState, period: ArrayLike) -> tuple[PlantState, Measurement]:
         """Return the state at the start of a control period [s], with its disturbance, and the measurement."""
         true, io = Measurement(state.angle, state.pressures), state.io
@@ -116,11 +129,12 @@ class JointPlant(eqx.Module, Displayed):
         return state._replace(io=IOState(io.sample + 1, disturbance, sensors)), measured
 
     def clip_commands(self, commands: Pressures) -> tuple[Scalar, Scalar]:
-        """Return the commands [Pa] clipped to the specimens' rated pressures; a law's domain may be smaller.
+        """Return the commands [Pa] clipped to the specimens' rated pressures and to the supply.
 
         Openings of valves with `direct` commands are clipped to -1..1.
         """
-        rated1, rated2 = self.joint.muscle1.specimen.domain, self.joint.muscle2.specimen.domain
+        joint = self.supplied_joint
+        rated1, rated2 = joint.muscle1.specimen.domain, joint.muscle2.specimen.domain
         if isinstance(self.valve, AirValve):
             return self.valve.clip_command(commands[0], rated1), self.valve.clip_command(commands[1], rated2)
         return (
@@ -258,7 +272,8 @@ class JointPlant(eqx.Module, Displayed):
     def equilibrium(self, angle: float = 0.0, *, stiffness: float | None = None) -> PlantState:
         """Return the equilibrium at an angle [rad] with both muscles taut, relaxed and unstressed by friction.
 
-        The stiffness [N*m/rad] is midway between the slackest and the tightest state unless given.
+        Pressures are within the supply of the valves. The stiffness [N*m/rad] is midway between the slackest and the
+        tightest state unless given.
 
         Raises
         ------
@@ -271,7 +286,7 @@ class JointPlant(eqx.Module, Displayed):
         wanted = math.nan if stiffness is None else stiffness
         state, torque, found = _equilibrium(self, angle, wanted)
         if not found.exists:
-            raise_unattainable(self.joint, found, float(angle), float(torque), float(wanted))
+            raise_unattainable(self.supplied_joint, found, float(angle), float(torque), float(wanted))
         return state
 
 
@@ -283,5 +298,5 @@ def _given_or(given: tuple[Array, ...], initial: tuple[Array, ...]) -> tuple[Arr
 def _equilibrium(plant: JointPlant, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Array, StaticSolution]:
     """Return the equilibrium, the muscles' torque [N*m] in it, and the static solution, from one program."""
     torque = -plant.load.gravity_torque(angle)
-    found = solve_static(plant.joint, angle, torque, stiffness)
+    found = solve_static(plant.supplied_joint, angle, torque, stiffness)
     return plant.init_state(angle, found.pressures), torque, found

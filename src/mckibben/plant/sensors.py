@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.joint import Measurement
 from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
-from mckibben.units import AngleStep, Delay, Duration, PositiveTime, PressureNoise, Seed, ShortTime, Torque
+from mckibben.units import Angle, AngleStep, Delay, Duration, PositiveTime, PressureNoise, Seed, ShortTime, Torque
 
 
 class Sensors(eqx.Module):
@@ -41,15 +41,16 @@ class PerfectSensors(Sensors):
 class SampledSensors(Sensors):
     """Quantised encoder, white pressure noise and a delay.
 
-    The angle is rounded to the nearest step of the encoder [rad], 0 for none; the noise of each pressure is normal,
-    with a standard deviation [Pa] and a seed; the delay is 0 to 1 control periods, in between which samples are
-    interpolated.
+    The angle plus the encoder's offset [rad] is rounded to the nearest of its steps [rad], 0 for none; the noise of
+    each pressure is normal, with a standard deviation [Pa] and a seed; the delay is 0 to 1 control periods, in between
+    which samples are interpolated.
     """
 
     encoder: AngleStep = 0.0
     pressure_noise: PressureNoise = 0.0
     delay: Delay = 0.0
     seed: Seed = 0
+    encoder_offset: Angle = eqx.field(kw_only=True, default=0.0)
 
     def __check_init__(self) -> None:
         check_positive("SampledSensors", "rad", zero=True, encoder=self.encoder)
@@ -65,7 +66,7 @@ class SampledSensors(Sensors):
 
     def _sample(self, index: ArrayLike, true: Measurement) -> Measurement:
         """Quantised, noisy sample without delay."""
-        angle = floating(true.angle)
+        angle = floating(true.angle) + self.encoder_offset
         step = jnp.asarray(self.encoder)
         quantised = jnp.where(step > 0, jnp.round(angle / jnp.where(step > 0, step, 1.0)) * step, angle)
         key = jax.random.fold_in(jax.random.key(self.seed), jnp.asarray(index).astype(jnp.uint32))

@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive, check_within
-from mckibben.units import PositiveTime
+from mckibben.units import PositiveTime, PressureScale
 
 
 class ValveModel(eqx.Module, Displayed):
@@ -55,13 +55,17 @@ _SLOWEST = 10.0  # s: a slower valve is one in milliseconds
 class FirstOrderValve(Valve):
     """First-order lag, p(t) = u + (p(0) - u) exp(-t / T) under a constant command u.
 
-    T [s] is 20 to 100 ms for fast proportional valves on a small muscle.
+    T [s] is 20 to 100 ms for fast proportional valves on a small muscle. No command, and no start, is above the gauge
+    pressure of the supply [Pa], where it is given.
     """
 
     time_constant: PositiveTime
+    supply: PressureScale | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
         check_positive("FirstOrderValve", "s", time_constant=self.time_constant)
+        if self.supply is not None:
+            check_positive("FirstOrderValve", "Pa", supply=self.supply)
         check_within("FirstOrderValve", 0.0, _SLOWEST, "s", time_constant=self.time_constant)
 
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:

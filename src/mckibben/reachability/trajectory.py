@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.control import Constant, Multisine, Reference, Samples, Signal, Sine, Step
+from mckibben.control import Constant, Multisine, Ramp, Reference, Samples, Signal, Sine, Step
 from mckibben.errors import ParameterError
 
 Values = NDArray[np.float64]
@@ -104,6 +104,8 @@ def breakpoints(signal: Signal, times: Values) -> Values:
             return np.empty(0)
         case Step():
             at = np.array([float(signal.at)]) if signal.before != signal.after else np.empty(0)
+        case Ramp():
+            at = np.array([float(signal.start), float(signal.start) + float(signal.duration)])
         case Samples():
             at = _corners(np.asarray(signal.times, float), np.asarray(signal.values, float))
         case _:
@@ -169,6 +171,8 @@ def slowed(signal: Signal, factor: float) -> Signal:
     match signal:
         case Constant() | Step():
             return signal
+        case Ramp():
+            return dataclasses.replace(signal, duration=signal.duration / factor)
         case Sine():
             return dataclasses.replace(signal, frequency=factor * signal.frequency)
         case Multisine():

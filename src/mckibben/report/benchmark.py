@@ -87,7 +87,7 @@ def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure
     for name, look in looks_of(result.batches).items():
         air, angle = result.metric(name, "air") * 1e3, result.metric(name, "angle_rmse") / deg
         if not (np.isfinite(angle) & np.isfinite(air)).any():
-            continue  # all runs unstable, or the volume of a muscle unknown
+            continue  # all runs diverged, or the volume of a muscle unknown
         (x0, x, x1), (y0, y, y1) = (np.nanpercentile(each, [5, 50, 95]) for each in (air, angle))
         axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
         axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
@@ -98,6 +98,23 @@ def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure
         plain_numbers(axes.xaxis)
         plain_numbers(axes.yaxis)
         legend_above(figure, axes, columns=4)
+    return figure
+
+
+@styled
+def benchmark_front(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+    """Least median angle error over air consumption among the trials of the tuning, by controller."""
+    figure = blank(DOUBLE, 3.0)
+    axes = figure.subplots()
+    for name, look in looks_of(result.batches).items():
+        front = numbers["controllers"][name]["front"]
+        if front:
+            air, angle = ([at[key] for at in front] for key in ("air_L", "angle_rmse_deg"))
+            axes.plot(air, angle, drawstyle="steps-post", marker=_marker(look), markersize=2.5, label=name, **look)
+    axes.set(xscale="log", yscale="log", xlabel="air consumption [L]", ylabel="angle rmse [deg]")
+    plain_numbers(axes.xaxis)
+    plain_numbers(axes.yaxis)
+    legend_above(figure, axes, columns=4)
     return figure
 
 
@@ -127,21 +144,23 @@ def _figures(result: BenchmarkResult, numbers: Mapping[str, Any]) -> list[Report
     runs = numbers["runs"] - numbers["no_start"]
     errors = (
         f"Cumulative distribution of the root mean square error over the {runs} unseen runs. Grey: median and 95th "
-        "percentile. Unstable runs count as infinite errors."
+        "percentile. Diverged runs count as infinite errors."
     )
     references = "Median errors over the runs with each reference."
     air = "Air consumption and angle error: median and 90 % range of the runs."
-    drawn = (
+    drawn = [
         ("errors", "Errors over all unseen runs", errors, benchmark_errors(result)),
         ("references", "Errors by reference", references, benchmark_references(result, numbers)),
-        ("air", "Air consumption", air, benchmark_air(result, numbers)),
-    )
-    known = any(np.isfinite(result.metric(name, "air")).any() for name in result.batches)
-    return [
-        ReportFigure(name, "", title, caption, title, figure)
-        for name, title, caption, figure in drawn
-        if name != "air" or known
     ]
+    if any(np.isfinite(result.metric(name, "air")).any() for name in result.batches):
+        drawn.append(("air", "Air consumption", air, benchmark_air(result, numbers)))
+    if any(found["front"] for found in numbers["controllers"].values()):
+        front = (
+            "Angle error for its air, medians of the training runs: of all trials of the tuning those of which no "
+            "other has less of both, with at most 1.1 times the stiffness error of the best trial."
+        )
+        drawn.append(("front", "Angle error against air", front, benchmark_front(result, numbers)))
+    return [ReportFigure(name, "", title, caption, title, figure) for name, title, caption, figure in drawn]
 
 
 _Column = tuple[str, str, str]
@@ -166,11 +185,11 @@ def _ranking(numbers: Mapping[str, Any]) -> Table:
     for name in numbers["order"]:
         found = numbers["controllers"][name]
         settled = f"{found['settled']['runs']} of {found['settled']['of']}"
-        rows.append((name, str(found["unstable"]), *_cells(found, _ERROR_COLUMNS), settled))
+        rows.append((name, str(found["diverged"]), *_cells(found, _ERROR_COLUMNS), settled))
     return Table(
-        "Ordered by median cost. Medians and 95th percentiles over the stable runs. Errors are those of the plant's "
-        "stiffness; coupling and settling refer to stiffness steps.",
-        ("controller", "unstable", *(title for title, _, _ in _ERROR_COLUMNS), "settled"),
+        "Ordered by median cost. Medians and 95th percentiles over the runs that did not diverge. Errors are those of "
+        "the plant's stiffness; coupling and settling refer to stiffness steps.",
+        ("controller", "diverged", *(title for title, _, _ in _ERROR_COLUMNS), "settled"),
         rows,
     )
 

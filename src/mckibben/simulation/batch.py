@@ -235,7 +235,9 @@ def _chunk(
             )
         metrics = {name: jnp.where(exists, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
         deciding = {f"_{name}": metrics[name] for name in _DECIDING}
-        return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept, "_started": exists}
+        span = jnp.max(setpoints.angle) - jnp.min(setpoints.angle)
+        deciding |= {"_started": exists, "_angle_at_end": streamed.angle_at_end, "_span": span}
+        return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept}
 
     return jax.vmap(run, in_axes=(0, axis))(lanes, setpoints)
 
@@ -246,6 +248,8 @@ _DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_satura
 def _table(columns: dict[str, NDArray], over: Mapping[str, ArrayLike], times: NDArray, asked: _Asked) -> xr.Dataset:
     code = outcomes(
         angle_max=columns["_angle_max"],
+        angle_at_end=columns["_angle_at_end"],
+        span=columns["_span"],
         left_domain=(columns["_time_outside_domain"] > 0) | (columns["_time_overloaded"] > 0),
         saturated=columns["_time_saturated"] > 0,
         started=columns["_started"],

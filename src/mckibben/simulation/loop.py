@@ -76,9 +76,10 @@ compiled_episode = compiled_as_given(episode)
 
 
 class Streamed(NamedTuple):
-    """Metrics of a whole episode, the plant's final state, and the kept columns by name."""
+    """Metrics of a whole episode, the RMS angle error at its end, the plant's final state, and the kept columns."""
 
     metrics: Metrics
+    angle_at_end: Array
     final: PlantState
     kept: dict[str, Array]
 
@@ -132,7 +133,7 @@ def streaming_episode(
         at_change = jnp.where(index == change.at, now.stiffness, carry.stiffness_at_change)
         air = (now.air1, now.air2)
         before = [jnp.where(index == 0, new, old) for new, old in zip(air, carry.air, strict=True)]
-        added = MetricAccumulator.of(now, index, change, at_change, before, SETTLING_PART)
+        added = MetricAccumulator.of(now, index, periods, change, at_change, before, SETTLING_PART)
         without = step_without_change(carry, following, setpoint, index)
         return _Carry(following, without, carry.total.merge(added), at_change, air), {
             name: getattr(now, name) for name in keep
@@ -157,4 +158,4 @@ def streaming_episode(
     metrics = carry.total.metrics(change, periods, period)
     if split is None:
         metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))
-    return Streamed(metrics, carry.loop[0], kept)
+    return Streamed(metrics, carry.total.angle_at_end(periods), carry.loop[0], kept)

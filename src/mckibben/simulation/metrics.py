@@ -123,6 +123,7 @@ compiled_trajectory = compiled(trajectory)
 
 SETTLING_PART = 0.1
 """Half the width of the settling band, as a fraction of the step of the desired stiffness."""
+_END = 10  # the last 1/10 of a run is its end
 _SETTLED = 10  # the last 1/10 of the time since the change has to be inside the band
 _BAND_FLOOR = 1e-3  # least half width of the band, as a fraction of the setpoint
 
@@ -140,10 +141,11 @@ class Metrics(NamedTuple):
     stiffness_settling
         Time from the last change of the desired stiffness (or from the start, if it never changes) until the stiffness
         enters the settling band for good [s]. NaN if it is not inside for at least the last tenth of the time since the
-        change (a limit cycle, or an entry just before the end), or if the setpoint changes to the very end.
+        change (a limit cycle, or an entry just before the end), or if the setpoint ends with a ramp or changes to the
+        very end.
     coupling
         Largest deviation of the angle from that of the same run without the last change of the desired stiffness [rad];
-        NaN if the desired stiffness never changes, or changes to the very end.
+        NaN if the desired stiffness never changes, ends with a ramp or changes to the very end.
     estimate_rmse
         Root mean square error of the controller's stiffness estimate [N*m/rad]; NaN if it has none.
     time_saturated, time_slack, time_outside_domain, time_overloaded
@@ -202,10 +204,11 @@ def measure(moved: Trajectory, period: ArrayLike, *, settling_part: float = SETT
     change = last_change(moved.desired_stiffness)
     before = [jnp.concatenate([air[:1], air[:-1]]) for air in map(jnp.asarray, (moved.air1, moved.air2))]
     at_change = stiffness[change.at]
-    parts = MetricAccumulator.of(moved, jnp.arange(stiffness.size), change, at_change, before, settling_part)
+    periods = stiffness.size
+    parts = MetricAccumulator.of(moved, jnp.arange(periods), periods, change, at_change, before, settling_part)
     sums = Sums(*(jnp.sum(part) for part in parts.sums))
     peaks = Peaks(*(_largest(part) for part in parts.peaks))
-    return MetricAccumulator(sums, peaks, jnp.max(parts.unsettled)).metrics(change, stiffness.size, period)
+    return MetricAccumulator(sums, peaks, jnp.max(parts.unsettled)).metrics(change, periods, period)
 
 
 compiled_measure = compiled(measure)
@@ -217,7 +220,12 @@ class Change(NamedTuple):
     at: Array  # first control period with the new setpoint; 0 if it never changes
     before: Array  # setpoint [N*m/rad]
     after: Array  # setpoint at the end of the run [N*m/rad]
-    ends: Array  # whether there is a change, and a time after it without one
+    ends: Array  # whether there is a change, a step and not the end of a ramp, and a time after it without one
+
+
+def first_of_end(periods: int) -> int:
+    """First control period of the end of a run, its last tenth."""
+    return periods - max(periods // _END, 1)
 
 
 def last_change(desired: ArrayLike) -> Change:
@@ -225,7 +233,7 @@ def last_change(desired: ArrayLike) -> Change:
     desired = jnp.asarray(desired)
     changed = jnp.concatenate([jnp.zeros(1, bool), desired[1:] != desired[:-1]])
     index = jnp.max(jnp.where(changed, jnp.arange(desired.size), 0))
-    ends = (index > 0) & (index < desired.size - 1)
+    ends = (index > 0) & (index < desired.size - 1) & ~changed[index - 1]
     return Change(index, desired[jnp.maximum(index - 1, 0)], desired[-1], ends)
 
 
@@ -233,6 +241,7 @@ class Sums(NamedTuple):
     """Sums over control periods: errors, squared errors, counts and air."""
 
     angle: Array
+    angle_at_end: Array
     stiffness: Array
     stiffness_bias: Array
     estimate: Array
@@ -271,6 +280,7 @@ class MetricAccumulator(NamedTuple):
         cls,
         moved: Trajectory,
         index: ArrayLike,
+        periods: int,
         change: Change,
         stiffness_at_change: ArrayLike,
         air_before: Sequence[ArrayLike],
@@ -290,6 +300,7 @@ class MetricAccumulator(NamedTuple):
 
         sums = Sums(
             angle=jnp.square(angle_error),
+            angle_at_end=jnp.where(jnp.asarray(index) >= first_of_end(periods), jnp.square(angle_error), 0.0),
             stiffness=jnp.square(stiffness_error),
             stiffness_bias=stiffness_error,
             estimate=jnp.square(estimate_error),
@@ -315,6 +326,10 @@ class MetricAccumulator(NamedTuple):
             Peaks(*(_larger(a, b) for a, b in zip(self.peaks, other.peaks, strict=True))),
             jnp.maximum(self.unsettled, other.unsettled),
         )
+
+    def angle_at_end(self, periods: int) -> Array:
+        """Root mean square error of the angle [rad] over the end of a run of so many control periods."""
+        return _root(self.sums.angle_at_end / (periods - first_of_end(periods)))
 
     def metrics(self, change: Change, periods: int, period: ArrayLike) -> Metrics:
         """The metrics of a whole run of so many control periods [s]."""

@@ -173,10 +173,10 @@ def sampling_times(duration: float, period: float, substeps: int = 1) -> NDArray
 
 
 def without_last_change(setpoints: Setpoint) -> Setpoint | None:
-    """The setpoints without the last change of stiffness; None if it never changes, or changes to the very end."""
+    """The setpoints without the last step of stiffness; None if there is none, or it changes otherwise at the end."""
     stiffness = np.asarray(setpoints.stiffness)
     changes = np.flatnonzero(stiffness[1:] != stiffness[:-1]) + 1
-    if changes.size == 0 or changes[-1] == stiffness.size - 1:
+    if changes.size == 0 or changes[-1] == stiffness.size - 1 or changes[-1] - 1 in changes:
         return None
     constant = np.where(np.arange(stiffness.size) >= changes[-1], stiffness[changes[-1] - 1], stiffness)
     return setpoints._replace(stiffness=constant)  # type: ignore[arg-type]

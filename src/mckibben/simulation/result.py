@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import FileError, Problem, SimulationError
 from mckibben.notebook import html_table
-from mckibben.simulation.metrics import METRICS, Trajectory, compiled_measure
+from mckibben.simulation.metrics import METRICS, Trajectory, compiled_measure, first_of_end
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 
 SWUNG_OVER_AT = 90 * deg
-"""Angle error beyond which a run has failed."""
+"""Angle error beyond which a run has diverged."""
+LEFT_REFERENCE_AT = 5 * deg
+"""RMS angle error at the end of a run beyond which it has diverged, unless the reference moves by more."""
 
 
 class Outcome(enum.Enum):
@@ -32,14 +34,28 @@ class Outcome(enum.Enum):
     COMPLETED = "completed"
     SATURATED = "completed, with a command at a pressure limit part of the time"
     LEFT_DOMAIN = "completed, but a muscle left its domain or its rating: the law is extrapolated there"
-    SWUNG_OVER = "failed: the angle error exceeded 90 deg"
+    SWUNG_OVER = "diverged: the angle error exceeded 90 deg"
     DIVERGED = "diverged: the state is not finite"
     NO_START = "not run: no pressures within limits hold the joint at the start"
+    LEFT_REFERENCE = (
+        "diverged: over the last tenth of the run the angle was further from its reference (RMS) than the reference "
+        "moves, and than 5 deg"
+    )
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the run left its reference for good.
+
+        Its state is not finite, its angle error exceeded 90 deg, or over the last tenth of the run the RMS angle error
+        exceeds 5 deg and the span of the reference, highest less lowest angle: a joint that stands still within that
+        span is never so far off, however slow its controller.
+        """
+        return self in (Outcome.SWUNG_OVER, Outcome.DIVERGED, Outcome.LEFT_REFERENCE)
 
     @property
     def failed(self) -> bool:
-        """Whether the run has no usable end: swung over, diverged, or not started."""
-        return self in (Outcome.SWUNG_OVER, Outcome.DIVERGED, Outcome.NO_START)
+        """Whether the run has no usable end: diverged, or not started."""
+        return self.diverged or self is Outcome.NO_START
 
 
 BAND: tuple[str, str] = ("lowest_stiffness", "highest_stiffness")
@@ -50,14 +66,21 @@ OUTCOMES = tuple(Outcome)
 
 
 def outcomes(
-    *, angle_max: ArrayLike, left_domain: ArrayLike, saturated: ArrayLike, started: ArrayLike = True
+    *,
+    angle_max: ArrayLike,
+    left_domain: ArrayLike,
+    saturated: ArrayLike,
+    angle_at_end: ArrayLike = 0.0,
+    span: ArrayLike = 0.0,
+    started: ArrayLike = True,
 ) -> NDArray[np.int8]:
-    """Index of each run's outcome in `OUTCOMES`; an infinite largest angle error [rad] is divergence."""
+    """Index of each run's outcome in `OUTCOMES`, from angle errors [rad] and the span [rad] of the reference angle."""
     angle_max = np.asarray(angle_max)
     worst_first = [
         (~np.asarray(started, bool), Outcome.NO_START),
         (~np.isfinite(angle_max), Outcome.DIVERGED),
         (angle_max > SWUNG_OVER_AT, Outcome.SWUNG_OVER),
+        (np.asarray(angle_at_end) > np.maximum(span, LEFT_REFERENCE_AT), Outcome.LEFT_REFERENCE),
         (np.asarray(left_domain, bool), Outcome.LEFT_DOMAIN),
         (np.asarray(saturated, bool), Outcome.SATURATED),
     ]
@@ -322,8 +345,11 @@ def attributes(name: str) -> dict[str, str]:
 
 def _outcome(columns: Mapping[str, np.ndarray]) -> Outcome:
     ended = np.isfinite(columns["velocity"][-1])
+    error = columns["angle"] - columns["desired_angle"]
     code = outcomes(
-        angle_max=np.abs(columns["angle"] - columns["desired_angle"]).max() if ended else np.inf,
+        angle_max=np.abs(error).max() if ended else np.inf,
+        angle_at_end=np.sqrt(np.mean(error[first_of_end(error.size) :] ** 2)),
+        span=np.ptp(columns["desired_angle"]),
         left_domain=columns["outside_domain"].any() or columns["overloaded"].any(),
         saturated=columns["saturated"].any(),
     )

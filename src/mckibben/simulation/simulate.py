@@ -114,8 +114,8 @@ def check_reference(
 
 
 def attainable_band(plant: JointPlant, angle: Array, amplitude: ArrayLike | None = None) -> tuple[Array, Array]:
-    """Lowest and highest stiffness [N*m/rad] at which the joint holds angles [rad] against gravity."""
-    return plant.joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle), amplitude=amplitude)
+    """Lowest and highest stiffness [N*m/rad] at which the supplied joint holds angles [rad] against gravity."""
+    return plant.supplied_joint.attainable_stiffness(angle, -plant.load.gravity_torque(angle), amplitude=amplitude)
 
 
 _band = compiled(attainable_band)
@@ -322,7 +322,9 @@ def _check_start(problem: SimulationProblem, times: ArrayLike, amplitude: ArrayL
     angle, stiffness = problem.rest(setpoints)
     angles = jnp.concatenate([angle[None], setpoints.angle])
     torques = -problem.plant.load.gravity_torque(angles)
-    found, (lowest, highest) = solve_static_and_range(problem.plant.joint, angles, torques, stiffness, amplitude)
+    found, (lowest, highest) = solve_static_and_range(
+        problem.plant.supplied_joint, angles, torques, stiffness, amplitude
+    )
     start = problem.plant.init_state(angle, found.pressures)
     return _Checked(setpoints, start, found.exists, (lowest[1:], highest[1:]))
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -15,23 +14,22 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import jax
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mckibben.control import Controller
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.joint import AntagonisticJoint, Load
 from mckibben.notebook import Progress, html_table, notebook_progress, silent
-from mckibben.plant import JointPlant
+from mckibben.numerics.batching import lanes_of
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
 from mckibben.simulation.metrics import METRICS
-from mckibben.study.benchmark.runs import Runs, draw
+from mckibben.study.benchmark.runs import Group, Runs, draw, merged
 from mckibben.study.benchmark.suite import Suite, filename
 from mckibben.study.parameters import batched, valid_rows
 from mckibben.study.scenario import Scenario
 from mckibben.study.sweep.result import spearman
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Costs, Method, SearchSpace, Vector, by_cma, check_method
-from mckibben.study.tune.tune import Evaluator, TuningHistory
+from mckibben.study.tune.tune import Evaluated, Evaluator, Trial, TuningHistory
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,6 +53,8 @@ class BenchmarkResult:
         Parameters at an end of their range.
     batches
         Results in the evaluation runs.
+    trials
+        Trials of the tuning, with the median metrics of the training runs where none of these diverged.
     """
 
     suite: Suite
@@ -63,6 +63,7 @@ class BenchmarkResult:
     training_cost: dict[str, tuple[float, float]]
     at_bound: dict[str, tuple[str, ...]]
     batches: dict[str, Batch]
+    trials: dict[str, tuple[Trial, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<BenchmarkResult: {', '.join(self.batches)} on {self.runs.count} runs>"
@@ -74,8 +75,8 @@ class BenchmarkResult:
             found = numbers["controllers"][name]
             medians = [found["metrics"][_SHOWN[metric]] for metric in MAIN]
             cells = ["-" if each is None else f"{each['median']:.3g}" for each in medians]
-            rows.append((name, *cells, str(found["unstable"])))
-        return html_table(repr(self), ("controller", *(_SHOWN[metric] for metric in MAIN), "unstable"), rows)
+            rows.append((name, *cells, str(found["diverged"])))
+        return html_table(repr(self), ("controller", *(_SHOWN[metric] for metric in MAIN), "diverged"), rows)
 
     @property
     def started(self) -> NDArray[np.bool_]:
@@ -83,16 +84,16 @@ class BenchmarkResult:
         return _started(next(iter(self.batches.values())))
 
     def metric(self, controller: str, name: str) -> Vector:
-        """A metric [SI] of each run that started; NaN where the controller was unstable."""
+        """A metric [SI] of each run that started; NaN where the run diverged."""
         batch = self.batches[controller]
         return np.where(batch.failed, np.nan, batch.metrics[name])[self.started]
 
-    def unstable(self, controller: str) -> NDArray[np.bool_]:
-        """Mask of the runs that started and in which the controller was unstable."""
+    def diverged(self, controller: str) -> NDArray[np.bool_]:
+        """Mask of the runs that started and diverged."""
         return self.batches[controller].failed[self.started]
 
     def cost(self, controller: str) -> Vector:
-        """Cost of each run that started; 1e6 where the controller was unstable."""
+        """Cost of each run that started; 1e6 where the run diverged."""
         names = self.suite.cost.metrics
         cost = self.suite.cost({name: self.metric(controller, name) for name in names})
         return np.where(np.isfinite(cost), cost, FAILED_COST)
@@ -141,7 +142,7 @@ def compare(
         if swept:
             task = ControllerTuning(suite, name, SearchSpace(swept), training)
             tuned = task.run(folder, resume, lambda part: report("tuning", _TUNING * part))
-            result.tuned[name], result.training_cost[name], result.at_bound[name] = tuned
+            result.tuned[name], result.training_cost[name], result.at_bound[name], result.trials[name] = tuned
         report("evaluation runs", _TUNING)
         result.batches[name] = evaluate(evaluation, name, result.tuned[name])
         if not _started(result.batches[name]).any():
@@ -151,9 +152,12 @@ def compare(
     return result
 
 
-def evaluate(runs: Runs, controller: str, values: dict[str, float]) -> Batch:
-    """Simulate the runs with a controller of these values [SI]."""
-    return _simulated(runs, _controller(runs, controller, {name: [value] for name, value in values.items()}), 1)
+def evaluate(
+    runs: Runs, controller: str, values: Mapping[str, ArrayLike], *, metrics: Sequence[str] = Metrics._fields
+) -> Batch:
+    """Simulate the runs with a controller of these values [SI], or all runs for each of several sets of values."""
+    table = {name: np.atleast_1d(np.asarray(value)) for name, value in values.items()}
+    return _simulated_all(runs, controller, table, max(map(len, table.values()), default=1), tuple(metrics))
 
 
 def _started(batch: Batch) -> NDArray[np.bool_]:
@@ -185,27 +189,39 @@ class ControllerTuning:
     def _starts(self) -> int:
         return self.suite.tuning.starts_of.get(self.controller, self.suite.tuning.starts)
 
-    def costs(self, values: Vector) -> Vector:
-        """Mean cost of rows of values [SI] over the training runs that can start."""
+    def evaluate(self, values: Vector) -> Evaluated:
+        """Mean cost and median metrics of rows of values [SI] over the training runs that can start."""
         table = dict(zip(self.space.names, values.T, strict=True))
         good = valid_rows(self._scenario, table)
         if not good.any():
-            return np.full(len(values), FAILED_COST)
+            return Evaluated(np.full(len(values), FAILED_COST))
         table = {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
-        control = _controller(self.runs, self.controller, table)
-        batch = _simulated(self.runs, control, len(values), self.suite.cost.metrics)
+        asked = tuple(dict.fromkeys((*self.suite.cost.metrics, *TRADED)))
+        batch = _simulated_all(self.runs, self.controller, table, len(values), asked)
         found = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
-        found = np.where(np.isfinite(found) & ~batch.failed, np.minimum(found, FAILED_COST), FAILED_COST)
+        diverged = ~np.isfinite(found) | batch.failed
+        found = np.where(diverged, FAILED_COST, np.minimum(found, FAILED_COST))
         started = _started(batch)
         if not started.any():
             raise _none_starts("training")
         shape = (len(values), self.runs.count)
         total = np.sum(np.where(started, found, 0.0).reshape(shape), axis=1)
-        return np.where(good, total / started.reshape(shape).sum(axis=1), FAILED_COST)
+        costs = np.where(good, total / started.reshape(shape).sum(axis=1), FAILED_COST)
+        started, diverged = started.reshape(shape), diverged.reshape(shape)
+        columns = {name: batch.metrics[name].reshape(shape) for name in TRADED}
+
+        def medians(row: int) -> dict[str, float] | None:
+            if not good[row] or (diverged & started)[row].any():
+                return None
+            found = {name: float(np.median(column[row][started[row]])) for name, column in columns.items()}
+            return found if np.isfinite(list(found.values())).all() else None
+
+        return Evaluated(costs, metrics=[medians(row) for row in range(len(values))])
 
     def about(self) -> dict[str, Any]:
         """Everything that determines the trials."""
-        leaves = jax.tree.leaves((self.runs.plant, self.runs.reference, self._scenario.control()))
+        parts = [(group.rows, group.plant, group.reference) for group in self.runs.groups]
+        leaves = jax.tree.leaves((parts, self._scenario.control()))
         content = repr([np.asarray(leaf).tolist() for leaf in leaves if eqx.is_array_like(leaf)])
         tuning = self.suite.tuning
         return {
@@ -223,13 +239,13 @@ class ControllerTuning:
 
     def run(
         self, folder: Path | None, resume: bool, progress: Callable[[float], None]
-    ) -> tuple[dict[str, float], tuple[float, float], tuple[str, ...]]:
-        """Best values [SI], their cost and the nominal one, and the parameters at a bound."""
+    ) -> tuple[dict[str, float], tuple[float, float], tuple[str, ...], tuple[Trial, ...]]:
+        """Best values [SI], their cost and the nominal one, the parameters at a bound, and all trials."""
         tuning, space = self.suite.tuning, self.space
         check_method(Method.CMA, numbers=max(len(space), 2), population=tuning.population)
         path = None if folder is None else folder / f"{filename(self.controller)}.journal"
         with TuningHistory.open(path, self.about(), resume=resume and path is not None and path.exists()) as past:
-            costs = Evaluator(space, past, tuning.population, lambda values: (self.costs(values), None)).costs
+            costs = Evaluator(space, past, tuning.population, self.evaluate).costs
             first = space.point(space.nominal)
             costs(first[None])
             starts = np.random.default_rng(tuning.seed).random((self._starts, len(space)))
@@ -249,7 +265,7 @@ class ControllerTuning:
             rounded = space.rounded(space.values(np.array(best.point)[None])[0])
             (cost,), (before,) = costs(space.point(rounded)[None]), costs(first[None])
             values = dict(zip(space.names, rounded.tolist(), strict=True))
-            return values, (float(cost), float(before)), space.at_bound(best.point)
+            return values, (float(cost), float(before)), space.at_bound(best.point), tuple(past.trials)
 
     def _search(self, costs: Costs, start: Vector, seed: int, progress: Callable[[float], None]) -> None:
         tuning, count = self.suite.tuning, start.size
@@ -263,46 +279,56 @@ class ControllerTuning:
         )
 
 
-def _controller(runs: Runs, controller: str, table: dict[str, Any]) -> Controller:
-    """A controller with sets of values, each in all runs: arrays of shape (sets * runs,)."""
-    scenario = runs.suite.scenario(controller, next(iter(runs.suite.references)))
-    columns = {name: np.repeat(np.asarray(column), runs.count) for name, column in table.items()}
-    control = (batched(scenario, columns) if columns else scenario).control()
-    if controller in runs.suite.true_model:
-        sets = len(next(iter(table.values()))) if table else 1
-        return _with_true_model(control, _tiled(runs.plant, sets))
-    return control
+def _controller(runs: Runs, group: Group, controller: str, table: dict[str, Any], sets: int) -> Controller:
+    """A controller with sets of values, each in all runs of a group: arrays of shape (sets * runs,)."""
+    suite, reference = runs.suite, next(iter(runs.suite.references))
+    columns = {name: np.repeat(np.asarray(column), group.count) for name, column in table.items()}
+    if controller not in suite.true_model:
+        scenario = suite.scenario(controller, reference)
+        return (batched(scenario, columns) if columns else scenario).control()
+    parts = []
+    for joint in dict.fromkeys(group.joint):
+        own = np.flatnonzero([name == joint for name in group.joint])
+        lanes = _lanes(own, group.count, sets)
+        conditions = runs.conditions_of(joint, group.rows[own])
+        values = {name: np.tile(column, sets) for name, column in conditions.items()}
+        values |= {name: column[lanes] for name, column in columns.items()}
+        scenario = suite.scenario(controller, reference, joint)
+        parts.append((lanes, (batched(scenario, values, known="all") if values else scenario).control()))
+    return merged(parts, group.count * sets)
 
 
-def _with_true_model(control: Controller, plant: JointPlant) -> Controller:
-    """A controller whose models of joint, load and valves are those of the plants of a batch."""
-
-    def true(part: Any) -> Any:
-        if isinstance(part, AntagonisticJoint):
-            return plant.joint
-        return plant.load if isinstance(part, Load) else part
-
-    control = jax.tree.map(true, control, is_leaf=lambda part: isinstance(part, AntagonisticJoint | Load))
-    time_constant = getattr(plant.valve, "time_constant", None)
-
-    def timed(part: Any) -> Any:
-        known = time_constant is not None and hasattr(part, "valve_time_constant")
-        return dataclasses.replace(part, valve_time_constant=time_constant) if known else part
-
-    inner = getattr(control, "controller", None)
-    return timed(control) if inner is None else dataclasses.replace(control, controller=timed(inner))  # type: ignore
+def _lanes(rows: NDArray[np.int64], count: int, sets: int) -> NDArray[np.int64]:
+    """Numbers of some of so many runs, repeated for sets of values."""
+    return (np.arange(sets)[:, None] * count + rows).ravel()
 
 
 def _tiled(tree: Any, sets: int) -> Any:
-    """A batch of runs repeated for sets of values."""
+    """A batch of runs repeated for sets of values; leaves that do not vary stay as they are."""
+    _, varying = lanes_of(tree)
     return jax.tree.map(
-        lambda leaf: np.tile(leaf, sets) if eqx.is_array_like(leaf) and np.ndim(leaf) == 1 else leaf, tree
+        lambda leaf, varies: np.tile(leaf, (sets, *[1] * (np.ndim(leaf) - 1))) if varies else leaf, tree, varying
     )
 
 
-def _simulated(runs: Runs, controller: Controller, sets: int, metrics: tuple[str, ...] = Metrics._fields) -> Batch:
-    suite = runs.suite
-    plant, reference = _tiled((runs.plant, runs.reference), sets) if sets > 1 else (runs.plant, runs.reference)
+def _simulated_all(runs: Runs, controller: str, table: dict[str, Any], sets: int, metrics: tuple[str, ...]) -> Batch:
+    """Simulate all runs with sets of values [SI], one group of runs after the other."""
+    batches, lanes = [], []
+    for group in runs.groups:
+        control = _controller(runs, group, controller, table, sets)
+        batches.append(_simulated(runs.suite, group, control, sets, metrics))
+        lanes.append(_lanes(group.rows, runs.count, sets))
+    if len(batches) == 1:
+        return batches[0]
+    import xarray as xr
+
+    whole: Any = xr.concat([batch.table for batch in batches], "run")
+    return Batch(whole.isel(run=np.argsort(np.concatenate(lanes))))
+
+
+def _simulated(suite: Suite, group: Group, controller: Controller, sets: int, metrics: tuple[str, ...]) -> Batch:
+    """Simulate the runs of a group with a controller of sets of values."""
+    plant, reference = (_tiled(part, sets) for part in (group.plant, group.reference))
     return simulate_many(
         plant,
         controller,
@@ -317,6 +343,9 @@ def _simulated(runs: Runs, controller: Controller, sets: int, metrics: tuple[str
 
 MAIN = ("angle_rmse", "stiffness_rmse")
 """Errors that are compared with those of the first controller."""
+TRADED = (*MAIN, "air")
+"""Metrics of each trial of the tuning."""
+_SAME_STIFFNESS = 1.1  # largest stiffness error on a front, relative to that of the tuned controller
 _RESAMPLES = 2000
 _MAX_RESAMPLED = 2_000_000  # values at once
 _SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
@@ -393,7 +422,7 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
     stepped = np.isfinite(result.metric(name, "coupling"))
     settled = stepped & np.isfinite(result.metric(name, "stiffness_settling"))
     return {
-        "unstable": int(result.unstable(name).sum()),
+        "diverged": int(result.diverged(name).sum()),
         "median_cost": median_cost,
         "metrics": {
             _SHOWN[metric]: _percentiles(result.metric(name, metric), _UNIT[metric]) for metric in Metrics._fields
@@ -410,7 +439,22 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
         "tuned": result.tuned[name],
         "training_cost": None if cost is None else {"tuned": cost[0], "before": cost[1]},
         "at_bound": list(result.at_bound[name]),
+        "front": _front(result.trials.get(name, ())),
     }
+
+
+def _front(trials: Sequence[Trial]) -> list[dict[str, float]]:
+    """Trials of which none has less air and less angle error, by rising air; with the stiffness error of the best."""
+    known = [trial for trial in trials if trial.metrics]
+    best = min(known, key=lambda trial: trial.cost, default=None)
+    if best is None or best.metrics is None:
+        return []
+    limit = _SAME_STIFFNESS * best.metrics["stiffness_rmse"]
+    found: list[dict[str, float]] = []
+    for at in sorted((trial.metrics or {} for trial in known), key=lambda at: (at["air"], at["angle_rmse"])):
+        if at["stiffness_rmse"] <= limit and (not found or at["angle_rmse"] < found[-1]["angle_rmse"]):
+            found.append(at)
+    return [{_SHOWN[metric]: at[metric] / _UNIT[metric] for metric in TRADED} for at in found]
 
 
 def _percentiles(values: NDArray[np.float64], unit: float) -> dict[str, Any] | None:
@@ -422,7 +466,7 @@ def _percentiles(values: NDArray[np.float64], unit: float) -> dict[str, Any] | N
 
 
 def _ratio(values: NDArray[np.float64], first: NDArray[np.float64]) -> dict[str, float]:
-    """Ratio of the medians, with infinite errors in unstable runs, and its bootstrap interval."""
+    """Ratio of the medians, with infinite errors in diverged runs, and its bootstrap interval."""
     values, first = (np.where(np.isfinite(each), each, np.inf) for each in (values, first))
     generator, ratios = np.random.default_rng(0), np.empty(0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -450,6 +494,6 @@ def _medians_by(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) ->
 
 
 def _correlation(condition: NDArray[Any], error: NDArray[np.float64]) -> float | None:
-    """Rank correlation, with infinite errors in unstable runs."""
+    """Rank correlation, with infinite errors in diverged runs."""
     found = spearman(condition, np.where(np.isfinite(error), error, np.inf))
     return float(found) if np.isfinite(found) else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import equinox as eqx
@@ -11,14 +11,43 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.control import Constant, Multisine, Reference, Signal, Sine, Step, Sum
-from mckibben.errors import ParameterError
+from mckibben.control import Reference, Samples
+from mckibben.numerics.batching import lanes_of
+from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
+from mckibben.simulation.problem import sample_reference, sampling_times
+from mckibben.simulation.resolution import check_frequencies, check_substeps
 from mckibben.study.benchmark.suite import Suite, start_of
 from mckibben.study.parameters import batched, sample, with_values
 from mckibben.study.scenario import Scenario
 
 Column = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Runs whose plants differ in numbers only, so that they are computed together.
+
+    Attributes
+    ----------
+    rows
+        Numbers of these runs among all. Shape (count,).
+    joint, reference_name
+        Names of the joint and the reference of each run.
+    plant, reference
+        Batches with arrays of shape (count, ...) where runs differ, as for `simulate_many`; references are sampled.
+    """
+
+    rows: NDArray[np.int64]
+    joint: Sequence[str]
+    reference_name: Sequence[str]
+    plant: JointPlant
+    reference: Reference
+
+    @property
+    def count(self) -> int:
+        """Number of runs."""
+        return len(self.joint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +64,8 @@ class Runs:
         Values [SI] of varied plant parameters by name, one a run.
     reference_values
         Values [SI] of varied parameters by name, for each reference, one for each of its runs in order.
-    plant, reference
-        Batches with arrays of shape (runs,) where runs differ, as for `simulate_many`.
+    groups
+        Plants and references, by groups of runs.
     """
 
     suite: Suite
@@ -44,22 +73,25 @@ class Runs:
     reference_name: Sequence[str]
     conditions: dict[str, Column]
     reference_values: dict[str, dict[str, Column]]
-    plant: JointPlant
-    reference: Reference
+    groups: tuple[Group, ...]
 
     @property
     def count(self) -> int:
         """Number of runs."""
         return len(self.joint)
 
+    def conditions_of(self, joint: str, rows: NDArray[np.int64]) -> dict[str, Column]:
+        """Values [SI] of the varied parameters that a plant has, in some of its runs."""
+        return {name: column[rows] for name, column in self.conditions.items() if self.suite.has(joint, name)}
+
     def scenario(self, controller: str, run: int, values: dict[str, float] | None = None) -> Scenario:
         """Scenario of one run, numbered from 0, with a controller of tuned values [SI]."""
-        reference = self.reference_name[run]
+        reference, joint = self.reference_name[run], self.joint[run]
         place = [row for row, name in enumerate(self.reference_name) if name == reference].index(run)
-        numbers = {name: column[run].item() for name, column in self.conditions.items()}
+        numbers = {name: column[0].item() for name, column in self.conditions_of(joint, np.array([run])).items()}
         numbers |= {name: column[place].item() for name, column in self.reference_values[reference].items()}
         numbers |= values or {}
-        scenario = self.suite.scenario(controller, reference, self.joint[run])
+        scenario = self.suite.scenario(controller, reference, joint)
         if numbers:
             scenario = with_values(scenario, numbers)
         return scenario.model_copy(update={"start": start_of(scenario.signals)})
@@ -74,44 +106,68 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
     Raises
     ------
     ParameterError
-        If the conditions of a run make no valid scenario, or joints differ in more than numbers.
+        If the conditions of a run make no valid scenario.
+    SimulationError
+        If a frequency of a reference is at or above half the control rate, or a plant needs more substeps.
     """
-    shares = {name: share for name, (share, _) in suite.joints.items()}
+    shares = {name: plant.share for name, plant in suite.plants.items()}
     order = np.random.default_rng(seed).spawn(2)
     joint = _dealt(shares, count, order[0])
     names = _dealt({name: each.share for name, each in suite.references.items()}, count, order[1])
     conditions = dict(sample(suite.conditions_over(), samples=count, seed=seed)) if suite.conditions else {}
     if suite.sensors is not None and "sensors.seed" not in conditions:
         conditions["sensors.seed"] = np.arange(count, dtype=np.int64) + (1000 * seed) % 2**30
-    first = next(iter(suite.controllers))
-    plants, references, values = [], [], {}
-    for name in dict.fromkeys(joint):
-        rows = _rows(joint, name)
-        scenario = suite.scenario(first, names[rows[0]], name)
-        taken = {key: column[rows] for key, column in conditions.items()}
-        plants.append((rows, (batched(scenario, taken) if taken else scenario).plant()))
-    most = max(_sines(suite, name) for name in suite.references)
+    values, setpoints = _references(suite, names, seed)
+    runs = Runs(suite, joint, names, conditions, values, ())
+    return replace(runs, groups=_groups(runs, setpoints))
+
+
+def _references(suite: Suite, names: Sequence[str], seed: int) -> tuple[dict[str, dict[str, Column]], Column]:
+    """Values of the varied parameters by reference, and the setpoints of shape (2, runs, periods)."""
+    times = sampling_times(suite.duration, suite.control_period)
+    values: dict[str, dict[str, Column]] = {}
+    setpoints = np.empty((2, len(names), times.size))
     for number, name in enumerate(suite.references):
         rows = _rows(names, name)
-        if rows.size == 0:
-            values[name] = {}
-            continue
-        table = _reference_values(suite, name, rows.size, seed + 7919 * (number + 1))
-        values[name] = table
-        scenario = suite.scenario(first, name)
-        found = (batched(scenario, table) if table else scenario).reference()
-        references.append(
-            (rows, Reference(_as_step_and_sines(found.angle, most), _as_step_and_sines(found.stiffness, most)))
+        values[name] = table = (
+            _reference_values(suite, name, rows.size, seed + 7919 * (number + 1)) if rows.size else {}
         )
-    return Runs(
-        suite,
-        joint,
-        names,
-        conditions,
-        values,
-        _merged(plants, count, "joints"),
-        _merged(references, count, "references"),
-    )
+        if rows.size:
+            scenario = suite.scenario(next(iter(suite.controllers)), name)
+            reference = (batched(scenario, table) if table else scenario).reference()
+            check_frequencies(reference, suite.control_period)
+            setpoints[:, rows] = _sampled(reference, times)
+    return values, setpoints
+
+
+def _sampled(reference: Reference, times: NDArray[np.float64]) -> Column:
+    """Setpoints of one reference or a batch of them, shape (2, 1 or runs, periods)."""
+    count, varying = lanes_of(reference)
+    lanes, shared = eqx.partition(numeric(reference), varying)
+    if count is None:
+        return np.stack(sample_reference(reference, times))[:, None]
+    return np.stack(jax.vmap(lambda lane: sample_reference(eqx.combine(lane, shared), times))(lanes))
+
+
+def _groups(runs: Runs, setpoints: Column) -> tuple[Group, ...]:
+    """Runs by the structure of their plants."""
+    suite, times = runs.suite, sampling_times(runs.suite.duration, runs.suite.control_period)
+    parts: dict[Any, list[tuple[NDArray[np.int64], JointPlant]]] = {}
+    for name in dict.fromkeys(runs.joint):
+        rows = _rows(runs.joint, name)
+        scenario = suite.example(joint=name)
+        check_substeps(scenario.plant(), setpoints[0], setpoints[1], suite.control_period, suite.substeps)
+        taken = runs.conditions_of(name, rows)
+        plant = (batched(scenario, taken) if taken else scenario).plant()
+        parts.setdefault(jax.tree.structure(plant), []).append((rows, plant))
+    groups = []
+    for several in parts.values():
+        rows = np.sort(np.concatenate([rows for rows, _ in several]))
+        within = [(np.searchsorted(rows, own), plant) for own, plant in several]
+        joint, names = ([each[int(row)] for row in rows] for each in (runs.joint, runs.reference_name))
+        reference = Reference(*(Samples(times, values[rows]) for values in setpoints))
+        groups.append(Group(rows, joint, names, merged(within, rows.size), reference))
+    return tuple(groups)
 
 
 def _dealt(shares: dict[str, int], count: int, order: np.random.Generator) -> list[str]:
@@ -129,7 +185,7 @@ def _reference_values(suite: Suite, name: str, count: int, seed: int) -> dict[st
     """Values of a reference's varied parameters, with sine amplitudes of the angle within the suite's acceleration."""
     varied = suite.reference_over(name)
     table = dict(sample(varied, samples=count, seed=seed)) if varied else {}
-    sine, most = suite.references[name].reference.angle.sine, suite.max_angular_acceleration
+    sine, most = getattr(suite.references[name].reference.angle, "sine", None), suite.max_angular_acceleration
     if sine is None or most is None:
         return table
     amplitude = table.get("reference.angle.amplitude", np.full(count, sine.amplitude))
@@ -138,45 +194,10 @@ def _reference_values(suite: Suite, name: str, count: int, seed: int) -> dict[st
     return {**table, "reference.angle.amplitude": np.clip(amplitude, -largest, largest)}
 
 
-def _sines(suite: Suite, name: str) -> int:
-    signals = suite.references[name].reference
-    several = [each.multisine for each in (signals.angle, signals.stiffness) if each.multisine is not None]
-    return max([1, *(len(each.amplitudes) for each in several)])
+def merged(parts: list[tuple[NDArray[np.int64], Any]], count: int) -> Any:
+    """One tree of all runs from trees of some runs each, which have one structure."""
 
-
-def _as_step_and_sines(signal: Signal, sines: int) -> Sum:
-    """A step and so many sines, so that all references share one compiled program."""
-    nothing = (0.0,) * sines
-
-    def form(before: Any, after: Any, at: Any, amplitudes: Any, frequencies: Any, phases: Any) -> Sum:
-        a, f, p = (tuple(each) + (0.0,) * (sines - len(each)) for each in (amplitudes, frequencies, phases))
-        return Sum((Step(before, after, at), Multisine(a, f, p)))
-
-    match signal:
-        case Constant():
-            return form(signal.value, signal.value, 0.0, nothing, nothing, nothing)
-        case Step():
-            return form(signal.before, signal.after, signal.at, nothing, nothing, nothing)
-        case Sine():
-            offset = signal.offset
-            return form(offset, offset, 0.0, (signal.amplitude,), (signal.frequency,), (signal.phase,))
-        case Multisine():
-            offset, phases = signal.offset, signal.phases or (0.0,) * len(signal.amplitudes)
-            return form(offset, offset, 0.0, signal.amplitudes, signal.frequencies, phases)
-    raise ParameterError(
-        f"a reference signal of the kind {type(signal).__name__}", remedy="give a constant, step, sine or multisine"
-    )
-
-
-def _merged(parts: list[tuple[NDArray[np.int64], Any]], count: int, what: str) -> Any:
-    """One tree of all runs from trees of some runs each."""
-    trees = [tree for _, tree in parts]
-    structures = {jax.tree.structure(tree) for tree in trees}
-    if len(structures) > 1:
-        remedy = "give all the same specimens, kinds of law and parts"
-        raise ParameterError(f"the {what} of the suite differ in more than numbers", remedy=remedy)
-
-    def merged(*leaves: Any) -> Any:
+    def join(*leaves: Any) -> Any:
         if not eqx.is_array_like(leaves[0]):
             return leaves[0]
         found = [np.asarray(leaf) for leaf in leaves]
@@ -187,4 +208,4 @@ def _merged(parts: list[tuple[NDArray[np.int64], Any]], count: int, what: str) -
             whole[rows] = values
         return whole
 
-    return jax.tree.map(merged, *trees)
+    return jax.tree.map(join, *(tree for _, tree in parts))

@@ -13,13 +13,14 @@ from pydantic.fields import FieldInfo
 from mckibben.config.fields import OneOf
 from mckibben.config.model import ConfigModel, model_in
 from mckibben.config.schema import ComponentModel
+from mckibben.control import Signal
 from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
 from mckibben.study.scenario import GeometrySpec, JointSpec, LoopSpec, Scenario, SignalSpec
 from mckibben.study.scenario.muscle import CatalogName
 from mckibben.units import BoundedInt, Quantity, show
 
 
-def effective_value(scenario: Scenario, part: ConfigModel, place: tuple[str, ...]) -> float | int | None:
+def effective_value(scenario: Scenario, part: ConfigModel, place: Place) -> float | int | None:
     """Effective value [SI] of a number, also where it is unset; None for a starting stiffness and a minimum tension."""
     key = place[-1]
     value = getattr(part, key)
@@ -37,7 +38,7 @@ def effective_value(scenario: Scenario, part: ConfigModel, place: tuple[str, ...
 
 
 Place = tuple[str, ...]
-"""Keys of a field in the file, from the top."""
+"""Keys of a field in the file, from the top; of an item of a list its index."""
 
 Mark = Quantity | BoundedInt
 """Annotation of a numeric field."""
@@ -88,8 +89,9 @@ class _Parameters:
         self.spellings.update({".".join(name): canonical for name in names})
 
     def refuse(self, names: list[Place], reason: tuple[str, str]) -> None:
-        """Add a reason, and a remedy."""
-        self.refused.update({".".join(name): reason for name in names})
+        """Add a reason, and a remedy; the first one counts."""
+        for name in names:
+            self.refused.setdefault(".".join(name), reason)
 
 
 def _parameters(scenario: Scenario) -> _Parameters:
@@ -105,7 +107,7 @@ def _walk(scenario: Scenario, part: ConfigModel, place: Place, names: list[Place
         here = (*place, key)
         called = [(*name, key) for name in names]
         mark = mark_of(info)
-        if key in _FIXED:
+        if key in _FIXED and not (key == "duration" and place):
             found.refuse(called, _FIXED[key])
         elif mark is not None:
             _add_number(part, key, called, here, mark, effective_value(scenario, part, here), found)
@@ -114,6 +116,10 @@ def _walk(scenario: Scenario, part: ConfigModel, place: Place, names: list[Place
             _walk(scenario, value, here, inner, found)
         elif model_in(info.annotation) is not None:
             _refuse_absent(part, key, info, called, here, names, found)
+        elif isinstance(value, tuple) and isinstance(part, ComponentModel) and issubclass(part.runtime, Signal):
+            for i, item in enumerate(value):
+                found.add([(*name, str(i)) for name in called], (*here, str(i)), item_mark(info), item)
+            found.refuse(called, ("it is a list", f"vary an item of it, such as {'.'.join(called[0])}.0"))
         else:
             found.refuse(called, (_what_it_is(info), _NOT_NUMERIC))
 
@@ -193,6 +199,13 @@ def fields_of(part: ConfigModel) -> Iterator[tuple[str, FieldInfo, Any]]:
 def mark_of(info: FieldInfo) -> Mark | None:
     """Numeric annotation of a field; None for others."""
     return next((mark for mark in _marks(info) if isinstance(mark, Quantity | BoundedInt)), None)
+
+
+def item_mark(info: FieldInfo) -> Mark:
+    """Numeric annotation of the items of a list."""
+    lists = [info.annotation, *get_args(info.annotation)]
+    item = next(get_args(each)[0] for each in lists if get_origin(each) is tuple)
+    return next(mark for mark in item.__metadata__ if isinstance(mark, Quantity | BoundedInt))
 
 
 def _marks(info: FieldInfo) -> Iterator[Any]:

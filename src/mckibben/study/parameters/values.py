@@ -26,25 +26,34 @@ def validated(part: P, values: Mapping[Place, Any], place: Place = ()) -> P:
     """The part of a scenario with other values [SI], by their keys within it, validated as if it were read."""
     if not values:
         return part
+    if isinstance(part, tuple):
+        return _with_items(part, values)
     fields = {key: value for key, _, value in fields_of(part)}
     for key, inner in _by_first_key(values).items():
         fields[key] = inner[()] if () in inner else validated(fields[key], inner, (*place, key))
     try:
         return type(part).model_validate(fields)
     except ValidationError as error:
-        raise _explained(error, place) from None
+        raise explained(error, place) from None
 
 
 def update(part: P, values: Mapping[Place, Any]) -> P:
     """The part with other values, not validated."""
     if not values:
         return part
+    if isinstance(part, tuple):
+        return _with_items(part, values)
     names = {info.alias or name: name for name, info in type(part).model_fields.items()}
     changed = {}
     for key, inner in _by_first_key(values).items():
         name = names[key]
         changed[name] = inner[()] if () in inner else update(getattr(part, name), inner)
     return part.model_copy(update=changed)
+
+
+def _with_items(items: tuple[Any, ...], values: Mapping[Place, Any]) -> Any:
+    """A list with other items."""
+    return tuple(values.get((str(i),), item) for i, item in enumerate(items))
 
 
 def part_at(part: ConfigModel, place: Place) -> ConfigModel:
@@ -61,7 +70,8 @@ def _by_first_key(values: Mapping[Place, Any]) -> dict[str, dict[Place, Any]]:
     return groups
 
 
-def _explained(error: ValidationError, place: Place) -> ParameterError:
+def explained(error: ValidationError, place: Place = ()) -> ParameterError:
+    """The first mistake of a part at a place."""
     first = error.errors(include_url=False)[0]
     found = first.get("ctx", {}).get("error")
     where = (*place, *first["loc"])
@@ -371,10 +381,16 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     scenario = Scenario.parse(text, folder=folder)
     wanted = with_values(scenario, values)
     pairs = zip(find_parameters(scenario, values), values.values(), strict=True)
-    changed = edit_yaml(text, {parameter.place: parameter.write(value) for parameter, value in pairs})
+    written = {_with_indices(parameter.place): parameter.write(value) for parameter, value in pairs}
+    changed = edit_yaml(text, written)
     try:
         if Scenario.parse(changed, folder=folder) == wanted:
             return changed
     except ScenarioError:
         pass
     return wanted.dumps(folder=folder)
+
+
+def _with_indices(place: Place) -> tuple[str | int, ...]:
+    """A place as in a document, where items of lists are numbered by integers."""
+    return tuple(int(key) if key.isdecimal() else key for key in place)

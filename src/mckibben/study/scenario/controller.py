@@ -218,7 +218,8 @@ class ControllerSpec(ConfigModel):
 
     The model is the plant's joint unless given. `friction_compensation` compensates the friction of its muscles.
     `inverse_model` and `minimum_tension` go with the two loops. The stiffness is the isobaric one, or with
-    `stiffness_amplitude` [rad] that of a motion of this size, the model's friction included. `supply_limit` estimates the supply.
+    `stiffness_amplitude` [rad] that of a motion of this size, the model's friction included. `supply_limit` estimates
+    the supply.
     """
 
     position: PositionLoopSpec | None = None

@@ -13,7 +13,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_serializer, m
 from mckibben.config.fields import TablePath
 from mckibben.config.model import ConfigModel, explicit_fields, fail_validation
 from mckibben.config.schema import ComponentModel, PartOf, model_of, named_model
-from mckibben.control import Constant, Multisine, Samples, Signal, Sine, Step
+from mckibben.control import Constant, Multisine, Ramp, RandomSteps, Samples, Signal, Sine, Step
 from mckibben.errors import Problem, ScenarioError, UnitError
 from mckibben.units import NUMBER, Angle, Instant, Phase, Stiffness, factor
 
@@ -126,14 +126,26 @@ class SamplesSpec(ConfigModel):
         return value
 
 
+class _RandomStepsModel(ComponentModel):
+    @field_validator("longest_dwell", mode="after", check_fields=False)
+    @classmethod
+    def _not_below(cls, value: Any, info: ValidationInfo) -> Any:
+        dwell = info.data.get("dwell")
+        if value is not None and dwell is not None and value < dwell:
+            fail_validation(f"{value:g} s is below the dwell of {dwell:g} s", "exchange them")
+        return value
+
+
 class SignalSpec(ConfigModel):
-    """One of `constant`, `step`, `sine`, `multisine`, `samples`; in text a quantity alone is a constant."""
+    """One signal by its kind, such as `step`, or `samples`; in text a quantity alone is a constant."""
 
     name: ClassVar[str]
     unit: ClassVar[str]
 
     constant: Any = None
     step: Any = None
+    ramp: Any = None
+    random_steps: Any = None
     sine: Any = None
     multisine: Any = None
     samples: Any = None
@@ -146,7 +158,7 @@ class SignalSpec(ConfigModel):
     @field_validator("samples", mode="after")
     @classmethod
     def _one_form(cls, value: Any, info: ValidationInfo) -> Any:
-        forms = ("constant", "step", "sine", "multisine", "samples")
+        forms = tuple(SignalSpec.model_fields)
         given = {**{key: info.data.get(key, "wrong") for key in forms[:-1]}, "samples": value}
         chosen = [key for key in forms if given[key] is not None]
         if len(chosen) != 1:
@@ -174,7 +186,7 @@ class SignalSpec(ConfigModel):
             return Samples(*read_samples(self.samples.file, self.name, self.unit))
         if self.samples is not None:
             return Samples(**explicit_fields(self.samples))
-        return (self.step or self.sine or self.multisine).build()
+        return (self.step or self.ramp or self.random_steps or self.sine or self.multisine).build()
 
 
 def _signal(name: str, quantity: Any, unit: str) -> Any:
@@ -183,6 +195,10 @@ def _signal(name: str, quantity: Any, unit: str) -> Any:
     forms = {
         "constant": quantity,
         "step": model_of(Step, signal=quantity, model_name=f"{prefix}StepSpec"),
+        "ramp": model_of(Ramp, signal=quantity, model_name=f"{prefix}RampSpec"),
+        "random_steps": model_of(
+            RandomSteps, signal=quantity, base=_RandomStepsModel, model_name=f"{prefix}RandomStepsSpec"
+        ),
         "sine": model_of(Sine, signal=quantity, model_name=f"{prefix}SineSpec"),
         "multisine": model_of(
             Multisine,

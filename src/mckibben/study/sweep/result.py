@@ -107,7 +107,7 @@ class SweepResult:
 
     @property
     def failed(self) -> NDArray[np.bool_]:
-        """Mask of the runs that were unstable, diverged or could not start."""
+        """Mask of the runs that diverged or could not start."""
         return np.array([outcome.failed for outcome in OUTCOMES])[self.table["outcome"].to_numpy()]
 
     def scenario(self, run: int, *, folder: str | os.PathLike[str] = ".") -> Scenario:

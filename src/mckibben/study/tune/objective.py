@@ -284,8 +284,9 @@ class TuningProblem:
         if not good.any():
             return {name: np.full(len(rows), np.nan) for name in self.cost.metrics}
         table = self._table(rows)
-        found = run_many(scenario, table, known=self.known, metrics=self.cost.metrics, workers=workers).metrics
-        return {name: np.where(good, values, np.nan) for name, values in found.items()}
+        batch = run_many(scenario, table, known=self.known, metrics=self.cost.metrics, workers=workers)
+        good &= ~batch.failed
+        return {name: np.where(good, values, np.nan) for name, values in batch.metrics.items()}
 
     def _derivatives(self, scenario: Scenario, rows: Vector) -> tuple[Vector, Vector]:
         """Cost of each row, and its derivatives of shape (rows, parameters)."""
@@ -338,7 +339,7 @@ class TuningProblem:
 
 def _check_steps(scenario: Scenario) -> None:
     stiffness = scenario.signals.stiffness
-    if stiffness.step is None and stiffness.samples is None:
+    if not (stiffness.step or stiffness.random_steps or stiffness.samples):
         raise ParameterError(
             f"coupling is not defined for {scenario.name!r}: its desired stiffness never steps",
             remedy="leave it out of the cost, or give the stiffness a step",

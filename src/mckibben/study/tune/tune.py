@@ -31,11 +31,20 @@ _MAX_SEED = 2**32 - 1  # what all methods accept
 
 
 class Trial(NamedTuple):
-    """A tried point of the unit cube, its cost, and the derivative of the cost, if it was computed."""
+    """A tried point of the unit cube, its cost, and the derivative of the cost and metrics [SI], if they are known."""
 
     point: tuple[float, ...]
     cost: float
     gradient: tuple[float, ...] | None = None
+    metrics: dict[str, float] | None = None
+
+
+class Evaluated(NamedTuple):
+    """Costs of rows of values, their derivatives by the values, and the metrics [SI] of each row that has any."""
+
+    costs: Vector
+    gradients: Vector | None = None
+    metrics: Sequence[dict[str, float] | None] | None = None
 
 
 class TuningHistory:
@@ -118,7 +127,9 @@ class TuningHistory:
 
 def _trials(reader: JournalReader) -> list[Trial]:
     contents = [json.loads(record.payload) for record in reader if record.kind == _TRIAL]
-    return [Trial(tuple(c["point"]), c["cost"], c["gradient"] and tuple(c["gradient"])) for c in contents]
+    return [
+        Trial(tuple(c["point"]), c["cost"], c["gradient"] and tuple(c["gradient"]), c.get("metrics")) for c in contents
+    ]
 
 
 def read_trials(path: Path) -> list[Trial]:
@@ -250,12 +261,14 @@ def tune(
         report(0.0)
         first = problem.space.point(problem.space.nominal)
         if method is Method.GRADIENT:
-            evaluator = Evaluator(problem.space, past, starts, problem.costs_and_gradients)
+            evaluator = Evaluator(
+                problem.space, past, starts, lambda values: Evaluated(*problem.costs_and_gradients(values))
+            )
             by_gradient(
                 evaluator.costs_and_gradients, first, starts=starts, iterations=iterations, seed=seed, progress=report
             )
         else:
-            evaluator = Evaluator(problem.space, past, population, lambda values: (problem.costs(values), None))
+            evaluator = Evaluator(problem.space, past, population, lambda values: Evaluated(problem.costs(values)))
             search = by_cma if method is Method.CMA else by_evolution
             search(evaluator.costs, first, population=population, generations=iterations, seed=seed, progress=report)
         return _result(problem, past, evaluator.cost)
@@ -302,7 +315,7 @@ class Evaluator:
     """Trials at points, from the history, or computed a fixed number at once from values [SI]."""
 
     def __init__(
-        self, space: SearchSpace, past: TuningHistory, batch: int, compute: Callable[[Vector], tuple[Vector, Any]]
+        self, space: SearchSpace, past: TuningHistory, batch: int, compute: Callable[[Vector], Evaluated]
     ) -> None:
         self._space, self._past, self._batch, self._compute = space, past, batch, compute
 
@@ -311,10 +324,11 @@ class Evaluator:
         for start in range(0, len(new), self._batch):
             some = new[start : start + self._batch]
             values = self._padded(self._space.values(some))
-            costs, gradients = self._compute(values)
+            costs, gradients, metrics = self._compute(values)
             slopes = None if gradients is None else (gradients * self._space.slopes(values)).tolist()
-            found = zip(some.tolist(), costs.tolist(), slopes or [None] * len(some), strict=False)
-            self._past.add([Trial(tuple(point), cost, slope and tuple(slope)) for point, cost, slope in found])
+            absent = [None] * len(some)
+            found = zip(some.tolist(), costs.tolist(), slopes or absent, metrics or absent, strict=False)
+            self._past.add([Trial(tuple(at), cost, slope and tuple(slope), kept) for at, cost, slope, kept in found])
         return [self._past.find(point) for point in points]  # type: ignore[misc]
 
     def costs(self, points: Vector) -> Vector:
@@ -328,7 +342,7 @@ class Evaluator:
 
     def cost(self, values: Vector) -> float:
         """Cost of values [SI], which may lie outside their ranges."""
-        return float(self._compute(self._padded(values[None]))[0][0])
+        return float(self._compute(self._padded(values[None])).costs[0])
 
     def _padded(self, rows: Vector) -> Vector:
         """Rows with the last one repeated, for one compiled program."""
