@@ -31,15 +31,11 @@ _WINDOW = 0.05  # s, of the local cubic fits that differentiate: short, as they 
 _SHORTEST, _LONGEST_PERIOD = 5.0, 0.01  # s, of a recording and between its samples
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _COEFFICIENTS = 3  # of each polynomial of a correction
-_OF_MUSCLE = 2 * _COEFFICIENTS + 3  # parameters: those, friction, presliding, creep
+_OF_MUSCLE = 2 * _COEFFICIENTS + 2  # parameters: those, friction and presliding
 _BEYOND = 1.2  # half width of the corrections over that of the contractions measured
 _SLIDING = 6.0  # presliding lengths of travel after which the friction's state at the start is forgotten
 _BAND, _PRESLIDING = 0.02, 2e-3  # friction where the model has none, over highest force and initial length
-_CREEP, _CREEP_TIME, _CREEP_ARMS = (
-    0.03,
-    1.0,
-    2,
-)  # over the slope of the law, and s, where the model has none: time constants of 1 and 10 s
+_CREEP_TIME, _CREEP_ARMS = 1.0, 2  # s: time constants of 1 and 10 s
 _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], before residuals tell it
 _LEAST_VARIANCE = 1e-8
 _STARTS = (0.0, -1.0, 1.0)
@@ -82,7 +78,7 @@ class JointPrior:
     friction, presliding
         Of the half width of the friction band, relative, and of the logarithm of the presliding length.
     creep
-        Of the logarithm of the stiffness of creep.
+        Of the stiffness of creep over the slope of the law. It is not estimated, but widens the intervals.
     mass
         Of the load's mass (`Load.adapted_mass`), relative.
     added_mass, load_cell
@@ -97,7 +93,7 @@ class JointPrior:
     offset: float = 0.05
     friction: float = 0.6
     presliding: float = 0.5
-    creep: float = 0.8
+    creep: float = 0.05
     mass: float = 0.3
     added_mass: float = 0.01
     load_cell: float = 0.01
@@ -130,7 +126,7 @@ class _Problem(NamedTuple):
     centre: tuple[float, ...]
     half_width: tuple[float, ...]
     pressure: tuple[float, ...]  # mean of those measured [Pa]
-    creep: tuple[float, ...]  # its stiffness before [N/m]
+    creep: tuple[float, ...]  # standard deviation of its stiffness [N/m]
     prior: dict[str, float]
 
 
@@ -328,15 +324,12 @@ def _problem(joint: AntagonisticJoint, load: Load, recordings: Sequence[_Halves]
             raise IdentificationError("the joint is at rest in the recordings", remedy="record sweeps of its range")
         middle, most = (low + high) / 2, float(muscle.domain.pressure_max)
         force = float(muscle.tension(middle, most))
-        slope = abs(float(muscle.slope(middle, most))) / float(muscle.specimen.initial_length)
-        stiffness = float(muscle.creep.stiffness) if muscle.has_creep else _CREEP * slope  # type: ignore
+        creep = prior.creep * abs(float(muscle.slope(middle, most))) / float(muscle.specimen.initial_length)
         mean = float(np.mean([half.pressures[len(scales)].mean() for half, _ in recordings]))
-        scales.append((force, most, middle, _BEYOND * (high - low) / 2, mean, stiffness))
+        scales.append((force, most, middle, _BEYOND * (high - low) / 2, mean, creep))
         if not (spring or muscle.has_friction):
             band = MaxwellSlip(_BAND * force, _PRESLIDING * float(muscle.specimen.initial_length))
             muscle = dataclasses.replace(muscle, friction=band)
-        if not (spring or muscle.has_creep) and isinstance(joint.tendon, RigidTendon):
-            muscle = dataclasses.replace(muscle, creep=MaxwellCreep(stiffness, _CREEP_TIME, arms=_CREEP_ARMS))
         muscles.append(muscle)
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
     force, highest, centre, half_width, pressure, creep = zip(*scales, strict=True)
@@ -369,17 +362,12 @@ def _corrected(problem: _Problem, z: Array) -> _Corrected:
             problem.half_width[i],
         )
         friction: Any = muscle.friction
-        creep: Any = muscle.creep
-        if muscle.has_creep:
-            creep = dataclasses.replace(creep, stiffness=problem.creep[i] * jnp.exp(prior["creep"] * values[2 * n + 2]))
         friction = dataclasses.replace(
             friction,
             half_width=friction.half_width * jnp.maximum(1 + prior["friction"] * values[2 * n], 0.01),
             presliding_length=friction.presliding_length * jnp.exp(prior["presliding"] * values[2 * n + 1]),
         )
-        muscles.append(
-            dataclasses.replace(muscle, law=corrected_law(muscle.law, correction), friction=friction, creep=creep)
-        )
+        muscles.append(dataclasses.replace(muscle, law=corrected_law(muscle.law, correction), friction=friction))
     mass, added, zero, arms, cell1, cell2 = z[_muscle_parameters(problem) :]
     if load.adapted_mass:
         more = getattr(load, load.adapted_mass) * (1 + prior["mass"] * mass)
@@ -394,9 +382,27 @@ def _corrected(problem: _Problem, z: Array) -> _Corrected:
     )
 
 
+def _with_creep(problem: _Problem, joint: AntagonisticJoint, z: Any) -> AntagonisticJoint:
+    """The joint with creep, in standard deviations, of the muscles whose model has none."""
+    if not isinstance(joint.tendon, RigidTendon):
+        return joint
+    muscles = {
+        f"muscle{i + 1}": dataclasses.replace(
+            muscle, creep=MaxwellCreep(problem.creep[i] * z[i], _CREEP_TIME, arms=_CREEP_ARMS)
+        )
+        for i, muscle in enumerate((joint.muscle1, joint.muscle2))
+        if not (joint.springs[i] or muscle.has_creep)
+    }
+    return dataclasses.replace(joint, **muscles)
+
+
 def _errors(problem: _Problem, z: Array, samples: _Samples) -> Array:
-    """Errors of the equation of motion [N*m] and of the load cells [N], shape (samples, 1 or 3)."""
-    joint, load, added, zero, cells = _corrected(problem, z)
+    """Errors of the equation of motion [N*m] and of the load cells [N], shape (samples, 1 or 3).
+
+    The last two parameters are the stiffnesses of creep.
+    """
+    joint, load, added, zero, cells = _corrected(problem, z[:-2])
+    joint = _with_creep(problem, joint, z[-2:])
     angle = samples.angle - zero
 
     def step(states: Any, row: Any) -> tuple[Any, Any]:
@@ -480,21 +486,26 @@ def _solve(problem: _Problem, recordings: Sequence[_Halves]) -> tuple[Floats, Fl
 
     def raw(z: Floats) -> list[list[tuple[Floats, Floats]]]:
         """Errors, shape (samples, groups), and their Jacobians, of each recording, for both halves."""
-        found = [[_linearised(problem, z, one[half]) for one in recordings] for half in (0, 1)]
+        found = [[_linearised(problem, np.append(z, (0.0, 0.0)), one[half]) for one in recordings] for half in (0, 1)]
         return [[(filtered(r, n), filtered(j, n)) for (r, j), n in zip(one, starts, strict=True)] for one in found]
 
-    def terms(z: Floats) -> tuple[float, Floats, Floats]:
-        """Objective, its gradient, and its second derivatives without those of the errors."""
+    def data(z: Floats) -> tuple[float, Floats, Floats]:
+        """Objective without the prior, its gradient, and its second derivatives without those of the errors."""
         scale = 1 / np.sqrt(variances)
         (r0, J0), (r1, J1) = (
             (
                 np.concatenate([(r * scale).ravel() for r, _ in one]),
-                np.concatenate([(j * scale[:, None]).reshape(-1, count) for _, j in one]),
+                np.concatenate([(j * scale[:, None]).reshape(-1, count + 2) for _, j in one]),
             )
             for one in raw(z)
         )
         cross = J0.T @ J1
-        return float(r0 @ r1 + z @ z) / 2, (J0.T @ r1 + J1.T @ r0) / 2 + z, (cross + cross.T) / 2 + np.eye(count)
+        return float(r0 @ r1) / 2, (J0.T @ r1 + J1.T @ r0) / 2, (cross + cross.T) / 2
+
+    def terms(z: Floats) -> tuple[float, Floats, Floats]:
+        """The same with the prior, of the estimated parameters."""
+        objective, gradient, curvature = data(z)
+        return objective + float(z @ z) / 2, gradient[:count] + z, curvature[:count, :count] + np.eye(count)
 
     means: list[Floats] = []
     begun = [_minimised(terms, _start(problem, strength), _FIRST) for strength in _STARTS]
@@ -506,7 +517,8 @@ def _solve(problem: _Problem, recordings: Sequence[_Halves]) -> tuple[Floats, Fl
         variances = np.array([_variance([one[:, i] for one in means]) for i in range(groups)])
     torque = np.concatenate([one[:, 0] for one in means])
     covariance: Any = np.linalg.inv(terms(z)[2])
-    return z, covariance, float(np.sqrt(np.mean(torque**2)))
+    creep = covariance @ data(z)[2][:count, count:]  # change of the estimates by creep of one standard deviation
+    return z, covariance + creep @ creep.T, float(np.sqrt(np.mean(torque**2)))
 
 
 def _start(problem: _Problem, strength: float) -> Floats:

@@ -180,9 +180,11 @@ def run_sweeps(
             ready(mass)
         on_card = rig is not None and rig.nidaqmx is not None
         session = prepare(part, rig, paced=on_card)
-        ran: JointRunResult = session.run(Path(folder) / ("weighted" if mass else "bare"), progress=progress)
+        kept = Path(folder) / ("weighted" if mass else "bare")
+        ran: JointRunResult = session.run(kept, progress=progress)
         if ran.outcome.error is not None or ran.result is None:
             raise StoppedError(f"stopped: {ran.outcome.text}; {ran.outcome.venting}")
+        ran.result.to_netcdf(kept / "result.nc")
         recordings.append(recording_of(ran.result, added_mass=mass, distance=sweeps.distance))
     return recordings
 

@@ -160,7 +160,14 @@ def expanded(kind: type[ConfigModel], value: Any, info: ValidationInfo) -> Any:
     written = (content if whole else content.specimen).model_dump(
         mode="json", by_alias=True, context={"folder": outer.get("folder", Path())}
     )
-    return _merged(written, {key: one for key, one in section.items() if key != "from"})
+    return _merged(_with_tuples(written), {key: one for key, one in section.items() if key != "from"})
+
+
+def _with_tuples(written: Any) -> Any:
+    """A written section with tuples in place of lists, as documents are read."""
+    if isinstance(written, dict):
+        return {key: _with_tuples(one) for key, one in written.items()}
+    return tuple(map(_with_tuples, written)) if isinstance(written, list) else written
 
 
 def _merged(content: Any, changes: Any) -> Any:

@@ -1,0 +1,147 @@
+"""Calibration on recordings that obey the equation of motion of a known joint exactly, but for noise."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.calibration import JointPrior, JointRecording, calibrate_joint
+from mckibben.calibration.estimation import GRAVITY
+from mckibben.errors import IdentificationError
+from mckibben.joint import PendulumLoad, ScaledArms
+from mckibben.muscle import ForceCorrection, corrected_law
+from mckibben.units import deg
+
+NOISE = 2e3  # Pa
+DISTANCE = 0.2
+
+
+def knee(*corrections):
+    joint = catalog.joint("knee-table-2")
+    muscles = {
+        name: dataclasses.replace(getattr(joint, name), law=corrected_law(getattr(joint, name).law, correction))
+        for name, correction in zip(("muscle1", "muscle2"), corrections, strict=False)
+    }
+    return dataclasses.replace(joint, geometry=dataclasses.replace(joint.geometry, connector_length=0.208), **muscles)
+
+
+def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0):
+    """Sweeps: one pressure is given, the other one is what the equation of motion asks for."""
+    time = np.arange(0.0, seconds, 1 / rate)
+    slow, fast = 2 * np.pi * 3 / seconds, 2 * np.pi
+    angle = 7 * deg * np.sin(slow * time) + 1 * deg * np.sin(fast * time)
+    acceleration = -(slow**2) * 7 * deg * np.sin(slow * time) - fast**2 * 1 * deg * np.sin(fast * time)
+    velocity = np.gradient(angle, time)
+    first = 4.7e5 + 0.5e5 * np.sin(2 * np.pi * 2 / seconds * time)
+    needed = np.asarray(load.required_torque(angle, velocity, acceleration))
+    needed = needed + mass * DISTANCE**2 * acceleration
+    needed = needed - mass * DISTANCE * GRAVITY * np.sin(load.hanging_angle - angle)
+    torque = joint.affine_map(angle).torque
+    second = (needed - torque.offset - torque.slope1 * first) / torque.slope2
+    pressures = np.stack([first, np.asarray(second)], axis=1)
+    pairs = zip((joint.muscle1, joint.muscle2), joint.contractions(angle, tuple(pressures.T)), pressures.T, strict=True)
+    tensions = np.stack([muscle.tension(contraction, pressure) for muscle, contraction, pressure in pairs], axis=1)
+    assert tensions.min() > 10.0
+    noisy = pressures + NOISE * rng.standard_normal(pressures.shape)
+    return JointRecording(time, angle, noisy, None, mass, DISTANCE), pressures, tensions
+
+
+LOAD = catalog.load("knee-table-2")
+TRUE = knee(
+    ForceCorrection((12.0, -8.0, 0.0), (2e-5, -4e-5, 0.0), 0.1, 0.04),
+    ForceCorrection((-6.0, -10.0, 0.0), (-1e-5, -3e-5, 0.0), 0.1, 0.04),
+)
+TRUE_LOAD = dataclasses.replace(LOAD, mass2=0.4)
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    rng = np.random.default_rng(5)
+    return [recording(TRUE, TRUE_LOAD, mass, rng) for mass in (0.0, 0.5)]
+
+
+@pytest.fixture(scope="module")
+def with_weight(recorded):
+    return calibrate_joint(knee(), LOAD, [one for one, _, _ in recorded])
+
+
+def stiffness_errors(found, recorded):
+    one, pressures, _ = recorded[0]
+    pair, angle = (pressures[::50, 0], pressures[::50, 1]), one.angle[::50]
+    true = np.asarray(TRUE.evaluate(angle, pair)[1])
+    (value, deviation), (before, wide) = found.stiffness(angle, pair), found.prior_stiffness(angle, pair)
+    return value - true, deviation, before - true, wide
+
+
+def test_a_weight_tells_the_stiffness_and_the_mass(with_weight, recorded):
+    error, deviation, before, wide = stiffness_errors(with_weight, recorded)
+    assert np.sqrt(np.mean(error**2)) < 0.35 * np.sqrt(np.mean(before**2))
+    assert np.mean(np.abs(error) < 1.96 * deviation) > 0.8
+    assert np.all(deviation < 0.3 * wide)
+    mass = with_weight.quantities["load.mass"]
+    assert abs(mass.value - 0.4) < 2 * mass.deviation < mass.prior * 2
+    assert with_weight.residual < 0.02  # N*m, that of the noise
+    assert with_weight.quantities["friction"].value < 1.0  # N; there is none
+
+
+def test_the_model_with_the_estimates_has_their_stiffness(with_weight):
+    angle, pressures = np.array([0.05]), (np.array([4.8e5]), np.array([4.5e5]))
+    value, _ = with_weight.stiffness(angle, pressures)
+    assert np.asarray(with_weight.joint.evaluate(angle, pressures)[1]) == pytest.approx(value, rel=1e-9)
+    assert not with_weight.joint.has_creep  # the model had none
+
+
+def test_under_one_load_the_stiffness_stays_uncertain(recorded, with_weight):
+    alone = calibrate_joint(knee(), LOAD, [recorded[0][0]])
+    assert np.mean(stiffness_errors(alone, recorded)[1]) > 1.5 * np.mean(stiffness_errors(with_weight, recorded)[1])
+    assert not alone.quantities["added_mass"].determined
+
+
+def test_load_cells_take_the_place_of_the_weight(recorded):
+    rng = np.random.default_rng(7)
+    one, _, tensions = recorded[0]
+    cells = dataclasses.replace(one, tensions=tensions + 0.5 * rng.standard_normal(tensions.shape))
+    found = calibrate_joint(knee(), LOAD, [cells])
+    error, _, before, _ = stiffness_errors(found, recorded)
+    assert np.sqrt(np.mean(error**2)) < 0.35 * np.sqrt(np.mean(before**2))
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        (lambda r: dataclasses.replace(r, time=r.time[:900], angle=r.angle[:900], pressures=r.pressures[:900]), 900),
+        (lambda r: dataclasses.replace(r, angle=0 * r.angle), None),
+        (lambda r: dataclasses.replace(r, angle=np.where(np.arange(r.angle.size) == 7, np.nan, r.angle)), None),
+    ],
+)
+def test_recordings_that_tell_nothing_are_refused(recorded, change, field):
+    with pytest.raises(IdentificationError) as caught:
+        calibrate_joint(knee(), LOAD, [change(recorded[0][0])])
+    assert caught.value.remedy
+    if field is not None:
+        assert caught.value.value == field
+
+
+def test_nothing_to_calibrate_from():
+    with pytest.raises(IdentificationError):
+        calibrate_joint(knee(), PendulumLoad(mass=0.3, length=0.2), [], JointPrior())
+
+
+def test_a_correction_is_constant_beyond_its_contractions():
+    law = catalog.law("lei-mas-10-180n")
+    more = corrected_law(law, ForceCorrection((-5.0, 2.0, 1.0), (1e-5, 2e-5, 0.0), 0.1, 0.05))
+    contraction = np.array([0.05, 0.1, 0.125, 0.15, 0.18])
+    v = np.array([-1.0, 0.0, 0.5, 1.0, 1.0])
+    expected = -5 + 2 * v + v**2 + 3e5 * (1e-5 + 2e-5 * v)
+    assert np.asarray(more.force(contraction, 3e5) - law.force(contraction, 3e5)) == pytest.approx(expected)
+    force = more.force(contraction, 3e5)
+    assert np.asarray(more.pressure_for(force, contraction)) == pytest.approx(3e5)
+
+
+def test_scaled_arms_keep_the_length_at_their_angle():
+    geometry = catalog.joint("knee-table-2").geometry
+    scaled = ScaledArms(geometry, 0.98, angle=0.1)
+    assert scaled.path_lengths(0.1)[0] == pytest.approx(float(geometry.path_lengths(0.1)[0]))
+    arms, before = scaled.moment_arms(0.3), geometry.moment_arms(0.3)
+    assert [float(a / b) for a, b in zip(arms, before, strict=True)] == pytest.approx([0.98, 0.98])

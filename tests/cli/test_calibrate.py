@@ -1,0 +1,101 @@
+"""`mckibben calibrate`: a simulated experiment, recordings from files, and mistakes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mckibben.study.scenario import Scenario
+from mckibben.study.scenario.building import build_joint
+
+EXAMPLE = Path("examples/calibration/knee.yaml").resolve()
+WEIGHT = ("--weight", "0.5 kg", "--distance", "200 mm")
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory):
+    from typer.testing import CliRunner
+
+    from mckibben.cli import app
+
+    folder = tmp_path_factory.mktemp("calibration")
+    done = CliRunner().invoke(app, ["calibrate", str(EXAMPLE), *WEIGHT, "--duration", "20 s", "--out", str(folder)])
+    assert done.exit_code == 0, done.output
+    return folder
+
+
+def test_the_calibrated_model_is_nearer_to_the_muscles(calibrated):
+    before, after = Scenario.read(EXAMPLE), Scenario.read(calibrated / "scenario.yaml")
+    true, believed, found = (
+        build_joint(spec) for spec in (before.joint, before.controller.model, after.controller.model)
+    )
+    angle, pressures = np.linspace(-0.12, 0.12, 7), (4.8e5, 4.5e5)
+    wanted = np.asarray(true.evaluate(angle, pressures)[1])
+    errors = [np.abs(np.asarray(one.evaluate(angle, pressures)[1]) - wanted).max() for one in (believed, found)]
+    assert errors[1] < 0.7 * errors[0]
+    numbers = json.loads((calibrated / "results.json").read_text(encoding="utf-8"))
+    assert numbers["stiffness_deviation"] < numbers["stiffness_deviation_before"]
+    assert numbers["quantities"]["muscle1.force"]["determined"]
+    assert not numbers["quantities"]["added_mass"]["determined"]  # the weight is the scale
+
+
+def test_files_name_the_model(calibrated, tmp_path):
+    text = EXAMPLE.read_text(encoding="utf-8").replace("../comparison", str(EXAMPLE.parents[1] / "comparison"))
+    start, end = text.index("  model:"), text.index("  decoupling:")
+    (tmp_path / "s.yaml").write_text(
+        f"{text[:start]}  model: {calibrated / 'model.yaml'}\n{text[end:]}", encoding="utf-8"
+    )
+    read, kept = Scenario.read(tmp_path / "s.yaml"), Scenario.read(calibrated / "scenario.yaml")
+    assert read.controller.model.arm_scale == kept.controller.model.arm_scale
+    assert read.controller.model.muscle1.correction == kept.controller.model.muscle1.correction
+
+
+def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
+    files = ("--recording", calibrated / "bare" / "result.nc", "--weighted", calibrated / "weighted" / "result.nc")
+    found = cli("calibrate", str(EXAMPLE), *WEIGHT, *map(str, files), "--out", "again", "--json")
+    assert found.code == 0, found.err
+    numbers = json.loads(found.out)
+    kept = json.loads((calibrated / "results.json").read_text(encoding="utf-8"))
+    assert numbers["quantities"]["load.mass"]["value"] == pytest.approx(
+        kept["quantities"]["load.mass"]["value"], rel=1e-3
+    )
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--weight", "0.5 kg"),
+        ("--duration", "5 s"),
+        ("--weighted", "w.csv"),
+        ("--weight", "20 kg", "--distance", "200 mm"),
+        ("--plan",),
+    ],
+)
+def test_mistakes_are_refused_before_anything_moves(cli, tmp_path, arguments):
+    found = cli("calibrate", str(EXAMPLE), *arguments, "--out", "x")
+    assert found.code == 2
+    assert not list(tmp_path.glob("x/*/record*"))
+
+
+def test_a_calibrated_model_is_not_calibrated_again(cli, calibrated):
+    found = cli("calibrate", str(calibrated / "scenario.yaml"), *WEIGHT, "--out", "x")
+    assert found.code == 2
+    assert "calibrated already" in found.err
+
+
+def test_a_recording_from_a_csv_file(tmp_path):
+    from mckibben.calibration import read_joint_recording
+    from mckibben.errors import ScenarioError
+
+    rows = "\n".join(f"{0.002 * i:.3f},{i % 7},{1 + 0.01 * i},2,{50 + i},60" for i in range(4))
+    head = "time_s,angle_deg,pressure1_bar,pressure2_bar,tension1_N,tension2_N"
+    (tmp_path / "r.csv").write_text(f"{head}\n{rows}\n", encoding="utf-8")
+    found = read_joint_recording(tmp_path / "r.csv", added_mass=0.5, distance=0.2)
+    assert found.pressures[1].tolist() == pytest.approx([1.01e5, 2e5])
+    assert found.tensions[2].tolist() == pytest.approx([52.0, 60.0])
+    assert found.angle[3] == pytest.approx(np.deg2rad(3))
+    (tmp_path / "r.csv").write_text("time_s,angle_deg\n0,1\n", encoding="utf-8")
+    with pytest.raises(ScenarioError) as caught:
+        read_joint_recording(tmp_path / "r.csv")
+    assert "pressure1" in str(caught.value)
