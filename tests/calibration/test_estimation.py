@@ -7,7 +7,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.calibration import JointPrior, JointRecording, calibrate_joint
-from mckibben.calibration.estimation import GRAVITY
+from mckibben.calibration.equations import GRAVITY
 from mckibben.errors import IdentificationError
 from mckibben.joint import PendulumLoad, ScaledArms
 from mckibben.muscle import ForceCorrection, corrected_law

@@ -1,12 +1,7 @@
 """Calibration: identification of a joint's model on the joint, from recordings of its motion."""
 
-from mckibben.calibration.estimation import (
-    JointCalibration,
-    JointEstimate,
-    JointPrior,
-    JointRecording,
-    calibrate_joint,
-)
+from mckibben.calibration.equations import JointPrior, JointRecording
+from mckibben.calibration.estimation import JointCalibration, JointEstimate, calibrate_joint
 from mckibben.calibration.experiment import (
     Sweeps,
     calibrated_model,

@@ -11,7 +11,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from mckibben.calibration.estimation import GRAVITY, JointCalibration, JointPrior, JointRecording, calibrate_joint
+from mckibben.calibration.equations import GRAVITY, JointPrior, JointRecording
+from mckibben.calibration.estimation import JointCalibration, calibrate_joint
 from mckibben.config.document import to_text
 from mckibben.errors import ParameterError, StoppedError
 from mckibben.joint import ScaledArms
@@ -276,12 +277,16 @@ def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tup
     return before, after
 
 
+SHOWN = {"1": "1", "N": "N", "m": "mm", "kg": "kg", "rad": "deg"}
+"""Units of quantities in reports, by those of SI."""
+
+
 def statements(found: JointCalibration) -> list[str]:
     """What could not be determined, in words."""
-    names = {"added_mass": "the added weight", "zero": "the encoder's zero", "arm_scale": "the moment arms"}
+    names = {"added_mass": "the weight", "zero": "the encoder's zero", "arm_scale": "the scale of the moment arms"}
     return [
-        f"{names.get(name, name)} was not determined: {show(one.value, one.unit)} with a standard deviation of "
-        f"{show(one.deviation, one.unit)}, {show(one.prior, one.unit)} before"
+        f"not determined: {names.get(name, name)}, {show(one.value, SHOWN[one.unit], 4)} with a standard deviation of "
+        f"{show(one.deviation, SHOWN[one.unit], 2)} ({show(one.prior, SHOWN[one.unit], 2)} before)"
         for name, one in found.quantities.items()
         if not one.determined
     ]

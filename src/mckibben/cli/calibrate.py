@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from mckibben.study.scenario import Scenario
 
 _KEPT = ("model.yaml", "scenario.yaml", "results.json", "calibration.png", "calibration.svg")
-_SHOWN = {"1": "1", "N": "N", "m": "mm", "kg": "kg", "rad": "deg"}
 _PLANNED_WEIGHTS, _PLANNED_DURATIONS = (0.0, 0.5, 1.0, 2.0), (1 / 3, 1.0)
 _LEAST, _MOST = 20.0, 600.0  # s of an experiment
 
@@ -136,7 +135,7 @@ def _shown(bar: Callable[[str, float], None], now: Any) -> None:
 
 def _report(scenario: Scenario, recordings: list[JointRecording], prior: JointPrior, out: Path, json: bool) -> None:
     from mckibben.calibration import calibrate_joint, calibrated_scenario
-    from mckibben.calibration.experiment import deviations, load_of, model_of, statements, write_model
+    from mckibben.calibration.experiment import SHOWN, deviations, load_of, model_of, statements, write_model
     from mckibben.report.calibration import calibration as draw
     from mckibben.report.style import save
     from mckibben.study.scenario.building import build_joint
@@ -169,9 +168,9 @@ def _report(scenario: Scenario, recordings: list[JointRecording], prior: JointPr
         rows = [
             (
                 name,
-                show(one.value, _SHOWN[one.unit], 4),
-                show(one.deviation, _SHOWN[one.unit], 2),
-                show(one.prior, _SHOWN[one.unit], 2),
+                show(one.value, SHOWN[one.unit], 4),
+                show(one.deviation, SHOWN[one.unit], 2),
+                show(one.prior, SHOWN[one.unit], 2),
                 "yes" if one.determined else "no",
             )
             for name, one in found.quantities.items()

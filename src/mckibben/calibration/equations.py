@@ -1,0 +1,318 @@
+"""Equation of motion of a joint with unknown laws, friction, load and sensors, along recordings."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from mckibben.errors import IdentificationError
+from mckibben.joint import AntagonisticJoint, Load, RigidTendon, ScaledArms
+from mckibben.muscle import ForceCorrection, MaxwellCreep, MaxwellSlip, corrected_law
+from mckibben.numerics.compiled import compiled
+from mckibben.units import deg, mm
+
+Floats = NDArray[np.float64]
+GRAVITY = 9.81  # m/s^2
+RATE = 50.0  # Hz, of the samples that are fitted
+_WINDOW = 0.05  # s, of the local cubic fits that differentiate: short, as they attenuate accelerations
+_SHORTEST, _LONGEST_PERIOD = 5.0, 0.01  # s, of a recording and between its samples
+COEFFICIENTS = 3  # of each polynomial of a correction
+OF_MUSCLE = 2 * COEFFICIENTS + 2  # parameters: those, friction and presliding
+_BEYOND = 1.2  # half width of the corrections over that of the contractions measured
+_SLIDING = 6.0  # presliding lengths of travel after which the friction's state at the start is forgotten
+_BAND, _PRESLIDING = 0.02, 2e-3  # friction where the model has none, over highest force and initial length
+_CREEP_TIME, _CREEP_ARMS = 1.0, 2  # s: time constants of 1 and 10 s
+
+
+@dataclass(frozen=True, eq=False)
+class JointRecording:
+    """Measured motion of a joint.
+
+    Attributes
+    ----------
+    time, angle
+        Equally spaced times [s] and angles [rad], shape (samples,).
+    pressures, tensions
+        Gauge pressures [Pa] of muscles 1 and 2, and their tensions [N] if there are load cells; shape (samples, 2).
+    added_mass, distance
+        A known weight [kg] on the limb, and its distance from the axis [m].
+    """
+
+    time: Floats
+    angle: Floats
+    pressures: Floats
+    tensions: Floats | None = None
+    added_mass: float = 0.0
+    distance: float = 0.0
+
+
+@dataclass(frozen=True)
+class JointPrior:
+    """Standard deviations of what a calibration estimates, before it; relative ones refer to the model.
+
+    Attributes
+    ----------
+    strength, offset
+        Of the pressure-proportional and of the constant part of a muscle's force, relative to the law's force at its
+        highest pressure and the middle contraction; of each further power of contraction half of that of the last.
+    friction, presliding
+        Of the half width of the friction band, relative, and of the logarithm of the presliding length.
+    creep
+        Of the stiffness of creep over the slope of the law. It is not estimated, but widens the intervals.
+    mass
+        Of the load's mass (`Load.adapted_mass`), relative.
+    added_mass, load_cell
+        Of the added weight and of the gains of load cells, relative.
+    zero
+        Of the encoder's zero [rad].
+    arm_scale
+        Of the scale of the moment arms.
+    """
+
+    strength: float = 0.1
+    offset: float = 0.05
+    friction: float = 0.6
+    presliding: float = 0.5
+    creep: float = 0.05
+    mass: float = 0.3
+    added_mass: float = 0.01
+    load_cell: float = 0.01
+    zero: float = 0.5 * deg
+    arm_scale: float = 0.02
+
+
+class JointSamples(NamedTuple):
+    """Smoothed samples of a recording, each of shape (samples,); scalars of the weight."""
+
+    angle: Any
+    velocity: Any
+    acceleration: Any
+    pressures: tuple[Any, Any]
+    tensions: tuple[Any, ...]
+    inertia: Any  # of the added weight as stated [kg*m^2]
+    moment: Any  # [N*m]
+
+
+Halves = tuple[JointSamples, JointSamples]
+
+
+class CalibrationProblem(NamedTuple):
+    """The model, and for each muscle the scales of its correction."""
+
+    joint: AntagonisticJoint
+    load: Load
+    force: tuple[float, ...]  # highest force at the middle contraction [N]
+    highest: tuple[float, ...]  # pressure [Pa]
+    centre: tuple[float, ...]
+    half_width: tuple[float, ...]
+    pressure: tuple[float, ...]  # mean of those measured [Pa]
+    creep: tuple[float, ...]  # standard deviation of its stiffness [N/m]
+    prior: dict[str, float]
+
+
+class _Corrected(NamedTuple):
+    """Model by parameters."""
+
+    joint: AntagonisticJoint
+    load: Load
+    added_mass: Any  # over what it is stated to be
+    zero: Any  # [rad]
+    load_cells: tuple[Any, Any]  # gains
+
+
+def halves_of(recording: JointRecording) -> Halves:
+    """Even and odd samples, whose noise is independent, smoothed and at the same times."""
+    columns = [recording.time, recording.angle, recording.pressures]
+    columns += [] if recording.tensions is None else [recording.tensions]
+    if not all(np.all(np.isfinite(column)) for column in columns):
+        raise IdentificationError("a recording holds numbers that are not finite", remedy="leave such rows out")
+    time = recording.time
+    if time.size < 50 or time[-1] - time[0] < _SHORTEST:
+        raise IdentificationError(
+            f"a recording of {time.size} samples over {np.ptp(time) if time.size else 0:.3g} s is too short",
+            value=time.size,
+            remedy=f"record at least {_SHORTEST:g} s",
+        )
+    period = (time[-1] - time[0]) / (time.size - 1)
+    width = max(2 * int(_WINDOW / (4 * period)) + 1, 5)
+    if period > _LONGEST_PERIOD or np.ptp(np.diff(time)) > period:
+        raise IdentificationError(
+            f"the samples of a recording, {period * 1e3:.3g} ms apart in the mean, are too far or not equally spaced",
+            value=period,
+            unit="s",
+            remedy=f"record at {1 / _LONGEST_PERIOD:.0f} Hz or more",
+        )
+    margin = 2 * width * period
+    grid = np.arange(time[0] + margin, time[-1] - margin, 1 / RATE)
+    mass, distance = recording.added_mass, recording.distance
+
+    def half(begin: int) -> JointSamples:
+        def fit(column: Floats, derivative: int = 0) -> Floats:
+            smooth: Any = savgol_filter(column[begin::2], width, 3, deriv=derivative, delta=2 * period)
+            return np.interp(grid, time[begin::2], smooth)
+
+        tensions = recording.tensions
+        return JointSamples(
+            fit(recording.angle),
+            fit(recording.angle, 1),
+            fit(recording.angle, 2),
+            (fit(recording.pressures[:, 0]), fit(recording.pressures[:, 1])),
+            () if tensions is None else (fit(tensions[:, 0]), fit(tensions[:, 1])),
+            np.float64(mass * distance**2),
+            np.float64(mass * distance * GRAVITY),
+        )
+
+    return half(0), half(1)
+
+
+def problem_of(
+    joint: AntagonisticJoint, load: Load, recordings: Sequence[Halves], prior: JointPrior
+) -> CalibrationProblem:
+    """The model, with friction where it has none, and the scales of its corrections."""
+    muscles, scales = [], []
+    angle = np.concatenate([half.angle for half, _ in recordings])
+    for muscle, spring, path in zip(
+        (joint.muscle1, joint.muscle2), joint.springs, joint.geometry.path_lengths(angle), strict=True
+    ):
+        contraction = np.asarray(muscle.specimen.contraction_at(path))
+        low, high = float(contraction.min()), float(contraction.max())
+        if high - low < 1e-3:
+            raise IdentificationError("the joint is at rest in the recordings", remedy="record sweeps of its range")
+        middle, most = (low + high) / 2, float(muscle.domain.pressure_max)
+        force = float(muscle.tension(middle, most))
+        creep = prior.creep * abs(float(muscle.slope(middle, most))) / float(muscle.specimen.initial_length)
+        mean = float(np.mean([half.pressures[len(scales)].mean() for half, _ in recordings]))
+        scales.append((force, most, middle, _BEYOND * (high - low) / 2, mean, creep))
+        if not (spring or muscle.has_friction):
+            band = MaxwellSlip(_BAND * force, _PRESLIDING * float(muscle.specimen.initial_length))
+            muscle = dataclasses.replace(muscle, friction=band)
+        muscles.append(muscle)
+    joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
+    force, highest, centre, half_width, pressure, creep = zip(*scales, strict=True)
+    return CalibrationProblem(
+        joint, load, force, highest, centre, half_width, pressure, creep, dataclasses.asdict(prior)
+    )
+
+
+def muscle_parameters(problem: CalibrationProblem) -> int:
+    """Number of parameters of the muscles."""
+    return OF_MUSCLE * problem.joint.springs.count(False)
+
+
+def parameters(problem: CalibrationProblem) -> int:
+    """Number of parameters: those of the muscles, the load's mass, the weight, zero, arms, and both load cells."""
+    return muscle_parameters(problem) + 6
+
+
+def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
+    """The model by parameters in prior standard deviations from their prior mean."""
+    prior, joint, load = problem.prior, problem.joint, problem.load
+    muscles, shrink, n = [], 0.5 ** np.arange(COEFFICIENTS), COEFFICIENTS
+    own = iter(z[: muscle_parameters(problem)].reshape(-1, OF_MUSCLE))
+    for i, muscle in enumerate((joint.muscle1, joint.muscle2)):
+        if joint.springs[i]:
+            muscles.append(muscle)
+            continue
+        values, force = next(own), problem.force[i]
+        correction = ForceCorrection(
+            tuple(values[:n] * shrink * (prior["offset"] * force)),
+            tuple(values[n : 2 * n] * shrink * (prior["strength"] * force / problem.highest[i])),
+            problem.centre[i],
+            problem.half_width[i],
+        )
+        friction: Any = muscle.friction
+        friction = dataclasses.replace(
+            friction,
+            half_width=friction.half_width * jnp.maximum(1 + prior["friction"] * values[2 * n], 0.01),
+            presliding_length=friction.presliding_length * jnp.exp(prior["presliding"] * values[2 * n + 1]),
+        )
+        muscles.append(dataclasses.replace(muscle, law=corrected_law(muscle.law, correction), friction=friction))
+    mass, added, zero, arms, cell1, cell2 = z[muscle_parameters(problem) :]
+    if load.adapted_mass:
+        more = getattr(load, load.adapted_mass) * (1 + prior["mass"] * mass)
+        load = dataclasses.replace(load, **{load.adapted_mass: more})
+    geometry = ScaledArms(joint.geometry, 1 + prior["arm_scale"] * arms)
+    return _Corrected(
+        dataclasses.replace(joint, geometry=geometry, muscle1=muscles[0], muscle2=muscles[1]),
+        load,
+        1 + prior["added_mass"] * added,
+        prior["zero"] * zero,
+        (1 + prior["load_cell"] * cell1, 1 + prior["load_cell"] * cell2),
+    )
+
+
+def _with_creep(problem: CalibrationProblem, joint: AntagonisticJoint, z: Any) -> AntagonisticJoint:
+    """The joint with creep, in standard deviations, of the muscles whose model has none."""
+    if not isinstance(joint.tendon, RigidTendon):
+        return joint
+    muscles = {
+        f"muscle{i + 1}": dataclasses.replace(
+            muscle, creep=MaxwellCreep(problem.creep[i] * z[i], _CREEP_TIME, arms=_CREEP_ARMS)
+        )
+        for i, muscle in enumerate((joint.muscle1, joint.muscle2))
+        if not (joint.springs[i] or muscle.has_creep)
+    }
+    return dataclasses.replace(joint, **muscles)
+
+
+def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Array:
+    """Errors of the equation of motion [N*m] and of the load cells [N], shape (samples, 1 or 3).
+
+    The last two parameters are the stiffnesses of creep.
+    """
+    joint, load, added, zero, cells = corrected(problem, z[:-2])
+    joint = _with_creep(problem, joint, z[-2:])
+    angle = samples.angle - zero
+
+    def step(states: Any, row: Any) -> tuple[Any, Any]:
+        angle, velocity, pressures = row
+        states = joint.update_state(states, angle, pressures)
+        found = joint.forces(angle, velocity, pressures, states)
+        if joint.has_creep:
+            rates = joint.state_rate(states, angle, velocity)
+            states = tuple(
+                one._replace(creep=tuple(x + rate / RATE for x, rate in zip(one.creep, each.creep, strict=True)))
+                for one, each in zip(states, rates, strict=True)
+            )
+        return states, (found.torque, found.tensions)
+
+    start = joint.init_state(angle[0], (samples.pressures[0][0], samples.pressures[1][0]))
+    torque, tensions = lax.scan(step, start, (angle, samples.velocity, samples.pressures))[1]
+    weight = added * samples.moment * jnp.sin(load.hanging_angle - angle)
+    needed = load.required_torque(angle, samples.velocity, samples.acceleration) - weight
+    errors = [needed + added * samples.inertia * samples.acceleration - torque]
+    pairs = zip(samples.tensions, cells, tensions, strict=True) if samples.tensions else ()
+    return jnp.stack([*errors, *(measured - gain * tension for measured, gain, tension in pairs)], axis=1)
+
+
+@compiled
+def linearised(problem: CalibrationProblem, z: Any, samples: JointSamples) -> tuple[Array, Array]:
+    """Errors and their derivatives with respect to the parameters."""
+    return _errors(problem, z, samples), jax.jacfwd(lambda z: _errors(problem, z, samples))(z)
+
+
+def sliding_from(problem: CalibrationProblem, samples: JointSamples) -> int:
+    """First sample at which the friction does not depend on its unknown state at the start."""
+    joint, first = problem.joint, 0
+    for muscle, path in zip((joint.muscle1, joint.muscle2), joint.geometry.path_lengths(samples.angle), strict=True):
+        travelled = np.maximum.accumulate(path) - np.minimum.accumulate(path)
+        enough = travelled > _SLIDING * float(getattr(muscle.friction, "presliding_length", 0.0))
+        if not enough.any() or int(np.argmax(enough)) > len(enough) // 2:
+            raise IdentificationError(
+                f"muscle lengths change by no more than {np.max(travelled) / mm:.2g} mm in a recording",
+                value=float(np.max(travelled)),
+                unit="m",
+                remedy="record sweeps of a larger angle: friction hides the force in small motions",
+            )
+        first = max(first, int(np.argmax(enough)))
+    return first
