@@ -28,7 +28,6 @@ from mckibben.cli.options import (
     table,
 )
 from mckibben.errors import ParameterError, UnitError
-from mckibben.numerics.checks import check_positive
 from mckibben.storage.files import to_json, write_json
 from mckibben.units import deg, mm, quantity
 
@@ -187,6 +186,8 @@ def stiffness(
     """Test the stiffness of a joint over size and rate of a motion, at the setpoint that its controller holds."""
     results_folder(out, ("results.json", "stiffness.png", "stiffness.svg"), force)
     sizes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
+    from mckibben.numerics.checks import check_positive
+
     for option, (low, _), unit in (("--amplitude", sizes, "rad"), ("--rate", rates, "Hz")):
         check_positive(option, unit, lowest=low)
     import numpy as np
