@@ -9,7 +9,7 @@ def test_a_run_that_swings_over_has_failed(cli, tmp_path, shortened):
     (tmp_path / "slip.yaml").write_text(text, encoding="utf-8")
     found = cli("simulate", "slip.yaml", "--out", "kept")
     assert found.code == 1
-    assert "failed: the angle error exceeded 90 deg" in found.out
+    assert "diverged: the angle error exceeded 90 deg" in found.out
     assert (tmp_path / "kept" / "result.nc").is_file()  # to see why
 
 

@@ -57,7 +57,7 @@ class Constantly(Controller):
 
 def test_keys_ranges_and_defaults_follow_from_the_class():
     model = model_of(SampledSensors)
-    assert list(model.model_fields) == ["encoder", "pressure_noise", "delay", "seed"]
+    assert list(model.model_fields) == ["encoder", "pressure_noise", "delay", "seed", "encoder_offset"]
     part = model.model_validate({"encoder": "0.5 deg", "seed": "3"})
     assert part.build() == SampledSensors(encoder=0.5 * deg, seed=3)
     assert part.effective("delay") == default_of(SampledSensors, "delay") == 0.0

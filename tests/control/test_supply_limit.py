@@ -9,18 +9,9 @@ from mckibben.errors import RangeError
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant
 from mckibben.simulation import sampled
-from mckibben.units import Pressure, bar, deg
+from mckibben.units import bar, deg
 
 PERIOD, DURATION = 1e-3, 2.5
-
-
-class Supplied(FirstOrderValve):
-    """A valve that gives no more than its supply [Pa]."""
-
-    supply: Pressure = 8 * bar
-
-    def pressure_after(self, pressure, command, elapsed):
-        return super().pressure_after(pressure, jnp.minimum(jnp.asarray(command), self.supply), elapsed)
 
 
 @pytest.fixture(scope="module")
@@ -34,8 +25,8 @@ def run(short_episode, knee, load):
     setpoints = sampled(Reference(angle=Sine(6 * deg, 1.0), stiffness=16.5), DURATION, PERIOD)[1]
 
     def run(control, supply, lag=0.02):
-        plant = JointPlant(knee, load, Supplied(time_constant=lag, supply=supply))
-        start = numeric(plant.equilibrium(0.0, stiffness=14.0))
+        plant = JointPlant(knee, load, FirstOrderValve(lag, supply=supply))
+        start = numeric(plant.equilibrium(0.0, stiffness=12.0))
         chosen = numeric((plant, control))
         record = short_episode(*chosen, setpoints, start, jnp.asarray(PERIOD), 2)[1]
         late = slice(-1000, None)

@@ -90,7 +90,8 @@ def model_of(address):
     """The names of what a controller's model has of a number of the plant."""
     part, *_, last = address.place
     if part == "valve":
-        return {f"controller.{each}.valve_time_constant" for each in ("decoupling", "predictive", "inverse_model")}
+        names = {f"controller.{each}.valve_time_constant" for each in ("decoupling", "predictive", "inverse_model")}
+        return names if last == "time_constant" else set()
     if part == "load":
         return {f"controller.{each}.load.{last}" for each in ("decoupling", "predictive", "inverse_model")}
     return {f"controller.model.{'.'.join(address.place[1:])}"}

@@ -90,9 +90,9 @@ def valve_time_constant(valve: ValveSpec | None, joint: JointSpec) -> Any:
     assert spec is not None
     muscle = spec.build()
     domain = muscle.domain
-    volume = muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2)
+    volume = np.asarray(muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2))
     try:
-        found = valve.build().time_constant_at((domain.pressure_min + domain.pressure_max) / 2, float(volume))
+        found = valve.build().time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume)
     except RangeError:  # of a value that is only tried
         return math.nan
     return np.asarray(found, float) if np.ndim(found) else float(found)
