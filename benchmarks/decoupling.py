@@ -60,7 +60,7 @@ def looking_ahead():
 def learning():
     """The RMSE of the angle in each cycle of a sine of 10 deg and 0.5 Hz."""
     suite = Suite.read(SUITE)
-    runs = draw(suite, 64, 3)
+    (runs,) = draw(suite, 64, 3).groups  # the joints differ in numbers
     loops = PositionStiffnessControl(PID(*SOFT[0]), PID(*SOFT[1]), model=KNEE, minimum_tension=5.0)
     controllers = {
         "PID": loops,
