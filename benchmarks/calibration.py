@@ -20,8 +20,7 @@ import jax
 import numpy as np
 
 from mckibben.calibration import JointPrior, JointRecording, Sweeps, calibrate_joint
-from mckibben.calibration.experiment import GRAVITY
-from mckibben.joint import GeneralLoad, ScaledArms
+from mckibben.joint import ScaledArms
 from mckibben.muscle import ForceCorrection, MaxwellCreep, corrected_law
 from mckibben.plant import NoDisturbance
 from mckibben.simulation import simulate_many
@@ -49,25 +48,14 @@ def truth(runs, rng):
     return dataclasses.replace(runs.plant, joint=joint), ZERO * rng.choice([-1, 1], count)
 
 
-def weighted(load, mass, distance):
-    """A load with a weight."""
-    return GeneralLoad(
-        inertia=load.total_inertia + mass * distance**2,
-        greatest_gravity_torque=load.gravity_moment + mass * distance * GRAVITY,
-        damping=load.damping,
-        hanging_angle=load.hanging_angle,
-    )
-
-
 def recordings(plant, scenario, sweeps, zeros, rng, cells):
     """Recordings of all plants: a list for each."""
     count = zeros.size
     found = [[] for _ in range(count)]
-    for mass in sweeps.weights:
-        part = sweeps.scenario(scenario, mass)
+    for mass, part in sweeps.scenarios(scenario).items():
         actual = mass * (1 + WEIGHT * rng.choice([-1, 1], count))
         here = dataclasses.replace(
-            plant, load=weighted(plant.load, actual, sweeps.distance), disturbance=NoDisturbance()
+            plant, load=plant.load.with_weight(actual, sweeps.distance), disturbance=NoDisturbance()
         )
         batch = simulate_many(
             here,

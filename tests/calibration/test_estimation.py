@@ -7,14 +7,13 @@ import pytest
 
 from mckibben import catalog
 from mckibben.calibration import JointPrior, JointRecording, calibrate_joint
-from mckibben.calibration.equations import GRAVITY
 from mckibben.errors import IdentificationError
 from mckibben.joint import PendulumLoad, ScaledArms
 from mckibben.muscle import ForceCorrection, corrected_law
 from mckibben.units import deg
 
 NOISE = 2e3  # Pa
-DISTANCE = 0.2
+DISTANCE, GRAVITY = 0.2, 9.81
 
 
 def knee(*corrections):

@@ -22,7 +22,6 @@ from mckibben.numerics.compiled import compiled
 from mckibben.units import deg, mm
 
 Floats = NDArray[np.float64]
-GRAVITY = 9.81  # m/s^2
 RATE = 50.0  # Hz, of the samples that are fitted
 _WINDOW = 0.05  # s, of the local cubic fits that differentiate: short, as they attenuate accelerations
 _SHORTEST, _LONGEST_PERIOD = 5.0, 0.01  # s, of a recording and between its samples
@@ -99,8 +98,8 @@ class JointSamples(NamedTuple):
     acceleration: Any
     pressures: tuple[Any, Any]
     tensions: tuple[Any, ...]
-    inertia: Any  # of the added weight as stated [kg*m^2]
-    moment: Any  # [N*m]
+    added_mass: Any  # as stated [kg]
+    distance: Any  # [m]
 
 
 Halves = tuple[JointSamples, JointSamples]
@@ -154,7 +153,6 @@ def halves_of(recording: JointRecording) -> Halves:
         )
     margin = 2 * width * period
     grid = np.arange(time[0] + margin, time[-1] - margin, 1 / RATE)
-    mass, distance = recording.added_mass, recording.distance
 
     def half(begin: int) -> JointSamples:
         def fit(column: Floats, derivative: int = 0) -> Floats:
@@ -168,8 +166,8 @@ def halves_of(recording: JointRecording) -> Halves:
             fit(recording.angle, 2),
             (fit(recording.pressures[:, 0]), fit(recording.pressures[:, 1])),
             () if tensions is None else (fit(tensions[:, 0]), fit(tensions[:, 1])),
-            np.float64(mass * distance**2),
-            np.float64(mass * distance * GRAVITY),
+            np.float64(recording.added_mass),
+            np.float64(recording.distance),
         )
 
     return half(0), half(1)
@@ -288,9 +286,8 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
 
     start = joint.init_state(angle[0], (samples.pressures[0][0], samples.pressures[1][0]))
     torque, tensions = lax.scan(step, start, (angle, samples.velocity, samples.pressures))[1]
-    weight = added * samples.moment * jnp.sin(load.hanging_angle - angle)
-    needed = load.required_torque(angle, samples.velocity, samples.acceleration) - weight
-    errors = [needed + added * samples.inertia * samples.acceleration - torque]
+    loaded = load.with_weight(added * samples.added_mass, samples.distance)
+    errors = [loaded.required_torque(angle, samples.velocity, samples.acceleration) - torque]
     pairs = zip(samples.tensions, cells, tensions, strict=True) if samples.tensions else ()
     return jnp.stack([*errors, *(measured - gain * tension for measured, gain, tension in pairs)], axis=1)
 

@@ -248,15 +248,16 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
 
     means: list[Floats] = []
     begun = [_minimised(terms, _start(problem, strength), _FIRST) for strength in _STARTS]
-    z = min(begun, key=lambda z: terms(z)[0])
+    z = min(begun, key=lambda found: found[1])[0]
     for _ in range(_STAGES):
-        z = _minimised(terms, z)
+        z, _ = _minimised(terms, z)
         even, odd = raw(z)
         means = [(a + b) / 2 for (a, _), (b, _) in zip(even, odd, strict=True)]
         variances = np.array([_variance([one[:, i] for one in means]) for i in range(groups)])
     torque = np.concatenate([one[:, 0] for one in means])
-    covariance: Any = np.linalg.inv(terms(z)[2])
-    creep = covariance @ data(z)[2][:count, count:]  # change of the estimates by creep of one standard deviation
+    curvature = data(z)[2]
+    covariance: Any = np.linalg.inv(curvature[:count, :count] + np.eye(count))
+    creep = covariance @ curvature[:count, count:]  # change of the estimates by creep of one standard deviation
     return z, covariance + creep @ creep.T, float(np.sqrt(np.mean(torque**2)))
 
 
@@ -267,8 +268,10 @@ def _start(problem: CalibrationProblem, strength: float) -> Floats:
     return z
 
 
-def _minimised(terms: Callable[[Floats], tuple[float, Floats, Floats]], z: Floats, most: int = _ITERATIONS) -> Floats:
-    """Levenberg-Marquardt minimum of an objective that comes with its gradient and second derivatives."""
+def _minimised(
+    terms: Callable[[Floats], tuple[float, Floats, Floats]], z: Floats, most: int = _ITERATIONS
+) -> tuple[Floats, float]:
+    """Levenberg-Marquardt minimum, and its value, of an objective with its gradient and second derivatives."""
     objective, gradient, curvature = terms(z)
     damping = 1e-3
     for _ in range(most):
@@ -280,7 +283,7 @@ def _minimised(terms: Callable[[Floats], tuple[float, Floats, Floats]], z: Float
                 break
         elif (damping := 4 * damping) > _MOST_DAMPING:
             break
-    return z
+    return z, objective
 
 
 def _variance(parts: list[Floats]) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from mckibben.calibration.equations import GRAVITY, JointPrior, JointRecording
+from mckibben.calibration.equations import JointPrior, JointRecording
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
 from mckibben.config.document import to_text
 from mckibben.errors import ParameterError, StoppedError
@@ -62,8 +62,8 @@ class Sweeps:
         """Added mass [kg] of each part."""
         return (0.0, self.added_mass) if self.added_mass else (0.0,)
 
-    def scenario(self, scenario: Scenario, added_mass: float) -> Scenario:
-        """The scenario of one part: sweeps within what the controller's model can hold, with the weight or without.
+    def scenarios(self, scenario: Scenario) -> dict[float, Scenario]:
+        """Scenario of each part by its added mass [kg]: sweeps within what the controller's model can hold.
 
         Angles are swept slowly, three times, with a smaller motion of 1 Hz, and the stiffness twice over 70 % of what
         is attainable at all angles, bare and with the weight. Raises `ParameterError` if there is nothing in common.
@@ -71,9 +71,9 @@ class Sweeps:
         middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
         low, high = self._attainable(scenario)
         if not low < high:
-            remedy = "give other --angles, or a smaller --weight"
             raise ParameterError(
-                "no stiffness is attainable at all of the angles, with and without weight", remedy=remedy
+                "no stiffness is attainable at all of the angles, with and without weight",
+                remedy="give other --angles, or a smaller --weight",
             )
         fast = min(_FAST_SHARE * amplitude, _FASTEST / (2 * np.pi * _FAST) ** 2)
         angle = {
@@ -87,37 +87,30 @@ class Sweeps:
             "offset": f"{(low + high) / 2!r} N*m/rad",
         }
         signals = ReferenceSpec.model_validate({"angle": {"multisine": angle}, "stiffness": {"sine": stiffness}})
-        control: Any = scenario.controller.with_model(scenario.joint, scenario.load, scenario.valve)
-        for name in ("decoupling", "predictive", "inverse_model", "load"):
-            part = getattr(control, name, None)
-            if part is None:
-                continue
-            if name == "load":
-                control = control.model_copy(update={"load": self._weighted(part, added_mass)})
-                continue
-            changes = {"adaptation": None} if getattr(part, "adaptation", None) is not None else {}
-            if part.load is not None:
-                changes["load"] = self._weighted(part.load, added_mass)
-            control = control.model_copy(update={name: part.model_copy(update=changes)})
-        return scenario.model_copy(
-            update={
-                "name": f"{scenario.name[:150]}, calibration with {added_mass:g} kg",
-                "controller": control,
-                "load": self._weighted(scenario.load, added_mass),
-                "signals": signals,
-                "start": StartSpec(angle=middle),
-                "duration": self.duration,
-            }
-        )
+        control = scenario.controller.with_model(scenario.joint, scenario.load, scenario.valve).without_adaptation()
+        parts = {}
+        for mass in self.weights:
+            known = control if control.load is None else control.with_load(self._weighted(control.load, mass))
+            parts[mass] = scenario.model_copy(
+                update={
+                    "name": f"{scenario.name[:150]}, calibration with {mass:g} kg",
+                    "controller": known,
+                    "load": self._weighted(scenario.load, mass),
+                    "signals": signals,
+                    "start": StartSpec(angle=middle),
+                    "duration": self.duration,
+                }
+            )
+        return parts
 
     def _weighted(self, load: Any, added_mass: float) -> Any:
         """Section of a load with the weight."""
-        built = load.build()
+        loaded = load.build().with_weight(added_mass, self.distance)
         return GeneralLoadSpec(
-            inertia=float(built.total_inertia + added_mass * self.distance**2),
-            gravity_torque=float(built.gravity_moment + added_mass * self.distance * GRAVITY),
-            damping=float(built.damping),
-            hanging_angle=float(built.hanging_angle),
+            inertia=float(loaded.inertia),
+            gravity_torque=float(loaded.greatest_gravity_torque),
+            damping=float(loaded.damping),
+            hanging_angle=float(loaded.hanging_angle),
         )
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
@@ -142,22 +135,19 @@ def _rad(angle: float) -> str:
 
 def model_of(scenario: Scenario) -> JointSpec:
     """Section of the controller's model of the joint, which a calibration corrects."""
-    model = getattr(scenario.controller, "model", None) or scenario.joint
-    for muscle in (model.muscle, model.muscle1, model.muscle2):
-        if model.arm_scale is not None or (muscle is not None and muscle.correction is not None):
-            raise ParameterError(
-                "the controller's model has been calibrated already",
-                remedy="give the scenario with the model before: intervals need its prior",
-            )
+    model = scenario.controller.model or scenario.joint
+    muscles = filter(None, (model.muscle, model.muscle1, model.muscle2))
+    if model.arm_scale is not None or any(muscle.correction is not None for muscle in muscles):
+        raise ParameterError(
+            "the controller's model has been calibrated already",
+            remedy="give the scenario with the model before: intervals need its prior",
+        )
     return model
 
 
 def load_of(scenario: Scenario) -> Any:
     """Section of the controller's model of the load."""
-    control: Any = scenario.controller
-    parts = [getattr(control, name, None) for name in ("decoupling", "predictive", "inverse_model")]
-    loads = [getattr(part, "load", None) for part in (*parts, control)]
-    return next(filter(None, loads), scenario.load)
+    return scenario.controller.load or scenario.load
 
 
 def run_sweeps(
@@ -175,8 +165,7 @@ def run_sweeps(
     fault; the joint is vented then.
     """
     recordings = []
-    parts = [sweeps.scenario(scenario, mass) for mass in sweeps.weights]  # errors before anything moves
-    for mass, part in zip(sweeps.weights, parts, strict=True):
+    for mass, part in sweeps.scenarios(scenario).items():
         if ready is not None:
             ready(mass)
         on_card = rig is not None and rig.nidaqmx is not None
@@ -246,15 +235,12 @@ def calibrated_model(scenario: Scenario, found: JointCalibration) -> JointSpec:
 
 def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario:
     """The scenario with the estimates as its controller's model of joint and load."""
-    control: Any = scenario.controller.with_model(scenario.joint, scenario.load, scenario.valve)
-    update: dict[str, Any] = {"model": calibrated_model(scenario, found)}
+    control = scenario.controller.with_model(scenario.joint, scenario.load, scenario.valve)
     mass = found.load.adapted_mass
-    for name in ("decoupling", "predictive", "inverse_model"):
-        part = getattr(control, name, None)
-        if part is not None and part.load is not None and mass:
-            load = part.load.model_copy(update={mass: float(getattr(found.load, mass))})
-            update[name] = part.model_copy(update={"load": load})
-    return scenario.model_copy(update={"controller": control.model_copy(update=update)})
+    if mass and control.load is not None:
+        control = control.with_load(control.load.model_copy(update={mass: float(getattr(found.load, mass))}))
+    control = control.model_copy(update={"model": calibrated_model(scenario, found)})
+    return scenario.model_copy(update={"controller": control})
 
 
 def expected(
@@ -282,7 +268,7 @@ SHOWN = {"1": "1", "N": "N", "m": "mm", "kg": "kg", "rad": "deg"}
 
 
 def statements(found: JointCalibration) -> list[str]:
-    """What could not be determined, in words."""
+    """Return one sentence for each quantity that is not determined."""
     names = {"added_mass": "the weight", "zero": "the encoder's zero", "arm_scale": "the scale of the moment arms"}
     return [
         f"not determined: {names.get(name, name)}, {show(one.value, SHOWN[one.unit], 4)} with a standard deviation of "

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
@@ -23,6 +23,7 @@ from mckibben.cli.options import (
     results_folder,
     table,
 )
+from mckibben.cli.rig import run_line
 from mckibben.errors import ParameterError, StoppedError
 from mckibben.storage.files import to_json, write_json
 from mckibben.units import show
@@ -119,24 +120,17 @@ def _measured(scenario: Scenario, sweeps: Sweeps, out: Path, rig: Path | None, q
             typer.confirm(f"{what}, and nobody is within reach of the joint?", abort=True, err=True)
 
     try:
-        with job_progress(quiet=quiet) as bar:
-            return run_sweeps(
-                scenario, sweeps, out, rig=on, ready=ready, progress=bar and (lambda now: _shown(bar, now))
-            )
+        with run_line(quiet=quiet) as line:
+            return run_sweeps(scenario, sweeps, out, rig=on, ready=ready, progress=line)
     except StoppedError as stopped:
         echo(str(stopped), err=True)
         raise typer.Exit(1) from None
 
 
-def _shown(bar: Callable[[str, float], None], now: Any) -> None:
-    if now.time == 0 or round(now.time * 1e3) % 250 == 0:
-        bar(now.phase.name.lower(), min(now.time / now.duration, 1.0))
-
-
 def _report(scenario: Scenario, recordings: list[JointRecording], prior: JointPrior, out: Path, json: bool) -> None:
     from mckibben.calibration import calibrate_joint, calibrated_scenario
     from mckibben.calibration.experiment import SHOWN, deviations, load_of, model_of, statements, write_model
-    from mckibben.report.calibration import calibration as draw
+    from mckibben.report.joint import calibration as draw
     from mckibben.report.style import save
     from mckibben.study.scenario.building import build_joint
 
@@ -185,8 +179,6 @@ def _report(scenario: Scenario, recordings: list[JointRecording], prior: JointPr
 
 
 def _plan(scenario: Scenario, sweeps: Sweeps, prior: JointPrior, json: bool) -> None:
-    import dataclasses
-
     from mckibben.calibration import expected
 
     if not sweeps.added_mass:

@@ -70,7 +70,7 @@ def control(
     if not session.reach.feasible:
         echo(f"warning: {session.reach.describe()}", err=True)
     read.to_yaml(out / "scenario.yaml")
-    with _line(quiet=json) as progress:
+    with run_line(quiet=json) as progress:
         try:
             ran = session.run(out, progress=progress)
         except StoppedError as stopped:
@@ -176,8 +176,8 @@ class _Line:
 
 
 @contextmanager
-def _line(*, quiet: bool) -> Iterator[_Line | None]:
-    """Progress line, if there is a terminal."""
+def run_line(*, quiet: bool) -> Iterator[_Line | None]:
+    """Progress line of a run on a joint rig, if there is a terminal."""
     if quiet or not sys.stderr.isatty():
         yield None
         return

@@ -11,14 +11,13 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.adaptation import AdaptationState, LawAdaptation, with_strengths
 from mckibben.control.base import Controller, Measurement, Setpoint
-from mckibben.control.observer import MotionEstimate, Observer, PressureObserver
+from mckibben.control.observer import MotionEstimate, Observer, PressureObserver, lag_fraction
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.checks import check_kind, check_positive
-from mckibben.numerics.elementary import exp
 from mckibben.units import AngleScale, Force, ShortTime
 
 Scalar = Float[Array, ""]
@@ -141,8 +140,7 @@ class ModelBasedControl(Controller):
 
     def valve_fraction(self, duration: ArrayLike) -> Scalar:
         """Part of a step that a valve of the model covers in a time [s]."""
-        lag = jnp.asarray(self.valve_time_constant)
-        return jnp.where(lag > 0, 1 - exp(-jnp.asarray(duration) / jnp.where(lag > 0, lag, 1.0)), 1.0)
+        return lag_fraction(self.valve_time_constant, duration)
 
     def _stiffness(self, model: AntagonisticJoint, angle: ArrayLike, pressures: Pair, isobaric: Scalar) -> Pair:
         """Controlled stiffness by a model, and what it exceeds the isobaric one by [N*m/rad]."""

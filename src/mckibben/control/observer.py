@@ -19,6 +19,12 @@ from mckibben.units import Bandwidth, PoleDamping
 Scalar = Float[Array, ""]
 
 
+def lag_fraction(time_constant: ArrayLike, duration: ArrayLike) -> Scalar:
+    """Part of a step that a first-order lag, 0 for none, covers within a time [s]."""
+    lag = jnp.asarray(time_constant)
+    return jnp.where(lag > 0, 1 - exp(-jnp.asarray(duration) / jnp.where(lag > 0, lag, 1.0)), 1.0)
+
+
 class MotionEstimate(NamedTuple):
     """Estimated motion of the joint."""
 

@@ -11,12 +11,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.control.observer import lag_fraction
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
 from mckibben.muscle import Domain
 from mckibben.numerics.checks import check_kind, check_positive
-from mckibben.numerics.elementary import exp
 from mckibben.units import PositiveTime, PressureRate, ShortTime, bar
 
 Scalar = Float[Array, ""]
@@ -78,8 +78,7 @@ class SupplyLimit(Controller):
     def step(
         self, state: SupplyLimitState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[SupplyLimitState, Pair]:
-        lag = jnp.asarray(self.valve_time_constant)
-        fraction = jnp.where(lag > 0, 1 - exp(-jnp.asarray(period) / jnp.where(lag > 0, lag, 1.0)), 1.0)
+        fraction = lag_fraction(self.valve_time_constant, period)
 
         def after(lagged: Pair, inputs: Pair) -> Pair:
             return lagged[0] + fraction * (inputs[0] - lagged[0]), lagged[1] + fraction * (inputs[1] - lagged[1])

@@ -25,6 +25,8 @@ from mckibben.units import (
     Torque,
 )
 
+_GRAVITY = 9.81  # m/s^2
+
 
 class Load(eqx.Module, Displayed):
     r"""A load with inertia, viscous damping and the gravity of a pendulum (Eq. 6).
@@ -51,6 +53,15 @@ class Load(eqx.Module, Displayed):
     @abc.abstractmethod
     def gravity_moment(self) -> Float[Array, ""]:
         """G [N*m], the largest torque of gravity; negative for an inverted load."""
+
+    def with_weight(self, mass: ArrayLike, distance: ArrayLike) -> GeneralLoad:
+        """Return the load with a further point mass [kg] on the limb, at a distance [m] from the axis."""
+        return GeneralLoad(
+            inertia=self.total_inertia + mass * distance**2,  # type: ignore
+            greatest_gravity_torque=self.gravity_moment + mass * distance * _GRAVITY,  # type: ignore
+            damping=self.damping,
+            hanging_angle=self.hanging_angle,
+        )
 
     def acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Float[Array, "..."]:
         """Angular acceleration [rad/s^2] under a torque [N*m] at an angle [rad] and a velocity [rad/s] (Eq. 6)."""

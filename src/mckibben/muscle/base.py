@@ -134,10 +134,13 @@ class ScaledAffineLaw(PressureAffineLaw):
 def scaled_law(law: ForceLaw, strength: Any) -> ForceLaw:
     """Return a law, with its domain, whose force is scaled by a factor above 0: scatter among muscles, and ageing."""
     check_positive("scaled_law", strength=strength)
+    return wrapped_law(law, ScaledAffineLaw, ScaledLaw, strength=strength)
+
+
+def wrapped_law(law: ForceLaw, affine: Any, general: Any, **parameters: Any) -> ForceLaw:
+    """Return a law within another one, of its domain, of the class for laws affine in pressure or of the other."""
     domain = law.domain.intersection(law.formula_domain)
-    if isinstance(law, PressureAffineLaw):
-        return ScaledAffineLaw(law=law, strength=strength, domain=domain)
-    return ScaledLaw(law=law, strength=strength, domain=domain)
+    return (affine if isinstance(law, PressureAffineLaw) else general)(law=law, domain=domain, **parameters)
 
 
 BRAID_PARAMETERS = (

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.errors import RangeError
-from mckibben.muscle.base import ForceLaw, PressureAffineLaw, pressure_for
+from mckibben.muscle.base import ForceLaw, PressureAffineLaw, pressure_for, wrapped_law
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.checks import check_positive
 from mckibben.units import Contraction, ForcePerPressure, SignedForce
@@ -95,6 +94,4 @@ def corrected_law(law: ForceLaw, correction: ForceCorrection) -> ForceLaw:
     >>> round(float(more.force(0.125, 4e5) - law.force(0.125, 4e5)), 6)  # -20 + 0.5 * 5 + 1e-5 * 4e5
     -13.5
     """
-    domain: Any = law.domain.intersection(law.formula_domain)
-    kind: Any = CorrectedAffineLaw if isinstance(law, PressureAffineLaw) else CorrectedLaw
-    return kind(law=law, correction=correction, domain=domain)
+    return wrapped_law(law, CorrectedAffineLaw, CorrectedLaw, correction=correction)

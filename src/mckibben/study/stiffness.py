@@ -70,7 +70,7 @@ class StiffnessTests:
         return self.tests[HELD].amplitude
 
     def describe(self) -> str:
-        """What is held, and the stiffness without friction."""
+        """Setpoint of the tests and stiffness without friction, as text."""
         angle, pressures = round(self.angle / deg, 3) + 0.0, ", ".join(f"{p / bar:.3g}" for p in self.pressures)
         return (
             f"held: {angle:g} deg at {pressures} bar, asked for {self.asked:.4g} N*m/rad; without friction "

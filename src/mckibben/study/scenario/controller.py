@@ -261,6 +261,28 @@ class ControllerSpec(ConfigModel):
                 fail_validation(f"lacks {' and '.join(missing)}", remedy, parent=True)
         return value
 
+    @property
+    def load(self) -> Any:
+        """Its model of the load; None where it has none, or takes the plant's."""
+        return next((part.load for part in self._with_load().values() if part.load is not None), None)
+
+    def with_load(self, load: Any) -> ControllerSpec:
+        """The controller with another model of the load, where it has one written out."""
+        parts = {name: part for name, part in self._with_load().items() if part.load is not None}
+        return self.model_copy(update={name: part.model_copy(update={"load": load}) for name, part in parts.items()})
+
+    def without_adaptation(self) -> ControllerSpec:
+        """The controller with the laws and the mass of its model as they are."""
+        parts = {name: part for name, part in self._with_load().items() if isinstance(part, ModelBasedSpec)}
+        return self.model_copy(
+            update={name: part.model_copy(update={"adaptation": None}) for name, part in parts.items()}
+        )
+
+    def _with_load(self) -> dict[str, Any]:
+        """Sections that have a model of the load."""
+        parts = {name: getattr(self, name) for name in ("decoupling", "predictive", "inverse_model")}
+        return {name: part for name, part in parts.items() if part is not None}
+
     def with_model(self, joint: JointSpec, load: LoadSpec, valve: ValveSpec | None) -> ControllerSpec:
         """The controller with its model of joint, load and valves written out, taken from a plant where not given."""
         update: dict[str, Any] = {} if self.model is not None else {"model": joint}
@@ -291,6 +313,14 @@ class OwnControllerSpec(ComponentModel):
         """The controller with its model of joint and load written out."""
         missing = {"model": joint, "load": load}
         return self.model_copy(update={key: one for key, one in missing.items() if getattr(self, key) is None})
+
+    def with_load(self, load: Any) -> OwnControllerSpec:
+        """The controller with another model of the load, if it has one written out."""
+        return self if self.load is None else self.model_copy(update={"load": load})
+
+    def without_adaptation(self) -> OwnControllerSpec:
+        """The controller; what a class of one's own adapts is not known."""
+        return self
 
 
 AnyController = Annotated[ControllerSpec, PartOf("mckibben.control.base:Controller", OwnControllerSpec)]
