@@ -118,6 +118,10 @@ class UnreachableError(McKibbenError, ValueError):
     """No pressures within limits give the requested angle, torque or stiffness."""
 
 
+class ExportError(McKibbenError, ValueError):
+    """What cannot be written in another language or format."""
+
+
 class RigError(McKibbenError, RuntimeError):
     """A test rig is missing, or cannot execute a command."""
 

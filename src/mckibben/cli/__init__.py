@@ -22,6 +22,7 @@ from typer import Argument, Option
 import mckibben
 from mckibben.cli.calibrate import calibrate
 from mckibben.cli.compare import compare
+from mckibben.cli.export import export
 from mckibben.cli.identify import identify, points, validate
 from mckibben.cli.options import (
     INTERRUPTED,
@@ -151,6 +152,7 @@ app.command()(sweep)
 app.command()(tune)
 app.command()(compare)
 app.command()(calibrate)
+app.command()(export)
 app.add_typer(rig)
 
 

@@ -1,0 +1,170 @@
+"""C99 of a program: a header with its structures, and a source file without memory allocation or recursion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from mckibben.codegen.graph import Kind, Value
+from mckibben.codegen.languages import c_language
+from mckibben.codegen.precision import wide_inputs, wide_values
+from mckibben.codegen.program import Function, Member, Program, element, identifier, inputs_of, is_scalar
+from mckibben.codegen.writer import Writer
+
+_PARAMETERS = "what can be changed; call prepare afterwards"
+_STATE = "from one step to the next"
+_PREPARED = "computed from the parameters"
+
+
+class Sources(NamedTuple):
+    """Text of the header and of the source file."""
+
+    header: str
+    source: str
+
+
+def write_c(
+    program: Program,
+    comment: str = "",
+    *,
+    single: bool = False,
+    wide: Sequence[str] = (),
+    units: Mapping[str, str] | None = None,
+) -> Sources:
+    """Write a program as C99; `units` are of members, by structure and path.
+
+    In `single` precision numbers are `float`, but for what depends on the arguments `wide` alone, which is `double`.
+    """
+    return _Writing(program, comment, single, wide, units or {}).sources()
+
+
+class _Writing:
+    """The text of one program."""
+
+    def __init__(
+        self, program: Program, comment: str, single: bool, wide: Sequence[str], units: Mapping[str, str]
+    ) -> None:
+        self._program = program
+        self._name = program.name
+        self._comment = "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in comment.splitlines()) + " */\n"
+        self._language = c_language("float" if single else "double")
+        self._units = units
+        self._wide = wide_inputs(program, wide) if single else frozenset[str]()
+        known = wide_values(program, self._wide)
+        self._writer = Writer(program.scopes, self._language, program.results(), known, c_language("double"))
+        self._prepared = dict.fromkeys(Kind, 0)  # how many numbers are prepared
+
+    def sources(self) -> Sources:
+        """Header and source."""
+        functions = [self._defaults(), self._prepare(), *map(self._function, self._program.functions)]
+        helpers = sorted(self._writer.helpers)
+        source = [f'{self._comment}#include "{self._name}.h"\n\n#include <math.h>\n', *helpers, *functions]
+        return Sources(self._header(), "\n".join(source))
+
+    def _header(self) -> str:
+        name, program = self._name, self._program
+        structures = [self._structure("parameters", program.members, _PARAMETERS)]
+        counts = {kind: count for kind, count in self._prepared.items() if count}
+        if counts:
+            members = [f"    {self._language.types[kind]} {kind.value}[{count}];" for kind, count in counts.items()]
+            structures.append("\n".join([f"/* {_PREPARED} */", "typedef struct {", *members, f"}} {name}_prepared;\n"]))
+        if program.state:
+            structures.append(self._structure("state", program.state, _STATE))
+        inside = ["parameters", *(["prepared"] if counts else []), *(["state"] if program.state else [])]
+        lines = [f"    {name}_{one} {one};" for one in inside]
+        structures.append("\n".join(["typedef struct {", *lines, f"}} {name};\n"]))
+        structures += [self._structure(one, members) for one, members in program.structures().items()]
+        return "\n".join(
+            [
+                f"{self._comment}#ifndef {name.upper()}_H\n#define {name.upper()}_H\n",
+                "#include <stdbool.h>\n#include <stdint.h>\n",
+                '#ifdef __cplusplus\nextern "C" {\n#endif\n',
+                *structures,
+                f"/* the parameters with which this was made, and prepare */\nvoid {name}_defaults({name} *self);\n",
+                f"/* to be called after parameters were changed */\nvoid {name}_prepare({name} *self);\n",
+                *(f"/* {one.text} */\n{self._signature(one)};\n" for one in program.functions),
+                "#ifdef __cplusplus\n}\n#endif\n\n#endif\n",
+            ]
+        )
+
+    def _structure(self, name: str, members: Sequence[Member], text: str = "") -> str:
+        lines = [f"/* {text} */"] if text else []
+        lines.append("typedef struct {")
+        for member in members:
+            unit = self._units.get(f"{name}.{member.path}", "")
+            size = f"[{member.size}]" if member.shape else ""
+            comment = f" /* {unit} */" if unit else ""
+            lines.append(f"    {self._type(name, member)} {member.name}{size};{comment}")
+        return "\n".join([*lines, f"}} {self._name}_{name};\n"])
+
+    def _type(self, structure: str, member: Member) -> str:
+        return "double" if element(structure, member, 0) in self._wide else self._language.types[member.kind]
+
+    def _defaults(self) -> str:
+        lines = [
+            f"    self->{element('parameters', member, place)} = {self._language.literal(value.item(), member.kind)};"
+            for member in self._program.members
+            for place, value in enumerate(member.value.flat)
+        ]
+        name = self._name
+        return "\n".join([f"void {name}_defaults({name} *self)", "{", *lines, f"    {name}_prepare(self);", "}\n"])
+
+    def _prepare(self) -> str:
+        """The function that computes what depends on parameters alone."""
+
+        def stored(value: Value) -> str:
+            self._prepared[value.kind] += 1
+            return f"self->prepared.{value.kind.value}[{self._prepared[value.kind] - 1}]"
+
+        root = self._program.graph.root
+        for value in inputs_of(root):
+            self._writer.name(value, f"self->{value.data}")
+        lines = self._writer.scope(root, stored=stored) or ["    (void)self;"]
+        return "\n".join([f"void {self._name}_prepare({self._name} *self)", "{", *lines, "}\n"])
+
+    def _signature(self, function: Function) -> str:
+        arguments = [f"{self._name} *self" if "state" in function.results else f"const {self._name} *self"]
+        returned, given = "void", function.arguments.items()
+        arguments += [self._argument(name, one, given=True) for name, one in given if name != "state"]
+        if function.returned is not None:
+            returned = self._language.types[function.results[function.returned][0].kind]
+        else:
+            results = function.results.items()
+            arguments += [self._argument(name, one, given=False) for name, one in results if name != "state"]
+        return f"{returned} {self._name}_{function.name}({', '.join(arguments)})"
+
+    def _argument(self, name: str, members: Sequence[Member], *, given: bool) -> str:
+        if is_scalar(members):
+            return f"{self._language.types[members[0].kind]} {'' if given else '*'}{name}"
+        return f"{'const ' if given else ''}{self._name}_{name} *{name}"
+
+    def _place(self, structure: str, members: Sequence[Member], name: str, *, given: bool) -> str:
+        """Where an element of an argument or of a result is."""
+        if structure == "state":
+            return f"self->{name}"
+        if is_scalar(members):
+            return structure if given else f"*{structure}"
+        return name.replace(".", "->", 1)
+
+    def _function(self, function: Function) -> str:
+        lines, used = [], set()
+        for value in inputs_of(function.scope):
+            if self._writer.is_needed(value):
+                structure = value.data.split(".", 1)[0]
+                used.add(structure)
+                place = self._place(structure, function.arguments[structure], value.data, given=True)
+                name = identifier(value.data)
+                self._writer.name(value, name)
+                if name != place:
+                    lines.append(f"    {self._writer.constant(value)} {name} = {place};")
+        lines += self._writer.scope(function.scope)
+        for result, members in function.results.items():
+            names = [element(result, member, number) for member in members for number in range(member.size)]
+            for name, value in zip(names, function.values[result], strict=True):
+                place = self._place(result, members, name, given=False)
+                text = self._writer.text(value)
+                lines.append(f"    return {text};" if result == function.returned else f"    {place} = {text};")
+        unused = [name for name in function.arguments if name != "state" and name not in used]
+        if not any("self->" in line for line in lines):
+            unused.append("self")
+        return "\n".join([self._signature(function), "{", *(f"    (void){name};" for name in unused), *lines, "}\n"])

@@ -1,0 +1,285 @@
+"""Scalar expressions in nested scopes: the form between a jaxpr and the text of a program.
+
+An expression stands in the outermost scope that knows all of its arguments, so what does not change in a loop is
+moved out of it, and what depends on parameters alone is computed once. Equal expressions are one.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+
+class Kind(enum.Enum):
+    """Type of a scalar."""
+
+    REAL = "real"
+    INTEGER = "integer"
+    BOOLEAN = "boolean"
+
+
+@dataclass(eq=False, slots=True)
+class Value:
+    """A scalar: a constant, an input, a carried variable of a loop, an element of an array, or an operation."""
+
+    operation: str
+    kind: Kind
+    arguments: tuple[Value, ...]
+    scope: Scope
+    data: Any = None  # number of a constant, name of an input, `Carried`, or `Element`
+
+    @property
+    def constant(self) -> Any:
+        """Its number, if it is known."""
+        return self.data if self.operation == "constant" else None
+
+
+@dataclass(eq=False, slots=True)
+class Scope:
+    """A block of statements."""
+
+    parent: Scope | None = None
+    statements: list[Value | Loop | StoredArray] = field(default_factory=list)
+    known: dict[Any, Value] = field(default_factory=dict)
+    depth: int = 0
+
+    def inner(self) -> Scope:
+        """A new block inside."""
+        return Scope(self, depth=self.depth + 1)
+
+
+@dataclass(eq=False, slots=True)
+class Carried:
+    """A variable of a loop."""
+
+    loop: Loop
+    initial: Value
+    following: Any = None  # its value after a pass of the loop
+
+
+@dataclass(eq=False, slots=True)
+class Loop:
+    """A loop with a fixed number of passes; `index` counts them."""
+
+    scope: Scope
+    length: int
+    index: Value
+    row: Any = None  # of its arrays: the index, or from the last on
+    carried: list[Carried] = field(default_factory=list)
+    arrays: list[StoredArray] = field(default_factory=list)  # in which it stores a row each pass
+
+
+@dataclass(eq=False, slots=True)
+class StoredArray:
+    """Elements in memory, so that a loop can index them: given ones, or rows that a loop stores."""
+
+    kind: Kind
+    size: int
+    elements: list[Value]  # all, or those of one row
+    loop: Loop | None = None
+
+    @property
+    def constant(self) -> bool:
+        """Whether all elements are known numbers."""
+        return self.loop is None and all(element.operation == "constant" for element in self.elements)
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """Place in an array: row (the argument of its value) times stride plus offset."""
+
+    array: StoredArray
+    stride: int
+    offset: int
+
+
+_FOLDED: dict[str, Callable[..., Any]] = {
+    "add": lambda x, y: x + y,
+    "sub": lambda x, y: x - y,
+    "mul": lambda x, y: x * y,
+    "div": np.divide,
+    "neg": lambda x: -x,
+    "lt": lambda x, y: x < y,
+    "le": lambda x, y: x <= y,
+    "gt": lambda x, y: x > y,
+    "ge": lambda x, y: x >= y,
+    "eq": lambda x, y: x == y,
+    "ne": lambda x, y: x != y,
+    "and": lambda x, y: x & y,
+    "or": lambda x, y: x | y,
+    "xor": lambda x, y: x ^ y,
+    "not": lambda x: not x,
+    "max": np.maximum,
+    "min": np.minimum,
+    "abs": abs,
+    "sqrt": np.sqrt,
+    "exp": np.exp,
+    "expm1": np.expm1,
+    "log": np.log,
+    "log1p": np.log1p,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "atan2": np.arctan2,
+    "sinh": np.sinh,
+    "cosh": np.cosh,
+    "tanh": np.tanh,
+    "pow": np.power,
+    "floor": np.floor,
+    "ceil": np.ceil,
+    "round": np.rint,
+    "cbrt": np.cbrt,
+    "sign": np.sign,
+    "rem": np.fmod,
+    "is_finite": np.isfinite,
+    "real": lambda x: x,
+    "integer": int,
+    "boolean": bool,
+}
+OPERATIONS = frozenset(_FOLDED) | {"select"}
+"""Names of the operations, with arguments in this order; `select` has the condition, then both values."""
+
+
+class Graph:
+    """Statements in scopes; `scope` is the current one."""
+
+    def __init__(self) -> None:
+        self.root = Scope()
+        self.scope = self.root
+
+    def constant(self, number: Any, kind: Kind) -> Value:
+        """A known number."""
+        number = {Kind.REAL: float, Kind.INTEGER: int, Kind.BOOLEAN: bool}[kind](number)
+        key = ("constant", kind, repr(number))
+        if key not in self.root.known:
+            self.root.known[key] = Value("constant", kind, (), self.root, number)
+        return self.root.known[key]
+
+    def input(self, name: str, kind: Kind) -> Value:
+        """A number that is given under a name, in the current scope."""
+        return self._known(("input", name), self.scope, lambda: Value("input", kind, (), self.scope, name))
+
+    def operation(self, name: str, kind: Kind, *arguments: Value) -> Value:
+        """The result of an operation."""
+        if (simple := self._simplified(name, kind, arguments)) is not None:
+            return simple
+        scope = max((argument.scope for argument in arguments), key=lambda scope: scope.depth)
+        key = (name, kind, *map(id, arguments))
+        return self._known(key, scope, lambda: Value(name, kind, arguments, scope))
+
+    def element(self, array: StoredArray, row: Value | None, stride: int, offset: int, scope: Scope) -> Value:
+        """An element of an array; without a row the one at `offset`."""
+        place = Element(array, stride, offset)
+        arguments = () if row is None else (row,)
+        key = ("element", place, *map(id, arguments))
+        return self._known(key, scope, lambda: Value("element", array.kind, arguments, scope, place))
+
+    def _known(self, key: Any, scope: Scope, make: Callable[[], Value]) -> Value:
+        """The value of a key in a scope, made and added to its statements if there is none."""
+        if key not in scope.known:
+            scope.known[key] = value = make()
+            scope.statements.append(value)
+        return scope.known[key]
+
+    def _simplified(self, name: str, kind: Kind, arguments: tuple[Value, ...]) -> Value | None:
+        """A constant, or one of the arguments, where the result is that."""
+        known = [argument.constant for argument in arguments]
+        if name == "select":
+            _, yes, no = arguments
+            if yes is no:
+                return yes
+            return None if known[0] is None else yes if known[0] else no
+        if all(number is not None for number in known):
+            with np.errstate(all="ignore"):
+                return self.constant(_FOLDED[name](*known), kind)
+        first = arguments[0]
+        if name in ("real", "integer", "boolean"):
+            return first if first.kind is kind else None
+        if name in ("and", "or") and kind is Kind.BOOLEAN:
+            for number, other in ((known[0], arguments[1]), (known[1], first)):
+                if number is not None:
+                    return other if number is (name == "and") else self.constant(number, kind)
+        neutral = {"add": 0.0, "sub": 0.0, "mul": 1.0, "div": 1.0}.get(name)
+        if neutral is None:
+            return None
+        if known[1] == neutral:
+            return first
+        return arguments[1] if known[0] == neutral and name in ("add", "mul") else None
+
+    def power(self, x: Value, exponent: int) -> Value:
+        """X to an integer power, by squaring."""
+        if exponent == 0:
+            return self.constant(1.0, x.kind)
+        result, square, rest = None, x, abs(exponent)
+        while rest:
+            if rest & 1:
+                result = square if result is None else self.operation("mul", x.kind, result, square)
+            rest >>= 1
+            square = self.operation("mul", x.kind, square, square) if rest else square
+        assert result is not None
+        return result if exponent > 0 else self.operation("div", x.kind, self.constant(1.0, x.kind), result)
+
+    def array(self, elements: Sequence[Value]) -> tuple[StoredArray, int]:
+        """An array with these elements, and the place of the first: one that exists, if they lie in it in a row."""
+        first = elements[0]
+        if first.operation == "element" and not first.arguments:
+            array, begin = first.data.array, first.data.offset
+            places = [Element(array, 0, begin + place) for place in range(len(elements))]
+            if all(one.operation == "element" and one.data == at for one, at in zip(elements, places, strict=True)):
+                return array, begin
+        array = StoredArray(first.kind, len(elements), list(elements))
+        self.scope.statements.append(array)
+        return array, 0
+
+    def loop(self, length: int, body: Callable[[Loop], Sequence[Sequence[Value]]], *, reverse: bool = False) -> Loop:
+        """Loop whose body makes statements in a scope of its own, and returns the rows of the arrays to store."""
+        outer, inside = self.scope, self.scope.inner()
+        loop = Loop(inside, length, Value("index", Kind.INTEGER, (), inside))
+        self.scope = inside
+        row = loop.index
+        if reverse:
+            row = self.operation("sub", Kind.INTEGER, self.constant(length - 1, Kind.INTEGER), row)
+        loop.row = row
+        rows = body(loop)
+        self.scope = outer
+        loop.arrays = [StoredArray(one[0].kind, length * len(one), list(one), loop) for one in rows]
+        outer.statements.append(loop)
+        return loop
+
+    def carry(self, loop: Loop, initial: Value) -> Value:
+        """A variable of a loop, as its body sees it."""
+        loop.carried.append(Carried(loop, initial))
+        return Value("carried", initial.kind, (), loop.scope, loop.carried[-1])
+
+    def after(self, carried: Carried) -> Value:
+        """The last value of a variable of a loop, in the scope around it."""
+        return Value("carried", carried.initial.kind, (), self.scope, carried)
+
+
+def needed(results: Sequence[Value]) -> set[int]:
+    """Identities of the values, loops and arrays that results depend on."""
+    found: set[int] = set()
+    waiting: list[Any] = list(results)
+    while waiting:
+        one = waiting.pop()
+        if id(one) in found:
+            continue
+        found.add(id(one))
+        if isinstance(one, Loop):
+            continue
+        waiting += one.arguments
+        if one.operation == "carried":
+            found.add(id(one.data))
+            waiting += [one.data.initial, one.data.following, one.data.loop]
+        elif one.operation == "element":
+            array = one.data.array
+            found.add(id(array))
+            waiting += array.elements if array.loop is None else [*array.elements, array.loop, array.loop.row]
+    return found

@@ -1,0 +1,113 @@
+"""C99 and JavaScript, as the writer needs them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from mckibben.codegen.graph import Kind
+from mckibben.codegen.writer import Language
+
+_SMALLEST, _LARGEST = 1.18e-38, 3.4e38  # of float
+_SAME = ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
+         "sqrt", "floor", "ceil", "cbrt", "pow")  # fmt: skip
+
+
+def c_language(real: str = "double") -> Language:
+    """C99 with `double` or `float`."""
+    suffix = "" if real == "double" else "f"
+    types = {Kind.REAL: real, Kind.INTEGER: "int64_t", Kind.BOOLEAN: "bool"}
+
+    def literal(number: Any, kind: Kind) -> str:
+        if kind is not Kind.REAL:
+            return str(number).lower() if kind is Kind.BOOLEAN else str(number)
+        if not math.isfinite(number):
+            return "NAN" if math.isnan(number) else "INFINITY" if number > 0 else "-INFINITY"
+        if not suffix:
+            return repr(number)
+        if abs(number) > _LARGEST:
+            return "INFINITY" if number > 0 else "-INFINITY"
+        text = repr(float(f"{number:.9g}" if abs(number) >= _SMALLEST else 0.0))
+        return f"{text}f"
+
+    def conversion(text: str, source: Kind, target: Kind) -> str:
+        if target is Kind.BOOLEAN:
+            return f"{text} != 0"
+        return f"({types[target]}){text}"
+
+    def array(name: str, kind: Kind, size: int, elements: Sequence[str] | None, constant: bool) -> str:
+        if elements is None:
+            return f"{types[kind]} {name}[{size}];"
+        return f"{'static ' if constant else ''}const {types[kind]} {name}[{size}] = {{{', '.join(elements)}}};"
+
+    def function(name: str, arguments: str, result: str) -> str:
+        typed = ", ".join(f"{real} {one}" for one in arguments.split(", "))
+        return f"static {real} {name}{suffix}({typed})\n{{\n    return {result};\n}}\n"
+
+    return Language(
+        types=types,
+        constants={kind: f"const {name}" for kind, name in types.items()},
+        functions={
+            **{name: name + suffix for name in _SAME},
+            "abs": "fabs" + suffix,
+            "round": "rint" + suffix,
+            "rem": "fmod" + suffix,
+            "is_finite": "isfinite",
+            **{
+                name: f"{helper}{suffix}" for name, helper in (("max", "maximum"), ("min", "minimum"), ("sign", "sign"))
+            },
+        },
+        helpers={
+            # NaN where one is NaN, unlike fmax
+            f"maximum{suffix}": function("maximum", "x, y", "x > y || x != x ? x : y"),
+            f"minimum{suffix}": function("minimum", "x, y", "x < y || x != x ? x : y"),
+            f"sign{suffix}": function("sign", "x", f"({real})((x > 0) - (x < 0))"),
+        },
+        literal=literal,
+        conversion=conversion,
+        array=array,
+    )
+
+
+def _js_literal(number: Any, kind: Kind) -> str:
+    if kind is not Kind.REAL:
+        return str(number).lower()
+    if not math.isfinite(number):
+        return "NaN" if math.isnan(number) else "Infinity" if number > 0 else "-Infinity"
+    return repr(number)
+
+
+def _js_conversion(text: str, source: Kind, target: Kind) -> str:
+    if target is Kind.BOOLEAN:
+        return f"{text} !== 0"
+    if source is Kind.BOOLEAN:
+        return f"Number({text})"
+    return f"Math.trunc({text})" if target is Kind.INTEGER else f"+{text}"
+
+
+def _js_array(name: str, kind: Kind, size: int, elements: Sequence[str] | None, constant: bool) -> str:
+    content = f"new Array({size})" if elements is None else f"[{', '.join(elements)}]"
+    return f"const {name} = {content};"
+
+
+JAVASCRIPT = Language(
+    types=dict.fromkeys(Kind, "let"),
+    constants=dict.fromkeys(Kind, "const"),
+    functions={
+        **{name: f"Math.{name}" for name in (*_SAME, "abs", "sign", "max", "min")},
+        "round": "rint",
+        "rem": "rem",
+        "is_finite": "Number.isFinite",
+    },
+    helpers={
+        "rint": (
+            "function rint(x) {\n    const r = Math.round(x);\n"
+            "    return Math.abs(x % 1) === 0.5 && r % 2 !== 0 ? r - 1 : r;\n}\n"
+        ),
+        "rem": "function rem(x, y) {\n    return x % y;\n}\n",
+    },
+    literal=_js_literal,
+    conversion=_js_conversion,
+    array=_js_array,
+)

@@ -1,0 +1,62 @@
+"""Which values of a program in single precision are `double`: those that depend on some arguments alone.
+
+Derivatives of a sampled reference, for example, are differences of nearly equal numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+from mckibben.codegen.graph import Kind, Scope, Value
+from mckibben.codegen.program import Program, element
+
+
+def wide_values(program: Program, inputs: Collection[str]) -> set[int]:
+    """Identities of the values that depend on some inputs, and else on parameters alone."""
+    root = program.graph.root
+    wide, narrow = set[int](), set[int]()
+    for function in program.functions:
+        for value in _statements(function.scope):
+            if value.operation == "input":
+                (wide if value.data in inputs else narrow).add(id(value))
+            elif value.operation == "element":
+                narrow.add(id(value))
+            else:
+                others = [one for one in value.arguments if one.scope is not root]
+                if any(id(one) in narrow or one.operation in ("carried", "index") for one in others):
+                    narrow.add(id(value))
+                elif any(id(one) in wide for one in others):
+                    wide.add(id(value))
+    return wide
+
+
+def wide_inputs(program: Program, arguments: Collection[str]) -> frozenset[str]:
+    """Names of the inputs that are members of some arguments, or of the state and depend on those alone."""
+    inputs = {
+        element(name, member, place)
+        for function in program.functions
+        for name, members in function.arguments.items()
+        if name in (*arguments, "state")
+        for member in members
+        if member.kind is Kind.REAL
+        for place in range(member.size)
+    }
+    while True:
+        wide = wide_values(program, inputs)
+        lost = {name for name, value in _states(program) if name in inputs and id(value) not in wide}
+        if not lost:
+            return frozenset(inputs)
+        inputs -= lost
+
+
+def _states(program: Program) -> Iterator[tuple[str, Value]]:
+    """Inputs of the state, and their values after each function that has them as arguments."""
+    for function in program.functions:
+        if "state" in function.arguments and "state" in function.results:
+            members = function.results["state"]
+            names = [element("state", member, place) for member in members for place in range(member.size)]
+            yield from zip(names, function.values["state"], strict=True)
+
+
+def _statements(scope: Scope) -> Iterator[Value]:
+    return (one for one in scope.statements if isinstance(one, Value))

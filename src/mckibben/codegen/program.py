@@ -1,0 +1,175 @@
+"""A program: functions over parameters that can be changed, and a state."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from mckibben.codegen.graph import Graph, Kind, Scope, Value
+from mckibben.codegen.lowering import Lowering, kind_of
+
+_RESERVED = frozenset(
+    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
+    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true "
+    "false class delete export extends finally function import in instanceof let new null super this throw try typeof "
+    "var with yield".split()
+)
+
+
+class Member(NamedTuple):
+    """A number or an array in a structure."""
+
+    name: str
+    kind: Kind
+    shape: tuple[int, ...]
+    value: Any  # of the example from which the program was made
+    path: str  # in the tree, such as decoupling.poles.bandwidth
+
+    @property
+    def size(self) -> int:
+        """Number of its elements."""
+        return int(np.prod(self.shape))
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function: arguments and results are structures by name; `state` may be both."""
+
+    name: str
+    arguments: dict[str, list[Member]]
+    results: dict[str, list[Member]]
+    scope: Scope
+    values: dict[str, list[Value]]  # of the results, element by element
+    text: str  # what it does
+
+    @property
+    def returned(self) -> str | None:
+        """Name of the result, if it is a single scalar."""
+        (name, members), *others = self.results.items()
+        return name if not others and is_scalar(members) else None
+
+
+@dataclass
+class Program:
+    """Functions of a tree of parameters, and of arguments each.
+
+    Leaves of the parameters and arguments are numbers or arrays. What depends on parameters alone is computed once, in
+    a function `prepare` of its own.
+    """
+
+    name: str
+    parameters: Any
+    prefix: str = ""  # of the paths of parameters, which their names do without
+    functions: list[Function] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.graph = Graph()
+        self.members = members_of(self.parameters, self.prefix)
+        """Of the structure of parameters."""
+        self._lowering = Lowering(self.graph)
+        self._inputs = self._arrays("parameters", self.members)
+
+    def add(
+        self, name: str, text: str, function: Callable[..., Mapping[str, Any]], arguments: Mapping[str, Any]
+    ) -> None:
+        """Add a function of the parameters and of named trees, which returns named trees; raises `ExportError`."""
+        scope = self.graph.scope = self.graph.root.inner()
+        given = {name: members_of(tree) for name, tree in arguments.items()}
+        inputs = [*self._inputs]
+        for argument, members in given.items():
+            inputs += self._arrays(argument, members)
+        results = self._lowering.function(
+            lambda parameters, *trees: dict(function(parameters, **dict(zip(arguments, trees, strict=True)))),
+            (self.parameters, *arguments.values()),
+            inputs,
+        )
+        found, values = {}, {}
+        for result, tree in results.items():
+            leaves = jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, np.ndarray))
+            found[result] = members_of(jax.tree.map(_example, tree, is_leaf=lambda x: isinstance(x, np.ndarray)))
+            values[result] = [value for leaf in leaves for value in leaf.flat]
+        self.graph.scope = self.graph.root
+        self.functions.append(Function(name, given, found, scope, values, text))
+
+    @property
+    def state(self) -> list[Member]:
+        """Members of the state, if a function has one."""
+        return next((one.results["state"] for one in self.functions if "state" in one.results), [])
+
+    @property
+    def scopes(self) -> list[Scope]:
+        """Of what depends on parameters alone, and of each function."""
+        return [self.graph.root, *(one.scope for one in self.functions)]
+
+    def results(self) -> list[Value]:
+        """Values of all results."""
+        return [value for one in self.functions for values in one.values.values() for value in values]
+
+    def structures(self) -> dict[str, list[Member]]:
+        """Arguments and results of all functions by name, but for the state and scalars."""
+        found: dict[str, list[Member]] = {}
+        for function in self.functions:
+            for name, members in (function.arguments | function.results).items():
+                if name != "state" and not is_scalar(members):
+                    found.setdefault(name, members)
+        return found
+
+    def _arrays(self, name: str, members: Sequence[Member]) -> list[Any]:
+        """Inputs for the members of a structure, in the current scope."""
+        arrays = []
+        for member in members:
+            array = np.empty(member.shape, object)
+            for number, at in enumerate(np.ndindex(*member.shape)):
+                array[at] = self.graph.input(element(name, member, number), member.kind)
+            arrays.append(array)
+        return arrays
+
+
+def is_scalar(members: Sequence[Member]) -> bool:
+    """Whether the members are those of one number in place of a structure."""
+    return len(members) == 1 and not members[0].path and not members[0].shape
+
+
+def element(structure: str, member: Member, number: int) -> str:
+    """Name of an element of a member of a structure: the name of the input that stands for it."""
+    if not member.path:
+        return structure
+    return f"{structure}.{member.name}" + (f"[{number}]" if member.shape else "")
+
+
+def inputs_of(scope: Scope) -> list[Value]:
+    """Inputs of a scope."""
+    return [one for one in scope.statements if isinstance(one, Value) and one.operation == "input"]
+
+
+def _example(array: Any) -> Any:
+    """An array of zeros in place of values."""
+    kind = array.flat[0].kind if array.size else Kind.REAL
+    return np.zeros(array.shape, {Kind.REAL: float, Kind.INTEGER: np.int64, Kind.BOOLEAN: bool}[kind])
+
+
+def members_of(tree: Any, prefix: str = "") -> list[Member]:
+    """Members of a structure for the leaves of a tree, with names from their paths without a prefix."""
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    paths = [jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in leaves]
+    names: dict[str, str] = {}
+    for path in paths:
+        name = identifier(path.removeprefix(prefix)) or "value"
+        while name in names.values():
+            name += "_"
+        names[path] = name
+    return [
+        Member(names[path], kind_of(np.asarray(leaf).dtype), np.shape(leaf), np.asarray(leaf), path)
+        for path, (_, leaf) in zip(paths, leaves, strict=True)
+    ]
+
+
+def identifier(text: str) -> str:
+    """An identifier of C and JavaScript from any text."""
+    name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
+    return f"_{name}" if name in _RESERVED or name[:1].isdigit() else name

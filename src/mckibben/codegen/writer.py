@@ -1,0 +1,246 @@
+"""Text of the statements of a graph, in C99 or JavaScript."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mckibben.codegen.graph import Kind, Loop, Scope, StoredArray, Value, needed
+
+_LONGEST = 100  # characters of an expression that is not given a name
+_ATOM, _PREFIX, _PRODUCT, _SUM, _COMPARISON, _AND, _OR, _CHOICE = 8, 7, 6, 5, 4, 3, 2, 1
+_INFIX = {
+    "add": ("+", _SUM),
+    "sub": ("-", _SUM),
+    "mul": ("*", _PRODUCT),
+    "div": ("/", _PRODUCT),
+    "lt": ("<", _COMPARISON),
+    "le": ("<=", _COMPARISON),
+    "gt": (">", _COMPARISON),
+    "ge": (">=", _COMPARISON),
+    "eq": ("==", _COMPARISON),
+    "ne": ("!=", _COMPARISON),
+    "and": ("&&", _AND),
+    "or": ("||", _OR),
+    "xor": ("!=", _COMPARISON),
+}
+_BITWISE = {"and": "&", "or": "|", "xor": "^"}
+Text = tuple[str, int]
+"""Text of an expression, and how strongly its outermost operator binds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Language:
+    """What differs between programming languages."""
+
+    types: Mapping[Kind, str]  # of declarations of what changes
+    constants: Mapping[Kind, str]  # of declarations of what does not
+    functions: Mapping[str, str]  # by operation
+    helpers: Mapping[str, str]  # definitions of functions that the language lacks, by their name
+    literal: Callable[[Any, Kind], str]
+    conversion: Callable[[str, Kind, Kind], str]  # text of an atom, from one kind to another
+    array: Callable[[str, Kind, int, Sequence[str] | None, bool], str]  # declaration
+
+
+class Writer:
+    """Writes scopes, and knows the text of each value that it has written."""
+
+    def __init__(
+        self,
+        scopes: Sequence[Scope],
+        language: Language,
+        results: Sequence[Value],
+        wide: Collection[int] = (),  # identities of values that are in another precision
+        wide_language: Language | None = None,
+    ) -> None:
+        self.language = language
+        self._wide = wide
+        self._wide_language = wide_language or language
+        self.helpers: set[str] = set()
+        self._needed = needed(results)
+        self._texts: dict[int, Text] = {}
+        self._carried: dict[int, str] = {}  # names
+        self._arrays: dict[int, str] = {}
+        self._names: Counter[str] = Counter()
+        self._uses: Counter[int] = Counter(id(result) for result in results for _ in range(2))  # results have names
+        self.shared = {id(result) for result in results}
+        """Identities of values that are results, or used in another scope than theirs."""
+        for scope in scopes:
+            self._count(scope)
+
+    def name(self, value: Value, text: str) -> None:
+        """Give a value a text of one's own."""
+        self._texts[id(value)] = (text, _ATOM)
+
+    def text(self, value: Value) -> str:
+        """Text of a value that has been written."""
+        return self._text(value)[0]
+
+    def constant(self, value: Value) -> str:
+        """Type of the declaration of a value."""
+        return self._language(value).constants[value.kind]
+
+    def _language(self, value: Value) -> Language:
+        return self._wide_language if id(value) in self._wide else self.language
+
+    def is_needed(self, value: Value) -> bool:
+        """Whether results depend on a value."""
+        return id(value) in self._needed
+
+    def scope(self, scope: Scope, indent: str = "    ", stored: Callable[[Value], str] | None = None) -> list[str]:
+        """Lines of a scope whose inputs have names; `stored` tells where values for other scopes are stored."""
+        lines = []
+        for statement in scope.statements:
+            if isinstance(statement, Loop):
+                lines += self._loop(statement, indent)
+            elif id(statement) not in self._needed or id(statement) in self._texts:
+                continue
+            elif isinstance(statement, StoredArray):
+                texts = [self.text(one) for one in statement.elements]
+                lines += self._array(statement, texts, indent)
+            else:
+                lines += self._value(statement, indent, stored)
+        return lines
+
+    def _value(self, value: Value, indent: str, stored: Callable[[Value], str] | None) -> list[str]:
+        text = self._expression(value)
+        if stored is not None and id(value) in self.shared:
+            self.name(value, stored(value))
+            return [f"{indent}{self.text(value)} = {text[0]};"]
+        if self._uses[id(value)] < 2 and len(text[0]) <= _LONGEST:
+            self._texts[id(value)] = text
+            return []
+        name = self._new("t")
+        self.name(value, name)
+        return [f"{indent}{self.constant(value)} {name} = {text[0]};"]
+
+    def _loop(self, loop: Loop, indent: str) -> list[str]:
+        carried = [one for one in loop.carried if id(one) in self._needed]
+        arrays = [one for one in loop.arrays if id(one) in self._needed]
+        if not carried and not arrays:
+            return []
+        lines = []
+        for array in arrays:
+            lines += self._array(array, None, indent)
+        for one in carried:
+            self._carried[id(one)] = self._new("x")
+            kind = self.language.types[one.initial.kind]
+            lines.append(f"{indent}{kind} {self._carried[id(one)]} = {self.text(one.initial)};")
+        index, inside = self._new("i"), indent + "    "
+        self.name(loop.index, index)
+        lines.append(
+            f"{indent}for ({self.language.types[Kind.INTEGER]} {index} = 0; {index} < {loop.length}; ++{index}) {{"
+        )
+        lines += self.scope(loop.scope, inside)
+        for array in arrays:
+            for place, element in enumerate(array.elements):
+                at = self._place(loop.row, len(array.elements), place)
+                lines.append(f"{inside}{self._arrays[id(array)]}[{at}] = {self.text(element)};")
+        updates = [(self._carried[id(one)], one.following) for one in carried]
+        swapped = {}
+        for target, following in updates:
+            if following.operation == "carried" and self.text(following) != target:
+                swapped[target] = self._new("t")
+                declared = f"{self.language.constants[following.kind]} {swapped[target]}"
+                lines.append(f"{inside}{declared} = {self.text(following)};")
+        for target, following in updates:
+            text = swapped.get(target, self.text(following))
+            if text != target:
+                lines.append(f"{inside}{target} = {text};")
+        return [*lines, f"{indent}}}"]
+
+    def _array(self, array: StoredArray, texts: Sequence[str] | None, indent: str) -> list[str]:
+        name = self._arrays[id(array)] = self._new("a")
+        return [f"{indent}{self.language.array(name, array.kind, array.size, texts, array.constant)}"]
+
+    def _place(self, row: Value | None, stride: int, offset: int) -> str:
+        """Text of a place in an array."""
+        if row is None:
+            return str(offset)
+        text, strength = self._text(row)
+        if stride != 1:
+            text = f"{stride} * {text if strength >= _PREFIX else f'({text})'}"
+        return f"{text} + {offset}" if offset else text
+
+    def _text(self, value: Value) -> Text:
+        if value.operation == "constant":
+            return self._literal(value, self.language)
+        if value.operation == "carried":
+            return self._carried[id(value.data)], _ATOM
+        return self._texts[id(value)]
+
+    def _literal(self, value: Value, language: Language) -> Text:
+        literal = language.literal(value.data, value.kind)
+        return literal, _PREFIX if literal.startswith("-") else _ATOM
+
+    def _expression(self, value: Value) -> Text:
+        """Text of an operation, from those of its arguments."""
+        name, kind, arguments = value.operation, value.kind, value.arguments
+        if name == "element":
+            row = arguments[0] if arguments else None
+            place = self._place(row, value.data.stride, value.data.offset)
+            return f"{self._arrays[id(value.data.array)]}[{place}]", _ATOM
+        texts = [self._argument(value, one) for one in arguments]
+        if name == "select":
+            condition, yes, no = texts
+            return f"{_bound(condition, _CHOICE + 1)} ? {_bound(yes, _CHOICE + 1)} : {_bound(no, _CHOICE)}", _CHOICE
+        if name in _BITWISE and kind is Kind.INTEGER:
+            return f"{_bound(texts[0], _ATOM)} {_BITWISE[name]} {_bound(texts[1], _ATOM)}", _OR
+        if name in _INFIX:
+            operator, strength = _INFIX[name]
+            least = strength if strength >= _SUM else _SUM  # compilers warn of mixed comparisons, && and ||
+            return f"{_bound(texts[0], least)} {operator} {_bound(texts[1], max(least, strength + 1))}", strength
+        if name in ("neg", "not"):
+            return f"{'-' if name == 'neg' else '!'}{_bound(texts[0], _ATOM)}", _PREFIX
+        if name in ("real", "integer", "boolean"):
+            return self.language.conversion(_bound(texts[0], _ATOM), arguments[0].kind, kind), _COMPARISON
+        language = self._language(value)
+        function = language.functions[name]
+        if function in language.helpers:
+            self.helpers.add(language.helpers[function])
+        return f"{function}({', '.join(text for text, _ in texts)})", _ATOM
+
+    def _argument(self, value: Value, argument: Value) -> Text:
+        """Text of an argument in the precision of an operation."""
+        if argument.operation == "constant":
+            return self._literal(argument, self._language(value))
+        text = self._text(argument)
+        wide = id(argument) in self._wide and argument.kind is Kind.REAL
+        if wide and id(value) not in self._wide and any(id(one) not in self._wide for one in value.arguments):
+            return self.language.conversion(_bound(text, _ATOM), Kind.REAL, Kind.REAL), _PREFIX
+        return text
+
+    def _new(self, letter: str) -> str:
+        """A new name."""
+        self._names[letter] += 1
+        return f"{letter}{self._names[letter]}"
+
+    def _count(self, scope: Scope) -> None:
+        """Count the uses of each value; what another scope or a loop uses counts twice, as it needs a name."""
+        for statement in scope.statements:
+            if isinstance(statement, Loop):
+                for one in statement.carried:
+                    if id(one) in self._needed:
+                        self._use([one.initial] * 2, scope)
+                        self._use([one.following] * 2, statement.scope)
+                for array in statement.arrays:
+                    if id(array) in self._needed:
+                        self._use(array.elements, statement.scope)
+                self._use([statement.row] * 2, statement.scope)
+                self._count(statement.scope)
+            elif id(statement) in self._needed:
+                values = statement.elements if isinstance(statement, StoredArray) else statement.arguments
+                self._use(values, statement.scope if isinstance(statement, Value) else scope)
+
+    def _use(self, values: Sequence[Value], scope: Scope) -> None:
+        for one in values:
+            self._uses[id(one)] += 1 if one.scope is scope else 2
+            if one.scope is not scope:
+                self.shared.add(id(one))
+
+
+def _bound(text: Text, least: int) -> str:
+    """Text in parentheses, unless its outermost operator binds at least so strongly."""
+    return text[0] if text[1] >= least else f"({text[0]})"

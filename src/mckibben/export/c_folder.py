@@ -1,0 +1,59 @@
+"""A controller as C99."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+import mckibben
+from mckibben.codegen.c import write_c
+from mckibben.export.controller import controller_program
+from mckibben.export.targets import Exported
+from mckibben.study.scenario import Scenario
+
+_TOLERANCES = "1e-9", "1e-4"  # in 64 and 32 bits, of a command, relative to the largest one
+
+
+def c_files(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
+    """The controller of a scenario as C99, with a program that checks it and a sketch for microcontrollers."""
+    made = controller_program(scenario, name)
+    program, text = made.program, scenario.dumps(folder=folder)
+    version = mckibben.__version__
+    comment = (
+        f"Controller of the scenario {scenario.name!r}, written by mckibben {version}.\n"
+        f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
+    )
+    sources = write_c(program, comment.replace("*/", "* /"), single=single, wide=("setpoint",), units=made.units)
+    table = [",".join(made.columns), *(",".join(f"{number:.17g}" for number in row) for row in made.recording)]
+    left_out = "".join(f"- {one}\n" for one in made.left_out)
+    values = {
+        "name": name,
+        "title": scenario.name,
+        "version": version,
+        "real": "float" if single else "double",
+        "rows": str(len(made.recording)),
+        "columns": str(len(made.columns)),
+        "tolerance": _TOLERANCES[single],
+        "period": f"{scenario.control_period * 1e3:g} ms",
+        "microseconds": f"{scenario.control_period * 1e6:.0f}",
+        "left_out": f"\nNot in this program:\n\n{left_out}" if left_out else "",
+    }
+    files = {
+        f"{name}.h": sources.header,
+        f"{name}.c": sources.source,
+        "scenario.yaml": text,
+        "replay.csv": "\n".join(table) + "\n",
+        "README.md": _filled("README.md", values),
+        "replay.c": _filled("replay.c", values),
+        "Makefile": _filled("Makefile", values),
+        f"sketch/{name}/{name}.ino": _filled("sketch.ino", values),
+        f"sketch/{name}/{name}.h": sources.header,
+        f"sketch/{name}/{name}.c": sources.source,
+    }
+    return Exported(files, made.left_out)
+
+
+def _filled(template: str, values: dict[str, str]) -> str:
+    return Template((files("mckibben.export") / "templates" / template).read_text()).substitute(values)

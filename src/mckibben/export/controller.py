@@ -1,0 +1,178 @@
+"""The program of a controller: its functions, and a recorded run to check them with."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from numpy.typing import NDArray
+
+from mckibben.codegen.program import Program
+from mckibben.control import Controller, Setpoint
+from mckibben.joint import AntagonisticJoint, Measurement
+from mckibben.muscle import PressureAffineLaw
+from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation.problem import sampled
+from mckibben.study.scenario import Scenario
+from mckibben.units import Quantity
+
+UNITS = {
+    "parameters.control_period": "s",
+    "setpoint.angle": "rad",
+    "setpoint.stiffness": "N*m/rad",
+    "measurement.angle": "rad",
+    "measurement.pressures.0": "Pa, gauge",
+    "measurement.pressures.1": "Pa, gauge",
+    "commands.pressure1": "Pa, gauge",
+    "commands.pressure2": "Pa, gauge",
+    "telemetry.stiffness_estimate": "N*m/rad",
+}
+
+
+class ControllerProgram(NamedTuple):
+    """Program of a controller, units of its members, a recorded run, and what the program does not contain."""
+
+    program: Program
+    units: dict[str, str]
+    columns: tuple[str, ...]  # of the recording
+    recording: NDArray[
+        np.float64
+    ]  # rows: setpoint, measurement, commands; the first one is the start, without commands
+    left_out: tuple[str, ...]
+
+
+def controller_program(scenario: Scenario, name: str = "controller", most_periods: int = 10_000) -> ControllerProgram:
+    """Program of the controller of a scenario: its first step, its steps, and the laws and limits of its model.
+
+    All its real numbers are parameters that can be changed; numbers of hidden neurons, seeds and other integers are
+    not. Raises `ExportError` for what cannot be written in another language.
+    """
+    plant, controller = scenario.plant(), scenario.control()
+    plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
+    initial = plant.complete_state(initial)
+    numbers, fixed = eqx.partition(controller, _is_real)
+    parameters = {"controller": numbers, "control_period": np.asarray(scenario.control_period)}
+    program = Program(name, parameters, "controller.")
+
+    def of(parameters: Any) -> Controller:
+        return eqx.combine(parameters["controller"], fixed)
+
+    def init(parameters: Any, measurement: Measurement) -> dict[str, Any]:
+        return {"state": of(parameters).init(measurement)}
+
+    def step(parameters: Any, state: Any, setpoint: Setpoint, measurement: Measurement) -> dict[str, Any]:
+        controller = of(parameters)
+        state, commands = controller.step(state, setpoint, measurement, parameters["control_period"])
+        pressures = {f"pressure{number}": one for number, one in enumerate(commands, 1)}
+        return {"state": state, "commands": pressures, "telemetry": controller.telemetry(state)}
+
+    _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
+    setpoints = jax.tree.map(lambda x: x[:most_periods], setpoints)
+    measurement = plant.sample(initial, 0.0)[1]
+    state = jax.eval_shape(controller.init, measurement)
+    state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), state)
+    setpoint = Setpoint(jnp.zeros(()), jnp.zeros(()))
+    program.add("init", "first state, from the first measurement", init, {"measurement": measurement})
+    program.add(
+        "step",
+        "one control period: new state, and commands from now on",
+        step,
+        {"state": state, "setpoint": setpoint, "measurement": measurement},
+    )
+    model, left_out = getattr(controller, "model", None), []
+    if isinstance(model, AntagonisticJoint):
+        left_out = _add_model(program, of, model)
+    run = _recorded(plant, controller, setpoints, initial, scenario.control_period, scenario.substeps)
+    recording = np.column_stack(run)
+    first = [np.nan, np.nan, *map(float, (measurement.angle, *measurement.pressures)), np.nan, np.nan]
+    columns = ("setpoint.angle", "setpoint.stiffness", "measurement.angle", "measurement.pressures_0",
+               "measurement.pressures_1", "commands.pressure1", "commands.pressure2")  # fmt: skip
+    return ControllerProgram(
+        program, UNITS | units_of(parameters, "parameters"), columns, np.vstack([first, recording]), tuple(left_out)
+    )
+
+
+def _add_model(program: Program, of: Any, model: AntagonisticJoint) -> list[str]:
+    """Functions of the controller's model of the joint; returns what cannot be written."""
+    number = np.zeros(())
+    for muscle in ("muscle1", "muscle2"):
+
+        def force(parameters: Any, contraction: Any, pressure: Any, muscle: str = muscle) -> dict[str, Any]:
+            return {"force": getattr(of(parameters).model, muscle).force(contraction, pressure)}
+
+        text = f"force [N] of {muscle} by the model, at a contraction [1] and a gauge pressure [Pa]"
+        program.add(f"{muscle}_force", text, force, {"contraction": number, "pressure": number})
+
+    def stiffness(parameters: Any, angle: Any, pressure1: Any, pressure2: Any) -> dict[str, Any]:
+        return {"stiffness": of(parameters).model.stiffness(angle, (pressure1, pressure2))}
+
+    text = "isobaric stiffness [N*m/rad] by the model, at an angle [rad] and gauge pressures [Pa]"
+    program.add("stiffness", text, stiffness, dict.fromkeys(("angle", "pressure1", "pressure2"), number))
+    if not all(isinstance(muscle.law, PressureAffineLaw) for muscle in (model.muscle1, model.muscle2)):
+        return ["attainable_stiffness: the laws are not affine in pressure, and the program would be long"]
+
+    def attainable(parameters: Any, angle: Any, torque: Any) -> dict[str, Any]:
+        lowest, highest = of(parameters).model.attainable_stiffness(angle, torque)
+        return {"lowest": lowest, "highest": highest}
+
+    text = "stiffness [N*m/rad] that is attainable at rest, at an angle [rad] under a torque [N*m]; NAN if none is"
+    program.add("attainable_stiffness", text, attainable, {"angle": number, "torque": number})
+    return []
+
+
+@compiled_as_given
+def _recorded(
+    plant: JointPlant, controller: Controller, setpoints: Setpoint, initial: PlantState, period: Any, substeps: Any
+) -> tuple[Any, ...]:
+    """Setpoints, measurements and commands of a run, each of shape (periods,)."""
+
+    def next_period(states: Any, setpoint: Setpoint) -> Any:
+        plant_state, measurement = plant.sample(states[0], period)
+        state, commands = controller.step(states[1], setpoint, measurement, period)
+        following = plant.advance(plant_state, plant.clip_commands(commands), period, substeps)
+        return (following, state), (*setpoint, measurement.angle, *measurement.pressures, *commands)
+
+    start = initial, controller.init(plant.sample(initial, 0.0)[1])
+    return lax.scan(next_period, start, setpoints)[1]
+
+
+def _is_real(leaf: Any) -> bool:
+    return eqx.is_array_like(leaf) and np.asarray(leaf).dtype.kind == "f"
+
+
+def units_of(tree: Any, prefix: str) -> dict[str, str]:
+    """Units of the leaves of a tree by their paths, from the metadata of the fields."""
+    return {f"{prefix}.{path}": unit for path, unit in _units(tree, "") if unit}
+
+
+def _units(tree: Any, path: str) -> Iterator[tuple[str, str]]:
+    """Path and unit of each field below."""
+    hints: dict[str, Any]
+    parts: dict[str, Any]
+    if isinstance(tree, dict):
+        parts, hints = tree, {}
+    elif isinstance(tree, tuple | list):
+        parts, hints = {str(number): one for number, one in enumerate(tree)}, {}
+    elif dataclasses.is_dataclass(tree):
+        parts = {field.name: getattr(tree, field.name) for field in dataclasses.fields(tree)}
+        hints = get_type_hints(type(tree), include_extras=True)
+    else:
+        return
+    for name, part in parts.items():
+        here = f"{path}.{name}" if path else name
+        yield here, _unit(hints.get(name))
+        yield from _units(part, here)
+
+
+def _unit(hint: Any) -> str:
+    """Unit in a type hint."""
+    if get_origin(hint) is Annotated:
+        return next((mark.unit for mark in get_args(hint)[1:] if isinstance(mark, Quantity)), "")
+    return next(filter(None, map(_unit, get_args(hint))), "")

@@ -1,0 +1,77 @@
+"""The formats of `mckibben export`: each a function from a scenario to files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+from mckibben.codegen.program import identifier
+from mckibben.errors import ParameterError, quoted
+from mckibben.storage.files import atomic_write, check_free, make_folder
+from mckibben.study.scenario import Scenario
+
+
+class Exported(NamedTuple):
+    """Contents of files by their paths, and what the format cannot hold."""
+
+    files: dict[str, str]
+    left_out: tuple[str, ...] = ()
+
+
+TARGETS = {
+    "c": ("mckibben.export.c_folder:c_files", "controller as C99, for microcontrollers"),
+}
+"""Function of each format, ``(scenario, name, folder, single) -> Exported``, and what it is."""
+
+
+def export(
+    scenario: Scenario,
+    target: str,
+    out: str | os.PathLike[str],
+    *,
+    name: str = "controller",
+    single: bool = False,
+    overwrite: bool = False,
+) -> Exported:
+    """Write a scenario, or its controller, in another format into a folder.
+
+    Parameters
+    ----------
+    target
+        One of `TARGETS`.
+    name
+        Of the program or model in the format, an identifier.
+    single
+        Numbers of 32 bits in place of 64.
+
+    Raises
+    ------
+    ExportError
+        For what cannot be written, before anything is.
+    FileError
+        If there are such files, unless they may be overwritten.
+    """
+    if target not in TARGETS:
+        raise ParameterError(
+            f"{quoted(target)} is no format", field="to", value=target, remedy=f"give {' or '.join(TARGETS)}"
+        )
+    default = identifier(scenario.name.lower())[:40].strip("_") or "controller"
+    name = name or default
+    if identifier(name) != name:
+        remedy = f"give an identifier of C, such as {default}"
+        raise ParameterError(f"{quoted(name)} is no name of a program", field="name", value=name, remedy=remedy)
+    module, function = TARGETS[target][0].split(":")
+    make: Callable[..., Exported] = getattr(import_module(module), function)
+    folder = Path(out)
+    made = make(scenario, name, folder, single)
+    make_folder(folder)
+    if not overwrite:
+        check_free(folder, made.files)
+    for path, content in made.files.items():
+        make_folder((folder / path).parent)
+        with atomic_write(folder / path, overwrite=overwrite) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+    return made

@@ -1,0 +1,83 @@
+/* Replays a recorded run: compares the commands of ${name}_step with the recorded ones, and times the steps.
+ *     ./replay replay.csv [steps to time]
+ * Exit code 1 if a command is further off than the tolerance.
+ */
+#include "$name.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+
+enum { ROWS = $rows, COLUMNS = $columns };
+static const double TOLERANCE = $tolerance; /* of a command, relative to the largest one */
+
+static double table[ROWS][COLUMNS];
+
+static int read_table(const char *path)
+{
+    FILE *file = fopen(path, "r");
+    int row, column, rest = 0;
+    if (!file) {
+        perror(path);
+        return 0;
+    }
+    while ((rest = fgetc(file)) != '\n' && rest != EOF) /* names of the columns */
+        ;
+    for (row = 0; row < ROWS; ++row)
+        for (column = 0; column < COLUMNS; ++column)
+            if (fscanf(file, column ? ",%lf" : "%lf", &table[row][column]) != 1) {
+                fprintf(stderr, "%s: row %d, column %d is not a number\n", path, row + 1, column + 1);
+                fclose(file);
+                return 0;
+            }
+    fclose(file);
+    return 1;
+}
+
+static void inputs(const double *row, ${name}_setpoint *setpoint, ${name}_measurement *measurement)
+{
+    setpoint->angle = row[0];
+    setpoint->stiffness = row[1];
+    measurement->angle = ($real)row[2];
+    measurement->pressures_0 = ($real)row[3];
+    measurement->pressures_1 = ($real)row[4];
+}
+
+int main(int count, char **arguments)
+{
+    static $name controller;
+    ${name}_setpoint setpoint;
+    ${name}_measurement measurement;
+    ${name}_commands commands = {0, 0};
+    ${name}_telemetry telemetry;
+    const long steps = count > 2 ? strtol(arguments[2], NULL, 10) : 1000000;
+    double deviation = 0, largest = 0;
+    int row;
+    long step;
+    clock_t start;
+    if (count < 2 || !read_table(arguments[1]))
+        return 2;
+    ${name}_defaults(&controller);
+    inputs(table[0], &setpoint, &measurement);
+    ${name}_init(&controller, &measurement);
+    for (row = 1; row < ROWS; ++row) {
+        inputs(table[row], &setpoint, &measurement);
+        ${name}_step(&controller, &setpoint, &measurement, &commands, &telemetry);
+        deviation = fmax(deviation, fabs((double)commands.pressure1 - table[row][5]));
+        deviation = fmax(deviation, fabs((double)commands.pressure2 - table[row][6]));
+        largest = fmax(largest, fmax(fabs(table[row][5]), fabs(table[row][6])));
+    }
+    printf("%d steps: largest deviation of a command %.3g Pa, %.3g of the largest command\n", ROWS - 1, deviation,
+           deviation / largest);
+    start = clock();
+    for (step = 0; step < steps; ++step) {
+        inputs(table[1 + step % (ROWS - 1)], &setpoint, &measurement);
+        ${name}_step(&controller, &setpoint, &measurement, &commands, &telemetry);
+    }
+    if (steps > 0)
+        printf("%.0f ns a step (%ld steps, last command %.6g Pa), %u bytes of memory\n",
+               1e9 * (double)(clock() - start) / CLOCKS_PER_SEC / (double)steps, steps, (double)commands.pressure1,
+               (unsigned)sizeof controller);
+    return deviation <= TOLERANCE * largest ? 0 : 1;
+}

@@ -1,0 +1,33 @@
+// The controller of "$title" on an Arduino or Teensy. Fill in the three functions: sensors and valves are yours.
+#include "$name.h"
+
+static const uint32_t PERIOD = $microseconds; // us, control_period
+static $name controller;
+static uint32_t next;
+
+static ${name}_measurement measure(); // angle in rad, gauge pressures in Pa
+static ${name}_setpoint reference(uint32_t milliseconds); // angle in rad, stiffness in N*m/rad
+static void apply(const ${name}_commands &commands); // gauge pressures in Pa, to be limited by you
+
+void setup()
+{
+    ${name}_defaults(&controller);
+    ${name}_measurement first = measure();
+    ${name}_init(&controller, &first);
+    next = micros();
+}
+
+void loop()
+{
+    if ((int32_t)(micros() - next) < 0)
+        return;
+    next += PERIOD;
+    ${name}_measurement measurement = measure();
+    ${name}_setpoint setpoint = reference(millis());
+    ${name}_commands commands;
+    ${name}_telemetry telemetry;
+    ${name}_step(&controller, &setpoint, &measurement, &commands, &telemetry);
+    apply(commands);
+}
+
+#error "fill in measure, reference and apply, then remove this line"
