@@ -1,4 +1,4 @@
-"""C99 of a program: a header with its structures, and a source file without memory allocation or recursion."""
+"""C99 of a module: a header with its structures, and a source file without memory allocation or recursion."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 from mckibben.codegen.graph import Kind, Value
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.precision import wide_inputs, wide_values
-from mckibben.codegen.program import Function, Member, Program, element, identifier, inputs_of, is_scalar
+from mckibben.codegen.source_module import Function, Member, SourceModule, element, identifier, inputs_of, is_scalar
 from mckibben.codegen.writer import Writer
 
 _PARAMETERS = "what can be changed; call prepare afterwards"
@@ -24,56 +24,56 @@ class Sources(NamedTuple):
 
 
 def write_c(
-    program: Program,
+    module: SourceModule,
     comment: str = "",
     *,
     single: bool = False,
     wide: Sequence[str] = (),
     units: Mapping[str, str] | None = None,
 ) -> Sources:
-    """Write a program as C99; `units` are of members, by structure and path.
+    """Write a module as C99; `units` are of members, by structure and path.
 
     In `single` precision numbers are `float`, but for what depends on the arguments `wide` alone, which is `double`.
     """
-    return _Writing(program, comment, single, wide, units or {}).sources()
+    return _Writing(module, comment, single, wide, units or {}).sources()
 
 
 class _Writing:
-    """The text of one program."""
+    """The text of one module."""
 
     def __init__(
-        self, program: Program, comment: str, single: bool, wide: Sequence[str], units: Mapping[str, str]
+        self, module: SourceModule, comment: str, single: bool, wide: Sequence[str], units: Mapping[str, str]
     ) -> None:
-        self._program = program
-        self._name = program.name
+        self._module = module
+        self._name = module.name
         self._comment = "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in comment.splitlines()) + " */\n"
         self._language = c_language("float" if single else "double")
         self._units = units
-        self._wide = wide_inputs(program, wide) if single else frozenset[str]()
-        known = wide_values(program, self._wide)
-        self._writer = Writer(program.scopes, self._language, program.results(), known, c_language("double"))
+        self._wide = wide_inputs(module, wide) if single else frozenset[str]()
+        known = wide_values(module, self._wide)
+        self._writer = Writer(module.scopes, self._language, module.results(), known, c_language("double"))
         self._prepared = dict.fromkeys(Kind, 0)  # how many numbers are prepared
 
     def sources(self) -> Sources:
         """Header and source."""
-        functions = [self._defaults(), self._prepare(), *map(self._function, self._program.functions)]
+        functions = [self._defaults(), self._prepare(), *map(self._function, self._module.functions)]
         helpers = sorted(self._writer.helpers)
         source = [f'{self._comment}#include "{self._name}.h"\n\n#include <math.h>\n', *helpers, *functions]
         return Sources(self._header(), "\n".join(source))
 
     def _header(self) -> str:
-        name, program = self._name, self._program
-        structures = [self._structure("parameters", program.members, _PARAMETERS)]
+        name, module = self._name, self._module
+        structures = [self._structure("parameters", module.members, _PARAMETERS)]
         counts = {kind: count for kind, count in self._prepared.items() if count}
         if counts:
             members = [f"    {self._language.types[kind]} {kind.value}[{count}];" for kind, count in counts.items()]
             structures.append("\n".join([f"/* {_PREPARED} */", "typedef struct {", *members, f"}} {name}_prepared;\n"]))
-        if program.state:
-            structures.append(self._structure("state", program.state, _STATE))
-        inside = ["parameters", *(["prepared"] if counts else []), *(["state"] if program.state else [])]
+        if module.state:
+            structures.append(self._structure("state", module.state, _STATE))
+        inside = ["parameters", *(["prepared"] if counts else []), *(["state"] if module.state else [])]
         lines = [f"    {name}_{one} {one};" for one in inside]
         structures.append("\n".join(["typedef struct {", *lines, f"}} {name};\n"]))
-        structures += [self._structure(one, members) for one, members in program.structures().items()]
+        structures += [self._structure(one, members) for one, members in module.structures().items()]
         return "\n".join(
             [
                 f"{self._comment}#ifndef {name.upper()}_H\n#define {name.upper()}_H\n",
@@ -82,7 +82,7 @@ class _Writing:
                 *structures,
                 f"/* the parameters with which this was made, and prepare */\nvoid {name}_defaults({name} *self);\n",
                 f"/* to be called after parameters were changed */\nvoid {name}_prepare({name} *self);\n",
-                *(f"/* {one.text} */\n{self._signature(one)};\n" for one in program.functions),
+                *(f"/* {one.text} */\n{self._signature(one)};\n" for one in module.functions),
                 "#ifdef __cplusplus\n}\n#endif\n\n#endif\n",
             ]
         )
@@ -103,7 +103,7 @@ class _Writing:
     def _defaults(self) -> str:
         lines = [
             f"    self->{element('parameters', member, place)} = {self._language.literal(value.item(), member.kind)};"
-            for member in self._program.members
+            for member in self._module.members
             for place, value in enumerate(member.value.flat)
         ]
         name = self._name
@@ -116,7 +116,7 @@ class _Writing:
             self._prepared[value.kind] += 1
             return f"self->prepared.{value.kind.value}[{self._prepared[value.kind] - 1}]"
 
-        root = self._program.graph.root
+        root = self._module.graph.root
         for value in inputs_of(root):
             self._writer.name(value, f"self->{value.data}")
         lines = self._writer.scope(root, stored=stored) or ["    (void)self;"]

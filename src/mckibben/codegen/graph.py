@@ -43,7 +43,7 @@ class Scope:
     """A block of statements."""
 
     parent: Scope | None = None
-    statements: list[Value | Loop | StoredArray] = field(default_factory=list)
+    statements: list[Value | ForLoop | StoredArray] = field(default_factory=list)
     known: dict[Any, Value] = field(default_factory=dict)
     depth: int = 0
 
@@ -56,13 +56,13 @@ class Scope:
 class Carried:
     """A variable of a loop."""
 
-    loop: Loop
+    loop: ForLoop
     initial: Value
     following: Any = None  # its value after a pass of the loop
 
 
 @dataclass(eq=False, slots=True)
-class Loop:
+class ForLoop:
     """A loop with a fixed number of passes; `index` counts them."""
 
     scope: Scope
@@ -80,7 +80,7 @@ class StoredArray:
     kind: Kind
     size: int
     elements: list[Value]  # all, or those of one row
-    loop: Loop | None = None
+    loop: ForLoop | None = None
 
     @property
     def constant(self) -> bool:
@@ -238,10 +238,12 @@ class Graph:
         self.scope.statements.append(array)
         return array, 0
 
-    def loop(self, length: int, body: Callable[[Loop], Sequence[Sequence[Value]]], *, reverse: bool = False) -> Loop:
-        """Loop whose body makes statements in a scope of its own, and returns the rows of the arrays to store."""
+    def loop(
+        self, length: int, body: Callable[[ForLoop], Sequence[Sequence[Value]]], *, reverse: bool = False
+    ) -> ForLoop:
+        """ForLoop whose body makes statements in a scope of its own, and returns the rows of the arrays to store."""
         outer, inside = self.scope, self.scope.inner()
-        loop = Loop(inside, length, Value("index", Kind.INTEGER, (), inside))
+        loop = ForLoop(inside, length, Value("index", Kind.INTEGER, (), inside))
         self.scope = inside
         row = loop.index
         if reverse:
@@ -253,7 +255,7 @@ class Graph:
         outer.statements.append(loop)
         return loop
 
-    def carry(self, loop: Loop, initial: Value) -> Value:
+    def carry(self, loop: ForLoop, initial: Value) -> Value:
         """A variable of a loop, as its body sees it."""
         loop.carried.append(Carried(loop, initial))
         return Value("carried", initial.kind, (), loop.scope, loop.carried[-1])
@@ -272,7 +274,7 @@ def needed(results: Sequence[Value]) -> set[int]:
         if id(one) in found:
             continue
         found.add(id(one))
-        if isinstance(one, Loop):
+        if isinstance(one, ForLoop):
             continue
         waiting += one.arguments
         if one.operation == "carried":

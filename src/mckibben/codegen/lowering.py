@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
 
-from mckibben.codegen.graph import Graph, Kind, Loop, Value
+from mckibben.codegen.graph import ForLoop, Graph, Kind, Value
 from mckibben.errors import ExportError
 
 _UNROLLED = 300  # equations: loops of fewer in all passes are written out
@@ -273,7 +273,7 @@ class Lowering:
         arrays = [self._graph.array(list(column.reshape(-1))) for column in columns]
         inner: list[Array] = []
 
-        def passes(loop: Loop) -> list[list[Value]]:
+        def passes(loop: ForLoop) -> list[list[Value]]:
             inner.extend(_array(one.shape, lambda at, one=one: self._graph.carry(loop, one[at])) for one in carry)
             rows = [
                 self._row(loop, array, begin, column.shape[1:])
@@ -294,7 +294,7 @@ class Lowering:
             results.append(np.array([*stored, None], object)[:-1].reshape(length, *row.shape))
         return results
 
-    def _row(self, loop: Loop, array: Any, begin: int, shape: tuple[int, ...]) -> Array:
+    def _row(self, loop: ForLoop, array: Any, begin: int, shape: tuple[int, ...]) -> Array:
         """The row of an array at the index of a loop."""
         size = int(np.prod(shape))
         places = iter(range(begin, begin + size))

@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 
 from mckibben.codegen.graph import Kind, Scope, Value
-from mckibben.codegen.program import Program, element
+from mckibben.codegen.source_module import SourceModule, element
 
 
-def wide_values(program: Program, inputs: Collection[str]) -> set[int]:
+def wide_values(module: SourceModule, inputs: Collection[str]) -> set[int]:
     """Identities of the values that depend on some inputs, and else on parameters alone."""
-    root = program.graph.root
+    root = module.graph.root
     wide, narrow = set[int](), set[int]()
-    for function in program.functions:
+    for function in module.functions:
         for value in _statements(function.scope):
             if value.operation == "input":
                 (wide if value.data in inputs else narrow).add(id(value))
@@ -30,11 +30,11 @@ def wide_values(program: Program, inputs: Collection[str]) -> set[int]:
     return wide
 
 
-def wide_inputs(program: Program, arguments: Collection[str]) -> frozenset[str]:
+def wide_inputs(module: SourceModule, arguments: Collection[str]) -> frozenset[str]:
     """Names of the inputs that are members of some arguments, or of the state and depend on those alone."""
     inputs = {
         element(name, member, place)
-        for function in program.functions
+        for function in module.functions
         for name, members in function.arguments.items()
         if name in (*arguments, "state")
         for member in members
@@ -42,16 +42,16 @@ def wide_inputs(program: Program, arguments: Collection[str]) -> frozenset[str]:
         for place in range(member.size)
     }
     while True:
-        wide = wide_values(program, inputs)
-        lost = {name for name, value in _states(program) if name in inputs and id(value) not in wide}
+        wide = wide_values(module, inputs)
+        lost = {name for name, value in _states(module) if name in inputs and id(value) not in wide}
         if not lost:
             return frozenset(inputs)
         inputs -= lost
 
 
-def _states(program: Program) -> Iterator[tuple[str, Value]]:
+def _states(module: SourceModule) -> Iterator[tuple[str, Value]]:
     """Inputs of the state, and their values after each function that has them as arguments."""
-    for function in program.functions:
+    for function in module.functions:
         if "state" in function.arguments and "state" in function.results:
             members = function.results["state"]
             names = [element("state", member, place) for member in members for place in range(member.size)]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mckibben.codegen.graph import Kind, Loop, Scope, StoredArray, Value, needed
+from mckibben.codegen.graph import ForLoop, Kind, Scope, StoredArray, Value, needed
 
 _LONGEST = 100  # characters of an expression that is not given a name
 _ATOM, _PREFIX, _PRODUCT, _SUM, _COMPARISON, _AND, _OR, _CHOICE = 8, 7, 6, 5, 4, 3, 2, 1
@@ -93,7 +93,7 @@ class Writer:
         """Lines of a scope whose inputs have names; `stored` tells where values for other scopes are stored."""
         lines = []
         for statement in scope.statements:
-            if isinstance(statement, Loop):
+            if isinstance(statement, ForLoop):
                 lines += self._loop(statement, indent)
             elif id(statement) not in self._needed or id(statement) in self._texts:
                 continue
@@ -116,7 +116,7 @@ class Writer:
         self.name(value, name)
         return [f"{indent}{self.constant(value)} {name} = {text[0]};"]
 
-    def _loop(self, loop: Loop, indent: str) -> list[str]:
+    def _loop(self, loop: ForLoop, indent: str) -> list[str]:
         carried = [one for one in loop.carried if id(one) in self._needed]
         arrays = [one for one in loop.arrays if id(one) in self._needed]
         if not carried and not arrays:
@@ -220,7 +220,7 @@ class Writer:
     def _count(self, scope: Scope) -> None:
         """Count the uses of each value; what another scope or a loop uses counts twice, as it needs a name."""
         for statement in scope.statements:
-            if isinstance(statement, Loop):
+            if isinstance(statement, ForLoop):
                 for one in statement.carried:
                     if id(one) in self._needed:
                         self._use([one.initial] * 2, scope)

@@ -1,6 +1,6 @@
 """Controllers and models for other programs."""
 
-from mckibben.export.controller import ControllerProgram, controller_program
+from mckibben.export.controller import ControllerModule, controller_module
 from mckibben.export.targets import TARGETS, Exported, export
 
-__all__ = ["TARGETS", "ControllerProgram", "Exported", "controller_program", "export"]
+__all__ = ["TARGETS", "ControllerModule", "Exported", "controller_module", "export"]

@@ -9,7 +9,7 @@ from string import Template
 
 import mckibben
 from mckibben.codegen.c import write_c
-from mckibben.export.controller import controller_program
+from mckibben.export.controller import controller_module
 from mckibben.export.targets import Exported
 from mckibben.study.scenario import Scenario
 
@@ -18,14 +18,14 @@ _TOLERANCES = "1e-9", "1e-4"  # in 64 and 32 bits, of a command, relative to the
 
 def c_files(scenario: Scenario, name: str, folder: Path, single: bool) -> Exported:
     """The controller of a scenario as C99, with a program that checks it and a sketch for microcontrollers."""
-    made = controller_program(scenario, name)
-    program, text = made.program, scenario.dumps(folder=folder)
+    made = controller_module(scenario, name)
+    module, text = made.module, scenario.dumps(folder=folder)
     version = mckibben.__version__
     comment = (
         f"Controller of the scenario {scenario.name!r}, written by mckibben {version}.\n"
         f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
     )
-    sources = write_c(program, comment.replace("*/", "* /"), single=single, wide=("setpoint",), units=made.units)
+    sources = write_c(module, comment.replace("*/", "* /"), single=single, wide=("setpoint",), units=made.units)
     table = [",".join(made.columns), *(",".join(f"{number:.17g}" for number in row) for row in made.recording)]
     left_out = "".join(f"- {one}\n" for one in made.left_out)
     values = {

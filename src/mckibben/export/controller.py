@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from numpy.typing import NDArray
 
-from mckibben.codegen.program import Program
+from mckibben.codegen.source_module import SourceModule
 from mckibben.control import Controller, Setpoint
 from mckibben.joint import AntagonisticJoint, Measurement
 from mckibben.muscle import PressureAffineLaw
@@ -36,10 +36,10 @@ UNITS = {
 }
 
 
-class ControllerProgram(NamedTuple):
-    """Program of a controller, units of its members, a recorded run, and what the program does not contain."""
+class ControllerModule(NamedTuple):
+    """Source of a controller, units of its members, a recorded run, and what the source does not contain."""
 
-    program: Program
+    module: SourceModule
     units: dict[str, str]
     columns: tuple[str, ...]  # of the recording
     recording: NDArray[
@@ -48,8 +48,8 @@ class ControllerProgram(NamedTuple):
     left_out: tuple[str, ...]
 
 
-def controller_program(scenario: Scenario, name: str = "controller", most_periods: int = 10_000) -> ControllerProgram:
-    """Program of the controller of a scenario: its first step, its steps, and the laws and limits of its model.
+def controller_module(scenario: Scenario, name: str = "controller", most_periods: int = 10_000) -> ControllerModule:
+    """SourceModule of the controller of a scenario: its first step, its steps, and the laws and limits of its model.
 
     All its real numbers are parameters that can be changed; numbers of hidden neurons, seeds and other integers are
     not. Raises `ExportError` for what cannot be written in another language.
@@ -59,7 +59,7 @@ def controller_program(scenario: Scenario, name: str = "controller", most_period
     initial = plant.complete_state(initial)
     numbers, fixed = eqx.partition(controller, _is_real)
     parameters = {"controller": numbers, "control_period": np.asarray(scenario.control_period)}
-    program = Program(name, parameters, "controller.")
+    module = SourceModule(name, parameters, "controller.")
 
     def of(parameters: Any) -> Controller:
         return eqx.combine(parameters["controller"], fixed)
@@ -79,8 +79,8 @@ def controller_program(scenario: Scenario, name: str = "controller", most_period
     state = jax.eval_shape(controller.init, measurement)
     state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), state)
     setpoint = Setpoint(jnp.zeros(()), jnp.zeros(()))
-    program.add("init", "first state, from the first measurement", init, {"measurement": measurement})
-    program.add(
+    module.add("init", "first state, from the first measurement", init, {"measurement": measurement})
+    module.add(
         "step",
         "one control period: new state, and commands from now on",
         step,
@@ -88,18 +88,18 @@ def controller_program(scenario: Scenario, name: str = "controller", most_period
     )
     model, left_out = getattr(controller, "model", None), []
     if isinstance(model, AntagonisticJoint):
-        left_out = _add_model(program, of, model)
+        left_out = _add_model(module, of, model)
     run = _recorded(plant, controller, setpoints, initial, scenario.control_period, scenario.substeps)
     recording = np.column_stack(run)
     first = [np.nan, np.nan, *map(float, (measurement.angle, *measurement.pressures)), np.nan, np.nan]
     columns = ("setpoint.angle", "setpoint.stiffness", "measurement.angle", "measurement.pressures_0",
                "measurement.pressures_1", "commands.pressure1", "commands.pressure2")  # fmt: skip
-    return ControllerProgram(
-        program, UNITS | units_of(parameters, "parameters"), columns, np.vstack([first, recording]), tuple(left_out)
+    return ControllerModule(
+        module, UNITS | units_of(parameters, "parameters"), columns, np.vstack([first, recording]), tuple(left_out)
     )
 
 
-def _add_model(program: Program, of: Any, model: AntagonisticJoint) -> list[str]:
+def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[str]:
     """Functions of the controller's model of the joint; returns what cannot be written."""
     number = np.zeros(())
     for muscle in ("muscle1", "muscle2"):
@@ -108,13 +108,13 @@ def _add_model(program: Program, of: Any, model: AntagonisticJoint) -> list[str]
             return {"force": getattr(of(parameters).model, muscle).force(contraction, pressure)}
 
         text = f"force [N] of {muscle} by the model, at a contraction [1] and a gauge pressure [Pa]"
-        program.add(f"{muscle}_force", text, force, {"contraction": number, "pressure": number})
+        module.add(f"{muscle}_force", text, force, {"contraction": number, "pressure": number})
 
     def stiffness(parameters: Any, angle: Any, pressure1: Any, pressure2: Any) -> dict[str, Any]:
         return {"stiffness": of(parameters).model.stiffness(angle, (pressure1, pressure2))}
 
     text = "isobaric stiffness [N*m/rad] by the model, at an angle [rad] and gauge pressures [Pa]"
-    program.add("stiffness", text, stiffness, dict.fromkeys(("angle", "pressure1", "pressure2"), number))
+    module.add("stiffness", text, stiffness, dict.fromkeys(("angle", "pressure1", "pressure2"), number))
     if not all(isinstance(muscle.law, PressureAffineLaw) for muscle in (model.muscle1, model.muscle2)):
         return ["attainable_stiffness: the laws are not affine in pressure, and the program would be long"]
 
@@ -123,7 +123,7 @@ def _add_model(program: Program, of: Any, model: AntagonisticJoint) -> list[str]
         return {"lowest": lowest, "highest": highest}
 
     text = "stiffness [N*m/rad] that is attainable at rest, at an angle [rad] under a torque [N*m]; NAN if none is"
-    program.add("attainable_stiffness", text, attainable, {"angle": number, "torque": number})
+    module.add("attainable_stiffness", text, attainable, {"angle": number, "torque": number})
     return []
 
 

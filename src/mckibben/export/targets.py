@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from mckibben.codegen.program import identifier
+from mckibben.codegen.source_module import identifier
 from mckibben.errors import ParameterError, quoted
 from mckibben.storage.files import atomic_write, check_free, make_folder
 from mckibben.study.scenario import Scenario

@@ -1,4 +1,4 @@
-"""A program: functions over parameters that can be changed, and a state."""
+"""A module of source code: functions over parameters that can be changed, and a state."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Member(NamedTuple):
     name: str
     kind: Kind
     shape: tuple[int, ...]
-    value: Any  # of the example from which the program was made
+    value: Any  # of the example from which the module was made
     path: str  # in the tree, such as decoupling.poles.bandwidth
 
     @property
@@ -55,7 +55,7 @@ class Function:
 
 
 @dataclass
-class Program:
+class SourceModule:
     """Functions of a tree of parameters, and of arguments each.
 
     Leaves of the parameters and arguments are numbers or arrays. What depends on parameters alone is computed once, in
