@@ -89,6 +89,15 @@ _FOR_LANES = {"tanh": _tanh, "exp": elementary.exp, "sin": elementary.sin, "cos"
 """Polynomials in place of calls of the libraries, which have no vectors."""
 
 
+class _UnsupportedError(Exception):
+    """A primitive without counterpart, and where it was written."""
+
+    def __init__(self, equation: Any) -> None:
+        super().__init__(equation.primitive.name)
+        self.name = equation.primitive.name
+        self.place = _source(equation)
+
+
 class Lowering:
     """Adds the equations of jaxprs to a graph."""
 
@@ -98,7 +107,14 @@ class Lowering:
     def function(self, function: Callable[..., Any], arguments: Any, inputs: Sequence[Array]) -> Any:
         """Lower a function of trees: example arguments, the values of their leaves; returns the tree of results."""
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
-        results = self._closed(closed, inputs)
+        try:
+            results = self._closed(closed, inputs)
+        except _UnsupportedError as error:
+            raise ExportError(
+                f"{error.name} cannot be written as a program: {error.place or 'of an unknown source'}",
+                field=error.name,
+                remedy="use another option of this part, or write the function without it",
+            ) from None
         return jax.tree.unflatten(jax.tree.structure(shape), results)
 
     def _closed(self, closed: Any, arguments: Sequence[Array]) -> list[Array]:
@@ -118,7 +134,11 @@ class Lowering:
             given = [read(one) for one in equation.invars]
             if equation.primitive.name not in _TAKE_STORED:
                 given = [self.expanded(one) if isinstance(one, Stored) else one for one in given]
-            results = self._equation(equation, given)
+            try:
+                results = self._equation(equation, given)
+            except _UnsupportedError as error:
+                error.place = error.place or _source(equation)
+                raise
             known.update(zip(equation.outvars, results, strict=True))
         return [read(one) for one in jaxpr.outvars]
 
@@ -172,7 +192,7 @@ class Lowering:
         handler = getattr(self, f"_{name}", None)
         found = None if handler is None else handler(parameters, kind, aval.shape, *arguments)
         if found is None:
-            raise _cannot(equation)
+            raise _UnsupportedError(equation)
         return found if isinstance(found, list) else [found]
 
     def _operation(self, name: str, dtype: Any, *arguments: Value) -> Value:
@@ -191,7 +211,7 @@ class Lowering:
             or not is_supported()
             or "fry" not in str(arguments[0].dtype) + str(parameters.get("impl", "fry"))
         ):
-            raise _cannot(equation)
+            raise _UnsupportedError(equation)
         first = arguments[0]
         if name == "random_seed":
             return [np.array([*seed_key(self._graph, first.item()), None], object)[:-1]]
@@ -483,19 +503,10 @@ def _inner(equation: Any) -> Iterator[Any]:
             yield inner
 
 
-def _cannot(equation: Any) -> ExportError:
-    name = equation.primitive.name
-    return ExportError(
-        f"{name} cannot be written as a program: {_source(equation)}",
-        field=name,
-        remedy="use another option of this part, or write the function without it",
-    )
-
-
 def _source(equation: Any) -> str:
     """Where an equation was written."""
     traceback = equation.source_info.traceback
     for frame in traceback.frames if traceback is not None else ():
         if "/jax/" not in frame.file_name and "/equinox/" not in frame.file_name:
             return f"{frame.file_name.rpartition('/')[2]}, line {frame.line_num}, in {frame.function_name}"
-    return "of an unknown source"
+    return ""
