@@ -1,0 +1,144 @@
+"""Runs and batches through emitted C against XLA's, over plants, controllers, sensors and disturbances."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import mckibben as mk
+from mckibben.codegen import native
+from mckibben.codegen.native import compiler
+from mckibben.errors import ParameterError
+from mckibben.study.scenario import Scenario
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+MUSCLE = "{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n%s}"
+FRICTION = ", friction: {half_width: 7.5 N, presliding_length: 0.5 mm}"
+MODEL = f"{{geometry: knee-table-2, connector_length: 208 mm, muscle: {MUSCLE % ''}}}"
+BASE = """
+name: engines
+joint: {geometry: knee-table-2, connector_length: 208 mm, muscle: %s}
+load: knee-table-2
+valve: %s
+controller: %s
+reference:
+  angle: {sine: {amplitude: 5 deg, frequency: 2 Hz}}
+  stiffness: {step: {before: 14 N*m/rad, after: 15 N*m/rad, at: 100 ms}}
+duration: 300 ms
+control_period: 1 ms
+substeps: 2
+"""
+PID = f"""
+  model: {MODEL}
+  position: {{pid: {{kp: 1.165 bar/rad, ki: 120 bar/(rad*s), kd: 1.567 bar*s/rad, derivative_on_error: true}}}}
+  stiffness: {{pid: {{kp: 0.3 bar/(N*m/rad), ki: 11 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)}}}}
+"""
+OBSERVERS = "disturbance_observer: {bandwidth: 200 rad/s}"
+DECOUPLING = f"{{model: {MODEL}, decoupling: {{poles: {{bandwidth: 60 rad/s}}, {OBSERVERS}}}}}"
+PREDICTIVE = f"{{model: {MODEL}, predictive: {{bandwidth: 60 rad/s, {OBSERVERS}}}}}"
+REAL = """
+sensors: {encoder: 0.022 deg, pressure_noise: 4 kPa, delay: 1}
+disturbance: {pulses: {height: 0.5 N*m, width: 20 ms, interval: 50 ms, start: 40 ms}}
+"""
+FLOW = "{class: FlowValve, conductance: 0.4 L/(s*bar), supply: 7 bar}"
+SCENARIOS = {
+    "as in the paper": BASE % (MUSCLE % "", "ideal", PID),
+    "friction, noise and pulses": BASE % (MUSCLE % FRICTION, "{time_constant: 20 ms}", DECOUPLING) + REAL,
+    "air, prediction": BASE % (MUSCLE % "", FLOW, PREDICTIVE),
+}
+
+
+@pytest.fixture(params=SCENARIOS)
+def scenario(request):
+    return Scenario.parse(SCENARIOS[request.param])
+
+
+def timing(scenario):
+    return {"duration": scenario.duration, "control_period": scenario.control_period, "substeps": scenario.substeps}
+
+
+def test_both_engines_have_the_same_runs(scenario):
+    plant = scenario.plant()
+    parts = plant, scenario.control(), scenario.reference()
+    runs = {
+        e: mk.simulate(*parts, initial=scenario.initial(plant), engine=e, **timing(scenario)) for e in ("native", "xla")
+    }
+    assert [run.engine for run in runs.values()] == ["native", "xla"]
+    noisy = scenario.sensors is not None
+    for name in ("angle", "pressure1", "stiffness", "stiffness_estimate", "command2"):
+        expected = runs["xla"][name]
+        tolerance = (1e-6 if noisy else 1e-10) * np.abs(expected).max()  # noise is of 32 bits
+        np.testing.assert_allclose(runs["native"][name], expected, rtol=0, atol=tolerance)
+
+
+def test_both_engines_have_the_same_batches(scenario):
+    plant = scenario.plant()
+    over = {
+        "plant.load.mass2": np.linspace(0.4, 0.6, 11),
+        "reference.angle.amplitude": np.linspace(0.02, 0.1, 11),
+        "controller.model.muscle1.law.a1": np.linspace(-250.0, -240.0, 11),
+    }
+    batches = {
+        engine: mk.simulate_many(
+            plant, scenario.control(), scenario.reference(), over=over, keep=["angle"], every=0.01, engine=engine,
+            initial=scenario.initial(plant), chunk=8, **timing(scenario),
+        )
+        for engine in ("native", "xla")
+    }  # fmt: skip
+    assert [batch.table.attrs["engine"] for batch in batches.values()] == ["native", "xla"]
+    np.testing.assert_allclose(batches["native"]["angle"], batches["xla"]["angle"], rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(batches["native"]["outcome"], batches["xla"]["outcome"])
+    noisy = scenario.sensors is not None
+    for name, expected in batches["xla"].metrics.items():
+        scale = np.nanmax(np.abs(expected), initial=1e-9)
+        tolerance = (1e-5 if noisy else 1e-9) * scale
+        np.testing.assert_allclose(batches["native"][name], expected, rtol=0, atol=tolerance, err_msg=name)
+
+
+def test_without_a_compiler_xla_does_it(monkeypatch):
+    scenario = Scenario.parse(SCENARIOS["as in the paper"])
+    plant = scenario.plant()
+    parts = plant, scenario.control(), scenario.reference()
+    monkeypatch.setattr("mckibben.simulation.engine.compiler", lambda: None)
+    assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
+    with pytest.raises(ParameterError) as caught:
+        mk.simulate(*parts, engine="native", **timing(scenario))
+    assert caught.value.field == "engine"
+
+
+def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
+    scenario = Scenario.parse(SCENARIOS["as in the paper"])
+    plant = scenario.plant()
+    parts = plant, scenario.control(), scenario.reference()
+    monkeypatch.setattr(native, "compiler", lambda: "false")
+    monkeypatch.setattr("mckibben.simulation.engine._native_episode._known", {})
+    assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
+
+
+@pytest.mark.parametrize("engine", ["", "c", None])
+def test_there_are_two_engines(engine):
+    scenario = Scenario.parse(SCENARIOS["as in the paper"])
+    with pytest.raises(ParameterError) as caught:
+        mk.simulate(scenario.plant(), scenario.control(), scenario.reference(), engine=engine, **timing(scenario))
+    assert (caught.value.field, caught.value.value) == ("engine", engine)
+
+
+def test_another_process_finds_the_compiled_program(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(SCENARIOS["as in the paper"])
+    program = (
+        "import sys, mckibben as mk; from mckibben.study.scenario import Scenario; from mckibben.codegen import native;"
+        "native.write_native = None if sys.argv[2] == 'known' else native.write_native;"
+        "s = Scenario.read(sys.argv[1]); p = s.plant();"
+        "print(mk.simulate(p, s.control(), s.reference(), initial=s.initial(p), duration=s.duration,"
+        " control_period=s.control_period, substeps=s.substeps, engine='native')['angle'][-1])"
+    )
+    environment = {"MCKIBBEN_PROGRAMS_DIR": str(tmp_path / "programs"), "PATH": "/usr/bin:/bin"}
+    printed = [
+        subprocess.run(
+            [sys.executable, "-c", program, path, word], env=environment, capture_output=True, text=True, check=True
+        )
+        for word in ("unknown", "known")
+    ]
+    assert printed[0].stdout == printed[1].stdout
