@@ -1,20 +1,20 @@
-"""A public elbow with two McKibben muscles: identified from some recordings of commanded pressures, simulated on others.
+"""A public elbow with two McKibben muscles, identified from recordings of commanded pressures, simulated on others.
 
     git clone https://github.com/gkharish/pneumaticarm_dentification
     python benchmarks/elbow.py pneumaticarm_dentification [--seed 0]
 
 The recordings (folder ident_data: five pairs of time and value a row, commands in bar, angle in rad, 100 Hz) have no
 licence and are not part of this repository. Every third file in alphabetical order, from the first, is fitted; the
-others are held out. That, the model and its priors were fixed before any held-out file was simulated.
+others are held out.
 
 The model before has the dimensions of the elbow (joint 4) in the authors' own program, gkharish/pneumaticarm7R,
 src/pneumaticarm_2linkmodel.cpp: muscles by the law of Tondu and Lopez, the one that extends mounted at its largest
 contraction, pulleys of 15 mm, a forearm of 2.6 kg; lag 0.1 s, as in src/pneumaticarm_model.cpp.
 
-Rivals: three poles, no zeros, a delay and an offset after a polynomial of both pressures, linear or quadratic, fitted to
-the same samples from several starts; and the transfer function that the authors print in their report, from the pressure of one muscle
-alone, which is given the measured angle at the start of the step. Errors are root mean squares [rad], of the angle over
-all motion (3 s after each change of the commands), and over the same time from the second change, the authors' step.
+Rivals: three poles, no zeros, a delay and an offset after a polynomial of both pressures, linear or quadratic, fitted
+to the same samples from several starts; and the transfer function that the authors print in their report, from the
+pressure of one muscle alone, which is given the measured angle at the start of the step. Errors are root mean squares
+[rad], of the angle over all motion (3 s after each change of the commands), and over 3 s of the authors' step.
 """
 
 import argparse

@@ -79,9 +79,9 @@ class JointPrior:
         Of the encoder's zero [rad].
     arm_scale
         Of the scale of the moment arms.
-    lag, delay, damping
-        For recordings of commands: of the logarithms of the valve's time constant, of the delay about 20 ms, and of the
-        load's damping. There `mass` is that of the logarithms of inertia and gravity.
+    lag, rate, delay, damping
+        For recordings of commands: of the logarithms of the valve's time constant, of the limit of its rate, of the
+        delay about 20 ms, and of the load's damping. There `mass` is that of the logarithms of inertia and gravity.
     """
 
     strength: float = 0.1
@@ -95,6 +95,7 @@ class JointPrior:
     zero: float = 0.5 * deg
     arm_scale: float = 0.02
     lag: float = 0.7
+    rate: float = 1.0
     delay: float = 1.0
     damping: float = 1.0
 

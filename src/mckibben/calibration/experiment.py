@@ -277,7 +277,8 @@ def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario
         if control.model is not None:
             control = control.model_copy(update={"model": joint})
         assert scenario.valve is not None  # or nothing could have been found
-        valve = scenario.valve.model_copy(update={"time_constant": float(found.valve.time_constant)})
+        rows = {name: float(getattr(found.valve, name)) for name in ("time_constant", "rate")}
+        valve = scenario.valve.model_copy(update=rows)
         return scenario.model_copy(update={"joint": joint, "load": load, "valve": valve, "controller": control})
     control = scenario.controller.with_model(scenario.joint, scenario.load, scenario.valve)
     mass = found.load.adapted_mass
@@ -307,7 +308,8 @@ def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tup
     return before, after
 
 
-SHOWN = {"m": "mm", "rad": "deg", "s": "ms"} | {one: one for one in ("1", "N", "kg", "kg*m^2", "N*m", "N*m*s/rad")}
+SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s"}
+SHOWN |= {unit: unit for unit in ("1", "N", "kg", "kg*m^2", "N*m", "N*m*s/rad")}
 """Units of quantities in reports, by those of SI."""
 
 

@@ -53,12 +53,13 @@ _DIFFERENCE = 1e-4  # prior standard deviations, of the difference quotients
 _DELAY = 20 * ms  # median before
 _DAMPING_TIME = 1.0  # s, inertia over damping of a load whose model has none
 _FIRST_VARIANCE = 0.1**2  # rad^2
+_RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps, as else its derivative is zero
 _FIRST, _STAGES, _ITERATIONS = 8, 3, 25
 _FRICTION = 2 * COEFFICIENTS  # place of the half width among a muscle's parameters
 _SHARED = 3  # parameters beside the muscles' that `corrected` has too: the weight, zero and scale of the arms
-_OWN = ("valve.time_constant", "delay", "load.damping", "load.inertia", "load.gravity_torque")
-_OWN_UNITS = ("s", "s", "N*m*s/rad", "kg*m^2", "N*m")
-_OWN_PRIORS = ("lag", "delay", "damping", "mass", "mass")
+_OWN = ("valve.time_constant", "valve.rate", "delay", "load.damping", "load.inertia", "load.gravity_torque")
+_OWN_UNITS = ("s", "Pa/s", "s", "N*m*s/rad", "kg*m^2", "N*m")
+_OWN_PRIORS = ("lag", "rate", "delay", "damping", "mass", "mass")
 
 
 class _Motion(NamedTuple):
@@ -111,12 +112,12 @@ class CommandedCalibration(JointCalibration):
     Attributes
     ----------
     quantities
-        As those of `JointCalibration`, and ``valve.time_constant``, ``delay``, ``load.damping``, ``load.inertia``,
-        ``load.gravity_torque``, whose prior deviations are relative to the estimates; there is no ``load.mass``.
+        As those of `JointCalibration`, and ``valve.time_constant``, ``valve.rate``, ``delay``, ``load.damping``,
+        ``load.inertia``, ``load.gravity_torque``, with prior deviations relative to the estimates; no ``load.mass``.
     residual
         Root mean square of the error of the simulated angle [rad].
     valve, delay
-        The valve with the estimated lag, and the delay [s] of the commands before it.
+        The valve with the estimates, and the delay [s] of the commands before it.
     """
 
     valve: FirstOrderValve
@@ -146,8 +147,8 @@ def calibrate_from_commands(
 
     The plant is simulated from the first angle and the commands, and the sum of squares of the angle's error is
     minimised over corrections of the muscles' laws and friction, the scale of the moment arms, inertia, gravity and
-    damping of the load, lag of the valves, delay of the commands and the encoder's zero, all with Gaussian priors
-    (those of lag, delay and load of their logarithms):
+    damping of the load, lag and rate limit of the valves, delay of the commands and the encoder's zero, all with
+    Gaussian priors (of valves, delay and load those of their logarithms):
 
     .. math:: \sum_k \frac{(\theta_k - \hat\theta_k(z))^2}{\sigma^2} + z^T z
 
@@ -157,7 +158,8 @@ def calibrate_from_commands(
     Parameters
     ----------
     joint, load, valve
-        The model before. A muscle without friction gets a band whose width is estimated.
+        The model before. A muscle without friction gets a band whose width is estimated, a valve without a limit of
+        its rate one that no step exceeds.
     recordings
         At least one, with commands as `pressures`.
     prior
@@ -181,7 +183,8 @@ def calibrate_from_commands(
     samples = [JointSamples(one.angle, None, None, tuple(one.commands), (), 0.0, 0.0) for one in motions]
     base = problem_of(joint, rigid, [(one, one) for one in samples], prior)
     damping = rigid.damping or rigid.inertia / _DAMPING_TIME
-    medians = (valve.time_constant, _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
+    rate = highest / valve.time_constant if valve.rate is None else valve.rate
+    medians = (valve.time_constant, rate, _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
     problem = _Problem(base, valve, tuple(map(float, medians)))
     z, covariance, residual = _solve(problem, motions)
     full, slope = map(np.asarray, _full_and_slope(base, z))
@@ -294,9 +297,9 @@ def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     base, load = problem.base, problem.base.load
     joint, _, added, zero, _ = corrected(base, _full(base, z))
     factors = jnp.exp(_own_deviations(base) * z[-len(_OWN) :])
-    lag, delay, damping, inertia, gravity = (median * factors[i] for i, median in enumerate(problem.medians))
+    lag, rate, delay, damping, inertia, gravity = (median * factors[i] for i, median in enumerate(problem.medians))
     load = dataclasses.replace(load, inertia=inertia, greatest_gravity_torque=gravity, damping=damping)
-    valve = dataclasses.replace(problem.valve, time_constant=lag)
+    valve = dataclasses.replace(problem.valve, time_constant=lag, rate=rate)
     return _Simulated(JointPlant(joint, load, valve), delay, zero, added)
 
 
@@ -336,6 +339,7 @@ def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Float
     def begun(strength: float) -> tuple[Floats, float]:
         z = np.zeros(count)
         z[:muscles] = start(problem.base, strength)[:muscles]
+        z[_OWN.index("valve.rate") - len(_OWN)] = _RATE_START
         return minimised(terms, z, _FIRST)
 
     z = min((begun(strength) for strength in STARTS), key=lambda found: found[1])[0]
