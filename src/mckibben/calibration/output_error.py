@@ -126,7 +126,7 @@ class CommandedCalibration(JointCalibration):
 
     def simulate(self, recording: JointRecording) -> SimulatedAngles:
         """Return angles simulated from the first angle and the commands of a recording, without its rests."""
-        motion = _motion(recording, float(self.joint.muscle1.domain.pressure_max))
+        motion = _motion(recording, _highest(self.joint))
         zero, added = self.quantities["zero"].value, self.quantities["added_mass"].value
         after = _Simulated(JointPlant(self.joint, self.load, self.valve), self.delay, zero, added)
         substeps = _substeps([motion])
@@ -177,7 +177,7 @@ def calibrate_from_commands(
     prior = prior or JointPrior()
     if not recordings:
         raise IdentificationError("there is no recording", remedy="give at least one")
-    highest = float(joint.muscle1.domain.pressure_max)
+    highest = _highest(joint)
     motions = [_motion(one, highest) for one in recordings]
     rigid = jax.tree.map(float, load.with_weight(0.0, 0.0))
     samples = [JointSamples(one.angle, None, None, tuple(one.commands), (), 0.0, 0.0) for one in motions]
@@ -203,6 +203,11 @@ def calibrate_from_commands(
         found.delay,
         _Simulated(JointPlant(joint, rigid, valve), 0.0, 0.0, 1.0),
     )
+
+
+def _highest(joint: AntagonisticJoint) -> float:
+    """Highest pressure [Pa] of a muscle; that of a return spring is 0."""
+    return max(float(muscle.domain.pressure_max) for muscle in (joint.muscle1, joint.muscle2))
 
 
 def _motion(recording: JointRecording, highest: float) -> _Motion:
