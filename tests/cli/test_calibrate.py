@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -99,3 +100,74 @@ def test_a_recording_from_a_csv_file(tmp_path):
     with pytest.raises(ScenarioError) as caught:
         read_joint_recording(tmp_path / "r.csv")
     assert "pressure1" in str(caught.value)
+
+
+def written(folder, name, columns):
+    """A CSV file of times, angles and two pressures [bar]."""
+    head, *rows = columns
+    text = "\n".join(",".join(f"{cell:.6g}" for cell in row) for row in zip(*rows, strict=True))
+    (folder / name).write_text(f"{head}\n{text}\n", encoding="utf-8")
+    return str(folder / name)
+
+
+@pytest.fixture(scope="module")
+def stepped(tmp_path_factory):
+    """Two recordings of commanded pressures of the example's joint, whose valve is slower than the scenario says."""
+    from mckibben.study.scenario.building import build_plant
+
+    folder, scenario = tmp_path_factory.mktemp("stepped"), Scenario.read(EXAMPLE)
+    valve = scenario.valve.model_copy(update={"time_constant": 0.06})
+    plant, files = build_plant(scenario.joint, scenario.load, valve), []
+    time = np.arange(0, 8, 0.01)
+
+    @jax.jit
+    def run(state, commands):
+        def step(state, one):
+            return plant.advance(state, (one[0], one[1]), 0.01, 5), state.angle
+
+        return jax.lax.scan(step, state, commands)[1]
+
+    for seed in (1, 2):
+        levels = np.random.default_rng(seed).uniform(3.5e5, 5e5, (8, 2))
+        sent = levels[time.astype(int)]
+        angle = run(plant.init_state(0.0, tuple(levels[0])), sent)
+        columns = ("time_s,angle_rad,command1_bar,command2_bar", time, np.asarray(angle), *(sent.T / 1e5))
+        files.append(written(folder, f"{seed}.csv", columns))
+    return files
+
+
+def test_recordings_of_commands(cli, stepped, tmp_path):
+    files = ("--recording", stepped[0], "--held-out", stepped[1])
+    found = cli("calibrate", str(EXAMPLE), *files, "--out", "commands", "--json")
+    assert found.code == 0, found.err
+    numbers = json.loads(found.out)
+    lag = numbers["quantities"]["valve.time_constant"]
+    assert lag["determined"]
+    assert abs(lag["value"] - 0.06) < 3 * lag["standard_deviation"]
+    held_out = numbers["simulated"][-1]
+    assert held_out["held_out"]
+    assert held_out["file"] == stepped[1]
+    assert held_out["angle_error"] < 0.3 * held_out["angle_error_before"]
+    kept = Scenario.read(tmp_path / "commands" / "scenario.yaml")
+    assert kept.valve.time_constant == pytest.approx(lag["value"])
+    assert kept.load.inertia == pytest.approx(numbers["quantities"]["load.inertia"]["value"])
+    assert kept.controller.model == kept.joint
+
+
+@pytest.mark.parametrize(
+    ("change", "arguments"),
+    [
+        ("", ("--held-out", "{0}")),
+        ("", ("--recording", "{0}", "--recording", "{1}")),
+        ("", ("--recording", "{1}", "--held-out", "{0}")),
+        ("valve: ideal", ("--recording", "{0}")),
+    ],
+)
+def test_mixed_recordings_and_other_valves_are_refused(cli, stepped, tmp_path, change, arguments):
+    time = np.arange(0, 8, 0.01)
+    measured = written(tmp_path, "m.csv", ("time_s,angle_rad,pressure1_bar,pressure2_bar", *[time] * 4))
+    text = EXAMPLE.read_text(encoding="utf-8").replace("../comparison", str(EXAMPLE.parents[1] / "comparison"))
+    text = text.replace("valve: {time_constant: 20 ms}", change) if change else text
+    (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
+    files = (one.format(stepped[0], measured) for one in arguments)
+    assert cli("calibrate", str(tmp_path / "s.yaml"), *files, "--out", "x").code == 2

@@ -45,6 +45,8 @@ class JointRecording:
         Gauge pressures [Pa] of muscles 1 and 2, and their tensions [N] if there are load cells; shape (samples, 2).
     added_mass, distance
         A known weight [kg] on the limb, and its distance from the axis [m].
+    commanded
+        Whether `pressures` are the commands, not measured.
     """
 
     time: Floats
@@ -53,6 +55,7 @@ class JointRecording:
     tensions: Floats | None = None
     added_mass: float = 0.0
     distance: float = 0.0
+    commanded: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,9 @@ class JointPrior:
         Of the encoder's zero [rad].
     arm_scale
         Of the scale of the moment arms.
+    lag, rate, delay, damping
+        For recordings of commands: of the logarithms of the valve's time constant, of the limit of its rate, of the
+        delay about 20 ms, and of the load's damping. There `mass` is that of the logarithms of inertia and gravity.
     """
 
     strength: float = 0.1
@@ -88,6 +94,10 @@ class JointPrior:
     load_cell: float = 0.01
     zero: float = 0.5 * deg
     arm_scale: float = 0.02
+    lag: float = 0.7
+    rate: float = 1.0
+    delay: float = 1.0
+    damping: float = 1.0
 
 
 class JointSamples(NamedTuple):
@@ -129,8 +139,8 @@ class _Corrected(NamedTuple):
     load_cells: tuple[Any, Any]  # gains
 
 
-def halves_of(recording: JointRecording) -> Halves:
-    """Even and odd samples, whose noise is independent, smoothed and at the same times."""
+def check_recording(recording: JointRecording) -> None:
+    """Raise `IdentificationError` for numbers that are not finite, and for a recording that is too short."""
     columns = [recording.time, recording.angle, recording.pressures]
     columns += [] if recording.tensions is None else [recording.tensions]
     if not all(np.all(np.isfinite(column)) for column in columns):
@@ -142,6 +152,16 @@ def halves_of(recording: JointRecording) -> Halves:
             value=time.size,
             remedy=f"record at least {_SHORTEST:g} s",
         )
+
+
+def halves_of(recording: JointRecording) -> Halves:
+    """Even and odd samples, whose noise is independent, smoothed and at the same times."""
+    if recording.commanded:
+        raise IdentificationError(
+            "a recording has commanded pressures", remedy="use calibrate_from_commands, or give measured pressures"
+        )
+    check_recording(recording)
+    time = recording.time
     period = (time[-1] - time[0]) / (time.size - 1)
     width = max(2 * int(_WINDOW / (4 * period)) + 1, 5)
     if period > _LONGEST_PERIOD or np.ptp(np.diff(time)) > period:

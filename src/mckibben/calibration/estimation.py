@@ -37,7 +37,7 @@ from mckibben.numerics.compiled import compiled
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], before residuals tell it
 _LEAST_VARIANCE = 1e-8
-_STARTS = (0.0, -1.0, 1.0)
+STARTS = (0.0, -1.0, 1.0)
 _FIRST, _STAGES, _ITERATIONS, _MOST_DAMPING, _TOLERANCE = 8, 3, 25, 1e3, 1e-2
 DETERMINED = 0.5
 """Posterior over prior standard deviation below which a quantity counts as determined by the recordings."""
@@ -145,24 +145,23 @@ def calibrate_joint(
         raise IdentificationError("there is no recording", remedy="give at least one")
     problem = problem_of(joint, load, halves, prior)
     estimate, covariance, residual = _solve(problem, halves)
+    found = jax.tree.map(number, corrected(problem, jnp.asarray(estimate)))
+    quantities = quantities_of(problem, estimate, covariance)
+    return JointCalibration(found.joint, found.load, quantities, residual, problem, estimate, covariance)
+
+
+def quantities_of(problem: CalibrationProblem, estimate: Floats, covariance: Floats) -> dict[str, JointEstimate]:
+    """Estimates by name, from estimates and covariance of the parameters."""
     names, units = _quantity_names(problem)
     value, slope = _quantities(problem, jnp.asarray(estimate))
     before = np.asarray(_quantities(problem, jnp.zeros(estimate.size))[1])
     deviation, wide = _deviation(np.asarray(slope), covariance), _deviation(before, np.eye(estimate.size))
     rows = zip(names, np.asarray(value).tolist(), deviation.tolist(), wide.tolist(), units, strict=True)
-    found = jax.tree.map(_number, corrected(problem, jnp.asarray(estimate)))
-    return JointCalibration(
-        found.joint,
-        found.load,
-        {row[0]: JointEstimate(*row[1:]) for row in rows},
-        residual,
-        problem,
-        estimate,
-        covariance,
-    )
+    return {row[0]: JointEstimate(*row[1:]) for row in rows}
 
 
-def _number(leaf: Any) -> Any:
+def number(leaf: Any) -> Any:
+    """A scalar array as a float, anything else as it is."""
     return float(leaf) if isinstance(leaf, jax.Array) and leaf.ndim == 0 else leaf
 
 
@@ -247,13 +246,13 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
         return objective + float(z @ z) / 2, gradient[:count] + z, curvature[:count, :count] + np.eye(count)
 
     means: list[Floats] = []
-    begun = [_minimised(terms, _start(problem, strength), _FIRST) for strength in _STARTS]
+    begun = [minimised(terms, start(problem, strength), _FIRST) for strength in STARTS]
     z = min(begun, key=lambda found: found[1])[0]
     for _ in range(_STAGES):
-        z, _ = _minimised(terms, z)
+        z, _ = minimised(terms, z)
         even, odd = raw(z)
         means = [(a + b) / 2 for (a, _), (b, _) in zip(even, odd, strict=True)]
-        variances = np.array([_variance([one[:, i] for one in means]) for i in range(groups)])
+        variances = np.array([variance_of([one[:, i] for one in means]) for i in range(groups)])
     torque = np.concatenate([one[:, 0] for one in means])
     curvature = data(z)[2]
     covariance: Any = np.linalg.inv(curvature[:count, :count] + np.eye(count))
@@ -261,14 +260,14 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
     return z, covariance + creep @ creep.T, float(np.sqrt(np.mean(torque**2)))
 
 
-def _start(problem: CalibrationProblem, strength: float) -> Floats:
+def start(problem: CalibrationProblem, strength: float) -> Floats:
     """Start of a search, with a strength of all muscles in prior standard deviations: slack ones make local minima."""
     z = np.zeros(parameters(problem))
     z[: muscle_parameters(problem)].reshape(-1, OF_MUSCLE)[:, COEFFICIENTS] = strength
     return z
 
 
-def _minimised(
+def minimised(
     terms: Callable[[Floats], tuple[float, Floats, Floats]], z: Floats, most: int = _ITERATIONS
 ) -> tuple[Floats, float]:
     """Levenberg-Marquardt minimum, and its value, of an objective with its gradient and second derivatives."""
@@ -286,7 +285,7 @@ def _minimised(
     return z, objective
 
 
-def _variance(parts: list[Floats]) -> float:
+def variance_of(parts: list[Floats]) -> float:
     """Variance of residuals times the number of samples that are as good as one independent sample."""
     total, times = 0.0, []
     for one in parts:

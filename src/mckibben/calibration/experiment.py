@@ -13,10 +13,12 @@ import numpy as np
 
 from mckibben.calibration.equations import JointPrior, JointRecording
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
+from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
 from mckibben.config.document import to_text
 from mckibben.errors import ParameterError, StoppedError
-from mckibben.joint import ScaledArms
+from mckibben.joint import Load, ScaledArms
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
+from mckibben.plant import FirstOrderValve
 from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.simulation import Result
 from mckibben.storage.files import atomic_write
@@ -24,7 +26,7 @@ from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import build_joint
 from mckibben.study.scenario.muscle import CorrectionSpec, FrictionSpec, MuscleSpec
 from mckibben.study.scenario.plant import GeneralLoadSpec, JointSpec, StartSpec
-from mckibben.study.scenario.reference import ReferenceSpec, read_samples
+from mckibben.study.scenario.reference import ReferenceSpec, read_columns
 from mckibben.units import show
 
 _SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness in a part
@@ -105,13 +107,7 @@ class Sweeps:
 
     def _weighted(self, load: Any, added_mass: float) -> Any:
         """Section of a load with the weight."""
-        loaded = load.build().with_weight(added_mass, self.distance)
-        return GeneralLoadSpec(
-            inertia=float(loaded.inertia),
-            gravity_torque=float(loaded.greatest_gravity_torque),
-            damping=float(loaded.damping),
-            hanging_angle=float(loaded.hanging_angle),
-        )
+        return _general(load.build().with_weight(added_mass, self.distance))
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
         """Stiffness [N*m/rad] attainable at all angles with each weight; the first above the second for none."""
@@ -127,6 +123,15 @@ class Sweeps:
             bands += [np.asarray(joint.attainable_stiffness(angles, torque, minimum_tension=least))]
         low, high = np.max([band[0] for band in bands]), np.min([band[1] for band in bands])
         return (float(low), float(high)) if np.isfinite(low + high) else (1.0, 0.0)
+
+
+def _general(load: Load) -> GeneralLoadSpec:
+    return GeneralLoadSpec(
+        inertia=float(load.total_inertia),
+        gravity_torque=float(load.gravity_moment),
+        damping=float(load.damping),
+        hanging_angle=float(load.hanging_angle),
+    )
 
 
 def _rad(angle: float) -> str:
@@ -190,21 +195,49 @@ def read_joint_recording(
 ) -> JointRecording:
     """Read a recording: a CSV file with columns such as ``time_s,angle_deg,pressure1_bar,pressure2_bar``.
 
-    Two columns ``tension1_N,tension2_N`` are those of load cells. A ``result.nc`` of `mckibben rig control` is read as
-    well.
+    Commands are in ``command1_bar,command2_bar`` in place of pressures; two columns ``tension1_N,tension2_N`` are those
+    of load cells. A ``result.nc`` of `mckibben rig control` is read as well.
     """
     file = Path(path)
     if file.suffix == ".nc":
         return recording_of(Result.from_netcdf(file), added_mass=added_mass, distance=distance)
-    times, angle = read_samples(file, "angle", "rad")
-    with file.open(encoding="utf-8-sig") as text:
-        cells = "tension1" in text.readline()
 
-    def pair(name: str, unit: str) -> np.ndarray:
-        return np.stack([read_samples(file, f"{name}{i}", unit)[1] for i in (1, 2)], axis=1)
+    def wanted(header: list[str]) -> dict[str, str]:
+        begins = {title.partition("_")[0] for title in header}
+        kind = "command" if "command1" in begins and "pressure1" not in begins else "pressure"
+        cells = ("tension1", "tension2") if "tension1" in begins else ()
+        return {"angle": "rad", f"{kind}1": "Pa", f"{kind}2": "Pa", **dict.fromkeys(cells, "N")}
 
-    tensions = pair("tension", "N") if cells else None
-    return JointRecording(np.asarray(times), np.asarray(angle), pair("pressure", "Pa"), tensions, added_mass, distance)
+    times, columns = read_columns(file, wanted)
+    angle, first, second, *tensions = map(np.asarray, columns.values())
+    return JointRecording(
+        np.asarray(times),
+        angle,
+        np.stack([first, second], axis=1),
+        np.stack(tensions, axis=1) if tensions else None,
+        added_mass,
+        distance,
+        commanded="command1" in columns,
+    )
+
+
+def calibrate_scenario(
+    scenario: Scenario, recordings: list[JointRecording], prior: JointPrior | None = None
+) -> JointCalibration:
+    """The controller's model of a scenario identified from recordings of measured or of commanded pressures."""
+    joint, load = build_joint(model_of(scenario)), load_of(scenario).build()
+    if not any(one.commanded for one in recordings):
+        return calibrate_joint(joint, load, recordings, prior)
+    if not all(one.commanded for one in recordings):
+        raise ParameterError("recordings of commands and of measured pressures", remedy="give those of one kind")
+    valve = None if scenario.valve is None else scenario.valve.build()
+    if not isinstance(valve, FirstOrderValve):
+        raise ParameterError(
+            "recordings of commands need a valve with a first-order lag",
+            field="valve",
+            remedy="give the scenario one that may be, such as `valve: {time_constant: 50 ms}`",
+        )
+    return calibrate_from_commands(joint, load, valve, recordings, prior)
 
 
 def calibrated_model(scenario: Scenario, found: JointCalibration) -> JointSpec:
@@ -234,7 +267,19 @@ def calibrated_model(scenario: Scenario, found: JointCalibration) -> JointSpec:
 
 
 def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario:
-    """The scenario with the estimates as its controller's model of joint and load."""
+    """The scenario with the estimates as its controller's model of joint and load.
+
+    Those from commands are its plant, too.
+    """
+    if isinstance(found, CommandedCalibration):
+        joint, load = calibrated_model(scenario, found), _general(found.load)
+        control = scenario.controller.with_load(load)
+        if control.model is not None:
+            control = control.model_copy(update={"model": joint})
+        assert scenario.valve is not None  # or nothing could have been found
+        rows = {name: float(getattr(found.valve, name)) for name in ("time_constant", "rate")}
+        valve = scenario.valve.model_copy(update=rows)
+        return scenario.model_copy(update={"joint": joint, "load": load, "valve": valve, "controller": control})
     control = scenario.controller.with_model(scenario.joint, scenario.load, scenario.valve)
     mass = found.load.adapted_mass
     if mass and control.load is not None:
@@ -263,7 +308,8 @@ def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tup
     return before, after
 
 
-SHOWN = {"1": "1", "N": "N", "m": "mm", "kg": "kg", "rad": "deg"}
+SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s"}
+SHOWN |= {unit: unit for unit in ("1", "N", "kg", "kg*m^2", "N*m", "N*m*s/rad")}
 """Units of quantities in reports, by those of SI."""
 
 

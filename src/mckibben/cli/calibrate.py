@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -53,6 +53,13 @@ def calibrate(
     weighted: Annotated[
         list[Path] | None, Option(metavar="FILE", help="A recording with the weight clipped on; repeatable.")
     ] = None,
+    held_out: Annotated[
+        list[Path] | None,
+        Option(metavar="FILE", help="A recording of commands to simulate, not used for the estimate; repeatable."),
+    ] = None,
+    strength_error: Annotated[
+        str, Option(metavar="PERCENT", help="Standard deviation of the strength of the model's muscles.")
+    ] = "10 %",
     plan: Annotated[
         bool, Option("--plan", help="Show the expected accuracy for other weights and durations; move nothing.")
     ] = False,
@@ -74,10 +81,13 @@ def calibrate(
         raise ParameterError(f"--duration {duration}", value=seconds, unit="s", lower=_LEAST, upper=_MOST)
     if weighted and not mass:
         raise ParameterError("--weighted without a weight", remedy="add --weight and --distance")
+    if held_out and not (recording or weighted):
+        raise ParameterError("--held-out without a recording", remedy="add --recording")
     from mckibben.calibration import JointPrior, Sweeps
     from mckibben.study.scenario import Scenario
 
-    prior = JointPrior(added_mass=parse_quantity("--weight-error", weight_error, "1"))
+    strength = parse_quantity("--strength-error", strength_error, "1")
+    prior = JointPrior(strength, strength / 2, added_mass=parse_quantity("--weight-error", weight_error, "1"))
     read, count = Scenario.read(scenario), 2 if mass else 1
     period = read.control_period
     sweeps = Sweeps(low, high, round(seconds / count / period) * period, mass, at)
@@ -90,7 +100,9 @@ def calibrate(
         recordings = _read(recording or [], weighted or [], mass, at)
     else:
         recordings = _measured(read, sweeps, out, rig, json)
-    _report(read, recordings, prior, out, json)
+    kept = _read(held_out or [], [], 0.0, 0.0)
+    names = [*map(str, recording or []), *map(str, weighted or []), *map(str, held_out or [])]
+    _report(read, recordings, kept, names, prior, out, json)
 
 
 def _read(bare: list[Path], weighted: list[Path], mass: float, distance: float) -> list[JointRecording]:
@@ -127,17 +139,35 @@ def _measured(scenario: Scenario, sweeps: Sweeps, out: Path, rig: Path | None, q
         raise typer.Exit(1) from None
 
 
-def _report(scenario: Scenario, recordings: list[JointRecording], prior: JointPrior, out: Path, json: bool) -> None:
-    from mckibben.calibration import calibrate_joint, calibrated_scenario
-    from mckibben.calibration.experiment import SHOWN, deviations, load_of, model_of, statements, write_model
+def _report(
+    scenario: Scenario,
+    recordings: list[JointRecording],
+    held_out: list[JointRecording],
+    names: list[str],
+    prior: JointPrior,
+    out: Path,
+    json: bool,
+) -> None:
+    from mckibben.calibration import CommandedCalibration, calibrate_scenario, calibrated_scenario
+    from mckibben.calibration.experiment import SHOWN, deviations, statements, write_model
     from mckibben.report.joint import calibration as draw
     from mckibben.report.style import save
-    from mckibben.study.scenario.building import build_joint
 
-    found = calibrate_joint(build_joint(model_of(scenario)), load_of(scenario).build(), recordings, prior)
+    commanded = any(one.commanded for one in recordings)
+    if held_out and not (commanded and all(one.commanded for one in held_out)):
+        raise ParameterError(
+            "--held-out is for recordings of commands", remedy="give columns command1_bar,command2_bar in all files"
+        )
+    found = calibrate_scenario(scenario, recordings, prior)
+    simulated: list[dict[str, Any]] = []
+    if isinstance(found, CommandedCalibration):
+        for number, (name, one) in enumerate(zip(names, [*recordings, *held_out], strict=True)):
+            errors = found.simulate(one).errors
+            row = {"file": name, "held_out": number >= len(recordings)}
+            simulated.append({**row, "angle_error_before": errors[0], "angle_error": errors[1]})
     before, after = deviations(found, recordings)
     numbers = {
-        "residual_torque_Nm": found.residual,
+        "residual_angle_rad" if commanded else "residual_torque_Nm": found.residual,
         "stiffness_deviation_before": before,
         "stiffness_deviation": after,
         "quantities": {
@@ -151,6 +181,8 @@ def _report(scenario: Scenario, recordings: list[JointRecording], prior: JointPr
             for name, one in found.quantities.items()
         },
     }
+    if simulated:
+        numbers["simulated"] = simulated
     with keeping(out):
         write_model(scenario, found, out / "model.yaml")
         calibrated_scenario(scenario, found).to_yaml(out / "scenario.yaml")
@@ -170,9 +202,25 @@ def _report(scenario: Scenario, recordings: list[JointRecording], prior: JointPr
             for name, one in found.quantities.items()
         ]
         table("calibration", ("quantity", "estimate", "standard deviation", "before", "determined"), rows)
+        unit = "rad" if commanded else "N*m"
         echo(
-            f"stiffness: standard deviation {after:.2g} N*m/rad, {before:.2g} before; residual {found.residual:.2g} N*m"
+            f"stiffness: standard deviation {after:.2g} N*m/rad, {before:.2g} before; "
+            f"residual {found.residual:.2g} {unit}"
         )
+        if simulated:
+            table(
+                "simulated from the commands: root mean square error of the angle",
+                ("recording", "used as", "model before", "calibrated"),
+                [
+                    (
+                        str(row["file"]),
+                        "held out" if row["held_out"] else "fitted",
+                        show(row["angle_error_before"], "deg", 3),
+                        show(row["angle_error"], "deg", 3),
+                    )
+                    for row in simulated
+                ],
+            )
         for line in statements(found):
             echo(line)
     echo(f"wrote model.yaml (for `model: model.yaml` of a controller), scenario.yaml and figure to {out}", err=json)

@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.notebook import Displayed
 from mckibben.numerics.checks import check_positive, check_within
-from mckibben.units import PositiveTime, PressureScale
+from mckibben.units import PositiveTime, PressureRate, PressureScale
 
 
 class ValveModel(eqx.Module, Displayed):
@@ -56,24 +56,38 @@ class FirstOrderValve(Valve):
     """First-order lag, p(t) = u + (p(0) - u) exp(-t / T) under a constant command u.
 
     T [s] is 20 to 100 ms for fast proportional valves on a small muscle. No command, and no start, is above the gauge
-    pressure of the supply [Pa], where it is given.
+    pressure of the supply [Pa], and the pressure changes by no more than the rate [Pa/s], where they are given.
+
+    >>> from mckibben.units import bar
+    >>> valve = FirstOrderValve(0.1, rate=10 * bar)
+    >>> [round(float(valve.pressure_after(0.0, 3 * bar, at)) / bar, 3) for at in (0.1, 0.2, 0.3)]
+    [1.0, 2.0, 2.632]
     """
 
     time_constant: PositiveTime
     supply: PressureScale | None = eqx.field(kw_only=True, default=None)
+    rate: PressureRate | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
         check_positive("FirstOrderValve", "s", time_constant=self.time_constant)
         if self.supply is not None:
             check_positive("FirstOrderValve", "Pa", supply=self.supply)
+        if self.rate is not None:
+            check_positive("FirstOrderValve", "Pa/s", rate=self.rate)
         check_within("FirstOrderValve", 0.0, _SLOWEST, "s", time_constant=self.time_constant)
 
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
         return jnp.asarray(pressure)
 
     def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
-        command = jnp.asarray(command)
-        return command + (pressure - command) * jnp.exp(-jnp.asarray(elapsed) / self.time_constant)
+        command, elapsed = jnp.asarray(command), jnp.asarray(elapsed)
+        error = pressure - command
+        if self.rate is not None:
+            limited = jnp.minimum(jnp.maximum(jnp.abs(error) / self.rate - self.time_constant, 0.0), elapsed)  # [s]
+            error, elapsed = error - jnp.sign(error) * self.rate * limited, elapsed - limited
+        return command + error * jnp.exp(-elapsed / self.time_constant)
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
-        return jnp.asarray(pressure) + self.time_constant * jnp.asarray(rate)
+        rate = jnp.asarray(rate)
+        command = jnp.asarray(pressure) + self.time_constant * rate
+        return command if self.rate is None else jnp.where(jnp.abs(rate) > self.rate, jnp.sign(rate) * jnp.inf, command)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -22,6 +23,14 @@ _LARGEST = 64 * 2**20
 
 def read_samples(path: Path, name: str, unit: str) -> tuple[list[float], list[float]]:
     """The times [s] and the values, in `unit`, of the column of a CSV file that is titled NAME_UNIT."""
+    times, values = read_columns(path, lambda _: {name: unit})
+    return times, values[name]
+
+
+def read_columns(
+    path: Path, wanted: Callable[[list[str]], Mapping[str, str]]
+) -> tuple[list[float], dict[str, list[float]]]:
+    """The times [s] and the values, by name, of columns titled NAME_UNIT: names and units wanted of a header."""
     try:
         if path.stat().st_size > _LARGEST:
             raise ScenarioError(str(path), [Problem(f"is larger than {_LARGEST // 2**20} MiB")])
@@ -30,28 +39,28 @@ def read_samples(path: Path, name: str, unit: str) -> tuple[list[float], list[fl
         raise ScenarioError(str(path), [Problem(f"cannot be read: {error}", remedy="give a CSV file")]) from None
     problems: list[Problem] = []
     header = [title.strip() for title in rows[0]] if rows else []
-    columns = [_column(header, title, kind, problems) for title, kind in (("time", "s"), (name, unit))]
+    units = wanted(header)
+    columns = [_column(header, name, unit, problems) for name, unit in (("time", "s"), *units.items())]
     if problems:
         raise ScenarioError(str(path), problems)
 
-    times: list[float] = []
-    values: list[float] = []
+    samples: list[list[float]] = []
     for line, row in enumerate(rows[1:], start=2):
         if not any(cell.strip() for cell in row):
             continue
-        time, value = (_number(row, place, scale) for place, scale in columns)
-        if not (math.isfinite(time) and math.isfinite(value)):
-            problems.append(Problem(f"{','.join(row)[:60]!r} does not hold two finite numbers", line))
-        elif times and time <= times[-1]:
-            problems.append(Problem(f"the time {time:g} s does not rise", line, remedy="sort the rows"))
+        sample = [_number(row, place, scale) for place, scale in columns]
+        if not all(map(math.isfinite, sample)):
+            problems.append(Problem(f"{','.join(row)[:60]!r} does not hold {len(sample)} finite numbers", line))
+        elif samples and sample[0] <= samples[-1][0]:
+            problems.append(Problem(f"the time {sample[0]:g} s does not rise", line, remedy="sort the rows"))
         else:
-            times.append(time)
-            values.append(value)
-    if not times and not problems:
+            samples.append(sample)
+    if not samples and not problems:
         problems.append(Problem("holds no samples"))
     if problems:
         raise ScenarioError(str(path), problems)
-    return times, values
+    times, *values = (list(column) for column in zip(*samples, strict=True))
+    return times, dict(zip(units, values, strict=True))
 
 
 def _column(header: list[str], name: str, unit: str, problems: list[Problem]) -> tuple[int, float]:

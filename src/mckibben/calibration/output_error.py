@@ -1,0 +1,359 @@
+"""Identification of a joint from commanded pressures: its simulated angle is fitted to the recorded one."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array
+
+from mckibben.calibration.equations import (
+    COEFFICIENTS,
+    OF_MUSCLE,
+    CalibrationProblem,
+    Floats,
+    JointPrior,
+    JointRecording,
+    JointSamples,
+    check_recording,
+    corrected,
+    muscle_parameters,
+    problem_of,
+)
+from mckibben.calibration.estimation import (
+    STARTS,
+    JointCalibration,
+    JointEstimate,
+    minimised,
+    number,
+    quantities_of,
+    start,
+    variance_of,
+)
+from mckibben.errors import IdentificationError
+from mckibben.joint import AntagonisticJoint, Load
+from mckibben.numerics.compiled import compiled
+from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.units import ms
+
+_REST = 3.0  # s after the last change of the commands; samples from then to the next change are left out
+_BEFORE = 0.5  # s before a change that are kept
+_CHANGE = 1e-3  # of the commands, over the highest pressure, that counts as one
+_LONGEST_PERIOD, _LARGEST_GAP = 0.05, 10  # s; periods
+_STEP = 5e-3  # s, of the integration
+_BLOCK = 1024  # samples
+_DIFFERENCE = 1e-4  # prior standard deviations, of the difference quotients
+_DELAY = 20 * ms  # median before
+_DAMPING_TIME = 1.0  # s, inertia over damping of a load whose model has none
+_FIRST_VARIANCE = 0.1**2  # rad^2
+_RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps, as else its derivative is zero
+_FIRST, _STAGES, _ITERATIONS = 8, 3, 25
+_FRICTION = 2 * COEFFICIENTS  # place of the half width among a muscle's parameters
+_SHARED = 3  # parameters beside the muscles' that `corrected` has too: the weight, zero and scale of the arms
+_OWN = ("valve.time_constant", "valve.rate", "delay", "load.damping", "load.inertia", "load.gravity_torque")
+_OWN_UNITS = ("s", "Pa/s", "s", "N*m*s/rad", "kg*m^2", "N*m")
+_OWN_PRIORS = ("lag", "rate", "delay", "damping", "mass", "mass")
+
+
+class _Motion(NamedTuple):
+    """Equally spaced samples of a recording without its rests."""
+
+    time: Any  # [s], shape (samples,)
+    angle: Any  # measured [rad]
+    commands: Any  # [Pa], shape (2, samples)
+    period: Any  # [s]
+    added_mass: Any  # [kg]
+    distance: Any  # [m]
+
+
+class SimulatedAngles(NamedTuple):
+    """Times [s] and angles [rad] of a recording, measured, and simulated by the model before and after."""
+
+    time: Floats
+    measured: Floats
+    before: Floats
+    after: Floats
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Root mean square errors [rad] of the model before and after."""
+        before, after = (float(np.sqrt(np.mean((one - self.measured) ** 2))) for one in (self.before, self.after))
+        return before, after
+
+
+class _Simulated(NamedTuple):
+    """A plant with what recordings add to it."""
+
+    plant: JointPlant
+    delay: Any  # of the commands [s]
+    zero: Any  # of the encoder [rad]
+    added: Any  # weight over what it is stated to be
+
+
+class _Problem(NamedTuple):
+    """The model whose joint, load and weight `corrected` corrects, its valve, and medians of the own parameters."""
+
+    base: CalibrationProblem
+    valve: FirstOrderValve
+    medians: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CommandedCalibration(JointCalibration):
+    """Joint identified from commanded pressures, by `calibrate_from_commands`.
+
+    Attributes
+    ----------
+    quantities
+        As those of `JointCalibration`, and ``valve.time_constant``, ``valve.rate``, ``delay``, ``load.damping``,
+        ``load.inertia``, ``load.gravity_torque``, with prior deviations relative to the estimates; no ``load.mass``.
+    residual
+        Root mean square of the error of the simulated angle [rad].
+    valve, delay
+        The valve with the estimates, and the delay [s] of the commands before it.
+    """
+
+    valve: FirstOrderValve
+    delay: float
+    _before: _Simulated
+
+    def simulate(self, recording: JointRecording) -> SimulatedAngles:
+        """Return angles simulated from the first angle and the commands of a recording, without its rests."""
+        motion = _motion(recording, _highest(self.joint))
+        zero, added = self.quantities["zero"].value, self.quantities["added_mass"].value
+        after = _Simulated(JointPlant(self.joint, self.load, self.valve), self.delay, zero, added)
+        substeps = _substeps([motion])
+        before, found = (
+            np.asarray(_angle(one, _padded(motion), substeps))[: motion.angle.size] for one in (self._before, after)
+        )
+        return SimulatedAngles(motion.time, motion.angle, before, found)
+
+
+def calibrate_from_commands(
+    joint: AntagonisticJoint,
+    load: Load,
+    valve: FirstOrderValve,
+    recordings: Sequence[JointRecording],
+    prior: JointPrior | None = None,
+) -> CommandedCalibration:
+    r"""Identify a joint, its load and valves from commanded pressures and angles (output-error method).
+
+    The plant is simulated from the first angle and the commands, and the sum of squares of the angle's error is
+    minimised over corrections of the muscles' laws and friction, the scale of the moment arms, inertia, gravity and
+    damping of the load, lag and rate limit of the valves, delay of the commands and the encoder's zero, all with
+    Gaussian priors (of valves, delay and load those of their logarithms):
+
+    .. math:: \sum_k \frac{(\theta_k - \hat\theta_k(z))^2}{\sigma^2} + z^T z
+
+    sigma^2 is the variance of the residuals times their correlation time. Samples more than 3 s after the last change
+    of the commands are left out: the joint is at rest there, in the simulation too.
+
+    Parameters
+    ----------
+    joint, load, valve
+        The model before. A muscle without friction gets a band whose width is estimated, a valve without a limit of
+        its rate one that no step exceeds.
+    recordings
+        At least one, with commands as `pressures`.
+    prior
+        Standard deviations before. Those of a joint whose muscles are little known are larger than the default ones.
+
+    Raises
+    ------
+    IdentificationError
+        If a recording is too short, sampled at less than 20 Hz, has gaps or constant commands, or the joint is at rest.
+
+    References
+    ----------
+    L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 5 and 7 (output-error models).
+    """
+    prior = prior or JointPrior()
+    if not recordings:
+        raise IdentificationError("there is no recording", remedy="give at least one")
+    highest = _highest(joint)
+    motions = [_motion(one, highest) for one in recordings]
+    rigid = jax.tree.map(float, load.with_weight(0.0, 0.0))
+    samples = [JointSamples(one.angle, None, None, tuple(one.commands), (), 0.0, 0.0) for one in motions]
+    base = problem_of(joint, rigid, [(one, one) for one in samples], prior)
+    damping = rigid.damping or rigid.inertia / _DAMPING_TIME
+    rate = highest / valve.time_constant if valve.rate is None else valve.rate
+    medians = (valve.time_constant, rate, _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
+    problem = _Problem(base, valve, tuple(map(float, medians)))
+    z, covariance, residual = _solve(problem, motions)
+    full, slope = map(np.asarray, _full_and_slope(base, z))
+    wide = slope @ covariance @ slope.T + np.diag(1.0 * ~slope.any(axis=1))  # what is not estimated is as before
+    found = jax.tree.map(number, _simulated_by(problem, jnp.asarray(z)))
+    plant = found.plant
+    return CommandedCalibration(
+        plant.joint,
+        plant.load,
+        quantities_of(base, full, wide) | _own_quantities(problem, z, np.sqrt(np.diag(covariance))),
+        residual,
+        base,
+        full,
+        wide,
+        plant.valve,
+        found.delay,
+        _Simulated(JointPlant(joint, rigid, valve), 0.0, 0.0, 1.0),
+    )
+
+
+def _highest(joint: AntagonisticJoint) -> float:
+    """Highest pressure [Pa] of a muscle; that of a return spring is 0."""
+    return max(float(muscle.domain.pressure_max) for muscle in (joint.muscle1, joint.muscle2))
+
+
+def _motion(recording: JointRecording, highest: float) -> _Motion:
+    """Equally spaced samples, with commands that are constant over each period, without rests."""
+    if not recording.commanded:
+        raise IdentificationError(
+            "a recording has measured pressures", remedy="give commands, in columns command1_bar,command2_bar"
+        )
+    check_recording(recording)
+    period = float(np.median(np.diff(recording.time)))
+    gap = float(np.diff(recording.time).max())
+    if not 0 < period <= _LONGEST_PERIOD or gap > _LARGEST_GAP * period:
+        raise IdentificationError(
+            f"the samples of a recording are {period * 1e3:.3g} ms apart, with a gap of {gap * 1e3:.3g} ms",
+            value=gap,
+            unit="s",
+            remedy=f"record at {1 / _LONGEST_PERIOD:.0f} Hz or more, and split recordings at gaps",
+        )
+    grid = np.arange(recording.time[0], recording.time[-1], period)
+    last = np.searchsorted(recording.time, grid + period / 2, side="right") - 1
+    commands = recording.pressures[last].T
+    changes = np.flatnonzero(np.abs(np.diff(commands, axis=1)).max(axis=0) > _CHANGE * highest) + 1
+    if not changes.size:
+        raise IdentificationError("the commands of a recording are constant", remedy="record steps of the pressures")
+    edges = np.zeros(grid.size + 1)
+    np.add.at(edges, np.maximum(changes - round(_BEFORE / period), 0), 1)
+    np.add.at(edges, np.minimum(changes + round(_REST / period), grid.size), -1)
+    kept = np.cumsum(edges[:-1]) > 0
+    angle = np.interp(grid, recording.time, recording.angle)
+    weight = np.float64(recording.added_mass), np.float64(recording.distance)
+    return _Motion(grid[kept], angle[kept], commands[:, kept], np.float64(period), *weight)
+
+
+def _padded(motion: _Motion) -> _Motion:
+    """A motion that ends with a rest, of a length that others have too: each length is a program of its own."""
+    more = -motion.angle.size % _BLOCK
+    time, angle, commands = (np.pad(one, [(0, 0)] * (one.ndim - 1) + [(0, more)], mode="edge") for one in motion[:3])
+    return motion._replace(time=time, angle=angle, commands=commands)
+
+
+def _substeps(motions: Sequence[_Motion]) -> int:
+    return math.ceil(max(float(one.period) for one in motions) / _STEP)
+
+
+def _trajectory(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
+    """Angle [rad] at the samples, as the encoder reads it."""
+    plant, steps = model.plant, jnp.arange(motion.angle.shape[0])
+    plant = dataclasses.replace(plant, load=plant.load.with_weight(model.added * motion.added_mass, motion.distance))
+    at = steps - model.delay / motion.period  # between two samples: their mean over the period
+    command1, command2 = (jnp.interp(at, steps, one) for one in motion.commands)
+    first = plant.init_state(motion.angle[0] - model.zero, (command1[0], command2[0]))
+
+    def step(state: Any, commands: Any) -> tuple[Any, Array]:
+        return plant.advance(state, commands, motion.period, substeps), state.angle
+
+    return lax.scan(step, first, (command1, command2))[1] + model.zero
+
+
+@compiled
+def _angle(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
+    return _trajectory(model, motion, substeps)
+
+
+@compiled
+def _angles(problem: _Problem, zs: Any, motion: _Motion, substeps: Any) -> Array:
+    """Angles [rad], shape (parameter vectors, samples)."""
+    return jax.vmap(lambda z: _trajectory(_simulated_by(problem, z), motion, substeps))(zs)
+
+
+def _full(base: CalibrationProblem, z: Array) -> Array:
+    """The parameters of `corrected`: those of the load's mass and of load cells, which are not estimated here, 0.
+
+    Those of the friction's half widths are such that their logarithms are estimated.
+    """
+    count, prior = muscle_parameters(base), base.prior["friction"]
+    muscles = z[:count].reshape(-1, OF_MUSCLE)
+    muscles = muscles.at[:, _FRICTION].set(jnp.expm1(prior * muscles[:, _FRICTION]) / prior).ravel()
+    return jnp.concatenate([muscles, jnp.zeros(1), z[count : count + _SHARED], jnp.zeros(2)])
+
+
+@compiled
+def _full_and_slope(base: CalibrationProblem, z: Any) -> tuple[Array, Array]:
+    return _full(base, z), jax.jacfwd(lambda z: _full(base, z))(z)
+
+
+def _own_deviations(base: CalibrationProblem) -> Any:
+    return jnp.stack([jnp.asarray(base.prior[name]) for name in _OWN_PRIORS])
+
+
+def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
+    """The model by parameters in prior standard deviations from their prior mean."""
+    base, load = problem.base, problem.base.load
+    joint, _, added, zero, _ = corrected(base, _full(base, z))
+    factors = jnp.exp(_own_deviations(base) * z[-len(_OWN) :])
+    lag, rate, delay, damping, inertia, gravity = (median * factors[i] for i, median in enumerate(problem.medians))
+    load = dataclasses.replace(load, inertia=inertia, greatest_gravity_torque=gravity, damping=damping)
+    valve = dataclasses.replace(problem.valve, time_constant=lag, rate=rate)
+    return _Simulated(JointPlant(joint, load, valve), delay, zero, added)
+
+
+def _own_quantities(problem: _Problem, z: Floats, deviation: Floats) -> dict[str, JointEstimate]:
+    prior = np.asarray(_own_deviations(problem.base))
+    rows = zip(_OWN, _OWN_UNITS, problem.medians, prior, z[-len(_OWN) :], deviation[-len(_OWN) :], strict=True)
+    found = {}
+    for name, unit, median, wide, at, narrow in rows:
+        value = median * math.exp(wide * at)
+        if median:
+            found[name] = JointEstimate(value, abs(value) * wide * float(narrow), abs(value) * wide, unit)
+    return found
+
+
+def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Floats, float]:
+    """Estimates and covariance of the parameters, and the residual angle [rad]."""
+    muscles = muscle_parameters(problem.base)
+    count, substeps, variance = muscles + _SHARED + len(_OWN), _substeps(motions), _FIRST_VARIANCE
+    padded, sizes = list(map(_padded, motions)), [one.angle.size for one in motions]
+    measured = np.concatenate([one.angle for one in motions])
+    moves = np.vstack([np.zeros(count), _DIFFERENCE * np.eye(count)])
+
+    def linearised(z: Floats) -> tuple[Floats, Floats]:
+        """Errors of the angle [rad], and their difference quotients, shape (parameters, samples)."""
+        found = [np.asarray(_angles(problem, z + moves, one, substeps)) for one in padded]
+        angles = np.concatenate([one[:, :size] for one, size in zip(found, sizes, strict=True)], axis=1)
+        return angles[0] - measured, (angles[1:] - angles[0]) / _DIFFERENCE
+
+    def terms(z: Floats) -> tuple[float, Floats, Floats]:
+        """Objective, its gradient, and its second derivatives without those of the errors."""
+        error, slope = linearised(z)
+        if not (np.isfinite(error).all() and np.isfinite(slope).all()):
+            return math.inf, np.zeros(count), np.eye(count)
+        objective = float(error @ error / variance + z @ z) / 2
+        return objective, slope @ error / variance + z, slope @ slope.T / variance + np.eye(count)
+
+    def begun(strength: float) -> tuple[Floats, float]:
+        z = np.zeros(count)
+        z[:muscles] = start(problem.base, strength)[:muscles]
+        z[_OWN.index("valve.rate") - len(_OWN)] = _RATE_START
+        return minimised(terms, z, _FIRST)
+
+    z = min((begun(strength) for strength in STARTS), key=lambda found: found[1])[0]
+    if not math.isfinite(terms(z)[0]):
+        raise IdentificationError("the simulated joint diverges", remedy="give a model nearer to the joint")
+    error = np.zeros(0)
+    for _ in range(_STAGES):
+        z, _ = minimised(terms, z, _ITERATIONS)
+        error = linearised(z)[0]
+        variance = variance_of(np.split(error, np.cumsum(sizes)[:-1]))
+    covariance: Any = np.linalg.inv(terms(z)[2])
+    return z, covariance, float(np.sqrt(np.mean(error**2)))

@@ -1,0 +1,130 @@
+"""Identification from commanded pressures, of a simulated joint with known lag, delay, strengths and load."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from mckibben import catalog
+from mckibben.calibration import JointPrior, JointRecording, calibrate_from_commands, calibrate_joint
+from mckibben.errors import IdentificationError
+from mckibben.joint import AntagonisticJoint, GeneralLoad
+from mckibben.muscle import MaxwellSlip, scaled_law
+from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.units import bar, deg, ms
+
+PERIOD, DELAY, LAG = 10 * ms, 34 * ms, 80 * ms
+STRENGTHS = (0.9, 1.12)
+LOAD = GeneralLoad(inertia=0.02, greatest_gravity_torque=0.6, damping=0.05)
+VALVE = FirstOrderValve(50 * ms)
+FRICTION = MaxwellSlip(6.0, 0.4e-3)
+
+
+def model():
+    joint = catalog.joint("knee-table-2")
+    geometry = dataclasses.replace(joint.geometry, connector_length=0.208)
+    muscle = dataclasses.replace(joint.muscle1, friction=FRICTION)
+    return AntagonisticJoint(geometry, muscle, muscle)
+
+
+def commands(time, seed):
+    """Steps of both pressures, one every 1.2 s."""
+    levels = np.random.default_rng(seed).uniform(2.2, 4.2, (20, 2)) * bar
+    return levels[np.minimum((time / 1.2).astype(int), 19)]
+
+
+def recorded(seed, *, seconds=12.0):
+    """Angles of the true joint, computed at a fine step, at 100 Hz with noise and times that jitter."""
+    joint = model()
+    muscles = [
+        dataclasses.replace(one, law=scaled_law(one.law, by))
+        for one, by in zip((joint.muscle1, joint.muscle2), STRENGTHS, strict=True)
+    ]
+    joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
+    plant = JointPlant(joint, dataclasses.replace(LOAD, inertia=0.024), FirstOrderValve(LAG))
+    fine, every = 2 * ms, 5
+    time = np.arange(0.0, seconds, fine)
+    late = jnp.asarray(commands(np.maximum(time - DELAY, 0.0), seed))
+    first = plant.init_state(0.0, tuple(late[0]))
+
+    @jax.jit
+    def run(first, late):
+        return lax.scan(lambda s, c: (plant.advance(s, (c[0], c[1]), fine, 1), s.angle), first, late)[1]
+
+    angle = np.asarray(run(first, late))[::every]
+    at = time[::every]
+    noise = np.random.default_rng(seed).standard_normal(angle.size)
+    times = at + 0.5 * ms * np.sin(np.arange(at.size))
+    return JointRecording(times, angle + 0.05 * deg * noise, commands(at, seed), commanded=True)
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return [recorded(seed) for seed in (1, 2, 3)]
+
+
+@pytest.fixture(scope="module")
+def found(recordings):
+    return calibrate_from_commands(model(), LOAD, VALVE, recordings[:2], JointPrior(strength=0.2, offset=0.05))
+
+
+@pytest.mark.parametrize(("name", "true"), [("valve.time_constant", LAG), ("delay", DELAY)])
+def test_lag_and_delay_are_within_their_intervals(found, name, true):
+    one = found.quantities[name]
+    assert one.determined
+    assert abs(one.value - true) < 3 * one.deviation
+
+
+def test_what_has_one_scale_is_told_up_to_a_factor(found):
+    """Strengths, inertia and gravity grow together: their ratios are told."""
+    strength1, strength2, inertia, gravity = (
+        found.quantities[name] for name in ("muscle1.force", "muscle2.force", "load.inertia", "load.gravity_torque")
+    )
+    assert strength2.value / strength1.value == pytest.approx(STRENGTHS[1] / STRENGTHS[0], rel=0.05)
+    for one, true in ((strength1, 0.9), (strength2, 1.12), (inertia, 0.024), (gravity, 0.6)):
+        assert abs(one.value - true) < 3 * one.deviation
+
+
+def test_a_recording_that_was_held_out_is_simulated_better(found, recordings):
+    before, after = found.simulate(recordings[2]).errors
+    assert after < 0.2 * before
+    assert after < 0.3 * deg
+
+
+def test_rests_are_left_out(found, recordings):
+    one = recordings[2]
+    longer = dataclasses.replace(
+        one,
+        time=np.append(one.time, one.time[-1] + PERIOD * np.arange(1, 2001)),
+        angle=np.append(one.angle, np.full(2000, one.angle[-1])),
+        pressures=np.append(one.pressures, np.tile(one.pressures[-1], (2000, 1)), axis=0),
+    )
+    assert found.simulate(longer).time[-1] < one.time[-1] + 3.0
+
+
+@pytest.mark.parametrize(
+    ("change", "unit"),
+    [
+        (lambda one: {"pressures": np.tile(one.pressures[0], (one.time.size, 1))}, ""),
+        (lambda one: {"time": 8 * one.time}, "s"),
+        (lambda one: {"time": one.time + (one.time > 5.0)}, "s"),
+        (lambda one: {"angle": np.where(one.time > 5.0, np.nan, one.angle)}, ""),
+        (lambda one: {"commanded": False}, ""),
+    ],
+)
+def test_recordings_that_tell_nothing_are_refused(recordings, change, unit):
+    bad = dataclasses.replace(recordings[0], **change(recordings[0]))
+    with pytest.raises(IdentificationError) as caught:
+        calibrate_from_commands(model(), LOAD, VALVE, [bad])
+    assert caught.value.unit == unit
+    assert caught.value.remedy
+
+
+def test_commands_are_not_taken_for_measurements(recordings):
+    with pytest.raises(IdentificationError):
+        calibrate_joint(model(), LOAD, recordings)
+    with pytest.raises(IdentificationError):
+        calibrate_from_commands(model(), LOAD, VALVE, [])
