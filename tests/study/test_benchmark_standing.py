@@ -13,7 +13,8 @@ from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES
 from mckibben.storage.files import to_json
 from mckibben.study.benchmark import BenchmarkResult, Suite, draw
-from mckibben.study.benchmark.benchmark import statistics, write_table
+from mckibben.study.benchmark.benchmark import write_table
+from mckibben.study.benchmark.statistics import statistics
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import deg, litre
 
@@ -156,14 +157,17 @@ def test_a_controller_that_loses_everything(contest, numbers):
     assert np.isnan(turned["controllers"][THIRD]["ratio_to_first"]["angle_rmse_deg"]["low"])
 
 
-def test_medians_by_reference_and_joint(contest, numbers, columns):
+def test_errors_by_reference_and_joint(contest, numbers, columns):
     for key, groups in (("by_reference", contest.runs.reference_name), ("by_joint", contest.runs.joint)):
         found = numbers["controllers"][SECOND][key]
         assert list(found) == sorted(set(groups))
-        for group, medians in found.items():
+        for group, errors in found.items():
             rows = [i for i, g in enumerate(groups) if g == group and i not in (NOT_BEGUN, LOST_RUN)]
-            assert medians["angle_rmse_deg"] == pytest.approx(np.median(columns[SECOND]["angle_rmse"][rows]) / deg)
-            assert medians["stiffness_rmse"] == pytest.approx(np.median(columns[SECOND]["stiffness_rmse"][rows]))
+            for key_of, unit in (("angle_rmse", deg), ("stiffness_rmse", 1.0)):
+                values = columns[SECOND][key_of][rows] / unit
+                each = errors[f"{key_of}_deg" if unit == deg else key_of]
+                assert [each["median"], each["percentile_95"]] == pytest.approx(np.percentile(values, [50, 95]))
+                assert each["runs"] == len(rows)
         assert set(numbers["controllers"][THIRD][key][groups[0]].values()) == {None}
 
 

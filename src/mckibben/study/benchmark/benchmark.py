@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -21,12 +21,11 @@ from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.numerics.batching import lanes_of
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
-from mckibben.simulation.metrics import METRICS
 from mckibben.study.benchmark.runs import Group, Runs, draw, merged
+from mckibben.study.benchmark.statistics import MAIN, SHOWN, TRADED, air_of_first, front, statistics
 from mckibben.study.benchmark.suite import Suite, filename
 from mckibben.study.parameters import batched, valid_rows
 from mckibben.study.scenario import Scenario
-from mckibben.study.sweep.result import spearman
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Costs, Method, SearchSpace, Vector, by_cma, check_method
 from mckibben.study.tune.tune import Evaluated, Evaluator, Trial, TuningHistory
@@ -55,6 +54,9 @@ class BenchmarkResult:
         Results in the evaluation runs.
     trials
         Trials of the tuning, with the median metrics of the training runs where none of these diverged.
+    at_air
+        Evaluation at equal air: of each controller the trial of least angle error on its front with no more air than
+        the first has as tuned, both by the medians of the training runs. None if the first is not tuned.
     """
 
     suite: Suite
@@ -64,6 +66,7 @@ class BenchmarkResult:
     at_bound: dict[str, tuple[str, ...]]
     batches: dict[str, Batch]
     trials: dict[str, tuple[Trial, ...]] = field(default_factory=dict)
+    at_air: BenchmarkResult | None = None
 
     def __repr__(self) -> str:
         return f"<BenchmarkResult: {', '.join(self.batches)} on {self.runs.count} runs>"
@@ -73,10 +76,10 @@ class BenchmarkResult:
         rows = []
         for name in numbers["order"]:
             found = numbers["controllers"][name]
-            medians = [found["metrics"][_SHOWN[metric]] for metric in MAIN]
+            medians = [found["metrics"][SHOWN[metric]] for metric in MAIN]
             cells = ["-" if each is None else f"{each['median']:.3g}" for each in medians]
             rows.append((name, *cells, str(found["diverged"])))
-        return html_table(repr(self), ("controller", *(_SHOWN[metric] for metric in MAIN), "diverged"), rows)
+        return html_table(repr(self), ("controller", *(SHOWN[metric] for metric in MAIN), "diverged"), rows)
 
     @property
     def started(self) -> NDArray[np.bool_]:
@@ -130,7 +133,7 @@ def compare(
     training = draw(suite, suite.tuning.runs, suite.tuning.seed)
     evaluation = draw(suite, suite.evaluation.runs, suite.evaluation.seed)
     names = list(suite.controllers)
-    result = BenchmarkResult(suite, evaluation, {}, {}, {}, {})
+    result, at_air = (BenchmarkResult(suite, evaluation, {}, {}, {}, {}) for _ in range(2))
     for number, name in enumerate(names):
 
         def report(task: str, part: float, name: str = name, number: int = number) -> None:
@@ -143,13 +146,18 @@ def compare(
             task = ControllerTuning(suite, name, SearchSpace(swept), training)
             tuned = task.run(folder, resume, lambda part: report("tuning", _TUNING * part))
             result.tuned[name], result.training_cost[name], result.at_bound[name], result.trials[name] = tuned
+            limit = air_of_first(result)
+            for trial in [trial for trial, at in front(result.trials[name]) if at["air"] <= limit][-1:]:
+                at_air.tuned[name] = task.values(trial)
         report("evaluation runs", _TUNING)
-        result.batches[name] = evaluate(evaluation, name, result.tuned[name])
+        for each in (result, at_air):
+            if name in each.tuned:
+                each.batches[name] = evaluate(evaluation, name, each.tuned[name])
         if not _started(result.batches[name]).any():
             raise _none_starts("evaluation")
     if progress:
         progress("done", 1.0)
-    return result
+    return replace(result, at_air=at_air) if at_air.batches else result
 
 
 def evaluate(
@@ -262,10 +270,14 @@ class ControllerTuning:
                     f"{self.controller}: all {len(past.trials)} trials failed",
                     remedy="search other ranges, or begin with other gains",
                 )
-            rounded = space.rounded(space.values(np.array(best.point)[None])[0])
-            (cost,), (before,) = costs(space.point(rounded)[None]), costs(first[None])
-            values = dict(zip(space.names, rounded.tolist(), strict=True))
+            values = self.values(best)
+            (cost,), (before,) = costs(space.point(np.array(list(values.values())))[None]), costs(first[None])
             return values, (float(cost), float(before)), space.at_bound(best.point), tuple(past.trials)
+
+    def values(self, trial: Trial) -> dict[str, float]:
+        """Values [SI] of a trial by name, rounded to six digits."""
+        rounded = self.space.rounded(self.space.values(np.array(trial.point)[None])[0])
+        return dict(zip(self.space.names, rounded.tolist(), strict=True))
 
     def _search(self, costs: Costs, start: Vector, seed: int, progress: Callable[[float], None]) -> None:
         tuning, count = self.suite.tuning, start.size
@@ -341,31 +353,6 @@ def _simulated(suite: Suite, group: Group, controller: Controller, sets: int, me
     )
 
 
-MAIN = ("angle_rmse", "stiffness_rmse")
-"""Errors that are compared with those of the first controller."""
-TRADED = (*MAIN, "air")
-"""Metrics of each trial of the tuning."""
-_SAME_STIFFNESS = 1.1  # largest stiffness error on a front, relative to that of the tuned controller
-_RESAMPLES = 2000
-_MAX_RESAMPLED = 2_000_000  # values at once
-_SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
-_UNIT = {metric: unit for metric, _, unit in METRICS.values()}
-
-
-def statistics(result: BenchmarkResult) -> dict[str, Any]:
-    """Statistics of a benchmark, for JSON, in the units of results."""
-    names = list(result.batches)
-    median_cost = {name: float(np.median(result.cost(name))) for name in names}
-    return {
-        "suite": result.suite.name,
-        "cost": result.suite.tuning.cost,
-        "runs": result.runs.count,
-        "no_start": int((~result.started).sum()),
-        "order": sorted(names, key=lambda name: median_cost[name]),
-        "controllers": {name: _controller_statistics(result, name, median_cost[name]) for name in names},
-    }
-
-
 def table_of(result: BenchmarkResult) -> xr.Dataset:
     """All runs along ``controller`` and ``run``: metrics and outcomes; along ``run`` their conditions."""
     import xarray as xr
@@ -412,88 +399,3 @@ def read_runs(path: Path) -> tuple[Suite, dict[str, dict[str, float]], int]:
         remedy = "run the comparison again in another folder"
         raise FileError(str(path), [Problem("it is no result of a comparison", remedy=remedy)]) from None
     return Suite.parse(suite, source=str(path), folder=path.parent), tuned, count
-
-
-def _controller_statistics(result: BenchmarkResult, name: str, median_cost: float) -> dict[str, Any]:
-    first = next(iter(result.batches))
-    references, joints = (np.array(each)[result.started] for each in (result.runs.reference_name, result.runs.joint))
-    errors = {metric: result.metric(name, metric) for metric in MAIN}
-    cost = result.training_cost.get(name)
-    stepped = np.isfinite(result.metric(name, "coupling"))
-    settled = stepped & np.isfinite(result.metric(name, "stiffness_settling"))
-    return {
-        "diverged": int(result.diverged(name).sum()),
-        "median_cost": median_cost,
-        "metrics": {
-            _SHOWN[metric]: _percentiles(result.metric(name, metric), _UNIT[metric]) for metric in Metrics._fields
-        },
-        "settled": {"runs": int(settled.sum()), "of": int(stepped.sum())},
-        "ratio_to_first": {_SHOWN[metric]: _ratio(errors[metric], result.metric(first, metric)) for metric in MAIN},
-        "by_reference": _medians_by(references, errors),
-        "by_joint": _medians_by(joints, errors),
-        "correlations": {
-            condition: {_SHOWN[metric]: _correlation(values[result.started], errors[metric]) for metric in MAIN}
-            for condition, values in result.runs.conditions.items()
-            if condition != "sensors.seed"
-        },
-        "tuned": result.tuned[name],
-        "training_cost": None if cost is None else {"tuned": cost[0], "before": cost[1]},
-        "at_bound": list(result.at_bound[name]),
-        "front": _front(result.trials.get(name, ())),
-    }
-
-
-def _front(trials: Sequence[Trial]) -> list[dict[str, float]]:
-    """Trials of which none has less air and less angle error, by rising air; with the stiffness error of the best."""
-    known = [trial for trial in trials if trial.metrics]
-    best = min(known, key=lambda trial: trial.cost, default=None)
-    if best is None or best.metrics is None:
-        return []
-    limit = _SAME_STIFFNESS * best.metrics["stiffness_rmse"]
-    found: list[dict[str, float]] = []
-    for at in sorted((trial.metrics or {} for trial in known), key=lambda at: (at["air"], at["angle_rmse"])):
-        if at["stiffness_rmse"] <= limit and (not found or at["angle_rmse"] < found[-1]["angle_rmse"]):
-            found.append(at)
-    return [{_SHOWN[metric]: at[metric] / _UNIT[metric] for metric in TRADED} for at in found]
-
-
-def _percentiles(values: NDArray[np.float64], unit: float) -> dict[str, Any] | None:
-    values = values[np.isfinite(values)] / unit
-    if not values.size:
-        return None
-    median, high = np.percentile(values, [50, 95])
-    return {"median": float(median), "percentile_95": float(high), "runs": int(values.size)}
-
-
-def _ratio(values: NDArray[np.float64], first: NDArray[np.float64]) -> dict[str, float]:
-    """Ratio of the medians, with infinite errors in diverged runs, and its bootstrap interval."""
-    values, first = (np.where(np.isfinite(each), each, np.inf) for each in (values, first))
-    generator, ratios = np.random.default_rng(0), np.empty(0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.median(values) / np.median(first)
-        while ratios.size < _RESAMPLES:
-            some = min(_RESAMPLES - ratios.size, max(_MAX_RESAMPLED // values.size, 1))
-            rows = generator.integers(0, values.size, (some, values.size))
-            found = np.median(values[rows], axis=1) / np.median(first[rows], axis=1)
-            ratios = np.append(ratios, found)
-    ratios = ratios[~np.isnan(ratios)]  # of two infinite medians
-    low, high = np.percentile(ratios, [2.5, 97.5], method="nearest") if ratios.size else (np.nan, np.nan)
-    return {"ratio": float(ratio), "low": float(low), "high": float(high)}
-
-
-def _medians_by(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) -> dict[str, dict[str, float | None]]:
-    def median(values: NDArray[np.float64]) -> float | None:
-        values = values[np.isfinite(values)]
-        return float(np.median(values)) if values.size else None
-
-    found = {}
-    for group in dict.fromkeys(groups.tolist()):
-        chosen = {metric: median(values[groups == group]) for metric, values in errors.items()}
-        found[group] = {_SHOWN[m]: None if v is None else v / _UNIT[m] for m, v in chosen.items()}
-    return dict(sorted(found.items()))
-
-
-def _correlation(condition: NDArray[Any], error: NDArray[np.float64]) -> float | None:
-    """Rank correlation, with infinite errors in diverged runs."""
-    found = spearman(condition, np.where(np.isfinite(error), error, np.inf))
-    return float(found) if np.isfinite(found) else None
