@@ -1,6 +1,7 @@
 """A contest in numbers, against NumPy and SciPy on runs whose numbers are made by hand."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from mckibben.study.benchmark import BenchmarkResult, Suite, draw
 from mckibben.study.benchmark.benchmark import write_table
 from mckibben.study.benchmark.statistics import statistics
 from mckibben.study.tune.objective import FAILED_COST
+from mckibben.study.tune.tune import Trial
 from mckibben.units import deg, litre
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -132,6 +134,16 @@ def test_ratios_of_medians(numbers, columns):
         assert [found["low"], found["high"]] == pytest.approx([expected.low, expected.high], rel=0.15)
     same = numbers["controllers"][FIRST]["ratio_to_first"]["angle_rmse_deg"]
     assert same == {"ratio": 1.0, "low": 1.0, "high": 1.0}
+
+
+def test_at_equal_air_ratios_are_to_the_first_as_tuned(contest, numbers):
+    at_air = replace(contest, batches={FIRST: contest.batches[SECOND]})
+    trial = Trial((0.5,), 1.0, metrics={"air": 0.2 * litre, "angle_rmse": deg, "stiffness_rmse": 1.0})
+    found = statistics(replace(contest, at_air=at_air, trials={FIRST: (trial,)}))["at_air_of_first"]
+    assert found["air_L"] == pytest.approx(0.2)
+    for key in ("metrics", "diverged", "ratio_to_first", "by_reference"):
+        assert found["controllers"][FIRST][key] == numbers["controllers"][SECOND][key]
+    assert numbers["at_air_of_first"] is None
 
 
 def test_runs_are_resampled_in_pairs(contest, columns):

@@ -144,7 +144,7 @@ def _tables(numbers: dict[str, Any]) -> None:
     )
     if at_air := numbers["at_air_of_first"]:
         table(
-            f"medians at no more air than {first} ({metric('air_L', at_air['air_L'])} L in the training runs)",
+            f"at no more air than {first} as tuned ({metric('air_L', at_air['air_L'])} L in the training runs)",
             ("controller", "angle rmse, deg", "95 %", f"x {first}", "95 % interval", "air, L", "diverged"),
             [
                 (

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,16 @@ from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.numerics.batching import lanes_of
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
 from mckibben.study.benchmark.runs import Group, Runs, draw, merged
-from mckibben.study.benchmark.statistics import MAIN, SHOWN, TRADED, air_of_first, front, statistics
+from mckibben.study.benchmark.statistics import (
+    MAIN,
+    SHOWN,
+    TRADED,
+    air_of,
+    front,
+    statistics,
+    stiffness_limit,
+    trial_at_air,
+)
 from mckibben.study.benchmark.suite import Suite, filename
 from mckibben.study.parameters import batched, valid_rows
 from mckibben.study.scenario import Scenario
@@ -34,6 +43,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _TUNING = 0.98  # share of the time of a controller
+_PENALTY = 10.0  # relative, of the angle error for an air or a stiffness error that is relatively too large
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -88,7 +98,10 @@ class BenchmarkResult:
 
     def metric(self, controller: str, name: str) -> Vector:
         """A metric [SI] of each run that started; NaN where the run diverged."""
-        batch = self.batches[controller]
+        return self.of(self.batches[controller], name)
+
+    def of(self, batch: Batch, name: str) -> Vector:
+        """A metric [SI] in the results of a controller."""
         return np.where(batch.failed, np.nan, batch.metrics[name])[self.started]
 
     def diverged(self, controller: str) -> NDArray[np.bool_]:
@@ -143,11 +156,12 @@ def compare(
         swept = suite.tuned_over(name)
         result.tuned[name], result.at_bound[name] = {}, ()
         if swept:
-            task = ControllerTuning(suite, name, SearchSpace(swept), training)
+            air = None if number == 0 else air_of(result.trials.get(names[0], ()))
+            task = ControllerTuning(suite, name, SearchSpace(swept), training, air)
             tuned = task.run(folder, resume, lambda part: report("tuning", _TUNING * part))
             result.tuned[name], result.training_cost[name], result.at_bound[name], result.trials[name] = tuned
-            limit = air_of_first(result)
-            for trial in [trial for trial, at in front(result.trials[name]) if at["air"] <= limit][-1:]:
+            trial = trial_at_air(result.trials[name], air_of(result.trials.get(names[0], ())))
+            if trial is not None:
                 at_air.tuned[name] = task.values(trial)
         report("evaluation runs", _TUNING)
         for each in (result, at_air):
@@ -182,12 +196,17 @@ def _none_starts(runs: str) -> ParameterError:
 
 @dataclass(frozen=True, eq=False)
 class ControllerTuning:
-    """Tuning of one controller of a suite on training runs."""
+    """Tuning of one controller of a suite on training runs.
+
+    After the searches for the least cost there is one for the least angle error at an air [m^3], both medians; at that
+    of the best trial so far if it is None.
+    """
 
     suite: Suite
     controller: str
     space: SearchSpace
     runs: Runs
+    air: float | None = None
 
     @cached_property
     def _scenario(self) -> Scenario:
@@ -258,12 +277,30 @@ class ControllerTuning:
             costs(first[None])
             starts = np.random.default_rng(tuning.seed).random((self._starts, len(space)))
             starts[0] = first
+            searched: list[Trial] = []  # by the cost: in a history that is continued there may be others
+
+            def trials(points: Vector) -> list[Trial]:
+                costs(points)
+                return [trial for point in points if (trial := past.find(point)) is not None]
+
+            def searched_costs(points: Vector) -> Vector:
+                searched.extend(trials(points))
+                return costs(points)
+
+            def report(part: float, number: int) -> None:
+                progress((number + part) / (self._starts + 1))
+
             for number, start in enumerate(starts):
-
-                def report(part: float, number: int = number) -> None:
-                    progress((number + part) / self._starts)
-
-                self._search(costs, start, tuning.seed + number, report)
+                self._search(searched_costs, start, tuning.seed + number, partial(report, number=number))
+            air, stiffness = air_of(searched) if self.air is None else self.air, stiffness_limit(searched)
+            if np.isfinite(air) and (found := front(searched)):
+                begin = trial_at_air(searched, air) or found[0][0]
+                self._search(
+                    lambda points: np.array([_error_at_air(trial, air, stiffness) for trial in trials(points)]),
+                    np.array(begin.point),
+                    tuning.seed + self._starts,
+                    partial(report, number=self._starts),
+                )
             best = past.best
             if best.cost >= FAILED_COST:
                 raise ParameterError(
@@ -289,6 +326,14 @@ class ControllerTuning:
             generations=tuning.generations,
             progress=progress,
         )
+
+
+def _error_at_air(trial: Trial, air: float, stiffness: float) -> float:
+    """Angle error [rad] of a trial, raised by what exceeds an air [m^3] and a stiffness error [N*m/rad]."""
+    if trial.metrics is None:
+        return FAILED_COST
+    excess = max(trial.metrics["air"] / air - 1, 0) + max(trial.metrics["stiffness_rmse"] / stiffness - 1, 0)
+    return trial.metrics["angle_rmse"] * (1 + _PENALTY * excess)
 
 
 def _controller(runs: Runs, group: Group, controller: str, table: dict[str, Any], sets: int) -> Controller:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.simulation import Metrics
+from mckibben.simulation import Batch, Metrics
 from mckibben.simulation.metrics import METRICS
 from mckibben.study.sweep.result import spearman
 from mckibben.study.tune.tune import Trial
@@ -45,20 +45,20 @@ def statistics(result: BenchmarkResult) -> dict[str, Any]:
 def _at_air(result: BenchmarkResult) -> dict[str, Any] | None:
     if (at_air := result.at_air) is None:
         return None
-    errors = {name: _errors(at_air, name) for name in at_air.batches}
-    return {"air_L": air_of_first(result) / _UNIT["air"], "controllers": errors}
-
-
-def _errors(result: BenchmarkResult, name: str) -> dict[str, Any]:
-    """Metrics and diverged runs of a controller, also by reference and joint, and its ratios to the first."""
     first = next(iter(result.batches))
+    errors = {name: _errors(at_air, name, result.batches[first]) for name in at_air.batches}
+    return {"air_L": air_of(result.trials[first]) / _UNIT["air"], "controllers": errors}
+
+
+def _errors(result: BenchmarkResult, name: str, first: Batch) -> dict[str, Any]:
+    """Metrics and diverged runs of a controller, also by reference and joint, and its ratios to the first."""
     errors = {metric: result.metric(name, metric) for metric in MAIN}
     return {
         "diverged": int(result.diverged(name).sum()),
         "metrics": {
             SHOWN[metric]: _percentiles(result.metric(name, metric), _UNIT[metric]) for metric in Metrics._fields
         },
-        "ratio_to_first": {SHOWN[metric]: _ratio(errors[metric], result.metric(first, metric)) for metric in MAIN},
+        "ratio_to_first": {SHOWN[metric]: _ratio(errors[metric], result.of(first, metric)) for metric in MAIN},
         "by_reference": _by_group(np.array(result.runs.reference_name)[result.started], errors),
         "by_joint": _by_group(np.array(result.runs.joint)[result.started], errors),
         "tuned": result.tuned[name],
@@ -70,7 +70,7 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
     stepped = np.isfinite(result.metric(name, "coupling"))
     settled = stepped & np.isfinite(result.metric(name, "stiffness_settling"))
     return {
-        **_errors(result, name),
+        **_errors(result, name, next(iter(result.batches.values()))),
         "median_cost": median_cost,
         "settled": {"runs": int(settled.sum()), "of": int(stepped.sum())},
         "correlations": {
@@ -95,7 +95,7 @@ def front(trials: Sequence[Trial]) -> list[tuple[Trial, dict[str, float]]]:
     Only those without diverged run, and with a stiffness error of at most 1.1 times that of the best.
     """
     known = [(trial, trial.metrics) for trial in trials if trial.metrics]
-    limit = _SAME_STIFFNESS * _best(trials).get("stiffness_rmse", np.inf)
+    limit = stiffness_limit(trials)
     found: list[tuple[Trial, dict[str, float]]] = []
     for trial, at in sorted(known, key=lambda one: (one[1]["air"], one[1]["angle_rmse"])):
         if at["stiffness_rmse"] <= limit and (not found or at["angle_rmse"] < found[-1][1]["angle_rmse"]):
@@ -103,9 +103,19 @@ def front(trials: Sequence[Trial]) -> list[tuple[Trial, dict[str, float]]]:
     return found
 
 
-def air_of_first(result: BenchmarkResult) -> float:
-    """Air [m^3] of the first controller as it is tuned, median of the training runs; NaN if it is not tuned."""
-    return _best(result.trials.get(next(iter(result.suite.controllers)), ())).get("air", np.nan)
+def stiffness_limit(trials: Sequence[Trial]) -> float:
+    """Largest stiffness error [N*m/rad] on the front: 1.1 times that of the best trial."""
+    return _SAME_STIFFNESS * _best(trials).get("stiffness_rmse", np.inf)
+
+
+def air_of(trials: Sequence[Trial]) -> float:
+    """Air [m^3] of the trial of least cost, median of the training runs; NaN if it is not known."""
+    return _best(trials).get("air", np.nan)
+
+
+def trial_at_air(trials: Sequence[Trial], air: float) -> Trial | None:
+    """Trial of least angle error on the front with at most this air [m^3], if there is one."""
+    return next((trial for trial, at in reversed(front(trials)) if at["air"] <= air), None)
 
 
 def _best(trials: Sequence[Trial]) -> dict[str, float]:
