@@ -111,7 +111,9 @@ def main():
         nominal,
         {
             "controller.decoupling.poles.bandwidth": 60.0,
+            "controller.decoupling.poles.damping": 3.0,
             "controller.decoupling.disturbance_observer.bandwidth": 100.0,
+            "controller.decoupling.disturbance_observer.damping": 3.0,
             "controller.decoupling.pressure_observer.bandwidth": 100.0,
         },
     )

@@ -12,7 +12,7 @@ from mckibben import report
 from mckibben.cli.options import metric
 from mckibben.storage.files import json_ready
 from mckibben.study.benchmark import Suite
-from mckibben.study.benchmark.benchmark import statistics
+from mckibben.study.benchmark.statistics import statistics
 from mckibben.study.scenario import Scenario
 from mckibben.study.tune import read_trials
 from mckibben.study.tune.tune import TuningHistory
@@ -72,11 +72,14 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
         assert scenario.start.angle == pytest.approx(np.deg2rad(5.0)), "at the first angle of its reference"
     for name, each in numbers["controllers"].items():
         medians = [metric(key, each["metrics"][key]["median"]) for key in ("angle_rmse_deg", "stiffness_rmse")]
-        (row,) = re.findall(rf"^\W*{name} .* [0-9]+\W*$", found.out, re.M)
+        row, *_ = re.findall(rf"^\W*{name} .* [0-9]+\W*$", found.out, re.M)
         assert [row.split(name)[1].split()[0], row.split(name)[1].split()[2]] == medians
     assert f"{16 - numbers['no_start']} unseen runs" in found.out
     assert f"{numbers['no_start']} runs were infeasible" in found.out
     assert "medians against PID 3" in found.out
+    at_air = numbers["at_air_of_first"]
+    assert f"no more air than PID 3 as tuned ({metric('air_L', at_air['air_L'])} L" in found.out
+    assert list(at_air["controllers"]) == ["PID 3"], "the other is not tuned"
 
     with xr.open_dataset(kept / "runs.nc") as runs:
         assert runs.sizes == {"controller": 2, "run": 16}
@@ -125,7 +128,7 @@ def test_json_fewer_runs_and_a_quick_look(cli, written, tmp_path):
     assert "wrote results.json" in found.err
     kept = Suite.read(tmp_path / "kept" / "suite.yaml")
     assert (kept.evaluation.runs, kept.tuning.generations, kept.tuning.starts) == (20, 2, 1)
-    assert 8 <= len(read_trials(tmp_path / "kept" / "tuning" / "pid-3.journal")) <= 9
+    assert 16 <= len(read_trials(tmp_path / "kept" / "tuning" / "pid-3.journal")) <= 18
     alone = cli("compare", "suite.yaml", "--out", "kept", "--repeat", "as it is 19")  # without the options again
     assert alone.code == 0
     reference = xr.load_dataset(tmp_path / "kept" / "runs.nc")["reference"].to_numpy()[19]

@@ -290,7 +290,10 @@ def test_sliding_mode_is_bounded_outside_its_layer_and_linear_inside():
         SlidingMode(reach=0.0)
 
 
-@pytest.mark.parametrize(("law", "ratio"), [(PolePlacement(30.0), 9), (SlidingMode(30.0, 80.0), 12)])
+@pytest.mark.parametrize(
+    ("law", "ratio"),
+    [(PolePlacement(30.0), 9), (PolePlacement(30.0, damping=2.0), 4), (SlidingMode(30.0, 80.0), 12)],
+)
 def test_the_feedback_is_stable_up_to_so_many_times_the_lag(law, ratio):
     step = law.step(law.init(0.0), 1e-6, 0.0, PERIOD), law.step(law.init(0.0), 0.0, 1e-6, PERIOD)
     by_error, by_rate = (float(acceleration) / 1e-6 for _, acceleration in step)
@@ -299,12 +302,22 @@ def test_the_feedback_is_stable_up_to_so_many_times_the_lag(law, ratio):
 
 
 @pytest.mark.parametrize("integral", [False, True])
-def test_poles_lie_where_they_are_placed(integral):
-    law = PolePlacement(30.0, integral=integral)
+@pytest.mark.parametrize("damping", [2.0, 2.5, 3.0])
+def test_poles_lie_where_they_are_placed(integral, damping):
+    """Poles of the dynamics of the error: a pair of the damping (d - 1)/2, and real ones, all at the bandwidth."""
+    law = PolePlacement(30.0, integral=integral, damping=damping)
     by_error, by_rate = float(law.step(0.0, 1.0, 0.0, 1e-9)[1]), float(law.step(0.0, 0.0, 1.0, 1e-9)[1])
     by_integral = float(law.step(0.0, 1.0, 0.0, 1.0)[0])
     polynomial = [law.lag, 1.0, by_rate, by_error, *([by_integral] if integral else [])]
-    np.testing.assert_allclose(np.divide(polynomial, law.lag), np.poly([-30.0] * (len(polynomial) - 1)), rtol=1e-6)
+    real = [-30.0] * (len(polynomial) - 3)
+    expected = np.polymul(np.poly(real), [1.0, (damping - 1) * 30.0, 30.0**2])
+    np.testing.assert_allclose(np.divide(polynomial, law.lag), expected, rtol=1e-6)
+
+
+def test_a_damping_outside_its_range_is_refused():
+    with pytest.raises(RangeError) as caught:
+        PolePlacement(damping=3.5)
+    assert (caught.value.field, caught.value.value) == ("damping", 3.5)
 
 
 def test_arguments_that_are_swapped_are_named(knee, load):

@@ -24,7 +24,7 @@ from mckibben.report.tables import number
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.result import OUTCOMES
 from mckibben.study.benchmark import BenchmarkResult, Suite, draw
-from mckibben.study.benchmark.benchmark import statistics
+from mckibben.study.benchmark.statistics import statistics
 from mckibben.study.tune.tune import Trial
 from mckibben.units import deg
 
@@ -66,7 +66,9 @@ def made(lost=None):
     costs = {"PID 3": (1.25, 20.5), "decoupling": (0.5, 0.6)}
     metrics = [{"air": air * 1e-3, "angle_rmse": 1 / air * deg, "stiffness_rmse": 0.6} for air in (10.0, 20.0, 40.0)]
     tried = {name: tuple(Trial((at["air"],), 1.0, metrics=at) for at in metrics) for name in ("PID 3", "decoupling")}
-    return BenchmarkResult(suite, runs, tuned, costs, dict.fromkeys(batches, ()), batches, tried)
+    at_bound = dict.fromkeys(batches, ())
+    at_air = BenchmarkResult(suite, runs, tuned, {}, {}, {name: batches[name] for name in tried})
+    return BenchmarkResult(suite, runs, tuned, costs, at_bound, batches, tried, at_air)
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +103,7 @@ def test_the_page_is_complete_and_needs_nothing_else(kept, text):
         assert tag not in ("script", "link", "iframe", "object")
         assert attributes.get("src", "data:image/").startswith("data:image/")
     assert "url(" not in text
-    assert len([tag for tag, _ in page.tags if tag == "table"]) == 6
+    assert len([tag for tag, _ in page.tags if tag == "table"]) == 8
     assert not list(kept.parent.glob(".*"))
 
 
@@ -138,6 +140,8 @@ def test_its_words_and_numbers(text, numbers, result):
         assert f"{name} {ripple} {estimate}" in words
     ratio = numbers["controllers"]["decoupling"]["ratio_to_first"]["angle_rmse_deg"]
     assert f"{number(ratio['ratio'])} ({number(ratio['low'])} to {number(ratio['high'])})" in words
+    (found,) = re.findall(r"At the air of PID 3.* no more than 10.0 L.*? decoupling 0 (\S+)", words)
+    assert found == number(numbers["controllers"]["decoupling"]["metrics"]["angle_rmse_deg"]["median"])
     assert "as it is not tuned" in words
     assert "cost 20.5 before, 1.25 tuned" in words
     assert "position.kp 1.2 bar/rad" in words

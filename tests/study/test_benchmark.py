@@ -9,7 +9,8 @@ import pytest
 from mckibben.errors import FileError, ParameterError
 from mckibben.simulation import Metrics
 from mckibben.study.benchmark import BenchmarkResult, Suite, benchmark, compare, draw, evaluate
-from mckibben.study.benchmark.benchmark import _controller
+from mckibben.study.benchmark.benchmark import _controller, _error_at_air
+from mckibben.study.benchmark.statistics import front, statistics
 from mckibben.study.scenario import Scenario
 from mckibben.study.scenario.building import run_scenario
 from mckibben.study.tune import read_trials
@@ -178,10 +179,32 @@ class TestTuning:
         assert contest.at_bound["PID 3"] == (KP,)
         assert contest.tuned["PID 3"][KP] == pytest.approx(1.3e5, rel=0.01)
 
+    def test_at_equal_air_each_has_its_trial_of_least_error(self, suite, contest, kept):
+        """By the medians of the training runs, of trials in which no run diverged, on the evaluation runs."""
+        tried = {name: trials(kept, path) for name, path in (("PID 3", "pid-3"), ("decoupling", "decoupling"))}
+        limit = min(tried["PID 3"], key=lambda trial: trial.cost).metrics["air"]
+        for name, each in tried.items():
+            best = min(each, key=lambda trial: trial.cost).metrics
+            known = [t.metrics for t in each if t.metrics and t.metrics["air"] <= limit]
+            known = [at for at in known if at["stiffness_rmse"] <= 1.1 * best["stiffness_rmse"]]
+            assert (name in contest.at_air.batches) == (len(known) > 0)
+            if known:
+                alone = evaluate(contest.runs, name, contest.at_air.tuned[name])
+                assert np.array_equal(contest.at_air.metric(name, "air"), alone.metrics["air"][contest.started])
+        chosen = min(
+            (t.metrics for t in tried["PID 3"] if t.metrics), key=lambda at: (at["air"] > limit, at["angle_rmse"])
+        )
+        assert contest.at_air.tuned["PID 3"][KP] == pytest.approx(chosen["air"] / 1e-4 * 3e5, rel=1e-5)
+        assert "as it is" not in contest.at_air.tuned
+        numbers = statistics(contest)["at_air_of_first"]
+        assert numbers["air_L"] == pytest.approx(limit * 1e3)
+        assert list(numbers["controllers"]) == list(contest.at_air.batches)
+        assert numbers["controllers"]["PID 3"]["ratio_to_first"]["angle_rmse_deg"]["ratio"] == 1.0
+
     def test_all_have_the_same_budget_and_untuned_ones_none(self, contest, kept):
         counts = {path.stem: len(trials(kept, path.stem)) for path in kept.glob("*.journal")}
         assert set(counts) == {"pid-3", "decoupling"}
-        assert all(16 <= count <= 17 for count in counts.values()), counts  # and one more for the rounded numbers
+        assert all(24 <= count <= 26 for count in counts.values()), counts  # two searches and that at equal air
         assert contest.tuned["as it is"] == {}
         assert "as it is" not in contest.training_cost
         batch = contest.batches["as it is"]
@@ -210,8 +233,8 @@ class TestTuning:
     def test_a_search_repeats_itself_and_is_taken_up(self, suite, contest, kept, tmp_path):
         whole = {path.name: path.read_bytes() for path in kept.glob("*.journal")}
         content = whole["pid-3.journal"]
-        (tmp_path / "pid-3.journal").write_bytes(content[: len(content) // 2])
-        for _ in range(2):
+        for share in (0.5, 0.9, 1.0):  # 0.9: in the search at equal air
+            (tmp_path / "pid-3.journal").write_bytes(content[: int(share * len(content))])
             again = compare(suite, folder=tmp_path, resume=True)
             assert {path.name: path.read_bytes() for path in tmp_path.glob("*.journal")} == whole
             assert again.tuned == contest.tuned
@@ -295,10 +318,20 @@ def test_a_front_has_the_trials_with_the_least_error_for_their_air():
     best = trial(1.0, 0.3, 0.2)
     beside = [trial(2.0, 0.2, 0.4), trial(3.0, 0.1, 0.9), trial(4.0, 0.4, 0.3), trial(5.0, 0.25, 0.5)]
     stiff, diverged = trial(6.0, 0.05, 0.1, stiffness=1.2), Trial((7.0,), FAILED_COST)
-    front = benchmark._front([diverged, *beside, best, stiff])
-    assert [each["air_L"] for each in front] == pytest.approx([0.1, 0.2, 0.3])
-    assert [each["angle_rmse_deg"] for each in front] == pytest.approx([0.9, 0.4, 0.2])
-    assert benchmark._front([diverged]) == []
+    found = front([diverged, *beside, best, stiff])
+    assert [trial for trial, _ in found] == [beside[1], beside[0], best]
+    assert [at["air"] for _, at in found] == pytest.approx([1e-4, 2e-4, 3e-4])
+    assert front([diverged]) == []
+
+
+def test_too_much_air_or_stiffness_error_raises_the_error_that_is_searched():
+    def error(air, stiffness):
+        metrics = {"air": air, "angle_rmse": 0.01, "stiffness_rmse": stiffness}
+        return _error_at_air(Trial((0.5,), 1.0, metrics=metrics), 2e-4, 0.5)
+
+    assert error(2e-4, 0.5) == error(1e-4, 0.1) == 0.01
+    assert error(2.2e-4, 0.5) == error(2e-4, 0.55) == pytest.approx(0.02)
+    assert _error_at_air(Trial((0.5,), FAILED_COST), 2e-4, 0.5) == FAILED_COST
 
 
 def test_sets_of_numbers_lie_one_after_the_other(suite):

@@ -1,6 +1,7 @@
 """A contest in numbers, against NumPy and SciPy on runs whose numbers are made by hand."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,10 @@ from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.result import OUTCOMES
 from mckibben.storage.files import to_json
 from mckibben.study.benchmark import BenchmarkResult, Suite, draw
-from mckibben.study.benchmark.benchmark import statistics, write_table
+from mckibben.study.benchmark.benchmark import write_table
+from mckibben.study.benchmark.statistics import statistics
 from mckibben.study.tune.objective import FAILED_COST
+from mckibben.study.tune.tune import Trial
 from mckibben.units import deg, litre
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -133,6 +136,16 @@ def test_ratios_of_medians(numbers, columns):
     assert same == {"ratio": 1.0, "low": 1.0, "high": 1.0}
 
 
+def test_at_equal_air_ratios_are_to_the_first_as_tuned(contest, numbers):
+    at_air = replace(contest, batches={FIRST: contest.batches[SECOND]})
+    trial = Trial((0.5,), 1.0, metrics={"air": 0.2 * litre, "angle_rmse": deg, "stiffness_rmse": 1.0})
+    found = statistics(replace(contest, at_air=at_air, trials={FIRST: (trial,)}))["at_air_of_first"]
+    assert found["air_L"] == pytest.approx(0.2)
+    for key in ("metrics", "diverged", "ratio_to_first", "by_reference"):
+        assert found["controllers"][FIRST][key] == numbers["controllers"][SECOND][key]
+    assert numbers["at_air_of_first"] is None
+
+
 def test_runs_are_resampled_in_pairs(contest, columns):
     """The errors of the angle are in one ratio in every run: whatever is drawn, their medians are too."""
     spread = begun(columns[FIRST]["angle_rmse"])
@@ -156,14 +169,17 @@ def test_a_controller_that_loses_everything(contest, numbers):
     assert np.isnan(turned["controllers"][THIRD]["ratio_to_first"]["angle_rmse_deg"]["low"])
 
 
-def test_medians_by_reference_and_joint(contest, numbers, columns):
+def test_errors_by_reference_and_joint(contest, numbers, columns):
     for key, groups in (("by_reference", contest.runs.reference_name), ("by_joint", contest.runs.joint)):
         found = numbers["controllers"][SECOND][key]
         assert list(found) == sorted(set(groups))
-        for group, medians in found.items():
+        for group, errors in found.items():
             rows = [i for i, g in enumerate(groups) if g == group and i not in (NOT_BEGUN, LOST_RUN)]
-            assert medians["angle_rmse_deg"] == pytest.approx(np.median(columns[SECOND]["angle_rmse"][rows]) / deg)
-            assert medians["stiffness_rmse"] == pytest.approx(np.median(columns[SECOND]["stiffness_rmse"][rows]))
+            for key_of, unit in (("angle_rmse", deg), ("stiffness_rmse", 1.0)):
+                values = columns[SECOND][key_of][rows] / unit
+                each = errors[f"{key_of}_deg" if unit == deg else key_of]
+                assert [each["median"], each["percentile_95"]] == pytest.approx(np.percentile(values, [50, 95]))
+                assert each["runs"] == len(rows)
         assert set(numbers["controllers"][THIRD][key][groups[0]].values()) == {None}
 
 

@@ -86,6 +86,7 @@ def test_all_its_numbers_can_be_varied_and_have_a_value():
         assert len(mine) >= 4
         assert all(a.nominal is not None for a in mine), mine
     assert find_parameter(scenario(), "controller.decoupling.minimum_tension").nominal == 5.0
+    assert find_parameter(scenario(), "controller.decoupling.poles.damping").nominal == 3.0
     assert find_parameter(scenario(), "controller.decoupling.valve_time_constant").nominal == 0.02
     assert find_parameter(scenario(FULL), "controller.decoupling.load.mass2").nominal == 0.6
     many = batched(scenario(FULL), {"controller.decoupling.load.mass2": [0.4, 0.5], "load.mass2": [0.5, 0.5]})

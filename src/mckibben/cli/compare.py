@@ -100,7 +100,8 @@ def _alone(out: Path, repeat: str) -> str:
 
 def _show(result: BenchmarkResult, out: Path, json: bool) -> None:
     from mckibben import report
-    from mckibben.study.benchmark.benchmark import statistics, write_table
+    from mckibben.study.benchmark.benchmark import write_table
+    from mckibben.study.benchmark.statistics import statistics
 
     numbers = statistics(result)
     with keeping(out, "make room, and continue with --resume"):
@@ -123,15 +124,15 @@ def _show(result: BenchmarkResult, out: Path, json: bool) -> None:
 def _tables(numbers: dict[str, Any]) -> None:
     found = numbers["controllers"]
 
-    def cell(name: str, key: str, what: str) -> str:
-        spread = found[name]["metrics"][key]
+    def cell(each: dict[str, Any], key: str, what: str) -> str:
+        spread = each["metrics"][key]
         return "-" if spread is None else metric(key, spread[what])
 
     table(
         f"{numbers['suite']}: {numbers['runs'] - numbers['no_start']} unseen runs",
         ("controller", *(title for title, _, _ in _COLUMNS), "diverged"),
         [
-            (name, *(cell(name, key, what) for _, key, what in _COLUMNS), str(found[name]["diverged"]))
+            (name, *(cell(found[name], key, what) for _, key, what in _COLUMNS), str(found[name]["diverged"]))
             for name in numbers["order"]
         ],
     )
@@ -141,6 +142,21 @@ def _tables(numbers: dict[str, Any]) -> None:
         ("controller", "angle rmse", "95 % interval", "stiffness rmse", "95 % interval"),
         [(name, *_ratios(found[name]["ratio_to_first"])) for name in numbers["order"] if name != first],
     )
+    if at_air := numbers["at_air_of_first"]:
+        table(
+            f"at no more air than {first} as tuned ({metric('air_L', at_air['air_L'])} L in the training runs)",
+            ("controller", "angle rmse, deg", "95 %", f"x {first}", "95 % interval", "air, L", "diverged"),
+            [
+                (
+                    name,
+                    *(cell(each, "angle_rmse_deg", what) for what in ("median", "percentile_95")),
+                    *_ratios(each["ratio_to_first"])[:2],
+                    cell(each, "air_L", "median"),
+                    str(each["diverged"]),
+                )
+                for name, each in at_air["controllers"].items()
+            ],
+        )
     if numbers["no_start"]:
         echo(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
     for name, each in found.items():

@@ -7,9 +7,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.numerics.checks import check_positive
+from mckibben.numerics.checks import check_positive, check_within
 from mckibben.numerics.elementary import floating
-from mckibben.units import AngularAcceleration, Bandwidth, PositiveRate
+from mckibben.units import AngularAcceleration, Bandwidth, PoleDamping, PositiveRate
 
 # No `from __future__ import annotations`: equinox does not see an AbstractVar written as text.
 
@@ -38,15 +38,16 @@ class Feedback(eqx.Module):
 
 
 class PolePlacement(Feedback):
-    r"""All poles of the closed loop at :math:`s = -\omega_c`, the bandwidth [rad/s].
+    r"""Poles of the closed loop at the distance :math:`\omega_c` from the origin, the bandwidth [rad/s].
 
     .. math:: a = k_d \dot e + k_p e \; [+ k_i \int e], \quad
-              T s^3 + s^2 + k_d s + k_p = T (s + \omega_c)^3
+              T s^3 + s^2 + k_d s + k_p = T (s + \omega_c)(s^2 + (d - 1)\,\omega_c s + \omega_c^2)
 
-    so that :math:`T = 1/(3\omega_c), k_d = \omega_c, k_p = \omega_c^2/3`. With an integral there are four poles:
-    :math:`T = 1/(4\omega_c), k_d = 3\omega_c/2, k_p = \omega_c^2, k_i = \omega_c^3/4`. The integral removes the static
-    error of a wrong model; beside a disturbance observer it is redundant. With a lag g times that of the model the loop
-    is stable up to g = 9 (5 with the integral).
+    so that :math:`T = 1/(d\omega_c), k_d = \omega_c, k_p = \omega_c^2/d`. A damping d of 3 places all poles at one; 2
+    are those of Butterworth. With an integral there is one more pole at :math:`-\omega_c`, and
+    :math:`T = 1/((d+1)\omega_c), k_d = 2d\omega_c/(d+1), k_p = \omega_c^2, k_i = \omega_c^3/(d+1)`. The integral
+    removes the static error of a wrong model; beside a disturbance observer it is redundant. With a lag g times that of
+    the model the loop is stable up to g = d^2 (2d - 1 with the integral).
 
     References
     ----------
@@ -55,24 +56,26 @@ class PolePlacement(Feedback):
 
     bandwidth: Bandwidth = 80.0
     integral: bool = eqx.field(static=True, default=False)
+    damping: PoleDamping = 3.0
 
     def __check_init__(self) -> None:
         check_positive("PolePlacement", "rad/s", bandwidth=self.bandwidth)
+        check_within("PolePlacement", 2.0, 3.0, damping=self.damping)
 
     @property
     def lag(self) -> Any:
         """T [s]."""
-        return 1 / (4 * self.bandwidth) if self.integral else 1 / (3 * self.bandwidth)
+        return 1 / ((self.damping + 1 if self.integral else self.damping) * self.bandwidth)
 
     def init(self, error: ArrayLike) -> Scalar:
         return jnp.zeros_like(floating(error))
 
     def step(self, state: Scalar, error: ArrayLike, rate: ArrayLike, period: ArrayLike) -> tuple[Scalar, Scalar]:
-        pole = jnp.asarray(self.bandwidth)
+        pole, damping = jnp.asarray(self.bandwidth), jnp.asarray(self.damping)
         if not self.integral:
-            return state, pole * rate + pole**2 / 3 * error
-        state = state + period * pole**3 / 4 * error
-        return state, 1.5 * pole * rate + pole**2 * error + state
+            return state, pole * rate + pole**2 / damping * error
+        state = state + period * pole**3 / (damping + 1) * error
+        return state, 2 * damping / (damping + 1) * pole * rate + pole**2 * error + state
 
     def track(self, state: Scalar, shortfall: ArrayLike, period: ArrayLike) -> Scalar:
         return state - period * self.bandwidth * shortfall if self.integral else state

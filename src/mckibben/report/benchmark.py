@@ -62,8 +62,8 @@ def benchmark_references(result: BenchmarkResult, numbers: Mapping[str, Any]) ->
         for j, (name, look) in enumerate(looks.items()):
             found = numbers["controllers"][name]["by_reference"]
             shift = (j - (len(looks) - 1) / 2) * 0.7 / len(looks)
-            medians = [(found.get(reference, {}).get(key), row + shift) for row, reference in enumerate(references)]
-            places = [(median, row) for median, row in medians if median]
+            errors = [(found.get(reference, {}).get(key), row + shift) for row, reference in enumerate(references)]
+            places = [(error["median"], row) for error, row in errors if error]
             if places:
                 x, y = zip(*places, strict=True)
                 panel.plot(x, y, linestyle="", marker=_marker(look), markersize=3.5, color=look["color"], label=name)
@@ -131,9 +131,11 @@ def write_benchmark(result: BenchmarkResult, numbers: Mapping[str, Any], folder:
             _ranking(numbers),
             _ratios(numbers),
             _effort(numbers),
-            _by_group(numbers, "by_joint", "joint"),
+            _by_group(numbers, "by_reference", "reference"),
+            _by_group(numbers, "by_joint", "the plant's joint"),
             _dependence(numbers),
         ],
+        at_air=_at_air(numbers),
         tuned=_tuned(result),
         text=result.suite.dumps(folder=folder),
     )
@@ -208,16 +210,34 @@ def _cells(found: Mapping[str, Any], columns: tuple[_Column, ...]) -> list[str]:
     return [number((found["metrics"][key] or {}).get(what)) for _, key, what in columns]
 
 
+def _ratio(found: Mapping[str, Any]) -> str:
+    return f"{number(found['ratio'])} ({number(found['low'])} to {number(found['high'])})"
+
+
 def _ratios(numbers: Mapping[str, Any]) -> Table:
     first = next(iter(numbers["controllers"]))
-
-    def cell(found: Mapping[str, Any]) -> str:
-        return f"{number(found['ratio'])} ({number(found['low'])} to {number(found['high'])})"
-
-    rows = [(name, *map(cell, numbers["controllers"][name]["ratio_to_first"].values())) for name in numbers["order"]]
+    rows = [(name, *map(_ratio, numbers["controllers"][name]["ratio_to_first"].values())) for name in numbers["order"]]
     return Table(
         f"Ratio of the median error to that of {first}, with 95 % bootstrap interval over the runs.",
         ("controller", "angle rmse", "stiffness rmse"),
+        rows,
+    )
+
+
+def _at_air(numbers: Mapping[str, Any]) -> Table | None:
+    """Errors at no more air than that of the first controller, if it was tuned."""
+    if (at_air := numbers["at_air_of_first"]) is None:
+        return None
+    first = next(iter(numbers["controllers"]))
+    columns = (*_ERROR_COLUMNS[:3], _EFFORT_COLUMNS[2])
+    rows = [
+        (name, str(found["diverged"]), *_cells(found, columns), _ratio(found["ratio_to_first"]["angle_rmse_deg"]))
+        for name, found in at_air["controllers"].items()
+    ]
+    return Table(
+        f"At the air of {first}: the trial of each tuning with the least angle error at no more than "
+        f"{number(at_air['air_L'])} L (medians of the training runs), on the unseen runs; ratio to {first} as tuned.",
+        ("controller", "diverged", *(title for title, _, _ in columns), f"angle rmse / {first}"),
         rows,
     )
 
@@ -226,10 +246,13 @@ def _by_group(numbers: Mapping[str, Any], key: str, what: str) -> Table:
     groups = list(dict.fromkeys(group for found in numbers["controllers"].values() for group in found[key]))
 
     def cell(errors: Mapping[str, Any]) -> str:
-        return f"{number(errors['angle_rmse_deg'])} deg, {number(errors['stiffness_rmse'])}"
+        angle, stiffness = (errors[metric] or {} for metric in ("angle_rmse_deg", "stiffness_rmse"))
+        tail = number(angle.get("percentile_95"))
+        return f"{number(angle.get('median'))} deg ({tail}), {number(stiffness.get('median'))}"
 
     rows = [(name, *(cell(found[key][group]) for group in groups)) for name, found in numbers["controllers"].items()]
-    return Table(f"Median errors by the plant's {what}: angle, and stiffness [N*m/rad].", ("controller", *groups), rows)
+    title = f"Median errors by {what}: angle (95th percentile), and stiffness [N*m/rad]."
+    return Table(title, ("controller", *groups), rows)
 
 
 def _dependence(numbers: Mapping[str, Any]) -> Table:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,12 +21,20 @@ from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.numerics.batching import lanes_of
 from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
-from mckibben.simulation.metrics import METRICS
 from mckibben.study.benchmark.runs import Group, Runs, draw, merged
+from mckibben.study.benchmark.statistics import (
+    MAIN,
+    SHOWN,
+    TRADED,
+    air_of,
+    front,
+    statistics,
+    stiffness_limit,
+    trial_at_air,
+)
 from mckibben.study.benchmark.suite import Suite, filename
 from mckibben.study.parameters import batched, valid_rows
 from mckibben.study.scenario import Scenario
-from mckibben.study.sweep.result import spearman
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Costs, Method, SearchSpace, Vector, by_cma, check_method
 from mckibben.study.tune.tune import Evaluated, Evaluator, Trial, TuningHistory
@@ -35,6 +43,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _TUNING = 0.98  # share of the time of a controller
+_PENALTY = 10.0  # relative, of the angle error for an air or a stiffness error that is relatively too large
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,6 +64,9 @@ class BenchmarkResult:
         Results in the evaluation runs.
     trials
         Trials of the tuning, with the median metrics of the training runs where none of these diverged.
+    at_air
+        Evaluation at equal air: of each controller the trial of least angle error on its front with no more air than
+        the first has as tuned, both by the medians of the training runs. None if the first is not tuned.
     """
 
     suite: Suite
@@ -64,6 +76,7 @@ class BenchmarkResult:
     at_bound: dict[str, tuple[str, ...]]
     batches: dict[str, Batch]
     trials: dict[str, tuple[Trial, ...]] = field(default_factory=dict)
+    at_air: BenchmarkResult | None = None
 
     def __repr__(self) -> str:
         return f"<BenchmarkResult: {', '.join(self.batches)} on {self.runs.count} runs>"
@@ -73,10 +86,10 @@ class BenchmarkResult:
         rows = []
         for name in numbers["order"]:
             found = numbers["controllers"][name]
-            medians = [found["metrics"][_SHOWN[metric]] for metric in MAIN]
+            medians = [found["metrics"][SHOWN[metric]] for metric in MAIN]
             cells = ["-" if each is None else f"{each['median']:.3g}" for each in medians]
             rows.append((name, *cells, str(found["diverged"])))
-        return html_table(repr(self), ("controller", *(_SHOWN[metric] for metric in MAIN), "diverged"), rows)
+        return html_table(repr(self), ("controller", *(SHOWN[metric] for metric in MAIN), "diverged"), rows)
 
     @property
     def started(self) -> NDArray[np.bool_]:
@@ -85,7 +98,10 @@ class BenchmarkResult:
 
     def metric(self, controller: str, name: str) -> Vector:
         """A metric [SI] of each run that started; NaN where the run diverged."""
-        batch = self.batches[controller]
+        return self.of(self.batches[controller], name)
+
+    def of(self, batch: Batch, name: str) -> Vector:
+        """A metric [SI] in the results of a controller."""
         return np.where(batch.failed, np.nan, batch.metrics[name])[self.started]
 
     def diverged(self, controller: str) -> NDArray[np.bool_]:
@@ -130,7 +146,7 @@ def compare(
     training = draw(suite, suite.tuning.runs, suite.tuning.seed)
     evaluation = draw(suite, suite.evaluation.runs, suite.evaluation.seed)
     names = list(suite.controllers)
-    result = BenchmarkResult(suite, evaluation, {}, {}, {}, {})
+    result, at_air = (BenchmarkResult(suite, evaluation, {}, {}, {}, {}) for _ in range(2))
     for number, name in enumerate(names):
 
         def report(task: str, part: float, name: str = name, number: int = number) -> None:
@@ -140,16 +156,22 @@ def compare(
         swept = suite.tuned_over(name)
         result.tuned[name], result.at_bound[name] = {}, ()
         if swept:
-            task = ControllerTuning(suite, name, SearchSpace(swept), training)
+            air = None if number == 0 else air_of(result.trials.get(names[0], ()))
+            task = ControllerTuning(suite, name, SearchSpace(swept), training, air)
             tuned = task.run(folder, resume, lambda part: report("tuning", _TUNING * part))
             result.tuned[name], result.training_cost[name], result.at_bound[name], result.trials[name] = tuned
+            trial = trial_at_air(result.trials[name], air_of(result.trials.get(names[0], ())))
+            if trial is not None:
+                at_air.tuned[name] = task.values(trial)
         report("evaluation runs", _TUNING)
-        result.batches[name] = evaluate(evaluation, name, result.tuned[name])
+        for each in (result, at_air):
+            if name in each.tuned:
+                each.batches[name] = evaluate(evaluation, name, each.tuned[name])
         if not _started(result.batches[name]).any():
             raise _none_starts("evaluation")
     if progress:
         progress("done", 1.0)
-    return result
+    return replace(result, at_air=at_air) if at_air.batches else result
 
 
 def evaluate(
@@ -174,12 +196,17 @@ def _none_starts(runs: str) -> ParameterError:
 
 @dataclass(frozen=True, eq=False)
 class ControllerTuning:
-    """Tuning of one controller of a suite on training runs."""
+    """Tuning of one controller of a suite on training runs.
+
+    After the searches for the least cost there is one for the least angle error at an air [m^3], both medians; at that
+    of the best trial so far if it is None.
+    """
 
     suite: Suite
     controller: str
     space: SearchSpace
     runs: Runs
+    air: float | None = None
 
     @cached_property
     def _scenario(self) -> Scenario:
@@ -250,22 +277,44 @@ class ControllerTuning:
             costs(first[None])
             starts = np.random.default_rng(tuning.seed).random((self._starts, len(space)))
             starts[0] = first
+            searched: list[Trial] = []  # by the cost: in a history that is continued there may be others
+
+            def trials(points: Vector) -> list[Trial]:
+                costs(points)
+                return [trial for point in points if (trial := past.find(point)) is not None]
+
+            def searched_costs(points: Vector) -> Vector:
+                searched.extend(trials(points))
+                return costs(points)
+
+            def report(part: float, number: int) -> None:
+                progress((number + part) / (self._starts + 1))
+
             for number, start in enumerate(starts):
-
-                def report(part: float, number: int = number) -> None:
-                    progress((number + part) / self._starts)
-
-                self._search(costs, start, tuning.seed + number, report)
+                self._search(searched_costs, start, tuning.seed + number, partial(report, number=number))
+            air, stiffness = air_of(searched) if self.air is None else self.air, stiffness_limit(searched)
+            if np.isfinite(air) and (found := front(searched)):
+                begin = trial_at_air(searched, air) or found[0][0]
+                self._search(
+                    lambda points: np.array([_error_at_air(trial, air, stiffness) for trial in trials(points)]),
+                    np.array(begin.point),
+                    tuning.seed + self._starts,
+                    partial(report, number=self._starts),
+                )
             best = past.best
             if best.cost >= FAILED_COST:
                 raise ParameterError(
                     f"{self.controller}: all {len(past.trials)} trials failed",
                     remedy="search other ranges, or begin with other gains",
                 )
-            rounded = space.rounded(space.values(np.array(best.point)[None])[0])
-            (cost,), (before,) = costs(space.point(rounded)[None]), costs(first[None])
-            values = dict(zip(space.names, rounded.tolist(), strict=True))
+            values = self.values(best)
+            (cost,), (before,) = costs(space.point(np.array(list(values.values())))[None]), costs(first[None])
             return values, (float(cost), float(before)), space.at_bound(best.point), tuple(past.trials)
+
+    def values(self, trial: Trial) -> dict[str, float]:
+        """Values [SI] of a trial by name, rounded to six digits."""
+        rounded = self.space.rounded(self.space.values(np.array(trial.point)[None])[0])
+        return dict(zip(self.space.names, rounded.tolist(), strict=True))
 
     def _search(self, costs: Costs, start: Vector, seed: int, progress: Callable[[float], None]) -> None:
         tuning, count = self.suite.tuning, start.size
@@ -277,6 +326,14 @@ class ControllerTuning:
             generations=tuning.generations,
             progress=progress,
         )
+
+
+def _error_at_air(trial: Trial, air: float, stiffness: float) -> float:
+    """Angle error [rad] of a trial, raised by what exceeds an air [m^3] and a stiffness error [N*m/rad]."""
+    if trial.metrics is None:
+        return FAILED_COST
+    excess = max(trial.metrics["air"] / air - 1, 0) + max(trial.metrics["stiffness_rmse"] / stiffness - 1, 0)
+    return trial.metrics["angle_rmse"] * (1 + _PENALTY * excess)
 
 
 def _controller(runs: Runs, group: Group, controller: str, table: dict[str, Any], sets: int) -> Controller:
@@ -341,31 +398,6 @@ def _simulated(suite: Suite, group: Group, controller: Controller, sets: int, me
     )
 
 
-MAIN = ("angle_rmse", "stiffness_rmse")
-"""Errors that are compared with those of the first controller."""
-TRADED = (*MAIN, "air")
-"""Metrics of each trial of the tuning."""
-_SAME_STIFFNESS = 1.1  # largest stiffness error on a front, relative to that of the tuned controller
-_RESAMPLES = 2000
-_MAX_RESAMPLED = 2_000_000  # values at once
-_SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
-_UNIT = {metric: unit for metric, _, unit in METRICS.values()}
-
-
-def statistics(result: BenchmarkResult) -> dict[str, Any]:
-    """Statistics of a benchmark, for JSON, in the units of results."""
-    names = list(result.batches)
-    median_cost = {name: float(np.median(result.cost(name))) for name in names}
-    return {
-        "suite": result.suite.name,
-        "cost": result.suite.tuning.cost,
-        "runs": result.runs.count,
-        "no_start": int((~result.started).sum()),
-        "order": sorted(names, key=lambda name: median_cost[name]),
-        "controllers": {name: _controller_statistics(result, name, median_cost[name]) for name in names},
-    }
-
-
 def table_of(result: BenchmarkResult) -> xr.Dataset:
     """All runs along ``controller`` and ``run``: metrics and outcomes; along ``run`` their conditions."""
     import xarray as xr
@@ -412,88 +444,3 @@ def read_runs(path: Path) -> tuple[Suite, dict[str, dict[str, float]], int]:
         remedy = "run the comparison again in another folder"
         raise FileError(str(path), [Problem("it is no result of a comparison", remedy=remedy)]) from None
     return Suite.parse(suite, source=str(path), folder=path.parent), tuned, count
-
-
-def _controller_statistics(result: BenchmarkResult, name: str, median_cost: float) -> dict[str, Any]:
-    first = next(iter(result.batches))
-    references, joints = (np.array(each)[result.started] for each in (result.runs.reference_name, result.runs.joint))
-    errors = {metric: result.metric(name, metric) for metric in MAIN}
-    cost = result.training_cost.get(name)
-    stepped = np.isfinite(result.metric(name, "coupling"))
-    settled = stepped & np.isfinite(result.metric(name, "stiffness_settling"))
-    return {
-        "diverged": int(result.diverged(name).sum()),
-        "median_cost": median_cost,
-        "metrics": {
-            _SHOWN[metric]: _percentiles(result.metric(name, metric), _UNIT[metric]) for metric in Metrics._fields
-        },
-        "settled": {"runs": int(settled.sum()), "of": int(stepped.sum())},
-        "ratio_to_first": {_SHOWN[metric]: _ratio(errors[metric], result.metric(first, metric)) for metric in MAIN},
-        "by_reference": _medians_by(references, errors),
-        "by_joint": _medians_by(joints, errors),
-        "correlations": {
-            condition: {_SHOWN[metric]: _correlation(values[result.started], errors[metric]) for metric in MAIN}
-            for condition, values in result.runs.conditions.items()
-            if condition != "sensors.seed"
-        },
-        "tuned": result.tuned[name],
-        "training_cost": None if cost is None else {"tuned": cost[0], "before": cost[1]},
-        "at_bound": list(result.at_bound[name]),
-        "front": _front(result.trials.get(name, ())),
-    }
-
-
-def _front(trials: Sequence[Trial]) -> list[dict[str, float]]:
-    """Trials of which none has less air and less angle error, by rising air; with the stiffness error of the best."""
-    known = [trial for trial in trials if trial.metrics]
-    best = min(known, key=lambda trial: trial.cost, default=None)
-    if best is None or best.metrics is None:
-        return []
-    limit = _SAME_STIFFNESS * best.metrics["stiffness_rmse"]
-    found: list[dict[str, float]] = []
-    for at in sorted((trial.metrics or {} for trial in known), key=lambda at: (at["air"], at["angle_rmse"])):
-        if at["stiffness_rmse"] <= limit and (not found or at["angle_rmse"] < found[-1]["angle_rmse"]):
-            found.append(at)
-    return [{_SHOWN[metric]: at[metric] / _UNIT[metric] for metric in TRADED} for at in found]
-
-
-def _percentiles(values: NDArray[np.float64], unit: float) -> dict[str, Any] | None:
-    values = values[np.isfinite(values)] / unit
-    if not values.size:
-        return None
-    median, high = np.percentile(values, [50, 95])
-    return {"median": float(median), "percentile_95": float(high), "runs": int(values.size)}
-
-
-def _ratio(values: NDArray[np.float64], first: NDArray[np.float64]) -> dict[str, float]:
-    """Ratio of the medians, with infinite errors in diverged runs, and its bootstrap interval."""
-    values, first = (np.where(np.isfinite(each), each, np.inf) for each in (values, first))
-    generator, ratios = np.random.default_rng(0), np.empty(0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.median(values) / np.median(first)
-        while ratios.size < _RESAMPLES:
-            some = min(_RESAMPLES - ratios.size, max(_MAX_RESAMPLED // values.size, 1))
-            rows = generator.integers(0, values.size, (some, values.size))
-            found = np.median(values[rows], axis=1) / np.median(first[rows], axis=1)
-            ratios = np.append(ratios, found)
-    ratios = ratios[~np.isnan(ratios)]  # of two infinite medians
-    low, high = np.percentile(ratios, [2.5, 97.5], method="nearest") if ratios.size else (np.nan, np.nan)
-    return {"ratio": float(ratio), "low": float(low), "high": float(high)}
-
-
-def _medians_by(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) -> dict[str, dict[str, float | None]]:
-    def median(values: NDArray[np.float64]) -> float | None:
-        values = values[np.isfinite(values)]
-        return float(np.median(values)) if values.size else None
-
-    found = {}
-    for group in dict.fromkeys(groups.tolist()):
-        chosen = {metric: median(values[groups == group]) for metric, values in errors.items()}
-        found[group] = {_SHOWN[m]: None if v is None else v / _UNIT[m] for m, v in chosen.items()}
-    return dict(sorted(found.items()))
-
-
-def _correlation(condition: NDArray[Any], error: NDArray[np.float64]) -> float | None:
-    """Rank correlation, with infinite errors in diverged runs."""
-    found = spearman(condition, np.where(np.isfinite(error), error, np.inf))
-    return float(found) if np.isfinite(found) else None

@@ -1,0 +1,164 @@
+"""Statistics of a benchmark: errors of all controllers, their ratios, and errors at equal air."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.simulation import Batch, Metrics
+from mckibben.simulation.metrics import METRICS
+from mckibben.study.sweep.result import spearman
+from mckibben.study.tune.tune import Trial
+
+if TYPE_CHECKING:
+    from mckibben.study.benchmark.benchmark import BenchmarkResult
+
+MAIN = ("angle_rmse", "stiffness_rmse")
+"""Errors that are compared with those of the first controller."""
+TRADED = (*MAIN, "air")
+"""Metrics of each trial of the tuning."""
+_SAME_STIFFNESS = 1.1  # largest stiffness error on a front, relative to that of the tuned controller
+_RESAMPLES = 2000
+_MAX_RESAMPLED = 2_000_000  # values at once
+SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
+_UNIT = {metric: unit for metric, _, unit in METRICS.values()}
+
+
+def statistics(result: BenchmarkResult) -> dict[str, Any]:
+    """Statistics of a benchmark, for JSON, in the units of results."""
+    names = list(result.batches)
+    median_cost = {name: float(np.median(result.cost(name))) for name in names}
+    return {
+        "suite": result.suite.name,
+        "cost": result.suite.tuning.cost,
+        "runs": result.runs.count,
+        "no_start": int((~result.started).sum()),
+        "order": sorted(names, key=lambda name: median_cost[name]),
+        "controllers": {name: _controller_statistics(result, name, median_cost[name]) for name in names},
+        "at_air_of_first": _at_air(result),
+    }
+
+
+def _at_air(result: BenchmarkResult) -> dict[str, Any] | None:
+    if (at_air := result.at_air) is None:
+        return None
+    first = next(iter(result.batches))
+    errors = {name: _errors(at_air, name, result.batches[first]) for name in at_air.batches}
+    return {"air_L": air_of(result.trials[first]) / _UNIT["air"], "controllers": errors}
+
+
+def _errors(result: BenchmarkResult, name: str, first: Batch) -> dict[str, Any]:
+    """Metrics and diverged runs of a controller, also by reference and joint, and its ratios to the first."""
+    errors = {metric: result.metric(name, metric) for metric in MAIN}
+    return {
+        "diverged": int(result.diverged(name).sum()),
+        "metrics": {
+            SHOWN[metric]: _percentiles(result.metric(name, metric), _UNIT[metric]) for metric in Metrics._fields
+        },
+        "ratio_to_first": {SHOWN[metric]: _ratio(errors[metric], result.of(first, metric)) for metric in MAIN},
+        "by_reference": _by_group(np.array(result.runs.reference_name)[result.started], errors),
+        "by_joint": _by_group(np.array(result.runs.joint)[result.started], errors),
+        "tuned": result.tuned[name],
+    }
+
+
+def _controller_statistics(result: BenchmarkResult, name: str, median_cost: float) -> dict[str, Any]:
+    cost = result.training_cost.get(name)
+    stepped = np.isfinite(result.metric(name, "coupling"))
+    settled = stepped & np.isfinite(result.metric(name, "stiffness_settling"))
+    return {
+        **_errors(result, name, next(iter(result.batches.values()))),
+        "median_cost": median_cost,
+        "settled": {"runs": int(settled.sum()), "of": int(stepped.sum())},
+        "correlations": {
+            condition: {
+                SHOWN[metric]: _correlation(values[result.started], result.metric(name, metric)) for metric in MAIN
+            }
+            for condition, values in result.runs.conditions.items()
+            if condition != "sensors.seed"
+        },
+        "training_cost": None if cost is None else {"tuned": cost[0], "before": cost[1]},
+        "at_bound": list(result.at_bound[name]),
+        "front": [
+            {SHOWN[metric]: at[metric] / _UNIT[metric] for metric in TRADED}
+            for _, at in front(result.trials.get(name, ()))
+        ],
+    }
+
+
+def front(trials: Sequence[Trial]) -> list[tuple[Trial, dict[str, float]]]:
+    """Trials of which none has less air and less angle error, and their metrics [SI], by rising air.
+
+    Only those without diverged run, and with a stiffness error of at most 1.1 times that of the best.
+    """
+    known = [(trial, trial.metrics) for trial in trials if trial.metrics]
+    limit = stiffness_limit(trials)
+    found: list[tuple[Trial, dict[str, float]]] = []
+    for trial, at in sorted(known, key=lambda one: (one[1]["air"], one[1]["angle_rmse"])):
+        if at["stiffness_rmse"] <= limit and (not found or at["angle_rmse"] < found[-1][1]["angle_rmse"]):
+            found.append((trial, at))
+    return found
+
+
+def stiffness_limit(trials: Sequence[Trial]) -> float:
+    """Largest stiffness error [N*m/rad] on the front: 1.1 times that of the best trial."""
+    return _SAME_STIFFNESS * _best(trials).get("stiffness_rmse", np.inf)
+
+
+def air_of(trials: Sequence[Trial]) -> float:
+    """Air [m^3] of the trial of least cost, median of the training runs; NaN if it is not known."""
+    return _best(trials).get("air", np.nan)
+
+
+def trial_at_air(trials: Sequence[Trial], air: float) -> Trial | None:
+    """Trial of least angle error on the front with at most this air [m^3], if there is one."""
+    return next((trial for trial, at in reversed(front(trials)) if at["air"] <= air), None)
+
+
+def _best(trials: Sequence[Trial]) -> dict[str, float]:
+    """Metrics [SI] of the trial of least cost; empty if there is none without diverged run."""
+    known = [trial for trial in trials if trial.metrics]
+    return min(known, key=lambda trial: (trial.cost, trial.point)).metrics or {} if known else {}
+
+
+def _percentiles(values: NDArray[np.float64], unit: float) -> dict[str, Any] | None:
+    values = values[np.isfinite(values)] / unit
+    if not values.size:
+        return None
+    median, high = np.percentile(values, [50, 95])
+    return {"median": float(median), "percentile_95": float(high), "runs": int(values.size)}
+
+
+def _ratio(values: NDArray[np.float64], first: NDArray[np.float64]) -> dict[str, float]:
+    """Ratio of the medians, with infinite errors in diverged runs, and its bootstrap interval."""
+    values, first = (np.where(np.isfinite(each), each, np.inf) for each in (values, first))
+    generator, ratios = np.random.default_rng(0), np.empty(0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.median(values) / np.median(first)
+        while ratios.size < _RESAMPLES:
+            some = min(_RESAMPLES - ratios.size, max(_MAX_RESAMPLED // values.size, 1))
+            rows = generator.integers(0, values.size, (some, values.size))
+            found = np.median(values[rows], axis=1) / np.median(first[rows], axis=1)
+            ratios = np.append(ratios, found)
+    ratios = ratios[~np.isnan(ratios)]  # of two infinite medians
+    low, high = np.percentile(ratios, [2.5, 97.5], method="nearest") if ratios.size else (np.nan, np.nan)
+    return {"ratio": float(ratio), "low": float(low), "high": float(high)}
+
+
+def _by_group(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) -> dict[str, dict[str, Any]]:
+    """Median and 95th percentile of errors in each group of runs."""
+    return {
+        group: {
+            SHOWN[metric]: _percentiles(values[groups == group], _UNIT[metric]) for metric, values in errors.items()
+        }
+        for group in sorted(set(groups.tolist()))
+    }
+
+
+def _correlation(condition: NDArray[Any], error: NDArray[np.float64]) -> float | None:
+    """Rank correlation, with infinite errors in diverged runs."""
+    found = spearman(condition, np.where(np.isfinite(error), error, np.inf))
+    return float(found) if np.isfinite(found) else None
