@@ -113,6 +113,11 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
         run = ours.batch(problem, masses, dtype, cores=cores)
         return candidate("ours, simulate_many", run, masses, note=f"{len(masses)} lanes")
 
+    def xla() -> Candidate:
+        masses = loads(CHUNKS_OF_OURS * ours.CHUNK * cores)
+        run = ours.batch(problem, masses, dtype, cores=cores, engine="xla")
+        return candidate("ours, engine='xla'", run, masses, note=f"{len(masses)} lanes")
+
     def smooth_law() -> Candidate:
         masses = loads(CHUNKS_OF_OURS * ours.CHUNK * cores)
         run = ours.batch(with_smooth_law(problem), masses, dtype, cores=cores)
@@ -130,6 +135,8 @@ def _add_engines(bench: Bench, problem: Problem, folder: Path, precision: str, c
     bench.add(f"plain C, {where}", plain_c)
     bench.add(f"SIMD by hand, {where}", simd)
     bench.add(f"ours, simulate_many, {where}", our_own)
+    if precision == "f64":  # of 32 bits there is no other
+        bench.add(f"ours, engine='xla', {where}", xla)
     if cores == 1:
         bench.add(f"ours, SmoothLaw, {where}", smooth_law)
         bench.add(f"NumPy, {where}", numpy)

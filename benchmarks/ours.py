@@ -18,7 +18,13 @@ GAINS = tuple(f"controller.{loop}.{gain}" for loop in ("position", "stiffness") 
 
 
 def batch(
-    problem: Problem, masses: NDArray[np.float64], dtype: DTypeLike, *, cores: int = 1, chunk: int | None = None
+    problem: Problem,
+    masses: NDArray[np.float64],
+    dtype: DTypeLike,
+    *,
+    cores: int = 1,
+    chunk: int | None = None,
+    engine: str = "auto",
 ) -> Callable[[], NDArray[Any]]:
     """One episode for each external load [kg]: two RMS errors a lane, shape (lanes, 2)."""
 
@@ -34,6 +40,7 @@ def batch(
             precision=dtype,
             chunk=chunk,
             workers=cores,
+            engine=engine,
         )
         return np.stack([found.metrics[name] for name in METRICS], axis=1)
 

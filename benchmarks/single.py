@@ -60,6 +60,12 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
         note = "with the feasibility of the reference; torques and forces are computed when asked for"
         return candidate(f"ours, mk.simulate, {_loops(base)}", run, base=base, note=note)
 
+    def by_xla(controller: Controller, base: str) -> Candidate:
+        def run() -> Angles:
+            return simulate(problem.plant, controller, REFERENCE, initial=problem.start, engine="xla")["angle"]
+
+        return candidate(f"ours, mk.simulate, engine='xla', {_loops(base)}", run, base=base)
+
     def measured(controller: Controller, base: str) -> Candidate:
         def run() -> Angles:
             result = simulate(problem.plant, controller, REFERENCE, initial=problem.start)
@@ -118,6 +124,7 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
     bench.add("plain C", plain_c)
     bench.add("ours, compiled loop, PID", lambda: compiled(problem.pid, PID_BASE))
     bench.add("ours, mk.simulate, PID", lambda: simulated(problem.pid, PID_BASE))
+    bench.add("ours, mk.simulate, engine='xla', PID", lambda: by_xla(problem.pid, PID_BASE))
     bench.add("ours, mk.simulate and metrics, PID", lambda: measured(problem.pid, PID_BASE))
     bench.add("ours, compiled loop, BP", lambda: compiled(problem.bp, BP_BASE))
     bench.add("ours, mk.simulate, BP", lambda: simulated(problem.bp, BP_BASE))
