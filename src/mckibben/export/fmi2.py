@@ -37,7 +37,7 @@ _LONGEST = 300.0  # s, of a compilation
 class FunctionalUnit:
     """A program with what an FMU adds to it.
 
-    Its functions are `init`, of `start` or `inputs`, members of `start` being those of the state; `evaluate`, of state
+    Its functions are `init`, of `start` and `inputs`, members of `start` being those of the state; `evaluate`, of state
     and inputs, with `results`; `differentiate`, of the same, with the `rates` of members of the state; `advance`, of
     state, inputs and `duration` [s]; and `project`, after a step of an integrator. All but `evaluate` may be missing.
     """

@@ -73,7 +73,7 @@ def plant_unit(
     numbers, fixed = eqx.partition(plant, is_real)
     initial = plant.complete_state(initial._replace(muscles=(MuscleState((), ()),) * 2, io=(), air=()))
     held = not isinstance(valve, IdealValve)
-    start = {"angle": initial.angle, "velocity": initial.velocity, "pressures": initial.pressures}
+    start = {"angle": initial.angle, "velocity": initial.velocity, **({"pressures": initial.pressures} if held else {})}
     inputs = {"command1": _NUMBER, "command2": _NUMBER, "torque": _NUMBER}
     module = SourceModule(name, numbers)
 
@@ -84,9 +84,10 @@ def plant_unit(
         state = state._replace(io=IOState(jnp.zeros(()), inputs["torque"], ()))
         return plant, plant.apply_commands(state, commands), commands
 
-    def init(parameters: Any, start: Any) -> dict[str, Any]:
+    def init(parameters: Any, start: Any, inputs: Any) -> dict[str, Any]:
         plant = eqx.combine(parameters, fixed)
-        return {"state": plant.complete_state(PlantState(start["angle"], start["velocity"], tuple(start["pressures"])))}
+        pressures = start["pressures"] if held else plant.clip_commands((inputs["command1"], inputs["command2"]))
+        return {"state": plant.complete_state(PlantState(start["angle"], start["velocity"], tuple(pressures)))}
 
     def advance(parameters: Any, state: PlantState, inputs: Any, duration: Any) -> dict[str, Any]:
         plant, at, commands = given(parameters, state, inputs)
@@ -110,8 +111,8 @@ def plant_unit(
             pressures, air = valve.air_rate(state.pressures, state.air, commands, plant.air_volumes(state))  # type: ignore
         elif held:
             assert isinstance(valve, Valve)
-            ends = zip(state.pressures, commands, strict=True)
-            pressures = [derivative(lambda t, p=p, u=u: valve.pressure_after(p, u, t), jnp.zeros(())) for p, u in ends]
+            after, ends = valve.pressure_after, zip(state.pressures, commands, strict=True)
+            pressures = [derivative(lambda t, p=p, u=u: after(p, u, t), jnp.zeros(())) for p, u in ends]
         muscles = tuple(MuscleState((), creep) for creep in motion.creep)
         return {"rates": PlantState(motion.angle, motion.velocity, tuple(pressures), muscles, (), air)}  # type: ignore
 
@@ -121,7 +122,12 @@ def plant_unit(
 
     state = jax.tree.map(lambda one: np.zeros(np.shape(one)), initial)
     both = {"state": state, "inputs": inputs}
-    module.add("init", "state at an angle, a velocity and pressures, its muscles relaxed", init, {"start": start})
+    module.add(
+        "init",
+        "state at an angle, a velocity and pressures, its muscles relaxed",
+        init,
+        {"start": start, "inputs": inputs},
+    )
     module.add("advance", "state after a duration [s]", advance, both | {"duration": _NUMBER})
     module.add("evaluate", "forces and stiffness", results, both)
     switching = isinstance(valve, AirValve) and type(valve).before_step is not AirValve.before_step

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from mckibben.study.scenario import Scenario
 class Exported(NamedTuple):
     """Contents of files by their paths, and what the format cannot hold."""
 
-    files: dict[str, str | bytes]
+    files: Mapping[str, str | bytes]
     left_out: tuple[str, ...] = ()
 
 
