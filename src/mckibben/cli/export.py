@@ -11,8 +11,8 @@ from mckibben.cli.options import Force, Json, echo, keeping, required_folder
 from mckibben.storage.files import to_json
 
 _FORMATS = (
-    "c: the controller as C99, for microcontrollers. fmu, fmu-controller, fmu-muscle: FMI 2.0, the joint with load and "
-    "valves, the controller, or a muscle."
+    "c: the controller as C99, for microcontrollers. js: the controller as JavaScript, for pages. fmu, fmu-controller, "
+    "fmu-muscle: FMI 2.0, the joint with load and valves, the controller, or a muscle."
 )
 
 

@@ -97,20 +97,10 @@ def controller_module(scenario: Scenario, name: str = "controller", most_periods
     not. Raises `ExportError` for what cannot be written in another language.
     """
     source = controller_functions(scenario)
+    module, left_out = controller_program(source, name)
     plant, controller, measurement = source.plant, source.controller, source.measurement
-    module = SourceModule(name, source.parameters, "controller.")
     _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     setpoints = jax.tree.map(lambda x: x[:most_periods], setpoints)
-    module.add("init", "first state, from the first measurement", source.init, {"measurement": measurement})
-    module.add(
-        "step",
-        "one control period: new state, and commands from now on",
-        source.step,
-        {"state": source.state, "setpoint": source.setpoint, "measurement": measurement},
-    )
-    model, left_out = getattr(controller, "model", None), []
-    if isinstance(model, AntagonisticJoint):
-        left_out = _add_model(module, source.of, model)
     run = _recorded(plant, controller, setpoints, source.initial, scenario.control_period, scenario.substeps)
     recording = np.column_stack(run)
     first = [np.nan, np.nan, *map(float, (measurement.angle, *measurement.pressures)), np.nan, np.nan]
@@ -121,8 +111,19 @@ def controller_module(scenario: Scenario, name: str = "controller", most_periods
         UNITS | units_of(source.parameters, "parameters"),
         columns,
         np.vstack([first, recording]),
-        tuple(left_out),
+        left_out,
     )
+
+
+def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceModule, tuple[str, ...]]:
+    """First step, steps and model of a controller, and what cannot be written."""
+    module = SourceModule(name, source.parameters, "controller.")
+    given = {"setpoint": source.setpoint, "measurement": source.measurement}
+    module.add("init", "first state, from the first measurement", source.init, {"measurement": source.measurement})
+    text = "one control period: new state, and commands from now on"
+    module.add("step", text, source.step, {"state": source.state, **given})
+    model = getattr(source.controller, "model", None)
+    return module, tuple(_add_model(module, source.of, model) if isinstance(model, AntagonisticJoint) else ())
 
 
 def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[str]:

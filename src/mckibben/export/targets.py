@@ -23,6 +23,7 @@ class Exported(NamedTuple):
 
 TARGETS = {
     "c": ("mckibben.export.c_folder:c_files", "controller as C99, for microcontrollers"),
+    "js": ("mckibben.export.javascript:js_files", "controller as JavaScript, for pages"),
     "fmu": ("mckibben.export.fmu:plant_fmu", "joint with load and valves as an FMU (FMI 2.0)"),
     "fmu-controller": ("mckibben.export.fmu:controller_fmu", "controller as an FMU, for co-simulation"),
     "fmu-muscle": ("mckibben.export.fmu:muscle_fmu", "force of a muscle as an FMU"),
